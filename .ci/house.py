@@ -327,11 +327,11 @@ def measure_samples(root: Path) -> dict[str, float]:
     import numpy as np
 
     from handmap_qp import Follower, HandMapper, HumanLengths, HumanSample, load_hand
+    from handmap_qp.apps.service.dispatch import Dispatcher
+    from handmap_qp.apps.service.metrics import Metrics
+    from handmap_qp.apps.service.opening import HandCache
+    from handmap_qp.apps.service.settings import Settings
     from handmap_qp.client.messages import PROTOCOL, Open, Step
-    from handmap_qp.service.dispatch import Dispatcher
-    from handmap_qp.service.metrics import Metrics
-    from handmap_qp.service.opening import HandCache
-    from handmap_qp.service.settings import Settings
 
     human = load_hand("human", lengths=HumanLengths.from_hand_length(_HAND_LENGTH))
     tracked, secret = human.with_points("landmarks"), "measures-the-house"

@@ -14,18 +14,18 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from handmap_qp.apps.experiments.section_four import HandMotion, Run, Scene
+from handmap_qp.apps.grasp.checks import finite_array, positive_number
+from handmap_qp.apps.grasp.contacts import Grasp
+from handmap_qp.apps.grasp.objects import Shape
+from handmap_qp.apps.grasp.planning import plan_grasps
+from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.apps.simulation.simulator import Episode, Simulator
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.experiments.section_four import HandMotion, Run, Scene
-from handmap_qp.grasp.checks import finite_array, positive_number
-from handmap_qp.grasp.contacts import Grasp
-from handmap_qp.grasp.objects import Shape
-from handmap_qp.grasp.planning import plan_grasps
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.se3 import inverse_pose, transform_points
-from handmap_qp.simulation.physics import Body, Physics
-from handmap_qp.simulation.simulator import Episode, Simulator
 
 # Time to close, to rest, and to take the weight [s].
 _CLOSING, _RESTING, _LOADING = 0.2, 0.2, 0.3

@@ -26,7 +26,7 @@ from pathlib import Path
 from common import ROOT, find_recordings
 from made_recordings import make_recordings
 
-from handmap_qp.datasets.manifest import read_manifests
+from handmap_qp.apps.datasets.manifest import read_manifests
 
 SIDES = ("allegro_left", "allegro_right")
 

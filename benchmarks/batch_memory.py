@@ -19,8 +19,8 @@ import numpy as np
 from common import ROOT, find_recordings, print_table
 from made_recordings import make_recordings
 
-from handmap_qp.datasets.batch import plan_batch
-from handmap_qp.datasets.episodes import JobOptions, run_job
+from handmap_qp.apps.datasets.batch import plan_batch
+from handmap_qp.apps.datasets.episodes import JobOptions, run_job
 
 
 def main() -> None:

@@ -30,7 +30,7 @@ from motion_quality import (
 from scenes import ROBOTS, Scene, load_scenes, robot_for
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions, MapStep, load_hand
-from handmap_qp.offline.trajectory import map_motion
+from handmap_qp.apps.offline.trajectory import map_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

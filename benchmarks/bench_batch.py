@@ -34,12 +34,12 @@ from common import (
     write_json,
 )
 
-import handmap_qp.datasets.episodes as job_module
-from handmap_qp.datasets.batch import plan_batch, run_batch
-from handmap_qp.datasets.engines import PoolEngine
-from handmap_qp.datasets.episodes import Job, JobOptions, run_job
+import handmap_qp.apps.datasets.episodes as job_module
+from handmap_qp.apps.datasets.batch import plan_batch, run_batch
+from handmap_qp.apps.datasets.engines import PoolEngine
+from handmap_qp.apps.datasets.episodes import Job, JobOptions, run_job
+from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.trackers.formats import Source, read_recording, write_recordings
 from handmap_qp.trackers.formats.egodex import EgoDexFormat
 

@@ -22,14 +22,14 @@ import numpy as np
 import shared_hands
 
 from handmap_qp import load_hand
+from handmap_qp.apps.offline.comparison import Run, Take, compare_methods, own_method, prepare_take
+from handmap_qp.apps.offline.metrics import METRICS, Metric
+from handmap_qp.apps.onboarding.measure import measure_pinches
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.presets import default_preset
-from handmap_qp.offline.comparison import Run, Take, compare_methods, own_method, prepare_take
-from handmap_qp.offline.metrics import METRICS, Metric
-from handmap_qp.onboarding.measure import measure_pinches
 from handmap_qp.trackers.formats import read_recording
 
 _SHOWN = (

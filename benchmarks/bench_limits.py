@@ -19,10 +19,10 @@ import numpy as np
 import scenes
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions
+from handmap_qp.apps.offline.trajectory import Trajectory, map_motion
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.pseudoinverse import PseudoinverseIk
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.offline.trajectory import Trajectory, map_motion
 
 WAYS: dict[str, Callable[[Hand, IkOptions], Any]] = {
     "QP": PointIk,

@@ -24,9 +24,9 @@ import numpy as np
 from made_hands import ODDITIES, MadeHand, make_hand, make_odd_hand
 from shared_hands import shared_hands_folder
 
+from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.sources import package_folder
-from handmap_qp.onboarding.detect import Detection, detect, detect_text
 
 _AXES = {
     f"{sign}{name}": (1.0 if sign == "+" else -1.0) * np.eye(3)[k]

@@ -32,9 +32,8 @@ import common
 import msgspec
 import numpy as np
 
-from handmap_qp.errors import DegeneratePointsError
-from handmap_qp.experiments.paper import GAMMAS, PLANS, SEED, SYNERGIES, Row, write_csv
-from handmap_qp.experiments.section_four import (
+from handmap_qp.apps.experiments.paper import GAMMAS, PLANS, SEED, SYNERGIES, Row, write_csv
+from handmap_qp.apps.experiments.section_four import (
     FingerMode,
     Pivot,
     Scene,
@@ -43,9 +42,10 @@ from handmap_qp.experiments.section_four import (
     paper_scene,
     run_experiment,
 )
-from handmap_qp.grasp.closing import default_preshape
-from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
+from handmap_qp.apps.grasp.closing import default_preshape
+from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
+from handmap_qp.apps.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
+from handmap_qp.errors import DegeneratePointsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.urdf import parse_urdf, set_numbers

@@ -13,17 +13,17 @@ import trimesh
 import yaml
 
 from handmap_qp import load_hand
-from handmap_qp.datasets.manifest import Line, open_manifest, read_manifests
+from handmap_qp.apps.datasets.manifest import Line, open_manifest, read_manifests
+from handmap_qp.apps.onboarding.detect import detect
+from handmap_qp.apps.onboarding.migrate import read_dex_configuration
+from handmap_qp.apps.service.keys import ClientKeys, make_keys, read_server_keys, read_token
+from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.mjcf.convert import convert_mjcf
+from handmap_qp.hands.mjcf import convert_mjcf
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.human.person import person_text, read_person
 from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.options_file import read_options
-from handmap_qp.onboarding.detect import detect
-from handmap_qp.onboarding.migrate import read_dex_configuration
-from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
-from handmap_qp.service.store import PostureStore, Record
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import format_to_write, list_sources, read_recording
 from handmap_qp.trackers.layouts import LAYOUTS

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from handmap_qp.simulation.trials import success_rate
-from handmap_qp.tables import print_rows
+from handmap_qp.apps.simulation.trials import success_rate
+from handmap_qp.apps.tables import print_rows
 
 QUANTITIES: dict[str, Callable[[dict[str, Any]], float]] = {
     "width [mm]": lambda trial: 1e3 * trial["width"],

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from handmap_qp.experiments.section_four import HandMotion, Scene
+from handmap_qp.apps.experiments.section_four import HandMotion, Scene
+from handmap_qp.apps.offline.comparison import ComparedMethod, prepare_take
+from handmap_qp.apps.simulation.commands import map_commands
+from handmap_qp.apps.simulation.simulator import poses_between
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.offline.comparison import ComparedMethod, prepare_take
 from handmap_qp.se3 import affine
-from handmap_qp.simulation.commands import map_commands
-from handmap_qp.simulation.simulator import poses_between
 
 # Samples per second of a mapped grasp [1/s], and time for which the human is still first [s].
 _RATE, _SETTLING = 60.0, 1.0

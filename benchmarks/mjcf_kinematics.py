@@ -13,10 +13,10 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from handmap_qp.apps.tables import print_rows
 from handmap_qp.errors import HandError
-from handmap_qp.hands.mjcf.convert import convert_mjcf, kinematics_difference
+from handmap_qp.hands.mjcf import convert_mjcf, kinematics_difference
 from handmap_qp.hands.sources import is_mjcf
-from handmap_qp.tables import print_rows
 
 
 def models(paths: list[str]) -> Iterator[Path]:

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.offline.trajectory import Trajectory, rms_derivative
 
 # Percentiles between which a range is taken; they exclude outliers of the tracker.
 _RANGE = (2.0, 98.0)

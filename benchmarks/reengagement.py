@@ -22,14 +22,14 @@ import common
 import numpy as np
 from checker import Checker
 
+from handmap_qp.apps.service.opening import HandCache, Hands, prepare_hands
+from handmap_qp.apps.service.samples import to_matrix
+from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import PROTOCOL, Command, Configure, Open, Pose, Reset, Step
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
 from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.service.opening import HandCache, Hands, prepare_hands
-from handmap_qp.service.samples import to_matrix
-from handmap_qp.service.session import Session
-from handmap_qp.service.store import PostureStore, Record
 from handmap_qp.trackers.formats import read_recording
 
 PERIOD = 1.0 / 60.0

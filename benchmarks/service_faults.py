@@ -37,9 +37,9 @@ from service_clients import TIMEOUT, Honest, HumanMotion, honest, summary
 from service_fuzz import fuzz
 from service_process import MemoryWatch, ServiceProcess, serving
 
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import Client, KeyFiles, ServiceError, ServiceTimeoutError
-from handmap_qp.service.settings import Settings
-from handmap_qp.service.states import LEASE
 
 _LONGEST_GAP = 0.05
 """Time between two commands of a client at 60 Hz, at most [s]."""
@@ -286,7 +286,7 @@ def clock_jumps(duration: float) -> dict[str, Any]:
 
 def wrong_keys(duration: float) -> dict[str, Any]:
     """Connect without keys, with keys that are not admitted, and with another server's key."""
-    from handmap_qp.service.keys import make_keys
+    from handmap_qp.apps.service.keys import make_keys
 
     with tempfile.TemporaryDirectory() as folder:
         ours, others = Path(folder) / "ours", Path(folder) / "others"
@@ -594,7 +594,7 @@ def shapes(duration: float) -> dict[str, Any]:
 
     Stops are sent over ZeroMQ and over new WebSockets in turn.
     """
-    from handmap_qp.service.keys import make_keys
+    from handmap_qp.apps.service.keys import make_keys
 
     delays: dict[str, float] = {}
     found: dict[str, Any] = {"stops": 0, "failures": 0, "wrong": []}

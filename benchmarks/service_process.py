@@ -57,7 +57,7 @@ class ServiceProcess:
         }
         choices = self._choices | {kept[name]: port for name, port in self.ports.items()}
         code = (
-            "from pathlib import Path, PosixPath\nfrom handmap_qp.service.cli import Serve\n"
+            "from pathlib import Path, PosixPath\nfrom handmap_qp.apps.service.cli import Serve\n"
             f"Serve(**{choices!r}).run()"
         )
         with self.log.open("a") as log:

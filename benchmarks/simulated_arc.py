@@ -6,7 +6,7 @@ and mapping: whether an object is lost, the largest slip at a contact, the sum o
 the end against the prediction of the statics, and how much the two objects' displacements and
 rotations differ. With --summary, one row for each mapping.
 
-Mappings are the inverse kinematics of `handmap_qp.experiments.followers` (`pseudoinverse` is eq.
+Mappings are the inverse kinematics of `apps.experiments.section_four` (`pseudoinverse` is eq.
 (8)), or of `handmap compare`, for a robot with the human's fingers; see `map_grasp`.
 
     python benchmarks/simulated_arc.py --gammas -0.3 0.3
@@ -25,20 +25,20 @@ import numpy as np
 from arc import ArcOptions, ArcOutcome, carry, planned_scene, soft_synergy
 from mapped_grasps import map_grasp, with_equal_palms
 
-from handmap_qp.experiments.section_four import (
+from handmap_qp.apps.experiments.section_four import (
     FingerMode,
     HandMotion,
     Scene,
     Setting,
     run_experiment,
 )
-from handmap_qp.grasp.contacts import Grasp
-from handmap_qp.grasp.objects import Box
-from handmap_qp.grasp.statics import Stiffness, quasistatic
+from handmap_qp.apps.grasp.contacts import Grasp
+from handmap_qp.apps.grasp.objects import Box
+from handmap_qp.apps.grasp.statics import Stiffness, quasistatic
+from handmap_qp.apps.simulation.commands import chosen_methods
+from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands.library import load_hand
-from handmap_qp.simulation.commands import chosen_methods
-from handmap_qp.simulation.physics import Physics
-from handmap_qp.tables import print_rows, progress
 
 CUBE, MASS = Box((0.05, 0.05, 0.05)), 0.1
 FINGERS = get_args(FingerMode)

@@ -26,13 +26,13 @@ from mapped_grasps import map_grasp, with_equal_palms
 from scipy.spatial.transform import Rotation
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions
-from handmap_qp.experiments.section_four import HandMotion, Scene
-from handmap_qp.grasp.objects import Box
+from handmap_qp.apps.experiments.section_four import HandMotion, Scene
+from handmap_qp.apps.grasp.objects import Box
+from handmap_qp.apps.simulation.commands import chosen_methods
+from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands.library import load_hand
 from handmap_qp.se3 import affine, transform_points
-from handmap_qp.simulation.commands import chosen_methods
-from handmap_qp.simulation.physics import Physics
-from handmap_qp.tables import print_rows, progress
 
 OWN = ("T", "human")
 CUBE, MASS, STEPS, DURATION = Box((0.05, 0.05, 0.05)), 0.1, 60, 2.0

@@ -22,11 +22,11 @@ from overlap import OverlapMeter
 from self_collision import HANDS, load
 
 from handmap_qp import IkOptions
+from handmap_qp.apps.service.safety import CommandedRobot
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.service.safety import CommandedRobot
 
 _ACCELERATIONS = (None, 5.0, 20.0, 100.0)
 _MOST_SAMPLES = 600

@@ -11,9 +11,9 @@ import numpy as np
 from PIL import Image
 
 from handmap_qp import load_hand, read_recording
-from handmap_qp.drawing.contact_sheet import SheetRow, pose_pictures, sheet_rows
-from handmap_qp.offline.poses import find_poses
-from handmap_qp.onboarding.picture import draw_hand
+from handmap_qp.apps.drawing.contact_sheet import SheetRow, pose_pictures, sheet_rows
+from handmap_qp.apps.offline.poses import find_poses
+from handmap_qp.apps.onboarding.picture import draw_hand
 
 PICTURES = Path(__file__).with_name("images")
 PALM_SIDE, THREE_QUARTER = 0, 1  # the views of `pose_pictures`

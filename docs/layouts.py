@@ -13,7 +13,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from handmap_qp.drawing.layout_pictures import save_layout_picture
+from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout
 

@@ -19,9 +19,9 @@ sys.path.insert(0, str(DOCS.parent / "tests"))
 from browser import Browser, find_chromium  # noqa: E402
 from PIL import Image  # noqa: E402
 
-from handmap_qp.viewer.cli import View  # noqa: E402
-from handmap_qp.viewer.replay import ReplayViewer  # noqa: E402
-from handmap_qp.viewer.serving import serving  # noqa: E402
+from handmap_qp.apps.viewer.cli import View  # noqa: E402
+from handmap_qp.apps.viewer.replay import ReplayViewer  # noqa: E402
+from handmap_qp.apps.viewer.serving import serving  # noqa: E402
 
 ROBOT, RECORDING = "allegro_right", Path("demo")
 FRAME = 1.0 / 30.0

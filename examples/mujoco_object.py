@@ -6,9 +6,9 @@ python examples/mujoco_object.py
 import numpy as np
 
 from handmap_qp import load_hand
-from handmap_qp.simulation.commands import Commands, PinchWindow
-from handmap_qp.simulation.physics import Physics
-from handmap_qp.simulation.pinch import PinchScene, PinchTrial
+from handmap_qp.apps.simulation.commands import Commands, PinchWindow
+from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.pinch import PinchScene, PinchTrial
 
 
 def main() -> None:

@@ -46,7 +46,7 @@ class _Place(NamedTuple):
 
     def load(self) -> Any:
         """Import the class."""
-        return getattr(importlib.import_module(f"handmap_qp.{self.module}"), self.name)
+        return getattr(importlib.import_module(f"handmap_qp.apps.{self.module}"), self.name)
 
 
 # Modules are imported when their command is called, so that `handmap --help` is immediate.

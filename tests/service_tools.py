@@ -19,6 +19,10 @@ from patience import PATIENCE, wait_until
 from zmq.auth import load_certificate
 from zmq.utils.monitor import recv_monitor_message
 
+from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepare_hands
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.session import Posture, Session
+from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client import Client, KeyFiles, ServiceError
 from handmap_qp.client import Command as HeardCommand
 from handmap_qp.client.messages import (
@@ -32,10 +36,6 @@ from handmap_qp.client.messages import (
     Sample,
     Step,
 )
-from handmap_qp.service.opening import Calibration, HandCache, Hands, prepare_hands
-from handmap_qp.service.server import Server
-from handmap_qp.service.session import Posture, Session
-from handmap_qp.service.settings import Settings
 
 CACHE = HandCache()
 """Load hands once for all tests."""

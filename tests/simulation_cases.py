@@ -5,9 +5,9 @@ from __future__ import annotations
 from functools import cache
 
 from handmap_qp import load_hand
-from handmap_qp.grasp.contacts import Grasp
-from handmap_qp.grasp.objects import Box
-from handmap_qp.grasp.planning import plan_grasps
+from handmap_qp.apps.grasp.contacts import Grasp
+from handmap_qp.apps.grasp.objects import Box
+from handmap_qp.apps.grasp.planning import plan_grasps
 
 CUBE = Box((0.05, 0.05, 0.05))
 

@@ -143,7 +143,7 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
         path = source_file(spec)
         if is_mjcf(path):
             # MuJoCo takes a second to load.
-            from handmap_qp.hands.mjcf.convert import cached_urdf
+            from handmap_qp.hands.mjcf import cached_urdf
 
             return cached_urdf(path)
     except HandError as error:

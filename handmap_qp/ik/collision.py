@@ -26,9 +26,8 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.configuration import Configuration, moved_by
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.placements import moved_by
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 from handmap_qp.ik.distances import KEPT, NearPairs, ShapeDistances
 from handmap_qp.ik.solvers import Rows

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands.placements import Placements, moved_by
+from handmap_qp.hands.configuration import Placements, moved_by
 
 KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start, where a path is measured; and

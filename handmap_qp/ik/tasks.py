@@ -26,9 +26,8 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.hands.configuration import CROSS, Configuration
+from handmap_qp.hands.configuration import CROSS, Configuration, moved_by
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.placements import moved_by
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import as_floats

@@ -6,9 +6,115 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.human.landmarks import landmarks_at_rest
-from handmap_qp.mapping.method import HumanPose
-from handmap_qp.se3 import FARTHEST, rigid_fit
+from handmap_qp.mapping.method import HumanPose, RobotPosture
+from handmap_qp.se3 import FARTHEST, affine, frozen, inverse_pose, rigid_fit
+
+_ORIGIN = frozen(np.zeros(3))
+
+
+class PalmMethod:
+    """Base of methods for two hands whose wrist target is that of a `PalmFollower`.
+
+    See `BoundMethod`.
+    """
+
+    contacts: ShapePairs | None = None
+    needs_wrist = "the pose of the palm"
+    reference_needs_wrist = ""
+    renews_reference = False
+
+    def __init__(self, human: Hand, robot: Hand) -> None:
+        self.human, self.robot = human, robot
+
+    def start_palm(self, sample: HumanPose) -> np.ndarray:
+        """Return the human's palm."""
+        return palm_of(sample, self.human)
+
+
+class PalmFollower:
+    """Moves the robot's palm as the human's palm moves from a reference on.
+
+    Both palms have the same rotation, and the same translation (or `scale` times it) in world axes;
+    the translation is that of an anchor point on each palm. If anchors and axes coincide at the
+    reference, they stay together. A robot with a fixed wrist keeps its palm.
+
+    Args:
+        human: The hand that leads.
+        robot: The hand that follows.
+        sample: The human hand at the reference.
+        posture: The robot hand at the reference.
+        human_anchor: The human's anchor in its palm frame [m], shape (3,); the origin if omitted.
+        robot_anchor: The robot's, likewise.
+        scale: Factor on the translation.
+    """
+
+    def __init__(
+        self,
+        human: Hand,
+        robot: Hand,
+        sample: HumanPose,
+        posture: RobotPosture,
+        human_anchor: np.ndarray = _ORIGIN,
+        robot_anchor: np.ndarray = _ORIGIN,
+        scale: float = 1.0,
+    ) -> None:
+        self._human_wrist_to_palm = human.wrist_to_palm
+        self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
+        self._is_still = not robot.has_moving_wrist
+        before, self._start = palm_of(sample, human), posture.wrist @ robot.wrist_to_palm
+        self._rotation = before[:3, :3].T @ self._start[:3, :3]
+        # The robot's palm seen from the human's: its origin there, and the rest in world axes.
+        self._origin = human_anchor - self._rotation.dot(robot_anchor)
+        self._human_start = transform_point(before, human_anchor)
+        self._offset = transform_point(self._start, robot_anchor) - self._human_start
+        self._human_anchor, self._further = human_anchor, scale - 1.0
+
+    def palms(self, wrist: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Return the human's palm and the target of the robot's palm, shape (..., 4, 4) each.
+
+        Args:
+            wrist: Pose of the human's wrist, shape (..., 4, 4).
+
+        Raises:
+            InvalidInputError: If it was not measured.
+        """
+        if wrist is None:
+            raise _missing_wrist()
+        human = wrist @ self._human_wrist_to_palm
+        if self._is_still:
+            return human, np.broadcast_to(self._start, human.shape)
+        origin = transform_point(human, self._origin) + self._offset
+        if self._further:
+            moved = transform_point(human, self._human_anchor) - self._human_start
+            origin += self._further * moved
+        return human, affine(human[..., :3, :3] @ self._rotation, origin)
+
+    def wrist(self, palm: np.ndarray) -> np.ndarray:
+        """Return the robot's wrist pose for a pose of its palm, shape (..., 4, 4)."""
+        return palm @ self._robot_palm_to_wrist
+
+
+def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
+    """Return the palm pose of a sample, shape (4, 4).
+
+    Raises:
+        InvalidInputError: If its wrist was not measured.
+    """
+    if sample.wrist is None:
+        raise _missing_wrist()
+    return sample.wrist @ human.wrist_to_palm
+
+
+def transform_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Apply poses (..., 4, 4) to one point (3,)."""
+    return pose[..., :3, :3] @ point + pose[..., :3, 3]
+
+
+def _missing_wrist() -> InvalidInputError:
+    return InvalidInputError(argument="wrist_pose", problem="needed for the pose of the palm")
+
 
 _PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")
 """Landmarks that move as one rigid body."""

@@ -14,9 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands.configuration import CROSS
+from handmap_qp.hands.configuration import CROSS, moved_by
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.placements import moved_by
 from handmap_qp.ik.solvers import solve_by_daqp
 
 _MOST_STEPS, _SMALLEST_STEP = 50, 1e-6  # rad or m

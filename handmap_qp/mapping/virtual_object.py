@@ -17,6 +17,7 @@ import numpy as np
 from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.mapping.landmarks import PalmFollower, PalmMethod, palm_of
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -25,7 +26,6 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, PalmMethod, palm_of
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Points on a line leave the turn about it free: least ratio of their second singular value to the

@@ -15,12 +15,12 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 
-from handmap_qp.experiments.section_four import HandMotion
-from handmap_qp.grasp.objects import Box
+from handmap_qp.apps.experiments.section_four import HandMotion
+from handmap_qp.apps.grasp.objects import Box
+from handmap_qp.apps.offline.comparison import own_method
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.offline.comparison import own_method
 
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 SCRIPTS = sorted(FOLDER.glob("bench_*.py"))

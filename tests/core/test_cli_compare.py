@@ -11,8 +11,8 @@ from comparison_cases import write_closing
 from PIL import Image
 
 from handmap_qp import cli
-from handmap_qp.drawing.contact_sheet import CELL, FINGER_COLOURS, cell_of
-from handmap_qp.offline.metrics import METRICS
+from handmap_qp.apps.drawing.contact_sheet import CELL, FINGER_COLOURS, cell_of
+from handmap_qp.apps.offline.metrics import METRICS
 
 PROGRAM = """
 import json, sys
@@ -176,7 +176,9 @@ def test_sheet_of_many_methods_has_bands(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     # Another test looks at the picture of the metrics, which takes half of the time.
-    monkeypatch.setattr("handmap_qp.experiments.comparison_pictures.draw_metrics", lambda *_: None)
+    monkeypatch.setattr(
+        "handmap_qp.apps.experiments.comparison_pictures.draw_metrics", lambda *_: None
+    )
     out = tmp_path / "out"
     words = ["compare", files[0], "--robot", "three_finger", "--out", str(out)]
     assert cli.main(words) == 0

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import handmap_qp.experiments.demo as demo
+import handmap_qp.apps.experiments.demo as demo
+from handmap_qp.apps.experiments.demo import DemoResult, arc_motion, human_points, run_demo
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.experiments.demo import DemoResult, arc_motion, human_points, run_demo
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("trimesh")

@@ -9,9 +9,9 @@ import pytest
 from demo_recording import GESTURES, HAND_LENGTH, write_demo
 
 from handmap_qp import read_recording
+from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.cli import main
 from handmap_qp.hands.spec import Side
-from handmap_qp.offline.poses import find_poses
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import DEMO_FILE
 

@@ -19,8 +19,8 @@ from motion_quality import (
 from strategies import generators, poses
 
 from handmap_qp import HandMapper, InvalidInputError, load_hand
+from handmap_qp.apps.offline.trajectory import Trajectory, map_motion
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.offline.trajectory import Trajectory, map_motion
 from handmap_qp.se3 import affine
 
 

@@ -29,19 +29,19 @@ from lerobot_tables import columns_of, episodes_of, feature_names
 from patience import wait_until
 
 from handmap_qp import InvalidInputError, load_hand
-from handmap_qp.arguments import MappingArguments
+from handmap_qp.apps.arguments import MappingArguments
+from handmap_qp.apps.datasets import engines, sources
+from handmap_qp.apps.datasets.assemble import assemble
+from handmap_qp.apps.datasets.batch import plan_batch, run_batch
+from handmap_qp.apps.datasets.engines import PoolEngine, SerialEngine, _next_group
+from handmap_qp.apps.datasets.episodes import Job
+from handmap_qp.apps.datasets.manifest import MOST_KILLS, Line, open_manifest, read_manifests
+from handmap_qp.apps.datasets.measures import MEASURES
+from handmap_qp.apps.datasets.report_pictures import _worst_sample
+from handmap_qp.apps.datasets.sources import find_files, tasks_of
+from handmap_qp.apps.offline.fidelity import SETTLING
+from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.cli import main
-from handmap_qp.datasets import engines, sources
-from handmap_qp.datasets.assemble import assemble
-from handmap_qp.datasets.batch import plan_batch, run_batch
-from handmap_qp.datasets.engines import PoolEngine, SerialEngine, _next_group
-from handmap_qp.datasets.episodes import Job
-from handmap_qp.datasets.manifest import MOST_KILLS, Line, open_manifest, read_manifests
-from handmap_qp.datasets.measures import MEASURES
-from handmap_qp.datasets.report_pictures import _worst_sample
-from handmap_qp.datasets.sources import find_files, tasks_of
-from handmap_qp.offline.fidelity import SETTLING
-from handmap_qp.offline.look_ahead import LookAhead
 from handmap_qp.trackers.formats import write_recordings
 from handmap_qp.trackers.formats.robomimic import RobomimicFormat
 

@@ -19,13 +19,13 @@ import pytest
 from batch_cases import OPTIONS, batch, episodes, write_pieces
 
 from handmap_qp import InvalidInputError
+from handmap_qp.apps.datasets import cli
+from handmap_qp.apps.datasets.batch import plan_batch
+from handmap_qp.apps.datasets.engines import run_group
+from handmap_qp.apps.datasets.episodes import is_intact, read_episode
+from handmap_qp.apps.datasets.manifest import open_manifest, read_manifests
+from handmap_qp.apps.datasets.sources import find_files
 from handmap_qp.cli import main
-from handmap_qp.datasets import cli
-from handmap_qp.datasets.batch import plan_batch
-from handmap_qp.datasets.engines import run_group
-from handmap_qp.datasets.episodes import is_intact, read_episode
-from handmap_qp.datasets.manifest import open_manifest, read_manifests
-from handmap_qp.datasets.sources import find_files
 from handmap_qp.errors import DiskFullError
 
 # Whole hands, and disks that are made for a test: not for the fast suite.

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handmap_qp.drawing.contact_sheet import (
+from handmap_qp.apps.drawing.contact_sheet import (
     CELL,
     FINGER_COLOURS,
     VIEWS,

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handmap_qp.drawing.hands import draw_hands, load_shape, spheres, tube
-from handmap_qp.drawing.raster import Camera, Triangles, _creases, merged, render
+from handmap_qp.apps.drawing.hands import draw_hands, load_shape, spheres, tube
+from handmap_qp.apps.drawing.raster import Camera, Triangles, _creases, merged, render
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import generators, poses
 
+from handmap_qp.apps.grasp.contacts import Contact, Grasp
+from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
+from handmap_qp.apps.grasp.statics import QuasiStatic, grasp_matrix, quasistatic
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp.contacts import Contact, Grasp
-from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.grasp.statics import QuasiStatic, grasp_matrix, quasistatic
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.se3 import transform_points

@@ -8,10 +8,10 @@ import json
 import numpy as np
 import pytest
 
+from handmap_qp.apps.grasp.measures import grasp_quality
+from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
+from handmap_qp.apps.grasp.statics import grasp_matrix
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.grasp.measures import grasp_quality
-from handmap_qp.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.grasp.statics import grasp_matrix
 from handmap_qp.hands.sources import urdf_directory
 
 

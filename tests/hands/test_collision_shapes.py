@@ -13,11 +13,11 @@ import trimesh
 from arm_cases import mounted
 
 from handmap_qp import Hand, HandError, HandSpec, IkOptions, PointSpec
+from handmap_qp.apps.onboarding.detect import detect
+from handmap_qp.apps.onboarding.measure import colliding_links
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.spec import ArmSpec, CollisionSpec, PalmSpec, WristSpec
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.onboarding.detect import detect
-from handmap_qp.onboarding.measure import colliding_links
 
 FINGER = """
 <robot name="finger">

@@ -13,10 +13,10 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import Hand, HandMapper, hand_names, load_hand, read_recording
+from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.onboarding.detect import detect
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

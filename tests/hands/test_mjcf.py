@@ -14,14 +14,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.hands.mjcf.convert import (
+from handmap_qp.hands.mjcf import (
     ConvertedMjcf,
     cached_urdf,
     convert_mjcf,
     kinematics_difference,
     write_converted,
 )
-from handmap_qp.hands.mjcf.shapes import binary_stl
+from handmap_qp.hands.mjcf_shapes import binary_stl
 from handmap_qp.hands.sources import is_mjcf, root_tag
 
 HAND = """

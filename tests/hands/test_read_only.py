@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from handmap_qp import Hand, HumanLengths, hand_names, load_hand, load_synergies
-from handmap_qp.onboarding.detect import detect
+from handmap_qp.apps.onboarding.detect import detect
 
 CHAINED = Path(__file__).parents[1] / "data" / "urdf" / "chained_mimics.urdf"
 

@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 
 from handmap_qp import HandSpec, PointSpec, hand_names, load_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.configuration import Placements, moved_by
 from handmap_qp.hands.fingers import (
     THUMB,
     PalmKinematics,
@@ -23,7 +24,6 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.hands.placements import Placements, moved_by
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, named_pairs
 from handmap_qp.hands.spec import PalmSpec, WristSpec
 

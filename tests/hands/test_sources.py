@@ -12,12 +12,12 @@ import pytest
 import yaml
 
 from handmap_qp import HandError, load_hand
+from handmap_qp.apps.onboarding.cli import HandsInit
 from handmap_qp.errors import MissingExtraError, MissingPackageError
 from handmap_qp.hands.library import hand_files, list_hands
 from handmap_qp.hands.sources import decode_xml, package_folder, source_path
 from handmap_qp.hands.spec import read_hand_spec
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.onboarding.cli import HandsInit
 
 DATA = Path(__file__).parents[1] / "data" / "urdf"
 DESCRIBED = {name: file for name, file in hand_files().items() if file.parent.name == "described"}

@@ -13,8 +13,8 @@ from live_cases import moving_hand, save_recording
 from service_tools import address_of, serving
 
 from handmap_qp import cli
+from handmap_qp.apps.live.source import Recorder
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.live.source import Recorder
 from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError, cli
-from handmap_qp.live.mediapipe_process import position_in_camera
-from handmap_qp.live.mediapipe_source import (
+from handmap_qp.apps.live.mediapipe_process import position_in_camera
+from handmap_qp.apps.live.mediapipe_source import (
     VARIABLE,
     MediapipeSource,
     environment_folder,
@@ -237,7 +237,7 @@ def test_a_failed_installation_leaves_nothing(
 ) -> None:
     folder = tmp_path / "environment"
     monkeypatch.setenv(VARIABLE, str(folder))
-    module = "handmap_qp.live.mediapipe_source"
+    module = "handmap_qp.apps.live.mediapipe_source"
     program = tmp_path / "python"
     # Makes an environment whose pip fails, as without the network.
     program.write_text(

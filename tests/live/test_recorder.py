@@ -10,10 +10,10 @@ import pytest
 from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError
+from handmap_qp.apps.live.source import Recorder, Replay, run
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.live.source import Recorder, Replay, run
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import inject, parse_faults
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError
+from handmap_qp.apps.live import source
+from handmap_qp.apps.live.source import Replay
 from handmap_qp.human.recording import recording_samples
-from handmap_qp.live import source
-from handmap_qp.live.source import Replay
 from handmap_qp.trackers.injection import parse_faults
 
 

@@ -13,11 +13,11 @@ from patience import wait_until
 from service_tools import PATIENCE, address_of, client_of, connected, lose_sessions, serving
 
 from handmap_qp import InvalidInputError
+from handmap_qp.apps.live.service import ServiceSink, ServiceSource
+from handmap_qp.apps.live.source import Recorder, Replay, run
+from handmap_qp.apps.service.server import Server
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import recording_samples
-from handmap_qp.live.service import ServiceSink, ServiceSource
-from handmap_qp.live.source import Recorder, Replay, run
-from handmap_qp.service.server import Server
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import parse_faults
@@ -151,7 +151,7 @@ def test_sessions_that_cannot_be_recorded_are_refused(server: Server) -> None:
 def test_a_service_that_is_not_there_is_one_line(
     server: Server, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handmap_qp.live.service.TIMEOUT", 0.2)
+    monkeypatch.setattr("handmap_qp.apps.live.service.TIMEOUT", 0.2)
     nobody = f"127.0.0.1:{free_port}"
     with pytest.raises(InvalidInputError, match=r"--to: .*handmap serve"):
         ServiceSink(nobody, "three_finger", "right")
@@ -177,5 +177,5 @@ def test_the_status_says_that_the_service_is_silent(
 
         wait_until(send)
         assert "three_finger" in sink.status()
-        monkeypatch.setattr("handmap_qp.live.service._SILENCE", -1.0)
+        monkeypatch.setattr("handmap_qp.apps.live.service._SILENCE", -1.0)
         assert "no answer" in sink.status()

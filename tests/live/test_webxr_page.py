@@ -16,11 +16,11 @@ from patience import wait_until
 from service_tools import WEB, address_of, client_of, in_loop, serving, token_file
 
 from handmap_qp import hand_names
+from handmap_qp.apps.live.service import ServiceSource
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.session import Session
 from handmap_qp.hands.library import HUMAN_HANDS, missing_hands
 from handmap_qp.human.recording import recording_samples
-from handmap_qp.live.service import ServiceSource
-from handmap_qp.service.server import Server
-from handmap_qp.service.session import Session
 from handmap_qp.trackers.layouts.points import PointLayout
 from handmap_qp.trackers.layouts.tables import load_layout
 

@@ -28,8 +28,7 @@ from handmap_qp import (
 )
 from handmap_qp.errors import StaleJacobianError
 from handmap_qp.human.recording import recording_samples
-from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.rejoin import RejoinKind
+from handmap_qp.stream.follower import Follower, RejoinKind
 
 SAMPLES = tuple(recording_samples(read_recording("demo", "right")))[:115]
 FIRST, REST = SAMPLES[:90], SAMPLES[90:]

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handmap_qp import InvalidInputError, cli, load_hand
-from handmap_qp.arguments import MappingArguments, QpFlags
+from handmap_qp.apps.arguments import MappingArguments, QpFlags
 from handmap_qp.mapping.methods.homogeneous import MappingOptions
 from handmap_qp.mapping.options_file import options_text, read_options
 from handmap_qp.mapping.presets import IK_NAMES, PRESETS, preset_choice

@@ -135,7 +135,7 @@ import numpy as np
 import viser
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.mapping.presets import PRESETS, preset_choice
-from handmap_qp.viewer.controls import OptionControls
+from handmap_qp.apps.viewer.controls import OptionControls
 from service_tools import make_session, Sampler
 
 human, robot = load_hand("human"), load_hand("three_finger")

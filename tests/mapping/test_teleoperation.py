@@ -20,16 +20,16 @@ from handmap_qp import (
     hand_names,
     load_hand,
 )
+from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import hand_pair
+from handmap_qp.mapping.landmarks import PalmFollower
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import smoothstep
-from handmap_qp.mapping.palm import PalmFollower
 from handmap_qp.mapping.presets import PRESETS, default_preset
-from handmap_qp.offline.surface_gaps import measure_gaps
 from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
 
 HUMAN = load_hand("human")

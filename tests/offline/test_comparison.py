@@ -13,12 +13,7 @@ import pytest
 from comparison_cases import write_closing
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
-from handmap_qp.mapping.presets import PRESETS
-from handmap_qp.offline.comparison import (
+from handmap_qp.apps.offline.comparison import (
     ComparedMethod,
     OutsideError,
     RobotMotion,
@@ -30,7 +25,12 @@ from handmap_qp.offline.comparison import (
     own_methods,
     prepare_take,
 )
-from handmap_qp.offline.hand_trace import TIP
+from handmap_qp.apps.offline.hand_trace import TIP
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import Side
+from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.se3 import rotation_from_rpy
 from handmap_qp.trackers.formats import read_recording
 

@@ -9,14 +9,14 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_recording
+from handmap_qp.apps.offline.summary import count_rules, find_holds
+from handmap_qp.apps.offline.trajectory import Trajectory, map_samples
 from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.offline.summary import count_rules, find_holds
-from handmap_qp.offline.trajectory import Trajectory, map_samples
+from handmap_qp.stream.follower import PALM_SPEED, TURN_SPEED
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.stream.rejoin import PALM_SPEED, TURN_SPEED
 from handmap_qp.trackers.injection import inject, parse_faults
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

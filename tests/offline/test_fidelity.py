@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.fingers import find_fingers
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.library import load_hand
-from handmap_qp.offline.fidelity import (
+from handmap_qp.apps.offline.fidelity import (
     angles_between,
     assess_fidelity,
     key_vector_metrics,
@@ -27,8 +22,13 @@ from handmap_qp.offline.fidelity import (
     sample_workspace,
     workspace_share,
 )
-from handmap_qp.offline.hand_trace import KNUCKLE, TIP, HandTrace, trace_human, trace_robot
-from handmap_qp.offline.surface_gaps import SurfaceGaps, measure_gaps
+from handmap_qp.apps.offline.hand_trace import KNUCKLE, TIP, HandTrace, trace_human, trace_robot
+from handmap_qp.apps.offline.surface_gaps import SurfaceGaps, measure_gaps
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import load_hand
 
 RATE = 100.0
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"

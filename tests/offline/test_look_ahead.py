@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from handmap_qp import HandMapper, InvalidInputError, Recording, load_hand
-from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.offline.look_ahead import (
+from handmap_qp.apps.offline.look_ahead import (
     LookAhead,
     look_ahead,
     map_both_ways,
     smooth_poses,
     whittaker,
 )
-from handmap_qp.offline.surface_gaps import measure_gaps
-from handmap_qp.offline.trajectory import map_recording
+from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.offline.trajectory import map_recording
+from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import rotation_from_rpy
 
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from handmap_qp.apps.offline.fidelity import assess_fidelity
+from handmap_qp.apps.offline.hand_trace import trace_human
+from handmap_qp.apps.offline.metrics import GROUPS, METRICS, Better, Metric, mean_values
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.offline.fidelity import assess_fidelity
-from handmap_qp.offline.hand_trace import trace_human
-from handmap_qp.offline.metrics import GROUPS, METRICS, Better, Metric, mean_values
 from handmap_qp.se3 import transform_points
 
 NAN = float("nan")

@@ -9,10 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.library import load_hand
-from handmap_qp.human.recording import Recording
-from handmap_qp.offline.poses import (
+from handmap_qp.apps.offline.poses import (
     CURLED,
     PINCH_GAP,
     POSES,
@@ -20,6 +17,9 @@ from handmap_qp.offline.poses import (
     find_poses,
     measure_posture,
 )
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats import read_recording
 
 RATE = 50.0

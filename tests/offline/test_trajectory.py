@@ -12,8 +12,8 @@ from motion_cases import HUMAN, waving
 from strategies import generators
 
 from handmap_qp import HandMapper, load_hand
+from handmap_qp.apps.offline.trajectory import map_motion, map_recording, rms_derivative
 from handmap_qp.human.recording import Recording
-from handmap_qp.offline.trajectory import map_motion, map_recording, rms_derivative
 
 
 def test_the_motions_sample_times_bound_the_speed() -> None:

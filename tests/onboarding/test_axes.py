@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
+from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
+from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
 from handmap_qp.hands.spec import Side
-from handmap_qp.onboarding.detect import Detection, detect, detect_text
-from handmap_qp.onboarding.finger_names import named_fingers, named_side
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

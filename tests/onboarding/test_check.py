@@ -13,14 +13,14 @@ import pytest
 import yaml
 
 from handmap_qp import HandError, load_hand
+from handmap_qp.apps.onboarding.check import Report, _check_arm, _check_wrist, check_hand
+from handmap_qp.apps.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs
+from handmap_qp.apps.onboarding.detect import detect, detect_text
+from handmap_qp.apps.onboarding.measure import make_fist, measure_arm, measure_pinches, try_motion
+from handmap_qp.apps.onboarding.picture import _Scene
+from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.onboarding.check import Report, _check_arm, _check_wrist, check_hand
-from handmap_qp.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs
-from handmap_qp.onboarding.detect import detect, detect_text
-from handmap_qp.onboarding.measure import make_fist, measure_arm, measure_pinches, try_motion
-from handmap_qp.onboarding.picture import _Scene
-from handmap_qp.onboarding.write import write_hand
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -13,20 +13,20 @@ import pytest
 import yaml
 
 from handmap_qp import HandError, InvalidInputError, hand_names, load_hand
-from handmap_qp.hands.library import HUMAN_HANDS, hand_files
-from handmap_qp.hands.sources import urdf_directory, urdf_path
-from handmap_qp.hands.spec import LimitSpec, read_hand_spec
-from handmap_qp.onboarding.check import Report, _check_speeds, check_hand
-from handmap_qp.onboarding.cli import HandsCheck, HandsInit
-from handmap_qp.onboarding.detect import Detection, detect, detect_text
-from handmap_qp.onboarding.measure import (
+from handmap_qp.apps.onboarding.check import Report, _check_speeds, check_hand
+from handmap_qp.apps.onboarding.cli import HandsCheck, HandsInit
+from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
+from handmap_qp.apps.onboarding.measure import (
     colliding_links,
     measure_reach,
     measure_size,
     standard_postures,
 )
-from handmap_qp.onboarding.picture import draw_hand, picture_path
-from handmap_qp.onboarding.write import hand_text, write_hand
+from handmap_qp.apps.onboarding.picture import draw_hand, picture_path
+from handmap_qp.apps.onboarding.write import hand_text, write_hand
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files
+from handmap_qp.hands.sources import urdf_directory, urdf_path
+from handmap_qp.hands.spec import LimitSpec, read_hand_spec
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

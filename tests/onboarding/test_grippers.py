@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from handmap_qp.hands.mjcf.convert import ConvertedMjcf, convert_mjcf
-from handmap_qp.onboarding.detect import detect_text
+from handmap_qp.apps.onboarding.detect import detect_text
+from handmap_qp.hands.mjcf import ConvertedMjcf, convert_mjcf
 
 RADIANS = '<compiler angle="radian"/>'
 # A joint within the coupler gives each loop a second degree of freedom.

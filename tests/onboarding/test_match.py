@@ -11,9 +11,9 @@ import yaml
 from marks import slow
 
 from handmap_qp import InvalidInputError, cli, load_hand
+from handmap_qp.apps.onboarding.match import Match, match_hand, own_file, write_matched
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import read_hand_spec
-from handmap_qp.onboarding.match import Match, match_hand, own_file, write_matched
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from strategies import generators
 
 from handmap_qp import HandError, load_hand
+from handmap_qp.apps.onboarding.detect import Detection, detect, detect_text
 from handmap_qp.hands.sources import package_folder, urdf_directory, urdf_path
-from handmap_qp.onboarding.detect import Detection, detect, detect_text
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

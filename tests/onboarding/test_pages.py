@@ -7,7 +7,7 @@ import runpy
 from pathlib import Path
 
 from handmap_qp import load_hand
-from handmap_qp.onboarding.check import check_hand
+from handmap_qp.apps.onboarding.check import check_hand
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE = DOCS / "hand_yaml.md"

@@ -11,18 +11,23 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from handmap_qp.errors import InvalidInputError
-from handmap_qp.experiments import paper, paper_drawings
-from handmap_qp.experiments.cli import Figures
-from handmap_qp.experiments.paper import (
+from handmap_qp.apps.experiments import paper, paper_drawings
+from handmap_qp.apps.experiments.cli import Figures
+from handmap_qp.apps.experiments.paper import (
     FIGURES,
     FigureRecord,
     FiguresResult,
     markdown_table,
     run_figures,
 )
-from handmap_qp.experiments.paper_drawings import box_triangles
-from handmap_qp.experiments.section_four import Setting, object_error, paper_scene, run_experiment
+from handmap_qp.apps.experiments.paper_drawings import box_triangles
+from handmap_qp.apps.experiments.section_four import (
+    Setting,
+    object_error,
+    paper_scene,
+    run_experiment,
+)
+from handmap_qp.errors import InvalidInputError
 
 pytest.importorskip("matplotlib")
 pytest.importorskip("trimesh")

@@ -9,8 +9,8 @@ import pytest
 from beyond_the_paper import limited_hand
 
 from handmap_qp import HandMapper
-from handmap_qp.experiments.paper import GAMMAS
-from handmap_qp.experiments.section_four import (
+from handmap_qp.apps.experiments.paper import GAMMAS
+from handmap_qp.apps.experiments.section_four import (
     IK,
     UNIT,
     Pivot,
@@ -28,7 +28,7 @@ from handmap_qp.experiments.section_four import (
     run_experiment,
     wrist_arc,
 )
-from handmap_qp.grasp.paper_cube import reference_grasp
+from handmap_qp.apps.grasp.paper_cube import reference_grasp
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -11,9 +11,9 @@ import pytest
 from service_tools import WEB, client_of, connected, human_q, serving
 from websockets.sync.client import connect
 
+from handmap_qp.apps.service.keys import make_keys
+from handmap_qp.apps.service.logs import AuditLog
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.service.keys import make_keys
-from handmap_qp.service.logs import AuditLog
 
 
 def lines(file: Path) -> list[dict[str, Any]]:

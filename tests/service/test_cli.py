@@ -18,16 +18,16 @@ from patience import PATIENCE
 from service_tools import human_q
 from zmq.auth import load_certificate
 
+from handmap_qp.apps.service.cli import Keys, Serve
 from handmap_qp.client import Client
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, MissingExtraError
-from handmap_qp.service.cli import Keys, Serve
 
 PORTS = "port=0, stream_port=0, health_port=0, web=True, web_port=0"
 
 
 def start(fields: str, before: str = "") -> subprocess.Popen[str]:
     code = (
-        f"from pathlib import Path\nfrom handmap_qp.service.cli import Serve\n{before}\n"
+        f"from pathlib import Path\nfrom handmap_qp.apps.service.cli import Serve\n{before}\n"
         f"Serve({fields}).run()"
     )
     return subprocess.Popen(
@@ -40,7 +40,7 @@ def test_serve_ends_while_it_loads_a_hand() -> None:
     # Loading takes longer than anybody waits.
     process = start(
         PORTS,
-        "import time\nfrom handmap_qp.service import sessions\n"
+        "import time\nfrom handmap_qp.apps.service import sessions\n"
         "def load(*_): print('loading', flush=True); time.sleep(1e6)\n"
         "sessions.prepare_hands = load",
     )
@@ -150,7 +150,7 @@ def test_without_its_packages_the_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in [name for name in sys.modules if name.startswith("handmap_qp.service.")]:
+    for name in [name for name in sys.modules if name.startswith("handmap_qp.apps.service.")]:
         monkeypatch.delitem(sys.modules, name)
     for name in ("zmq", "zmq.auth"):
         monkeypatch.setitem(sys.modules, name, None)

@@ -35,6 +35,7 @@ from service_tools import (
 from strategies import motion_of, rotations, translations
 
 import handmap_qp.client
+from handmap_qp.apps.service.server import Server
 from handmap_qp.client import (
     AsyncClient,
     Changes,
@@ -47,7 +48,6 @@ from handmap_qp.client import (
 )
 from handmap_qp.client.messages import Pose, Request
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.service.server import Server
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

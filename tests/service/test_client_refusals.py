@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from service_tools import address_of, connected, human_q, serving
 
+from handmap_qp.apps.service.keys import make_keys
+from handmap_qp.apps.service.server import Server
 from handmap_qp.client import AsyncClient, Client, ServiceError
 from handmap_qp.client.messages import Pose
-from handmap_qp.service.keys import make_keys
-from handmap_qp.service.server import Server
 
 WRIST = np.eye(4)
 NO_POSES: dict[str, Any] = {

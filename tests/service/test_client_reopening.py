@@ -30,10 +30,10 @@ from service_tools import (
     skip,
 )
 
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import AsyncClient, Client, Command, ServiceError
 from handmap_qp.client.messages import Error
-from handmap_qp.service.server import Server
-from handmap_qp.service.states import LEASE
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -17,6 +17,14 @@ import numpy as np
 import pytest
 from service_tools import CACHE, Sampler, human_q, opening, run_now
 
+from handmap_qp.apps.service import sessions
+from handmap_qp.apps.service.dispatch import Dispatcher
+from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.opening import prepare_hands
+from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.apps.service.states import LEASE, Caller, refusal
+from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import (
     PROTOCOL,
     Clear,
@@ -28,14 +36,6 @@ from handmap_qp.client.messages import (
     Status,
     Stop,
 )
-from handmap_qp.service import sessions
-from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.metrics import Metrics
-from handmap_qp.service.opening import prepare_hands
-from handmap_qp.service.session import Session
-from handmap_qp.service.settings import Settings
-from handmap_qp.service.states import LEASE, Caller, refusal
-from handmap_qp.service.store import PostureStore, Record
 
 # Thousands of sessions.
 pytestmark = pytest.mark.slow
@@ -271,10 +271,10 @@ def explore(monkeypatch: pytest.MonkeyPatch) -> Iterator[Search]:
     hands = prepare_hands(opening(), CACHE)
     monkeypatch.setattr(sessions, "prepare_hands", lambda *_: hands)
     monkeypatch.setattr(sessions, "report", lambda *_, **__: None)
-    monkeypatch.setattr("handmap_qp.service.dispatch.Throttle.report", lambda *_, **__: None)
-    monkeypatch.setattr("handmap_qp.service.dispatch.version", lambda _: "0")
+    monkeypatch.setattr("handmap_qp.apps.service.dispatch.Throttle.report", lambda *_, **__: None)
+    monkeypatch.setattr("handmap_qp.apps.service.dispatch.version", lambda _: "0")
     numbers = itertools.count(1)
-    monkeypatch.setattr("handmap_qp.service.session._new_epoch", lambda: next(numbers))
+    monkeypatch.setattr("handmap_qp.apps.service.session._new_epoch", lambda: next(numbers))
     loop = asyncio.new_event_loop()
 
     def replay(setting: Setting, path: Path) -> World:

@@ -16,15 +16,15 @@ import numpy as np
 import pytest
 from service_tools import CACHE, PERIOD, SECRET, Sampler, human_q, make_session, opening, streamed
 
+from handmap_qp.apps.service.dispatch import Dispatcher
+from handmap_qp.apps.service.logs import JsonLines, log
+from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.sessions import Entry
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.apps.service.states import LEASE, Caller
+from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import PROTOCOL, Command, Request, Status
-from handmap_qp.service.dispatch import Dispatcher
-from handmap_qp.service.logs import JsonLines, log
-from handmap_qp.service.metrics import Metrics
-from handmap_qp.service.session import Session
-from handmap_qp.service.sessions import Entry
-from handmap_qp.service.settings import Settings
-from handmap_qp.service.states import LEASE, Caller
-from handmap_qp.service.store import PostureStore, Record
 
 
 class Desk:

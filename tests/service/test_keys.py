@@ -15,12 +15,12 @@ from service_tools import LOCAL, bare_connection, client_of, code_of, human_q, s
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
+from handmap_qp.apps.service.keys import ClientKeys, make_keys
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import KeyFiles, ServiceError
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.keys import ClientKeys, make_keys
-from handmap_qp.service.server import Server
-from handmap_qp.service.settings import Settings
-from handmap_qp.service.states import LEASE
 
 WRIST = np.eye(4)
 
@@ -122,7 +122,7 @@ def test_a_file_without_a_key_is_logged_once_and_the_others_count(
     clients = tmp_path / "clients"
     logged: list[tuple[str, object]] = []
     monkeypatch.setattr(
-        "handmap_qp.service.keys.report",
+        "handmap_qp.apps.service.keys.report",
         lambda level, event, **data: logged.append((event, data.get("file"))),
     )
     (clients / "a.key").write_bytes(b"torn")

@@ -10,12 +10,12 @@ from person_cases import worn
 from service_tools import CACHE, Sampler, human_q, make_session, opening, run_now
 
 from handmap_qp import load_hand
+from handmap_qp.apps.service.opening import CALIBRATION_SAMPLES, Calibration, Hands, prepare_hands
+from handmap_qp.apps.service.session import Session
 from handmap_qp.client.messages import PROTOCOL, Configure
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
-from handmap_qp.service.opening import CALIBRATION_SAMPLES, Calibration, Hands, prepare_hands
-from handmap_qp.service.session import Session
 from handmap_qp.trackers.formats import read_recording
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.

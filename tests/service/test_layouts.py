@@ -21,14 +21,14 @@ from service_tools import (
     serving,
 )
 
+from handmap_qp.apps.service.decoding import decode_request
+from handmap_qp.apps.service.opening import prepare_hands
+from handmap_qp.apps.service.samples import to_matrix, to_pose
+from handmap_qp.apps.service.session import Session
 from handmap_qp.client import ServiceError
 from handmap_qp.client.messages import PROTOCOL, Error, Step
 from handmap_qp.errors import RefusedError
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.service.decoding import decode_request
-from handmap_qp.service.opening import prepare_hands
-from handmap_qp.service.samples import to_matrix, to_pose
-from handmap_qp.service.session import Session
 from handmap_qp.trackers.layouts.base import Layout
 from handmap_qp.trackers.layouts.tables import load_layout
 

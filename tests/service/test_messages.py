@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import motion_of, rotations, translations
 
+from handmap_qp.apps.service import schema
+from handmap_qp.apps.service.decoding import decode_request, encode_reply
+from handmap_qp.apps.service.samples import to_matrix, to_pose
+from handmap_qp.apps.service.schema import CODES, FLAGS, json_schema, schema_text
 from handmap_qp.client.messages import PROTOCOL, AnyReply, AnyRequest, Error, Sample, Step
 from handmap_qp.mapping.presets import known_options
-from handmap_qp.service import schema
-from handmap_qp.service.decoding import decode_request, encode_reply
-from handmap_qp.service.samples import to_matrix, to_pose
-from handmap_qp.service.schema import CODES, FLAGS, json_schema, schema_text
 
 STEP: dict[str, Any] = {
     "type": "step",

@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 from service_tools import PATIENCE, WEB, serving, token_file
 
-import handmap_qp.service
-from handmap_qp.service.server import Server
+import handmap_qp.apps.service
+from handmap_qp.apps.service.server import Server
 
-FILES = Path(handmap_qp.service.__file__).with_name("webxr")
+FILES = Path(handmap_qp.apps.service.__file__).with_name("webxr")
 
 
 @pytest.fixture(scope="module")

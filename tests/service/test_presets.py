@@ -25,17 +25,17 @@ from service_tools import (
 )
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions, Recording, read_recording
+from handmap_qp.apps.offline.poses import find_poses
+from handmap_qp.apps.service.opening import CALIBRATION_SAMPLES
+from handmap_qp.apps.service.samples import to_lengths, to_pose
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.session import Session
 from handmap_qp.client.messages import About, Lengths
 from handmap_qp.errors import RefusedError
 from handmap_qp.human.landmarks import TIPS, measure_hand
 from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS
-from handmap_qp.offline.poses import find_poses
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
-from handmap_qp.service.opening import CALIBRATION_SAMPLES
-from handmap_qp.service.samples import to_lengths, to_pose
-from handmap_qp.service.server import Server
-from handmap_qp.service.session import Session
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -23,9 +23,9 @@ from service_tools import (
 )
 
 from handmap_qp import client as present
+from handmap_qp.apps.service.keys import make_keys
+from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import ServiceError, messages
-from handmap_qp.service.keys import make_keys
-from handmap_qp.service.states import LEASE
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "clients"
 

@@ -16,8 +16,8 @@ import pytest
 from patience import wait_until
 from service_tools import address_of, client_of, human_q, serving
 
+import handmap_qp.apps.service
 import handmap_qp.client
-import handmap_qp.service
 from handmap_qp.client import Client, Command
 from handmap_qp.client.messages import Pose
 from handmap_qp.se3 import pose_from_xyz_quat
@@ -65,7 +65,9 @@ DEFAULTS = {"JointState": {"velocity": [], "effort": []}, "Header": {"frame_id":
 @pytest.fixture
 def code() -> str:
     """Return the code of the bridge."""
-    text = (Path(str(handmap_qp.service.__file__)).parent / "ros2.md").read_text(encoding="utf-8")
+    text = (Path(str(handmap_qp.apps.service.__file__)).parent / "ros2.md").read_text(
+        encoding="utf-8"
+    )
     (found,) = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)
     return found
 

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from service_tools import CACHE
 from strategies import generators, motion_of, rotations, translations
 
+from handmap_qp.apps.service.safety import CommandedRobot, StepClock
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
@@ -17,7 +18,6 @@ from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.service.safety import CommandedRobot, StepClock
 
 ROBOT = CACHE.robot("three_finger", None, None)
 FIXED = CACHE.robot("three_finger", None, "fixed")

@@ -31,13 +31,13 @@ from service_tools import (
     skip,
 )
 
+from handmap_qp.apps.service.logs import JsonLines
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import ServiceError
 from handmap_qp.client.messages import PROTOCOL, Request, Status
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.logs import JsonLines
-from handmap_qp.service.server import Server
-from handmap_qp.service.settings import Settings
-from handmap_qp.service.states import LEASE
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -348,7 +348,7 @@ def test_a_taken_port_is_said(server: Server) -> None:
 def test_only_what_was_ready_has_stopped(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     events: list[str] = []
     monkeypatch.setattr(
-        "handmap_qp.service.server.report", lambda level, event, **data: events.append(event)
+        "handmap_qp.apps.service.server.report", lambda level, event, **data: events.append(event)
     )
     for taken in ("port", "stream_port", "health_port"):
         choice: dict[str, Any] = {taken: server.ports["requests"]}

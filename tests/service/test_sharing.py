@@ -9,8 +9,8 @@ import pytest
 from patience import wait_until
 from service_tools import client_of, code_of, connected, human_q, lose_sessions, serving
 
+from handmap_qp.apps.service.server import Server
 from handmap_qp.client import ServiceError
-from handmap_qp.service.server import Server
 
 WRIST = np.eye(4)
 

@@ -18,11 +18,11 @@ from service_tools import (
     speeds,
 )
 
+from handmap_qp.apps.service.opening import prepare_hands
+from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.states import HEARTBEAT
 from handmap_qp.client.messages import Pose
 from handmap_qp.hands.hand import LONGEST_STOP
-from handmap_qp.service.opening import prepare_hands
-from handmap_qp.service.session import Session
-from handmap_qp.service.states import HEARTBEAT
 
 FAR = Pose((5.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 

@@ -26,12 +26,12 @@ from service_tools import (
     skip,
 )
 
+from handmap_qp.apps.service.opening import prepare_hands
+from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.states import LEASE
+from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.client import ServiceError
 from handmap_qp.errors import RefusedError
-from handmap_qp.service.opening import prepare_hands
-from handmap_qp.service.session import Session
-from handmap_qp.service.states import LEASE
-from handmap_qp.service.store import PostureStore
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

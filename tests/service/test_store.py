@@ -15,10 +15,10 @@ import pytest
 from patience import PATIENCE
 from service_tools import LOCAL
 
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.settings import MOST_SESSIONS
+from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.errors import InvalidInputError, RefusedError
-from handmap_qp.service.server import Server
-from handmap_qp.service.settings import MOST_SESSIONS
-from handmap_qp.service.store import PostureStore, Record
 
 Q = np.array([0.1, -0.2, 0.3])
 WRIST = np.arange(16.0).reshape(4, 4)
@@ -52,7 +52,7 @@ def test_postures_survive_the_process(tmp_path: Path) -> None:
 def test_a_write_survives_a_kill(tmp_path: Path) -> None:
     code = (
         "import os, signal\nfrom pathlib import Path\n"
-        "from handmap_qp.service.store import PostureStore, Record\n"
+        "from handmap_qp.apps.service.store import PostureStore, Record\n"
         "store = PostureStore(Path('state'))\n"
         "for epoch in range(500):\n"
         "    store.note(Record('left', 'hand', (0.1, -0.2, 0.3), None, epoch))\n"
@@ -152,7 +152,7 @@ def test_without_room_it_is_said_and_nothing_is_left_that_a_later_start_would_re
 ) -> None:
     code = (
         "import resource, signal\nfrom pathlib import Path\n"
-        "from handmap_qp.service.store import PostureStore\n"
+        "from handmap_qp.apps.service.store import PostureStore\n"
         "signal.signal(signal.SIGXFSZ, signal.SIG_IGN)\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))\n"
         "try: PostureStore(Path('state'))\n"
@@ -169,7 +169,7 @@ def test_without_room_it_is_said_and_nothing_is_left_that_a_later_start_would_re
 def test_lost_postures_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     logged: list[dict[str, object]] = []
     monkeypatch.setattr(
-        "handmap_qp.service.store.report",
+        "handmap_qp.apps.service.store.report",
         lambda level, event, **data: logged.append({"event": event, **data}),
     )
     state = tmp_path / "state"

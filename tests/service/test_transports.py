@@ -39,18 +39,18 @@ from service_tools import (
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
-from handmap_qp.addresses import bare_host
+from handmap_qp.apps.addresses import bare_host
+from handmap_qp.apps.service import logs
+from handmap_qp.apps.service import server as server_module
+from handmap_qp.apps.service.connection_gate import cost_of, count_frames
+from handmap_qp.apps.service.decoding import decode_request
+from handmap_qp.apps.service.keys import ClientKeys, make_keys, read_server_keys, read_token
+from handmap_qp.apps.service.schema import schema_text
+from handmap_qp.apps.service.server import Server, run_server
+from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import Client
 from handmap_qp.client.messages import PROTOCOL, Error
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.service import logs
-from handmap_qp.service import server as server_module
-from handmap_qp.service.connection_gate import cost_of, count_frames
-from handmap_qp.service.decoding import decode_request
-from handmap_qp.service.keys import ClientKeys, make_keys, read_server_keys, read_token
-from handmap_qp.service.schema import schema_text
-from handmap_qp.service.server import Server, run_server
-from handmap_qp.service.states import LEASE
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -35,11 +35,11 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.protocol import Protocol
 from websockets.typing import Origin, Subprotocol
 
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.settings import MOST_SESSIONS, Settings
+from handmap_qp.apps.service.websocket import _Outbox
 from handmap_qp.client.messages import PROTOCOL, Close, Status, Stop, Subscribe
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.service.server import Server
-from handmap_qp.service.settings import MOST_SESSIONS, Settings
-from handmap_qp.service.websocket import _Outbox
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

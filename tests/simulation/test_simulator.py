@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from simulation_cases import CUBE, cube_grasp
 
 from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
-from handmap_qp.grasp.contacts import Contact, Grasp
-from handmap_qp.grasp.objects import Box, Cylinder, Sphere
-from handmap_qp.grasp.statics import quasistatic
+from handmap_qp.apps.grasp.contacts import Contact, Grasp
+from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
+from handmap_qp.apps.grasp.statics import quasistatic
+from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
+from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.se3 import affine
-from handmap_qp.simulation.physics import Body, MeshShape, Physics
-from handmap_qp.simulation.simulator import Simulator
 
 MASS = 0.1
 WEIGHT = np.array([0.0, 0.0, -9.81 * MASS, 0.0, 0.0, 0.0])

@@ -11,11 +11,11 @@ from patience import PATIENCE, wait_until
 from service_tools import address_of, client_of, serving
 
 from handmap_qp import InvalidInputError, cli, load_hand
+from handmap_qp.apps.grasp.objects import Sphere
+from handmap_qp.apps.simulation.physics import Body
+from handmap_qp.apps.simulation.simulator import Simulator
+from handmap_qp.apps.simulation.stand_in import Report, StandIn
 from handmap_qp.client import Client
-from handmap_qp.grasp.objects import Sphere
-from handmap_qp.simulation.physics import Body
-from handmap_qp.simulation.simulator import Simulator
-from handmap_qp.simulation.stand_in import Report, StandIn
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -13,16 +13,16 @@ import pytest
 from simulation_cases import CUBE
 
 from handmap_qp import HandError, InvalidInputError, cli, load_hand
-from handmap_qp.grasp.objects import Box, Cylinder, Sphere
+from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
+from handmap_qp.apps.simulation.commands import Commands, PinchWindow, find_pinch
+from handmap_qp.apps.simulation.page import travel, write_page
+from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics, parse_object, turn_up
+from handmap_qp.apps.simulation.pictures import Stage, film, picture
+from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
+from handmap_qp.apps.simulation.simulator import Episode, Simulator
+from handmap_qp.apps.simulation.trials import describe_trial, random_trials, success_rate
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.simulation.commands import Commands, PinchWindow, find_pinch
-from handmap_qp.simulation.page import travel, write_page
-from handmap_qp.simulation.physics import Body, MeshShape, Physics, parse_object, turn_up
-from handmap_qp.simulation.pictures import Stage, film, picture
-from handmap_qp.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
-from handmap_qp.simulation.simulator import Episode, Simulator
-from handmap_qp.simulation.trials import describe_trial, random_trials, success_rate
 
 UP = np.array([0.0, 0.0, 1.0])
 WINDOW = PinchWindow(0, 10, 60)

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
+from handmap_qp.apps.viewer import figure, live, replay
+from handmap_qp.apps.viewer.serving import serving
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.presets import possible_presets
-from handmap_qp.viewer import figure, live, replay
-from handmap_qp.viewer.serving import serving
 
 _MESHES: dict[str, dict[str, list[Any]]] = {}
 _READ = figure.link_meshes

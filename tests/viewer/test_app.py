@@ -23,16 +23,16 @@ from handmap_qp import (
     MappingOptions,
     load_hand,
 )
+from handmap_qp.apps.offline.trajectory import map_recording
+from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls
+from handmap_qp.apps.viewer.figure import HandFigure, link_meshes, state_text
+from handmap_qp.apps.viewer.gauges import InstantGauges, joints_by_finger
+from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
+from handmap_qp.apps.viewer.scene import HandScene
+from handmap_qp.apps.viewer.serving import skip_wakeup_race
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.presets import PRESETS, Choice, preset_choice
-from handmap_qp.offline.trajectory import map_recording
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
-from handmap_qp.viewer.controls import LEFT_OUT, OptionControls
-from handmap_qp.viewer.figure import HandFigure, link_meshes, state_text
-from handmap_qp.viewer.gauges import InstantGauges, joints_by_finger
-from handmap_qp.viewer.replay import Replay, ReplayViewer
-from handmap_qp.viewer.scene import HandScene
-from handmap_qp.viewer.serving import skip_wakeup_race
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -12,17 +12,17 @@ pytest.importorskip("viser", reason="viser is not installed: pip install 'handma
 from viewer_cases import COUNT, closing_motion, closing_recording, make_replay, press
 
 from handmap_qp import HandMapper, load_hand
+from handmap_qp.apps.offline.trajectory import map_recording
+from handmap_qp.apps.viewer.controls import KEPT, NOTHING
+from handmap_qp.apps.viewer.figure import BONES
+from handmap_qp.apps.viewer.page import make_page
+from handmap_qp.apps.viewer.replay import ReplayViewer
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
+from handmap_qp.apps.viewer.scene import BrowserCameras, HandScene, Solid
 from handmap_qp.human.landmarks import TIPS
 from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS, preset_choice
-from handmap_qp.offline.trajectory import map_recording
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
-from handmap_qp.viewer.controls import KEPT, NOTHING
-from handmap_qp.viewer.figure import BONES
-from handmap_qp.viewer.page import make_page
-from handmap_qp.viewer.replay import ReplayViewer
-from handmap_qp.viewer.sample import Variant, ViewSample
-from handmap_qp.viewer.scene import BrowserCameras, HandScene, Solid
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

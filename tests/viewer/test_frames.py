@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from handmap_qp.viewer import serving
-from handmap_qp.viewer.serving import FRAME_PERIOD, run_frames
+from handmap_qp.apps.viewer import serving
+from handmap_qp.apps.viewer.serving import FRAME_PERIOD, run_frames
 
 
 class Clock:

@@ -16,11 +16,11 @@ from patience import PATIENCE, wait_until
 from viewer_cases import make_replay, press
 
 from handmap_qp import HandmapError, InvalidInputError, MappingOptions
+from handmap_qp.apps.viewer.cli import View
+from handmap_qp.apps.viewer.live import LiveViewer
+from handmap_qp.apps.viewer.sample import ViewSample
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import rotation_from_quat_wxyz
-from handmap_qp.viewer.cli import View
-from handmap_qp.viewer.live import LiveViewer
-from handmap_qp.viewer.sample import ViewSample
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -80,7 +80,7 @@ def source() -> Iterator[Source]:
 def test_the_newest_sample_is_drawn_and_all_are_plotted(
     server: Any, source: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", PATIENCE)
+    monkeypatch.setattr("handmap_qp.apps.viewer.live._SILENCE", PATIENCE)
     for sample in source.samples[:39]:
         source.given.put(sample)
     viewer = LiveViewer(server, source)
@@ -103,7 +103,7 @@ def test_missing_samples_are_reported(
 ) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
-    monkeypatch.setattr("handmap_qp.viewer.live._SILENCE", 0.0)
+    monkeypatch.setattr("handmap_qp.apps.viewer.live._SILENCE", 0.0)
     viewer.tick()
     assert "No sample arrives" in viewer.status_text.content
     viewer.close()
@@ -364,7 +364,7 @@ def test_the_view_restarts_when_the_hands_change(monkeypatch: pytest.MonkeyPatch
         made[-1].is_outdated, made[-1].name = True, "lab"
         return made[-1]
 
-    monkeypatch.setattr("handmap_qp.viewer.remote.ServiceSession", make_source)
+    monkeypatch.setattr("handmap_qp.apps.viewer.remote.ServiceSession", make_source)
     with pytest.raises(InvalidInputError, match="enough"):
         View(live="lab-pc", port=0).run()
     assert [source.robot.name for source in made] == ["allegro_right", "three_finger"]

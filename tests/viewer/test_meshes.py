@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from handmap_qp.viewer.figure import link_meshes
+from handmap_qp.apps.viewer.figure import link_meshes
 
 trimesh = pytest.importorskip("trimesh", reason="pip install 'handmap-qp[view]'")
 pytest.importorskip("yourdfpy", reason="pip install 'handmap-qp[view]'")
@@ -25,7 +25,7 @@ def test_a_link_is_one_mesh_with_the_surface_and_colours_of_its_shapes(
     corner = trimesh.creation.box((0.1, 0.2, 0.3))
     corner.vertices += 0.5
     corner.export(tmp_path / "corner.stl")
-    monkeypatch.setattr("handmap_qp.viewer.figure.mesh_file", lambda name, _: tmp_path / name)
+    monkeypatch.setattr("handmap_qp.apps.viewer.figure.mesh_file", lambda name, _: tmp_path / name)
     # A visual may have the name of a link.
     box = SHAPE.format(name="b", xyz="1 0 0", shape='<box size="0.1 0.1 0.1"/>', rgba="1 0 0 1")
     mirrored = SHAPE.format(

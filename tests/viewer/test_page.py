@@ -33,10 +33,10 @@ from handmap_qp import (
     MissingExtraError,
     RecordingError,
 )
-from handmap_qp.arguments import MappingArguments, MethodFlags
-from handmap_qp.viewer.cli import View
-from handmap_qp.viewer.replay import ReplayViewer
-from handmap_qp.viewer.serving import serving
+from handmap_qp.apps.arguments import MappingArguments, MethodFlags
+from handmap_qp.apps.viewer.cli import View
+from handmap_qp.apps.viewer.replay import ReplayViewer
+from handmap_qp.apps.viewer.serving import serving
 
 # The area of the hands between the panels, and the fewest of its 420 x 540 pixels that are skin.
 MIDDLE = np.s_[160:, 340:760]
@@ -334,11 +334,11 @@ def test_the_page_of_a_service_draws_both_hands_and_releases(
     pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
     import service_tools
 
-    from handmap_qp.viewer.live import LiveViewer
-    from handmap_qp.viewer.remote import ServiceSession
+    from handmap_qp.apps.viewer.live import LiveViewer
+    from handmap_qp.apps.viewer.remote import ServiceSession
 
     for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
-        monkeypatch.setattr(f"handmap_qp.viewer.remote.{name}", PATIENCE)
+        monkeypatch.setattr(f"handmap_qp.apps.viewer.remote.{name}", PATIENCE)
     with (
         service_tools.serving() as service,
         service_tools.connected(service, name="lab", is_shared=True) as client,

@@ -11,12 +11,12 @@ import pytest
 pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
 
 from handmap_qp import load_hand
+from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.viewer.controls import on_white
+from handmap_qp.apps.viewer.gauges import InstantGauges
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.offline.surface_gaps import measure_gaps
 from handmap_qp.se3 import affine, rotation_from_rpy
-from handmap_qp.viewer.controls import on_white
-from handmap_qp.viewer.gauges import InstantGauges
-from handmap_qp.viewer.sample import Variant, ViewSample
 
 ROBOT = load_hand("three_finger")
 GAUGES = InstantGauges([Variant("paper", ROBOT, preset_choice("paper"), [])], contact_gap=0.012)

@@ -21,17 +21,17 @@ from patience import PATIENCE, wait_until
 from service_tools import address_of, client_of, connected, human_q, in_loop, lose_sessions
 
 from handmap_qp import InvalidInputError, MappingOptions, load_hand
+from handmap_qp.apps.service.keys import make_keys
+from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.viewer.live import LiveViewer
+from handmap_qp.apps.viewer.remote import ServiceSession
+from handmap_qp.apps.viewer.sample import ViewSample
+from handmap_qp.apps.viewer.serving import serving
 from handmap_qp.client import Client, Command
 from handmap_qp.client.messages import About
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
-from handmap_qp.service.keys import make_keys
-from handmap_qp.service.server import Server
-from handmap_qp.viewer.live import LiveViewer
-from handmap_qp.viewer.remote import ServiceSession
-from handmap_qp.viewer.sample import ViewSample
-from handmap_qp.viewer.serving import serving
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -44,7 +44,7 @@ WRIST[:3, 3] = 0.1, 0.2, 0.3
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set a long timeout, because replies take long on a busy machine."""
     for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
-        monkeypatch.setattr(f"handmap_qp.viewer.remote.{name}", PATIENCE)
+        monkeypatch.setattr(f"handmap_qp.apps.viewer.remote.{name}", PATIENCE)
 
 
 @pytest.fixture(scope="module")
@@ -385,7 +385,7 @@ def test_details_are_requested_again_after_a_session_is_reopened(
     service: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Disable the periodic status request.
-    monkeypatch.setattr("handmap_qp.viewer.remote._STATUS_PERIOD", np.inf)
+    monkeypatch.setattr("handmap_qp.apps.viewer.remote._STATUS_PERIOD", np.inf)
     with (
         connected(service, name="lab", is_shared=True) as client,
         moving(client),
@@ -421,7 +421,7 @@ def test_an_encrypted_service_is_shown_only_with_keys(
             session.request("clear", session.stop_number)
             wait_until(lambda: next(samples).status == "released" and session.stop_number == 0)
         for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
-            monkeypatch.setattr(f"handmap_qp.viewer.remote.{name}", 0.1)
+            monkeypatch.setattr(f"handmap_qp.apps.viewer.remote.{name}", 0.1)
         with pytest.raises(InvalidInputError, match="no answer"):
             ServiceSession(host_of(service))
 

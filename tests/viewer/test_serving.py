@@ -18,7 +18,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from handmap_qp import InvalidInputError
-from handmap_qp.viewer.serving import is_own_page, serving
+from handmap_qp.apps.viewer.serving import is_own_page, serving
 
 
 @pytest.fixture(scope="module")

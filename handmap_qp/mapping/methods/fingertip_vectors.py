@@ -29,6 +29,7 @@ from handmap_qp.mapping.hand_pair import (
     points_in_palm_at,
     require_partners,
 )
+from handmap_qp.mapping.landmarks import PalmFollower, PalmMethod
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -37,7 +38,6 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, PalmMethod
 from handmap_qp.options import number, text
 from handmap_qp.se3 import inverse_pose, transform_points
 

@@ -38,6 +38,7 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.finger_angles import FingerAngles
+from handmap_qp.mapping.landmarks import PalmFollower, PalmMethod
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -46,7 +47,6 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, PalmMethod
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.

@@ -20,6 +20,7 @@ from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import hand_pair
+from handmap_qp.mapping.landmarks import PalmFollower, PalmMethod, palm_of, transform_point
 from handmap_qp.mapping.method import (
     FOLLOWING,
     Diagnostics,
@@ -29,7 +30,6 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmFollower, PalmMethod, palm_of, transform_point
 from handmap_qp.options import number, text
 from handmap_qp.se3 import inverse_pose, lengths, transform_points
 

@@ -1,0 +1,1 @@
+"""What users run: the service, live tracking, the view, and the commands of `handmap`."""

@@ -1,0 +1,218 @@
+"""Put the episodes of a batch together into one data set for training.
+
+An episode has the robot's state (joint positions, then the wrist's position and quaternion wxyz)
+and the action, which is the state of the next frame; the last frame repeats. Episodes are
+interpolated to a fixed rate, between two samples of a motion that is inside its limits, so that it
+stays inside them. Where a file has both hands at the same instants, they are one episode. In a data
+set of both robots, a hand that an episode lacks is at rest, and not valid.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from handmap_qp.apps.datasets.episodes import read_episode
+from handmap_qp.apps.datasets.manifest import Line
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.spec import Side
+from handmap_qp.output_files import sync, writing
+from handmap_qp.se3 import quat_wxyz_from_rotation
+from handmap_qp.trackers.formats import SEPARATOR
+from handmap_qp.trackers.formats.base import SIDES
+from handmap_qp.trackers.formats.hdf5 import check_room, created
+from handmap_qp.trackers.formats.lerobot import Feature, LeRobotWriter
+
+WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+"""Names of the wrist's position [m] and quaternion in the state."""
+_STATE, _ACTION, _VALID = "observation.state", "action", "observation.valid"
+
+
+class Episode(NamedTuple):
+    """An episode of the data set.
+
+    Attributes:
+        sources: Keys of its recordings.
+        task: What is done, in words.
+        state: States of all hands side by side, shape (N, n).
+        action: The state of the next frame, shape (N, n).
+        valid: Whether each hand was seen, shape (N, number of hands).
+    """
+
+    sources: str
+    task: str
+    state: np.ndarray
+    action: np.ndarray
+    valid: np.ndarray
+
+
+def assemble(
+    lines: Sequence[Line],
+    folder: Path,
+    form: Literal["lerobot", "robomimic"],
+    fps: float,
+    robots: Mapping[Side, Hand],
+) -> Path:
+    """Write the data set of a batch; an earlier one is replaced at once.
+
+    Args:
+        lines: Lines of the episodes.
+        folder: Folder of the batch.
+        form: LeRobot v3, as the folder `lerobot`; or robomimic, as the file `episodes.hdf5`.
+        fps: Frames per second.
+        robots: Robot hands by side.
+
+    Returns:
+        The folder or file.
+
+    Raises:
+        InvalidInputError: If it cannot be written.
+        RecordingError: If an episode is damaged, see `read_episode`.
+        MissingExtraError: If the package of the format is not installed.
+    """
+    hands: dict[Side, Hand] = {side: robots[side] for side in SIDES if side in robots}
+    episodes = _episodes(lines, folder, fps, hands)
+    if form == "robomimic":
+        return _write_robomimic(episodes, folder / "episodes.hdf5", hands)
+    return _write_lerobot(episodes, folder / "lerobot", fps, hands)
+
+
+def state_names(hands: Mapping[Side, Hand]) -> tuple[str, ...]:
+    """Return the names of the numbers of a state; with both hands, their side is in front.
+
+    Args:
+        hands: Robot hands by side.
+    """
+    return tuple(
+        (f"{side}_" if len(hands) > 1 else "") + name
+        for side, hand in hands.items()
+        for name in (*hand.joint_names, *WRIST_NAMES)
+    )
+
+
+def _write_lerobot(
+    episodes: Iterator[Episode], root: Path, fps: float, hands: Mapping[Side, Hand]
+) -> Path:
+    names, robot = state_names(hands), " and ".join(hand.name for hand in hands.values())
+    features = {
+        _STATE: Feature("float32", names),
+        _ACTION: Feature("float32", names),
+        _VALID: Feature("bool", tuple(hands) if len(hands) > 1 else None),
+    }
+    fresh = root.with_name(f"{root.name}.new")
+    shutil.rmtree(fresh, ignore_errors=True)
+    with LeRobotWriter(
+        fresh, fps=fps, features=features, robot_type=robot, argument="--out"
+    ) as writer:
+        for episode in episodes:
+            columns = {_STATE: episode.state, _ACTION: episode.action, _VALID: episode.valid}
+            writer.add(columns, episode.task, {"source": episode.sources})
+    shutil.rmtree(root, ignore_errors=True)
+    with writing(root, "--out"):
+        fresh.rename(root)
+        sync(root.parent)
+    return root
+
+
+def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Mapping[Side, Hand]) -> Path:
+    names, total = state_names(hands), 0
+    robot = " and ".join(hand.name for hand in hands.values())
+    with created(path, "--out") as file:
+        data = file.create_group("data")
+        env = {"env_name": robot, "env_type": 2, "env_kwargs": {"state_names": list(names)}}
+        data.attrs["env_args"] = json.dumps(env)
+        for i, episode in enumerate(episodes):
+            check_room(file, 5 * episode.state.nbytes)
+            _write_demo(data.create_group(f"demo_{i}"), episode)
+            total += len(episode.state)
+        data.attrs["total"] = total
+    return path
+
+
+def _write_demo(demo: Any, episode: Episode) -> None:
+    count = len(episode.state)
+    demo.attrs["num_samples"] = count
+    demo.attrs["source"] = episode.sources
+    demo.attrs["task"] = episode.task
+    demo["actions"] = episode.action
+    demo["states"] = episode.state
+    demo["rewards"] = np.zeros(count)
+    demo["dones"] = (np.arange(count) == count - 1).astype(np.int64)
+    demo["obs/state"] = episode.state
+    demo["obs/valid"] = episode.valid
+    demo["next_obs/state"] = episode.action
+
+
+def _episodes(
+    lines: Sequence[Line], folder: Path, fps: float, hands: Mapping[Side, Hand]
+) -> Iterator[Episode]:
+    """Read the episodes one after the other, by the names of their files."""
+    ordered = sorted((line for line in lines if line.side in hands), key=lambda line: line.key)
+    for _, group in groupby(ordered, key=lambda line: line.key.rpartition(SEPARATOR)[0]):
+        pairs = [(line, read_episode(folder, line)) for line in group]
+        times, sides = [columns["time"] for _, columns in pairs], {line.side for line, _ in pairs}
+        if len(pairs) == len(sides) == 2 and np.array_equal(times[0], times[1]):
+            yield _episode(pairs, fps, hands)
+        else:
+            yield from (_episode([pair], fps, hands) for pair in pairs)
+
+
+def _episode(
+    pairs: Sequence[tuple[Line, dict[str, np.ndarray]]], fps: float, hands: Mapping[Side, Hand]
+) -> Episode:
+    """Put the hands of one recording side by side, at a fixed rate."""
+    by_side = {line.side: columns for line, columns in pairs}
+    (line, columns), *_ = pairs
+    time = columns["time"]
+    count = int(np.floor((time[-1] - time[0]) * fps + 1e-6)) + 1
+    instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
+    states, valid = [], []
+    for side, hand in hands.items():
+        state = np.tile([*hand.rest, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        seen = np.zeros(count, dtype=bool)
+        if side in by_side:
+            state, seen = _resampled(by_side[side], instants)
+        states.append(_as_float32(state, hand))
+        valid.append(seen)
+    folder = Path(line.key.rpartition(SEPARATOR)[0]).parent.name
+    whole = np.hstack(states)
+    return Episode(
+        sources=", ".join(line.key for line, _ in pairs),
+        task=folder.replace("_", " ") or "human hand motion",
+        state=whole,
+        action=np.concatenate([whole[1:], whole[-1:]]),
+        valid=np.stack(valid, axis=1),
+    )
+
+
+def _resampled(
+    columns: dict[str, np.ndarray], instants: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Interpolate joints and wrist; a frame is valid between two valid samples."""
+    time, wrist = columns["time"], columns["wrist"]
+    quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in wrist])
+    flips = np.einsum("ti,ti->t", quats[1:], quats[:-1]) < 0.0
+    quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
+    state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
+    state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
+    before = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1)
+    after = np.clip(np.searchsorted(time, instants, side="left"), 0, len(time) - 1)
+    return state, columns["valid"][before] & columns["valid"][after]
+
+
+def _as_float32(state: np.ndarray, hand: Hand) -> np.ndarray:
+    """Round a state to float32 without leaving the joints' limits."""
+    rounded = state.astype(np.float32)
+    lower, upper = hand.lower_limits.astype(np.float32), hand.upper_limits.astype(np.float32)
+    lower = np.where(lower < hand.lower_limits, np.nextafter(lower, np.float32(np.inf)), lower)
+    upper = np.where(upper > hand.upper_limits, np.nextafter(upper, np.float32(-np.inf)), upper)
+    count = len(hand.joint_names)
+    rounded[:, :count] = np.clip(rounded[:, :count], lower, upper)
+    return rounded

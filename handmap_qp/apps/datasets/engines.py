@@ -1,0 +1,255 @@
+"""Engines that run the jobs of a batch: in this process, in a pool of processes, or under Ray.
+
+All have one loop. It yields a line of the manifest for every job, in the order in which jobs end,
+and survives workers that die: what was under way then is run again one at a time, so that the one
+that is to blame is found. A recording that kills its worker `MOST_KILLS` times is given up.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import AbstractContextManager, contextmanager
+from functools import partial
+from importlib import import_module
+from itertools import islice
+from typing import Any, NamedTuple
+
+from handmap_qp.apps.datasets.episodes import Job, run_job, synced
+from handmap_qp.apps.datasets.manifest import MOST_KILLS, Line
+from handmap_qp.apps.datasets.workers import CONTEXT, ONE_THREAD, no_start, one_thread, start_worker
+from handmap_qp.errors import HandmapError, MissingExtraError
+from handmap_qp.output_files import remove_torn
+
+GROUP_FRAMES = 1024
+"""Short recordings are given to a worker in groups of up to so many frames, some 0.3 s of work: a
+message to another process takes 3 ms of CPU time of both."""
+_IN_FLIGHT = 3
+"""Groups of jobs given to each worker in advance, so that it never waits."""
+_MOST_STARTS = 10
+"""Pools in a row whose first worker dies before it begins; after that, none is started."""
+
+Group = tuple[Job, ...]
+"""Jobs that a worker runs one after the other."""
+
+
+class Workers(NamedTuple):
+    """What runs groups of jobs.
+
+    Attributes:
+        submit: Begins a group; the result is the lines of its jobs, when they are on the disk.
+        count: Number of workers.
+        death: What the result raises if its worker has died.
+    """
+
+    submit: Callable[[Group], Future[Sequence[Line]]]
+    count: int
+    death: type[Exception] = BrokenProcessPool
+
+
+class Engine(ABC):
+    """Runs jobs.
+
+    Args:
+        workers: Number of workers.
+    """
+
+    def __init__(self, workers: int = 1) -> None:
+        self._count = workers
+
+    @abstractmethod
+    def start(self, count: int) -> AbstractContextManager[Workers]:
+        """Start workers for the block; see `Workers`."""
+
+    def outcomes(
+        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
+        """Run jobs, the first ones first.
+
+        Args:
+            jobs: The jobs.
+            kills: How often the worker of a recording has died before, by key; kept up to date.
+            is_stopped: Asked now and then; after it said True, what is under way is finished, and
+                nothing more is begun.
+
+        Yields:
+            A line for every job that has ended, and one before every try of a job whose worker may
+            have died: a try that takes this process with it counts too.
+
+        Raises:
+            DiskFullError: If an episode cannot be written because the disk is full.
+            InvalidInputError: If workers die again and again while they start.
+        """
+        waiting = deque(job for job in jobs if not kills.get(job.task.key))
+        suspects = deque(job for job in jobs if kills.get(job.task.key))
+        while (waiting or suspects) and not is_stopped():
+            if suspects:
+                yield from self._try_alone(suspects, kills, is_stopped)
+            else:
+                yield from self._share(waiting, suspects, is_stopped)
+
+    def _share(
+        self, waiting: deque[Job], suspects: deque[Job], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
+        """Run jobs until all are done, or a worker dies: what was under way is suspect then."""
+        flying: dict[Future[Sequence[Line]], Group] = {}
+        with self.start(self._count) as workers:
+            most = max(1, _IN_FLIGHT * workers.count)
+            while flying or (waiting and not suspects and not is_stopped()):
+                if is_stopped():
+                    # Cancelled ones are given up: a next run begins with them.
+                    flying = {
+                        future: jobs for future, jobs in flying.items() if not future.cancel()
+                    }
+                while waiting and not suspects and not is_stopped() and len(flying) < most:
+                    jobs = _next_group(waiting, workers.count)
+                    flying[workers.submit(jobs)] = jobs
+                for future in wait(flying, return_when=FIRST_COMPLETED).done:
+                    jobs, lines = flying.pop(future), _result(future, workers.death)
+                    suspects.extend(jobs if lines is None else ())
+                    yield from lines or ()
+
+    def _try_alone(
+        self, suspects: deque[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+    ) -> Iterator[Line]:
+        """Run jobs whose worker may have died over them one at a time, until one dies."""
+        with self.start(1) as workers:
+            while suspects and not is_stopped():
+                job = suspects.popleft()
+                count = kills.get(job.task.key, 0) + 1
+                remove_torn(job.folder / job.task.out)
+                yield job.line("killed", kills=count, error=f"try {count} has not ended")
+                lines = _result(workers.submit((job,)), workers.death)
+                if lines is None:
+                    break
+                yield from lines
+            else:
+                return
+        kills[job.task.key] = count
+        remove_torn(job.folder / job.task.out)
+        if count < MOST_KILLS:
+            suspects.append(job)
+        else:
+            error = f"given up: the worker died {count} times"
+            yield job.line("failed", kills=count, error=error)
+
+
+class SerialEngine(Engine):
+    """Runs jobs one after the other in this process."""
+
+    @contextmanager
+    def start(self, count: int) -> Iterator[Workers]:
+        """Run each group at once."""
+
+        def submit(jobs: Group) -> Future[Sequence[Line]]:
+            future: Future[Sequence[Line]] = Future()
+            future.set_result(run_group(jobs))
+            return future
+
+        yield Workers(submit, 0)
+
+
+class PoolEngine(Engine):
+    """Runs jobs in processes of their own on this machine."""
+
+    @contextmanager
+    def start(self, count: int) -> Iterator[Workers]:
+        """Start spawned workers with one thread each."""
+        with one_thread():
+            for _ in range(_MOST_STARTS):
+                pool = ProcessPoolExecutor(count, mp_context=CONTEXT, initializer=start_worker)
+                try:
+                    if _begins(pool):
+                        yield Workers(partial(pool.submit, run_group), count)
+                        return
+                finally:
+                    pool.shutdown(cancel_futures=True)
+        raise no_start(_MOST_STARTS)
+
+
+class RayEngine(Engine):
+    """Runs jobs as Ray tasks of one CPU each.
+
+    Ray is started on this machine unless `RAY_ADDRESS` names a cluster, and stays until this
+    process ends. Inputs and the folder of the batch must be on a file system that all nodes share.
+
+    Args:
+        workers: Number of CPUs of this machine that Ray may use; a cluster uses all of its own.
+
+    Raises:
+        MissingExtraError: If Ray is not installed.
+    """
+
+    def __init__(self, workers: int = 1) -> None:
+        super().__init__(workers)
+        try:
+            self._ray: Any = import_module("ray")
+        except ImportError as error:
+            raise MissingExtraError("ray", "cluster") from error
+
+    @contextmanager
+    def start(self, count: int) -> Iterator[Workers]:
+        """Start Ray, unless it runs."""
+        ray = self._ray
+        if not ray.is_initialized():
+            ray.init(
+                include_dashboard=False,
+                log_to_driver=False,
+                runtime_env={"env_vars": ONE_THREAD},
+                num_cpus=None if os.environ.get("RAY_ADDRESS") else self._count,
+            )
+        remote = ray.remote(num_cpus=1, max_retries=0)(run_group)
+
+        def submit(jobs: Group) -> Future[Sequence[Line]]:
+            future = remote.remote(jobs).future()
+            # A task cannot be taken back.
+            future.set_running_or_notify_cancel()
+            return future
+
+        cpus = int(ray.cluster_resources().get("CPU", count))
+        yield Workers(submit, max(1, cpus), ray.exceptions.RayError)
+
+
+def _begins(pool: ProcessPoolExecutor) -> bool:
+    """Return whether a first worker comes up; one that dies here has no recording to blame."""
+    try:
+        pool.submit(os.getpid).result()
+    except BrokenProcessPool:
+        return False
+    return True
+
+
+def _result(future: Future[Sequence[Line]], death: type[Exception]) -> Sequence[Line] | None:
+    """Return the lines of a group; None if its worker has died."""
+    try:
+        return future.result()
+    except HandmapError as error:
+        # Ray's own class of it has the worker's traceback in its text.
+        raise getattr(error, "cause", error) from None
+    except death:
+        return None
+
+
+def _next_group(waiting: deque[Job], workers: int) -> Group:
+    """Take the next jobs for one worker; towards the end fewer, so that all have some."""
+    most = max(1, len(waiting) // (2 * workers)) if workers else 1
+    count, frames = 0, 0
+    for job in islice(waiting, most):
+        frames += job.task.frames
+        if count and frames > GROUP_FRAMES:
+            break
+        count += 1
+    return tuple(waiting.popleft() for _ in range(count))
+
+
+def run_group(jobs: Group) -> Sequence[Line]:
+    """Run jobs of one batch one after the other.
+
+    Returns:
+        What happened, when the episodes are on the disk.
+    """
+    return synced(jobs[0].folder, [run_job(job) for job in jobs])

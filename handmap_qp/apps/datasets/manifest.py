@@ -1,0 +1,174 @@
+"""The manifest of a batch: a line of JSON for each thing that happened, appended, never changed.
+
+The last line of a key says how it stands. A line that was being written when the power failed is
+cut off at the next start, and its recording is mapped again.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import mmap
+import os
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from io import FileIO
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import sync, writing
+from handmap_qp.trackers.formats import SEPARATOR
+
+Status = Literal["done", "failed", "killed"]
+MOST_KILLS = 3
+"""A recording that kills its worker this often is left alone."""
+
+
+class Line(msgspec.Struct, frozen=True, omit_defaults=True):
+    """What happened to one recording.
+
+    Attributes:
+        key: File and recording, `FILE::NAME`.
+        status: `done`; `failed`, with an error; or `killed`: the worker died, and it is tried again
+            unless `kills` is `MOST_KILLS`.
+        path: The file.
+        size: Its size [bytes].
+        mtime_ns: Its last change [ns].
+        options: Digest of robot and options.
+        entries: How many recordings the file has.
+        side: Which hand.
+        robot: Robot hand, by name or path.
+        frames: Number of samples.
+        cpu_s: CPU time [s].
+        kills: How often the worker died over it.
+        metrics: Numbers about the episode, by name (`handmap_qp.apps.datasets.measures`).
+        out: The file written, below the folder of the batch.
+        sha256: Its digest, as `sha256sum` prints it; empty in manifests up to version 0.2.
+        error: Why it failed.
+    """
+
+    key: str
+    status: Status
+    path: str
+    size: int
+    mtime_ns: int
+    options: str
+    entries: int = 1
+    side: str = ""
+    robot: str = ""
+    frames: int = 0
+    cpu_s: float = 0.0
+    kills: int = 0
+    metrics: dict[str, float | None] = {}
+    out: str = ""
+    sha256: str = ""
+    error: str = ""
+
+    @property
+    def name(self) -> str:
+        """The file, and the recording's name if it has one, for people."""
+        return self.key.removesuffix(SEPARATOR)
+
+    @property
+    def source(self) -> str:
+        """What `read_recording` reads it from."""
+        _, _, entry = self.key.rpartition(SEPARATOR)
+        return f"{self.path}{SEPARATOR}{entry}" if entry else self.path
+
+    @property
+    def is_final(self) -> bool:
+        """True if the recording is not tried again as long as nothing changes."""
+        return self.status == "done" or self.kills >= MOST_KILLS
+
+
+_DECODER = msgspec.json.Decoder(Line)
+
+
+@contextmanager
+def open_manifest(
+    folder: Path, shard: tuple[int, int] = (1, 1)
+) -> Iterator[Callable[[Line], None]]:
+    """Open the manifest of one process or shard for appending.
+
+    Args:
+        folder: Folder of the batch.
+        shard: Which part of how many; each part has a file of its own.
+
+    Yields:
+        A function that appends a line, and returns when it is on the disk. It raises
+        `InvalidInputError` if the line cannot be written, as where the disk is full.
+
+    Raises:
+        InvalidInputError: If the file cannot be opened, or another process writes to it.
+    """
+    file = folder / manifest_name(shard)
+    with ExitStack() as opened:
+        with writing(file, "--out"):
+            # Unbuffered, so that nothing that could not be written is written again at the end.
+            stream = opened.enter_context(file.open("a+b", buffering=0))
+            try:
+                fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                problem = f"{file}: another handmap batch writes to it"
+                raise InvalidInputError(argument="--out", problem=problem) from error
+            _cut_torn_line(stream)
+            sync(file.parent)
+
+        def append(line: Line) -> None:
+            text = msgspec.json.encode(line) + b"\n"
+            with writing(file, "--out"):
+                if stream.write(text) < len(text):
+                    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+                os.fsync(stream.fileno())
+
+        yield append
+
+
+def manifest_name(shard: tuple[int, int]) -> str:
+    """Return the name of the manifest of a shard."""
+    part, parts = shard
+    return "manifest.jsonl" if parts == 1 else f"manifest-{part}-of-{parts}.jsonl"
+
+
+def read_manifests(folder: Path) -> dict[str, Line]:
+    """Read all manifests of a folder.
+
+    Args:
+        folder: Folder of a batch.
+
+    Returns:
+        The last line of every key; `done` lines before others of the same key and file, where
+        several shards have one. Lines that are torn or not of this form are left out, so their
+        recordings are mapped again.
+
+    Raises:
+        InvalidInputError: If a manifest cannot be read.
+    """
+    state: dict[str, Line] = {}
+    for file in sorted(folder.glob("manifest*.jsonl")):
+        own: dict[str, Line] = {}
+        try:
+            with file.open("rb") as stream:
+                for text in stream:
+                    # Without a line break, it was being written when the process was killed.
+                    with suppress(msgspec.DecodeError, UnicodeDecodeError):
+                        line = _DECODER.decode(text if text.endswith(b"\n") else b"")
+                        own[line.key] = line
+        except OSError as error:
+            problem = f"{file}: cannot be read: {error.strerror or error}"
+            raise InvalidInputError(argument="DIR", problem=problem) from error
+        known = {key for key in own if key in state and state[key].status == "done"}
+        state |= {key: line for key, line in own.items() if key not in known}
+    return state
+
+
+def _cut_torn_line(stream: FileIO) -> None:
+    """Cut off what follows the last line break."""
+    if end := stream.seek(0, os.SEEK_END):
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as text:
+            kept = text.rfind(b"\n") + 1
+        if kept < end:
+            stream.truncate(kept)

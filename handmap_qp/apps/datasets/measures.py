@@ -1,0 +1,127 @@
+"""What every episode of a batch is measured by, without a reference to compare with."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
+from handmap_qp.hands.human import FINGERS
+from handmap_qp.human.landmarks import TIPS
+from handmap_qp.human.recording import Recording
+
+MOST_SURFACES = 60
+"""Surfaces are measured in at most this many samples, evenly spread."""
+_CLOSED, _DEEP = 0.003, 0.001  # m
+_PINCHING = 0.004  # m above the contact gap
+
+
+class Measure(NamedTuple):
+    """One number about an episode.
+
+    Attributes:
+        key: Name in the manifest.
+        title: Name with its unit.
+        worse: Whether `high` or `low` values are worse.
+        about: What it says.
+        enough: Values up to here are equally good.
+    """
+
+    key: str
+    title: str
+    worse: str
+    about: str
+    enough: float
+
+
+MEASURES: tuple[Measure, ...] = (
+    Measure("valid", "valid samples", "low", "share of samples in which the hand was seen", 0.98),
+    Measure("longest_gap_s", "longest gap [s]", "high", "longest time without the hand", 0.1),
+    Measure("bone_variation", "bone variation", "high", "deviation of bone lengths", 0.02),
+    Measure("reach_mm", "reach [mm]", "high", "mean distance of points from their targets", 5.0),
+    Measure("reach_p95_mm", "reach p95 [mm]", "high", "95th percentile of it", 15.0),
+    Measure("saturation", "saturation", "high", "share of joints at a position limit", 0.05),
+    Measure("speed_limited", "speed-limited", "high", "share of samples at a speed limit", 0.05),
+    Measure("jerk", "jerk [rad/s3]", "high", "RMS joint jerk", 1000.0),
+    Measure("pinch_closed", "pinches closed", "low", "share of the human's pinches closed", 0.9),
+    Measure("self_penetration", "self-penetration", "high", "share of samples over 1 mm", 0.0),
+)
+"""All measures, in the order of the report."""
+
+
+def measure_episode(
+    recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter | None
+) -> dict[str, float | None]:
+    """Measure an episode.
+
+    Args:
+        recording: What the human did.
+        trajectory: What the robot does.
+        contact_gap: Gap of tip landmarks where the skin touches [m].
+        meter: The robot's surfaces; None where it has none.
+
+    Returns:
+        Values by the keys of `MEASURES`, rounded to six digits; None where a question does not
+        arise.
+    """
+    seen = trajectory.valid
+    errors = 1e3 * trajectory.point_error[seen]
+    values: dict[str, float | None] = {
+        "valid": float(recording.valid.mean()),
+        "longest_gap_s": _longest_gap(recording),
+        "bone_variation": _bone_variation(recording.landmarks[recording.valid]),
+        "reach_mm": float(errors.mean()),
+        "reach_p95_mm": float(np.percentile(errors, 95)),
+        "saturation": float(trajectory.at_limit[seen].mean()),
+        "speed_limited": float(trajectory.at_speed_limit[seen].any(axis=1).mean()),
+        "jerk": rms_derivative(trajectory.q, trajectory.time, seen, order=3),
+        "pinch_closed": None,
+        "self_penetration": None,
+    }
+    if meter is not None:
+        values |= _surfaces(recording, trajectory, contact_gap, meter)
+    return {
+        key: None if value is None or not np.isfinite(value) else float(f"{value:.6g}")
+        for key, value in values.items()
+    }
+
+
+def _longest_gap(recording: Recording) -> float:
+    """Return the longest time between valid samples beyond the usual step [s]."""
+    times = recording.time[recording.valid]
+    inside = float(np.diff(times).max()) if len(times) > 1 else 0.0
+    ends = max(times[0] - recording.time[0], recording.time[-1] - times[-1])
+    usual = float(np.median(recording.steps))
+    return max(0.0, inside - usual, float(ends))
+
+
+def _bone_variation(landmarks: np.ndarray) -> float:
+    bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
+    return float((bones.std(axis=0) / bones.mean(axis=0)).mean())
+
+
+def _surfaces(
+    recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
+) -> dict[str, float | None]:
+    """Measure pinches and self-penetration in some of the samples."""
+    tips = recording.landmarks[:, TIPS]
+    gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=2)
+    pinching = trajectory.valid[:, None] & (gaps < contact_gap + _PINCHING)
+    spread = np.linspace(0, len(recording) - 1, min(MOST_SURFACES, len(recording))).astype(int)
+    pinches = np.flatnonzero(pinching.any(axis=1))
+    chosen = pinches[:: max(1, -(-len(pinches) // MOST_SURFACES))]
+    gaps = meter.pinches(trajectory.q[chosen]) if len(chosen) else {}
+    closed = [
+        gaps[finger][pinching[chosen, i]] < _CLOSED
+        for i, finger in enumerate(FINGERS[1:])
+        if finger in gaps
+    ]
+    # Deeper overlaps than this are counted, and how deep they are is not asked.
+    nearest = meter.nearest(trajectory.q[spread], most=-_DEEP)
+    answers = np.concatenate(closed) if closed else np.zeros(0, dtype=bool)
+    return {
+        "self_penetration": float((nearest < -_DEEP).mean()),
+        "pinch_closed": float(answers.mean()) if len(answers) else None,
+    }

@@ -1,0 +1,129 @@
+"""Pictures of `handmap report`: distributions of all measures, and the worst episodes."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from handmap_qp.apps.datasets.manifest import Line
+from handmap_qp.apps.datasets.measures import MEASURES, Measure
+from handmap_qp.apps.datasets.report import Quality
+from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
+from handmap_qp.apps.drawing.hands import require_matplotlib
+from handmap_qp.apps.offline.fidelity import SETTLING
+from handmap_qp.errors import HandmapError
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.recording import Recording
+from handmap_qp.trackers.formats import read_recording
+from handmap_qp.trackers.formats.archive import read_archive
+
+_COLUMNS, _BINS = 4, 40
+_LONGEST_NAME = 21  # characters beside a picture
+_KEPT, _LEFT_OUT = "#3d6fb4", "#d8472f"
+
+
+def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+    """Draw distributions, and the worst episodes of each robot.
+
+    Args:
+        folder: Folder of the batch.
+        quality: The ranking.
+        count: How many episodes of each robot. Those whose recording has gone are left out.
+        out: Folder to write to.
+
+    Returns:
+        The files, `distributions.png` and `worst_ROBOT.png`.
+
+    Raises:
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    require_matplotlib()
+    file = out / "distributions.png"
+    _draw_distributions(file, quality)
+    return [file, *_draw_worst(folder, quality, count, out)]
+
+
+def _draw_distributions(file: Path, quality: Quality) -> None:
+    """Draw a histogram of every measure, with the episodes that the filter leaves out in red."""
+    from matplotlib.figure import Figure
+
+    shown = [k for k in range(len(MEASURES)) if np.isfinite(quality.values[:, k]).any()]
+    rows = -(-len(shown) // _COLUMNS)
+    figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained", dpi=100)
+    grid = figure.subplots(rows, _COLUMNS, squeeze=False)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_axis_off()
+    for axes, k in zip(grid.flat, shown, strict=False):
+        values = quality.values[:, k]
+        known = np.isfinite(values)
+        parts = [values[known & quality.is_kept], values[known & ~quality.is_kept]]
+        low, high = float(values[known].min()), float(values[known].max())
+        room = (low, high) if high > low else (min(0.0, low), max(1.0, low))
+        axes.hist(parts, bins=_BINS, range=room, stacked=True, color=[_KEPT, _LEFT_OUT])
+        axes.set_title(MEASURES[k].title, fontsize=9)
+        axes.tick_params(labelsize=7)
+        axes.yaxis.get_major_locator().set_params(integer=True)
+        # Numbers that are nearly the same have long labels.
+        axes.xaxis.get_major_locator().set_params(nbins=4)
+        axes.spines[["top", "right"]].set_visible(False)
+    for row in grid:
+        row[0].set_ylabel("episodes", fontsize=8)
+    kept = int(quality.is_kept.sum())
+    figure.suptitle(
+        f"{kept} episodes kept, {len(quality.lines) - kept} left out (red)", fontsize=10
+    )
+    figure.savefig(file)
+
+
+def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
+    """Draw human and robot in the worst sample of the worst episodes, a picture for each robot.
+
+    The sample is the worst one in what the episode is worst in, and else the one with the largest
+    distance of a point from its target. The first half second counts only where there is no more:
+    the robot is still on its way to the hand.
+    """
+    rows: dict[str, list[SheetRow]] = {}
+    for place, line in enumerate(quality.lines):
+        own = rows.setdefault(line.robot, [])
+        if len(own) < count:
+            with suppress(HandmapError):
+                measure = MEASURES[quality.worst_measure[place]]
+                own.append(_worst_row(folder, line, place + 1, measure))
+    files = []
+    for name, own in rows.items():
+        if own:
+            robot = load_hand(name)
+            columns, side = [(robot.name, robot)], robot.spec.side
+            figure = contact_sheet(columns, own, side=side, title="worst episodes")
+            files.append(out / f"worst_{robot.name}.png")
+            figure.savefig(files[-1], dpi=100)
+    return files
+
+
+def _worst_row(folder: Path, line: Line, rank: int, measure: Measure) -> SheetRow:
+    """Return the worst sample of an episode, with its rank, name and measure."""
+    recording = read_recording(line.source)
+    names = {"q", "point_error", "valid", "at_limit", "at_speed_limit"}
+    columns = read_archive(folder / line.out, names)
+    sample = _worst_sample(recording, columns, measure)
+    (row,) = sheet_rows(recording, {f"#{rank}": sample}, [columns["q"]])
+    name = line.name if len(line.name) <= _LONGEST_NAME else f"...{line.name[3 - _LONGEST_NAME :]}"
+    note = f"{name}\n{measure.title}\n{row.note}"
+    return SheetRow(row.label, note, row.landmarks, row.q)
+
+
+def _worst_sample(recording: Recording, columns: dict[str, np.ndarray], measure: Measure) -> int:
+    """Return the index of the sample that is worst in a measure, or in reach."""
+    usable = columns["valid"] & recording.valid
+    settled = usable & (recording.time >= recording.time[0] + SETTLING)
+    usable = settled if settled.any() else usable
+    error = columns["point_error"].max(axis=1)
+    # Less than one joint, so that it decides between samples of as many joints.
+    share = error / (1.0 + error)
+    if measure.key == "saturation":
+        error = columns["at_limit"].sum(axis=1) + share
+    elif measure.key == "speed_limited":
+        error = columns["at_speed_limit"].sum(axis=1) + share
+    return int(np.argmax(np.where(usable, error, -1.0)))

@@ -1,0 +1,209 @@
+"""The tasks of a batch: every recording of every input file."""
+
+from __future__ import annotations
+
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from handmap_qp.apps.datasets.workers import each_apart
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands.spec import Side
+from handmap_qp.trackers.formats import (
+    FORMATS,
+    SEPARATOR,
+    Source,
+    hdf5,
+    known_suffixes,
+    list_sources,
+)
+
+PATIENCE = 30.0
+"""Longest time for listing an HDF5 file [s]."""
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """A file or data set to map.
+
+    Attributes:
+        name: Its path below the folder that was named, with `/`; its own name if it was named.
+        path: Where it is.
+        size: Size, of all files of a folder together [bytes].
+        mtime_ns: Time of the last change, of all files of a folder the last [ns].
+    """
+
+    name: str
+    path: Path
+    size: int
+    mtime_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One recording of one hand.
+
+    Attributes:
+        file: The file.
+        source: The recording in it; None where the file could not be listed.
+        entries: How many recordings the file has.
+        error: Why the file could not be listed; empty if it could.
+    """
+
+    file: InputFile
+    source: Source | None = None
+    entries: int = 1
+    error: str = ""
+
+    @property
+    def entry(self) -> str:
+        """Name of the recording in its file; empty where the file holds only one."""
+        return "" if self.source is None else self.source.entry.name
+
+    @property
+    def key(self) -> str:
+        """Name of the file, `::`, and of the recording: its identity in the manifest."""
+        return f"{self.file.name}{SEPARATOR}{self.entry}"
+
+    @property
+    def side(self) -> Side | None:
+        """Which hand; None where the file could not be listed."""
+        return None if self.source is None else self.source.entry.side
+
+    @property
+    def frames(self) -> int:
+        """Number of samples."""
+        return 0 if self.source is None else self.source.entry.samples
+
+    @property
+    def out(self) -> str:
+        """File to write, below the folder of the batch, with `/`."""
+        tail = f".{self.entry.replace('/', '_')}" if self.entry else ""
+        return f"episodes/{self.file.name}{tail}.npz"
+
+
+def find_files(
+    inputs: Sequence[Path], out: Path | None = None
+) -> tuple[tuple[InputFile, ...], tuple[Path, ...]]:
+    """Find the files to map: those named, and those of a known form below folders that are named.
+
+    Args:
+        inputs: Files, data sets and folders.
+        out: Folder of the batch, which is left out where it is below a folder of these.
+
+    Returns:
+        The files, by name, and the paths left out because they lead to files or folders that are
+        among them already, by links or because they were named twice.
+
+    Raises:
+        InvalidInputError: If an input does not exist, a folder has no recordings, or two files have
+            the same name below different folders.
+    """
+    files: dict[str, InputFile] = {}
+    repeated: list[Path] = []
+    own = None if out is None else _identity(out)
+    seen = {own}
+
+    def is_new(path: Path) -> bool:
+        key = _identity(path)
+        if key in seen:
+            repeated.extend([path] if key != own else [])
+            return False
+        seen.add(key)
+        return True
+
+    for given in inputs:
+        before = len(files) + len(repeated)
+        for path in _paths_of(given, is_new):
+            name = given.name if path is given else path.relative_to(given).as_posix()
+            if name in files:
+                raise InvalidInputError(
+                    argument="INPUT",
+                    expected="files of different names",
+                    got=f"{name} twice",
+                    advice="name the folder above both",
+                )
+            files[name] = _stamped(name, path)
+        if len(files) + len(repeated) == before:
+            raise InvalidInputError(
+                argument="INPUT", problem=f"{given}: has no files of a known form"
+            )
+    return tuple(files[name] for name in sorted(files)), tuple(repeated)
+
+
+def tasks_of(files: Sequence[InputFile], shard: tuple[int, int] = (1, 1)) -> list[Task]:
+    """List the recordings of files, the longest first.
+
+    HDF5 files are listed in another process: on some damaged ones the library crashes, or loops for
+    ever.
+
+    Args:
+        files: The files.
+        shard: Which part of how many, counted from 1. A part has the files whose names fall to it,
+            so that parts do not depend on each other.
+
+    Returns:
+        The tasks. A file that cannot be listed is a task with an error.
+    """
+    part, parts = shard
+    own = [file for file in files if zlib.crc32(file.name.encode()) % parts == part - 1]
+    risky = [file.path for file in own if file.path.suffix.lower() in hdf5.SUFFIXES]
+    listings = dict(zip(risky, each_apart(_listing, risky, PATIENCE), strict=True))
+    tasks = []
+    for file in own:
+        found = listings[file.path] if file.path in listings else _listing(file.path)
+        if isinstance(found, tuple):
+            tasks += [Task(file, source, len(found)) for source in found]
+        else:
+            error = f"{file.path}: cannot be read: listing it crashed, or took {PATIENCE:.0f} s"
+            tasks.append(Task(file, error=found or error))
+    return sorted(tasks, key=lambda task: (-task.frames, task.key))
+
+
+def _listing(path: Path) -> tuple[Source, ...] | str:
+    """Return the recordings of a file, or why it cannot be listed."""
+    try:
+        return list_sources(path)
+    except HandmapError as error:
+        return " ".join(str(error).split())
+
+
+def _paths_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[Path]:
+    """Yield the path itself, or the files and data sets below it."""
+    if not given.exists():
+        raise InvalidInputError(argument="INPUT", problem=f"{given}: no such file or folder")
+    suffixes = known_suffixes()
+    # Links come last, so that they do not change the names of the files they lead to.
+    waiting, links = deque([given]), deque[Path]()
+    while waiting or links:
+        path = (waiting or links).popleft()
+        is_known = path is given or path.is_dir() or path.suffix.lower() in suffixes
+        if not is_known or not is_new(path):
+            continue
+        if not path.is_dir() or _is_set(path):
+            yield path
+            continue
+        for inside in sorted(path.iterdir()):
+            if not inside.name.startswith("."):
+                (links if inside.is_symlink() else waiting).append(inside)
+
+
+def _identity(path: Path) -> object:
+    """Return what all names of a file or folder share; links that lead nowhere share nothing."""
+    if not path.exists():
+        return path
+    stat = path.stat()
+    return stat.st_dev, stat.st_ino
+
+
+def _is_set(folder: Path) -> bool:
+    """Tell whether a folder is a data set, not a folder of files."""
+    return any(form.recognises(folder) for form in FORMATS.values())
+
+
+def _stamped(name: str, path: Path) -> InputFile:
+    stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
+    latest = max((stat.st_mtime_ns for stat in stats), default=0)
+    return InputFile(name, path, sum(stat.st_size for stat in stats), latest)

@@ -1,0 +1,123 @@
+"""The command `handmap doctor`: the state of an installation, for users and bug reports."""
+
+from __future__ import annotations
+
+import ctypes.util
+import json
+import os
+import platform
+import re
+import sys
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from handmap_qp.apps.tables import print_table
+
+_PACKAGE = "handmap-qp"
+_CORE = (
+    *("numpy", "scipy", "pin", "mink", "mujoco"),
+    *("qpsolvers", "daqp", "osqp", "proxsuite", "tyro", "rich"),
+)
+_FOLDERS = {
+    "HANDMAP_RECORDINGS": "*.npz",
+    "HANDMAP_HANDS": "*/*.urdf",
+}
+"""Folders that tests and benchmarks read, with the files expected there."""
+_GL = ("EGL", "OSMesa", "GL")
+"""Libraries with which MuJoCo can render."""
+
+
+@dataclass(frozen=True)
+class Doctor:
+    """Report versions, extras, solvers, recordings and rendering.
+
+    Prints what a bug report needs, and how to install each extra that is missing.
+
+    Examples:
+        handmap doctor
+        handmap doctor --json
+
+    Attributes:
+        json: Print one JSON object instead of tables.
+    """
+
+    json: bool = False
+
+    def run(self) -> None:
+        """Examine the installation and print the result."""
+        report = {
+            "versions": versions(),
+            "extras": extras(),
+            "solvers": solvers(),
+            "folders": folders(),
+            "libraries": libraries(),
+        }
+        if self.json:
+            print(json.dumps(report))
+            return
+        for title, rows in report.items():
+            print_table(title.capitalize(), rows)
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package, Python, the system and the core dependencies."""
+    system = f"{platform.system()} {platform.release()} {platform.machine()}"
+    own = {_PACKAGE: _version(_PACKAGE), "python": sys.version.split()[0], "system": system}
+    return own | {name: _version(name) for name in _CORE}
+
+
+def extras() -> dict[str, str]:
+    """Return for every extra `installed`, or how to install it."""
+    found: dict[str, list[str]] = {}
+    for requirement in metadata.requires(_PACKAGE) or []:
+        extra = re.search(r"extra == ['\"]([\w-]+)['\"]", requirement)
+        name = re.match(r"[\w.-]+", requirement)
+        # `all` would repeat the others.
+        if extra is None or name is None or name[0] == _PACKAGE or extra[1] == "all":
+            continue
+        missing = found.setdefault(extra[1], [])
+        if _version(name[0]) == "not installed":
+            missing.append(name[0])
+    return {
+        extra: "installed"
+        if not missing
+        else f"{', '.join(missing)} not installed: pip install '{_PACKAGE}[{extra}]'"
+        for extra, missing in found.items()
+    }
+
+
+def solvers() -> dict[str, str]:
+    """Return the QP solvers that `--ik.solver` accepts here."""
+    import qpsolvers
+
+    names = sorted({"daqp", "proxqp", *qpsolvers.available_solvers})
+    return {"default": "daqp", "available": ", ".join(names)}
+
+
+def folders() -> dict[str, str]:
+    """Return the state of the folders of recordings and hands that tests and benchmarks read."""
+    return {name: _folder_state(os.environ.get(name), name) for name in _FOLDERS}
+
+
+def libraries() -> dict[str, str]:
+    """Return the system libraries for solvers and for MuJoCo's rendering."""
+    # Slim images lack libgomp, to which compiled dependencies link.
+    found: dict[str, Any] = {name: ctypes.util.find_library(name) for name in ("gomp", *_GL)}
+    state = {f"lib{name}": path or "not found" for name, path in found.items()}
+    return state | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "not set")}
+
+
+def _version(name: str) -> str:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+def _folder_state(folder: str | None, name: str) -> str:
+    if folder is None:
+        return "not set"
+    count = sum(1 for _ in Path(folder).glob(_FOLDERS[name]))
+    return f"{folder}: {count} files {_FOLDERS[name]}"

@@ -1,0 +1,384 @@
+"""A contact sheet of poses: the human's hand and every mapping's robot side by side.
+
+`sheet_rows` picks the samples, `contact_sheet` draws them, `save_contact_sheet` writes the PNG.
+
+All hands are seen in their own palm frames by the same two cameras: from the palm's side, and from
+between palm and thumb, where curl and pinches show. The human is drawn as tubes through the raw
+landmarks, not as a model fitted to them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.apps.drawing.hands import (
+    HandShape,
+    LinkShape,
+    load_shape,
+    require_matplotlib,
+    spheres,
+    tube,
+)
+from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.landmarks import PALM, measure_hand
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.se3 import affine, inverse_pose, rigid_fit, transform_points
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FINGER_COLOURS: dict[str, tuple[float, float, float]] = {
+    "thumb": (0.84, 0.22, 0.16),
+    "index": (0.93, 0.60, 0.10),
+    "middle": (0.20, 0.58, 0.36),
+    "ring": (0.16, 0.45, 0.78),
+    "little": (0.55, 0.30, 0.68),
+}
+"""Colours of the fingers, human and robot."""
+VIEWS: tuple[tuple[float, float], ...] = ((-90.0, 8.0), (-25.0, 18.0))
+"""Azimuth and elevation of the cameras for right hands [deg], see `Camera.framing`.
+
+The fingers point up and the palm looks along -y. For left hands, azimuths are mirrored.
+"""
+_VIEW_NAMES = "palm side  |  three-quarter"
+CELL = (170, 190)
+"""Width and height of one view [pixel]."""
+
+_DPI = 100
+_LEFT, _TOP, _BOTTOM = 118, 54, 30
+_MARGIN = 0.05
+_BONE, _JOINT, _TIP, _PALM_BONE = 0.0062, 0.0068, 0.0072, 0.0052
+_PALM_COLOUR = (0.80, 0.72, 0.66)
+_ROBOT_COLOUR = (0.66, 0.68, 0.72)
+_HUMAN_BACKGROUND = 0.965
+_RULE = 0.86
+_INK, _PALE = "#222831", "#6b7280"
+# Across the palm: wrist to knuckles, and from knuckle to knuckle.
+_PALM_BONES = ((0, 1), (0, 5), (0, 9), (0, 13), (0, 17), (5, 9), (9, 13), (13, 17), (1, 5))
+_PALM_FACES = ((0, 1, 5), (0, 5, 9), (0, 9, 13), (0, 13, 17))
+# From palm axes (y distal, z dorsal) to those of the drawing: z up the fingers, -y out of the palm.
+_UPRIGHT = affine(np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.zeros(3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetRow:
+    """One pose.
+
+    Attributes:
+        label: Its name.
+        note: Where it is from, in few words; a line or more.
+        landmarks: The human's raw landmarks in the palm frame (origin at the wrist, y distal,
+            z dorsal) [m], shape (21, 3).
+        q: Joint angles of the robot in every column [rad], in the order of its `joint_names`.
+    """
+
+    label: str
+    note: str
+    landmarks: np.ndarray
+    q: tuple[np.ndarray, ...]
+
+
+def sheet_rows(
+    recording: Recording, poses: Mapping[str, int | None], motions: Sequence[np.ndarray]
+) -> list[SheetRow]:
+    """Pick samples out of a recording and the motions that were mapped from it.
+
+    Args:
+        recording: Landmarks of a hand.
+        poses: For every pose the index of a sample, or None (`find_poses`). Poses without a sample
+            have no row.
+        motions: Joint angles of every column [rad], each of shape (T, n).
+
+    Returns:
+        Rows in the order of `poses`.
+
+    Raises:
+        InvalidInputError: If a motion has another number of samples than the recording, or an index
+            is not one of a valid sample.
+    """
+    for i, q in enumerate(motions):
+        if np.ndim(q) != 2 or len(q) != len(recording):
+            raise InvalidInputError(
+                argument=f"motions[{i}]",
+                expected=f"shape ({len(recording)}, n)",
+                got=str(np.shape(q)),
+            )
+    bases = measure_hand(recording).bases[1:]
+    sign = 1.0 if recording.side == "right" else -1.0
+    palm = np.vstack([np.zeros(3), bases]) * (sign, 1.0, 1.0)
+    rows = []
+    for label, i in poses.items():
+        if i is None:
+            continue
+        if not (0 <= i < len(recording) and recording.valid[i]):
+            raise InvalidInputError(
+                argument=f"poses[{label!r}]", expected="index of a valid sample", value=i
+            )
+        landmarks = recording.landmarks[i]
+        to_palm = rigid_fit(landmarks[PALM], palm)
+        note = f"{recording.time[i] - recording.time[0]:.2f} s"
+        rows.append(
+            SheetRow(
+                label, note, transform_points(to_palm, landmarks), tuple(q[i] for q in motions)
+            )
+        )
+    return rows
+
+
+def contact_sheet(
+    columns: Sequence[tuple[str, Hand]],
+    rows: Sequence[SheetRow],
+    *,
+    side: Side = "right",
+    title: str = "",
+    footnote: str = "",
+) -> Figure:
+    """Draw poses in rows, the human and every mapping in columns.
+
+    Columns of the same hand are drawn at the same scale, and all rows of a column are too.
+
+    Args:
+        columns: Name and robot of every mapping.
+        rows: The poses, of `sheet_rows` (of one recording or several).
+        side: Which hand the landmarks are of.
+        title: Printed above the human's column.
+        footnote: Printed below, such as the poses that a recording does not show.
+
+    Returns:
+        The picture, one pixel per pixel at its own resolution. The human's column comes first; each
+        column has the views of `VIEWS` side by side.
+
+    Raises:
+        InvalidInputError: If there are no rows, or shapes do not fit.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    pictures = pose_pictures(columns, rows, side=side)
+    (width, height), (count, wide) = CELL, pictures.shape[:2]
+    bottom, span = _TOP + count * height, len(VIEWS) * width
+    canvas = np.ones((bottom + _BOTTOM, _LEFT + wide * span, 3))
+    canvas[_TOP:bottom, _LEFT:] = np.moveaxis(pictures, 3, 1).reshape(count * height, -1, 3)
+    canvas[_TOP - 1 : bottom : height] = _RULE
+    canvas[_TOP - 1 : bottom, _LEFT::span] = _RULE
+    return _figure(canvas, columns, rows, title=title, footnote=footnote)
+
+
+def pose_pictures(
+    columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow], *, side: Side = "right"
+) -> np.ndarray:
+    """Draw the poses without labels, such as the frames of an animation.
+
+    Args:
+        columns: Name and robot of every mapping.
+        rows: The poses.
+        side: Which hand the landmarks are of.
+
+    Returns:
+        Red, green and blue from 0 to 1, shape (rows, 1 + columns, views, height, width, 3); the
+        human's column comes first.
+
+    Raises:
+        InvalidInputError: If there are no rows, or shapes do not fit.
+        MissingExtraError: If trimesh is not installed.
+    """
+    _check(columns, rows)
+    human = _pictures([_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND)
+    pictures = np.empty((len(rows), 1 + len(columns), *human.shape[1:]))
+    pictures[:, 0] = human
+    # Columns of the same hand have the same scale.
+    for hand in {id(hand): hand for _, hand in columns}.values():
+        shape = _coloured(load_shape(hand))
+        own = [i for i, (_, other) in enumerate(columns) if other is hand]
+        solids = [_robot_triangles(shape, row.q[i]) for i in own for row in rows]
+        drawn = _pictures(solids, hand.spec.side, 1.0)
+        pictures[:, [1 + i for i in own]] = drawn.reshape(len(own), *human.shape).swapaxes(0, 1)
+    return pictures
+
+
+def save_contact_sheet(
+    file: Path | str,
+    recording: Recording,
+    poses: Mapping[str, int | None],
+    methods: Sequence[tuple[str, Hand, np.ndarray]],
+) -> Path:
+    """Draw the contact sheet of one recording and write it as PNG.
+
+    Args:
+        file: Where to.
+        recording: Landmarks of the hand that the methods were given.
+        poses: For every pose the index of a sample, or None (`find_poses`).
+        methods: Name, robot and joint angles [rad], shape (T, n), of every mapping.
+
+    Returns:
+        The file.
+
+    Raises:
+        InvalidInputError: If there is no pose, or shapes do not fit.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    rows = sheet_rows(recording, poses, [q for _, _, q in methods])
+    absent = [label for label, i in poses.items() if i is None]
+    footnote = f"Not in this recording: {', '.join(absent)}." if absent else ""
+    columns = [(name, hand) for name, hand, _ in methods]
+    figure = contact_sheet(
+        columns, rows, side=recording.side, title=recording.name, footnote=footnote
+    )
+    figure.savefig(Path(file), dpi=_DPI)
+    return Path(file)
+
+
+def cell_of(column: int, row: int, view: int) -> tuple[int, int]:
+    """Left and upper edge of a view in the picture [pixel]; column 0 is the human's."""
+    width, height = CELL
+    return _LEFT + (column * len(VIEWS) + view) * width, _TOP + row * height
+
+
+def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> None:
+    if not rows:
+        raise InvalidInputError(
+            argument="rows",
+            expected="at least one pose",
+            got="none",
+            advice="find_poses finds them",
+        )
+    for i, row in enumerate(rows):
+        if np.shape(row.landmarks) != (LANDMARK_COUNT, 3) or not np.isfinite(row.landmarks).all():
+            raise InvalidInputError(
+                argument=f"rows[{i}].landmarks",
+                expected=f"finite numbers of shape ({LANDMARK_COUNT}, 3)",
+                got=str(np.shape(row.landmarks)),
+            )
+        if len(row.q) != len(columns):
+            raise InvalidInputError(
+                argument=f"rows[{i}].q",
+                expected=f"joint angles of {len(columns)} columns",
+                got=str(len(row.q)),
+            )
+
+
+def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
+    """Render solids at one scale, shape (solids, views, height, width, 3)."""
+    points = merged(list(solids)).vertices.reshape(-1, 3)
+    cameras = [
+        Camera.framing(
+            points,
+            CELL,
+            azimuth=azimuth if side == "right" else 180.0 - azimuth,
+            elevation=elevation,
+            margin=_MARGIN,
+        )
+        for azimuth, elevation in VIEWS
+    ]
+    images = np.array([[render(solid, camera) for camera in cameras] for solid in solids])
+    opacity = images[..., 3:]
+    return opacity * images[..., :3] + (1.0 - opacity) * background
+
+
+def _human_triangles(landmarks: np.ndarray) -> Triangles:
+    """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
+    points = transform_points(_UPRIGHT, landmarks)
+    parts = [_faces(points), spheres(points[[0, 5, 9, 13, 17]], _JOINT, _PALM_COLOUR)]
+    parts += [_bone(points[[a, b]], _PALM_BONE, _PALM_COLOUR) for a, b in _PALM_BONES]
+    for i, finger in enumerate(FINGERS):
+        chain = points[1 + 4 * i : 5 + 4 * i]
+        colour = FINGER_COLOURS[finger]
+        parts += [_bone(chain[k : k + 2], _BONE, colour) for k in range(3)]
+        parts += [spheres(chain[1:3], _JOINT, colour), spheres(chain[3:], _TIP, colour)]
+    return merged(parts)
+
+
+def _bone(ends: np.ndarray, radius: float, colour: tuple[float, float, float]) -> Triangles:
+    """A tube between two points (2, 3); nothing where they coincide."""
+    if np.linalg.norm(ends[1] - ends[0]) < 1e-5:
+        return merged([])
+    return tube(ends, radius, colour)
+
+
+def _faces(points: np.ndarray) -> Triangles:
+    """The palm as flat triangles, seen from both sides."""
+    corners = points[np.array(_PALM_FACES)]
+    corners = np.concatenate([corners, corners[:, ::-1]])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return Triangles(
+        corners, np.tile(_PALM_COLOUR, (len(corners), 1)), np.repeat(normals[:, None], 3, axis=1)
+    )
+
+
+def _coloured(shape: HandShape) -> HandShape:
+    """The same shape without an arm, grey, with every finger's links in the finger's colour."""
+    hand = shape.hand
+    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
+    links = []
+    for link in shape.links:
+        if wrist and wrist not in hand.model.supports[_carrier(hand, link.link)]:
+            continue
+        finger = _finger_of(hand, link.link)
+        colour = _ROBOT_COLOUR if finger is None else FINGER_COLOURS[finger]
+        colours = np.broadcast_to(colour, link.triangles.colours.shape)
+        links.append(LinkShape(link.link, link.triangles._replace(colours=colours)))
+    return HandShape(hand, tuple(links), shape.missing)
+
+
+def _finger_of(hand: Hand, link: str) -> str | None:
+    """The finger that a link moves with: the one whose points alone lie on or beyond its joint."""
+    joint = _carrier(hand, link)
+    beyond = {
+        point.finger
+        for point in hand.spec.points
+        if joint in hand.model.supports[_carrier(hand, point.link)]
+    }
+    return next(iter(beyond)) if len(beyond) == 1 and beyond <= FINGER_COLOURS.keys() else None
+
+
+def _carrier(hand: Hand, link: str) -> int:
+    """The joint of the model that moves a link."""
+    return hand.model.frames[hand.model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+
+
+def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:
+    """The robot in its palm frame, upright."""
+    pose = _UPRIGHT @ inverse_pose(shape.hand.frame_pose("palm", q))
+    return shape.triangles(q).moved(pose)
+
+
+def _figure(
+    canvas: np.ndarray,
+    columns: Sequence[tuple[str, Hand]],
+    rows: Sequence[SheetRow],
+    *,
+    title: str,
+    footnote: str,
+) -> Figure:
+    """The picture with its words."""
+    with require_matplotlib().rc_context({"font.family": "DejaVu Sans"}):
+        from matplotlib.figure import Figure
+
+        height, width = canvas.shape[:2]
+        figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.imshow(canvas, extent=(0.0, width, height, 0.0), interpolation="nearest")
+        axes.set_axis_off()
+        bold: dict[str, Any] = {"color": _INK, "fontweight": "bold", "va": "center"}
+        pale: dict[str, Any] = {"color": _PALE, "va": "center"}
+        for column, name in enumerate(["human", *(name for name, _ in columns)]):
+            middle = cell_of(column, 0, 0)[0] + 0.5 * len(VIEWS) * CELL[0]
+            axes.text(middle, 24, name, ha="center", fontsize=10, **bold)
+            axes.text(middle, 43, _VIEW_NAMES, ha="center", fontsize=6.5, **pale)
+        for k, row in enumerate(rows):
+            centre = cell_of(0, k, 0)[1] + 0.5 * CELL[1]
+            axes.text(10, centre - 8, row.label, fontsize=9.5, **bold)
+            axes.text(10, centre + 4, row.note, fontsize=7.5, color=_PALE, va="top")
+        axes.text(10, 24, title, fontsize=7, **pale)
+        axes.text(10, height - 0.5 * _BOTTOM, footnote, fontsize=8, **pale)
+    return figure

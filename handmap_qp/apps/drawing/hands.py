@@ -1,0 +1,375 @@
+"""Pictures of hands from their URDFs: `load_shape`, `HandShape.triangles`, `draw_hands`.
+
+Visual shapes (boxes, cylinders, spheres, meshes) are read once as triangles in link coordinates,
+and placed by the hand's forward kinematics. `apps.drawing.raster` renders the picture into
+a matplotlib axes whose coordinates are pixels, so that `camera.project(points)` gives the position
+of anything drawn over it.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+
+from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import find_mesh, urdf_path
+from handmap_qp.hands.spec import HandSpec
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+HUMAN_COLOUR = (0.13, 0.40, 0.85)
+"""Colour of the human's reference points (blue, as in the paper's Fig. 4)."""
+ROBOT_COLOUR = (0.84, 0.16, 0.16)
+"""Colour of the robot's reference points (red)."""
+
+_GREY = (0.62, 0.64, 0.67)
+# Most triangles kept per mesh file.
+_MAX_MESH_TRIANGLES = 4000
+# Faces that meet at a smaller angle than this are shaded as one smooth surface.
+_SMOOTH_ANGLE = np.radians(40.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkShape:
+    """The visual shapes of one link.
+
+    Attributes:
+        link: Name of the link.
+        triangles: In link coordinates.
+    """
+
+    link: str
+    triangles: Triangles
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandShape:
+    """The visual shapes of a hand.
+
+    Attributes:
+        hand: The hand.
+        links: One entry per link that has shapes.
+        missing: Mesh files named by the URDF that could not be read.
+    """
+
+    hand: Hand
+    links: tuple[LinkShape, ...]
+    missing: tuple[str, ...] = ()
+
+    def triangles(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> Triangles:
+        """Return the hand's surface in one posture.
+
+        Args:
+            q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
+            wrist_pose: Wrist pose in the world, shape (4, 4); the identity if omitted. Must be
+                omitted for a fixed hand.
+
+        Returns:
+            Triangles in the world: `vertices` [m], `colours` and `normals`.
+
+        Raises:
+            InvalidInputError: On a wrong shape, or a wrist pose for a fixed hand.
+        """
+        poses = self.hand.link_poses([shape.link for shape in self.links], q, wrist_pose)
+        placed = []
+        for shape, pose in zip(self.links, poses, strict=True):
+            placed.append(shape.triangles.moved(pose))
+        return merged(placed)
+
+
+def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) -> HandShape:
+    """Read the visual shapes of a hand from its URDF, or its collision shapes if it has none.
+
+    Mesh paths are resolved as in `handmap_qp.hands.sources.find_mesh`. A mesh that cannot be
+    read is left out and named in `HandShape.missing`.
+
+    Args:
+        hand: The hand.
+        colour: Red, green and blue in 0..1 for the whole hand; the URDF's colours if omitted.
+
+    Returns:
+        The shapes.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    trimesh = _trimesh()
+    from yourdfpy import URDF
+
+    robot = URDF.load(
+        io.BytesIO(hand.urdf_text.encode()), build_scene_graph=False, load_meshes=False
+    ).robot
+    # A material defined inside a visual may be referred to by name elsewhere.
+    inside = [v.material for link in robot.links for v in link.visuals if v.material is not None]
+    palette = {each.name: each.color for each in (*robot.materials, *inside) if each.color}
+    has_visuals = any(link.visuals for link in robot.links)
+    links, missing = [], []
+    for link in robot.links:
+        parts = []
+        for visual in link.visuals if has_visuals else link.collisions:
+            found = _solid(trimesh, visual.geometry, hand.spec)
+            if found is None:
+                mesh = visual.geometry.mesh if visual.geometry else None
+                missing.append(mesh.filename if mesh else link.name)
+                continue
+            tint = colour or _colour(getattr(visual, "material", None), palette)
+            part = solid(*found, tint)
+            parts.append(part if visual.origin is None else part.moved(visual.origin))
+        if parts:
+            links.append(LinkShape(link.name, merged(parts)))
+    return HandShape(hand, tuple(links), tuple(missing))
+
+
+def solid(vertices: np.ndarray, faces: np.ndarray, colour: tuple[float, float, float]) -> Triangles:
+    """Return a mesh of one colour, with normals that are smooth except at edges.
+
+    Args:
+        vertices: Its vertices [m], shape (v, 3).
+        faces: Indices of the corners of each triangle, shape (n, 3).
+        colour: Red, green and blue in 0..1.
+    """
+    corners = np.asarray(vertices)[faces]
+    normals = _corner_normals(corners, np.asarray(faces))
+    return Triangles(corners, np.tile(colour, (len(corners), 1)), normals)
+
+
+def spheres(centres: npt.ArrayLike, radius: float, colour: tuple[float, float, float]) -> Triangles:
+    """Return small spheres that mark points.
+
+    Args:
+        centres: Points [m], shape (n, 3).
+        radius: Radius [m].
+        colour: Red, green and blue in 0..1.
+
+    Returns:
+        Their triangles.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    ball = _trimesh().creation.icosphere(subdivisions=3, radius=1.0)
+    corners = np.asarray(ball.vertices)[ball.faces]
+    places = np.asarray(centres, dtype=float).reshape(-1, 1, 1, 3)
+    vertices = (places + radius * corners).reshape(-1, 3, 3)
+    return Triangles(
+        vertices, np.tile(colour, (len(vertices), 1)), np.tile(corners, (len(places), 1, 1))
+    )
+
+
+def tube(
+    path: npt.ArrayLike, radius: float, colour: tuple[float, float, float], *, sides: int = 10
+) -> Triangles:
+    """Return a thin tube along a path.
+
+    Args:
+        path: Points of the path [m], shape (n, 3), n >= 2.
+        radius: Radius [m].
+        colour: Red, green and blue in 0..1.
+        sides: Number of corners of its cross-section.
+
+    Returns:
+        Its triangles.
+
+    Raises:
+        InvalidInputError: If the path has no two different points.
+    """
+    points = np.asarray(path, dtype=float).reshape(-1, 3)
+    steps = np.linalg.norm(np.diff(points, axis=0, prepend=np.inf), axis=1)
+    points = points[steps > 1e-6]
+    if len(points) < 2:
+        raise InvalidInputError(
+            argument="path", expected="at least two different points", value=path
+        )
+    tangents = np.gradient(points, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-12
+    # Propagate the first normal and project it at right angles to each tangent: no twist.
+    normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
+    rings = np.empty((len(points), sides, 3))
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    for ring, tangent in zip(rings, tangents, strict=True):
+        normal -= (normal @ tangent) * tangent
+        normal /= np.linalg.norm(normal)
+        ring[:] = np.outer(np.cos(angles), normal)
+        ring += np.outer(np.sin(angles), np.cross(tangent, normal))
+    # Corners of two triangles for each side of each piece.
+    row, side = np.mgrid[: len(points) - 1, :sides].reshape(2, -1)
+    after = (side + 1) % sides
+    a, b, c, d = ((row, side), (row, after), (row + 1, side), (row + 1, after))
+    order = [np.stack(pair, axis=-1) for pair in zip(a, b, c, b, d, c, strict=True)]
+    rows, columns = (index.reshape(-1, 3) for index in order)
+    surface = points[:, None] + radius * rings
+    vertices = surface[rows, columns]
+    return Triangles(vertices, np.tile(colour, (len(vertices), 1)), rings[rows, columns])
+
+
+def draw_hands(
+    axes: Axes,
+    triangles: Triangles,
+    camera: Camera,
+    *,
+    marks: Triangles | None = None,
+    ground: float | None = None,
+    supersampling: int = 2,
+) -> None:
+    """Draw hands into an axes, whose coordinates become the camera's pixels.
+
+    Draw everything in one call, so that hands occlude one another correctly.
+
+    Args:
+        axes: The axes; its frame and ticks are removed.
+        triangles: All solid parts, combined with `merged`.
+        camera: The camera; see `Camera.framing`.
+        marks: `spheres` and `tube`s that stay visible behind solid parts.
+        ground: Height of a floor for soft shadows [m]; none if omitted.
+        supersampling: Samples per pixel along each side.
+
+    Raises:
+        MissingExtraError: If matplotlib is not installed.
+    """
+    require_matplotlib()
+    image = render(triangles, camera, marks=marks, ground=ground, supersampling=supersampling)
+    width, height = camera.size
+    axes.imshow(
+        image, extent=(0.0, width, height, 0.0), interpolation="antialiased", aspect="equal"
+    )
+    axes.set_xlim(0.0, width)
+    axes.set_ylim(height, 0.0)
+    axes.set_axis_off()
+
+
+def require_matplotlib() -> ModuleType:
+    """Import matplotlib.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise MissingExtraError("matplotlib", "plot") from error
+    return matplotlib
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError as error:
+        raise MissingExtraError("trimesh", "plot") from error
+    return trimesh
+
+
+def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return vertices (v, 3) and faces (f, 3) of a URDF geometry; None for an unreadable one."""
+    made = trimesh.creation
+    match geometry:
+        case None:
+            return None
+        case _ if geometry.box is not None:
+            found = made.box(extents=geometry.box.size)
+        case _ if geometry.sphere is not None:
+            found = made.icosphere(subdivisions=3, radius=geometry.sphere.radius)
+        case _ if geometry.cylinder is not None:
+            size = geometry.cylinder
+            found = made.cylinder(size.radius, size.length, sections=40)
+        case _:
+            return _mesh(trimesh, geometry.mesh, spec)
+    return np.asarray(found.vertices), np.asarray(found.faces)
+
+
+def _mesh(trimesh: Any, mesh: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarray] | None:
+    try:
+        found = trimesh.load_mesh(mesh_file(mesh.filename, spec))
+    # Mesh readers raise many types; draw the hand without this part.
+    except Exception:
+        return None
+    if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:
+        return None
+    found.merge_vertices(merge_norm=True, merge_tex=True)
+    return _one_sided(found, np.ones(3) if mesh.scale is None else np.asarray(mesh.scale, float))
+
+
+def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and faces of a mesh, outward faces only; both sides if it is not closed."""
+    vertices, faces = _simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+    vertices = vertices * scale
+    if not (mesh.is_watertight and mesh.is_winding_consistent):
+        return np.concatenate([vertices, vertices]), np.concatenate(
+            [faces, faces[:, ::-1] + len(vertices)]
+        )
+    is_inside_out = (mesh.volume < 0.0) != (np.prod(scale) < 0.0)
+    return vertices, faces[:, ::-1] if is_inside_out else faces
+
+
+def mesh_file(name: str, spec: HandSpec) -> Path:
+    """Return the path of a mesh of a hand's URDF; see `find_mesh`."""
+    return find_mesh(name, urdf_path(spec).parent)
+
+
+def _simplified(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
+    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
+    cells, coarse, cell_of = 96, faces, np.arange(len(vertices))
+    while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
+        _, cell_of = np.unique(
+            np.floor((vertices - low) * (cells / size)).astype(np.int64),
+            axis=0,
+            return_inverse=True,
+        )
+        cell_of = cell_of.reshape(-1)
+        coarse = cell_of[faces]
+        a, b, c = coarse.T
+        coarse = coarse[(a != b) & (b != c) & (c != a)]
+        cells = int(0.85 * cells)
+    counts = np.maximum(np.bincount(cell_of), 1)
+    means = np.column_stack(
+        [np.bincount(cell_of, weights=vertices[:, axis]) / counts for axis in range(3)]
+    )
+    return means, coarse
+
+
+def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return at each corner the mean normal of adjacent faces of the smooth surface, (n, 3, 3)."""
+    crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = crossed / np.maximum(np.linalg.norm(crossed, axis=1, keepdims=True), 1e-15)
+    # Weights by the corner's angle make the mean independent of the triangulation.
+    sides = corners[:, [1, 2, 0]] - corners
+    sides /= np.maximum(np.linalg.norm(sides, axis=2, keepdims=True), 1e-15)
+    angles = np.arccos(
+        np.clip(-np.einsum("fcj,fcj->fc", sides, sides[:, [2, 0, 1]]), -1.0, 1.0)
+    ).reshape(-1)
+    count = 3 * len(faces)
+    at_vertex = csr_array(
+        (np.ones(count), (np.arange(count), faces.reshape(-1))), shape=(count, int(faces.max()) + 1)
+    )
+    pairs = (at_vertex @ at_vertex.T).tocoo()
+    one, other = pairs.coords
+    is_smooth = np.einsum("kj,kj->k", flat[one // 3], flat[other // 3]) > np.cos(_SMOOTH_ANGLE)
+    one, other = one[is_smooth], other[is_smooth]
+    weighted = flat[other // 3] * angles[other, None]
+    normals = np.column_stack(
+        [np.bincount(one, weights=weighted[:, axis], minlength=count) for axis in range(3)]
+    )
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = np.where(
+        lengths > 1e-12, normals / np.maximum(lengths, 1e-12), np.repeat(flat, 3, axis=0)
+    )
+    return normals.reshape(-1, 3, 3)
+
+
+def _colour(material: Any, palette: dict[str | None, Any]) -> tuple[float, float, float]:
+    """Return the colour of a URDF material, its own or by name; grey without one."""
+    own = material and (material.color or palette.get(material.name))
+    if not own:
+        return _GREY
+    red, green, blue = (float(value) for value in own.rgba[:3])
+    return red, green, blue

@@ -1,0 +1,173 @@
+"""Draw the convention of a tracker's layout: indices on both hands, and axes of the wrists."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.apps.drawing.hands import draw_hands, load_shape, require_matplotlib
+from handmap_qp.apps.drawing.raster import Camera
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
+from handmap_qp.hands.spec import Side
+from handmap_qp.se3 import affine, transform_points
+from handmap_qp.trackers.layouts.angles import AngleLayout
+from handmap_qp.trackers.layouts.base import UNITS, Layout, sized_human
+from handmap_qp.trackers.layouts.markers import MarkerLayout
+from handmap_qp.trackers.layouts.points import PointLayout
+
+_PANEL = (430, 500)
+_SKIN = (0.93, 0.80, 0.72)
+_LANDMARK = (0.13, 0.40, 0.85)
+_OTHER = (0.55, 0.57, 0.60)
+_AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
+_AXIS_LENGTH = 0.045  # m
+# Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
+_UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+_TO_PICTURE = affine(_UPRIGHT, np.zeros(3))
+_FARTHEST = 0.12  # m; joints of the forearm that lie farther from the wrist are left out
+
+
+def save_layout_picture(layout: Layout, path: Path) -> None:
+    """Draw a left and a right hand from the back, fingers up, with the layout's indices.
+
+    Blue dots are landmarks, grey ones are not used. Arrows are the wrist's own axes, where the
+    layout says which they are.
+
+    Args:
+        layout: The layout.
+        path: Picture to write (.png).
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    width, height = _PANEL
+    figure = Figure(figsize=(2 * width / 100, height / 100 + 0.45), dpi=100)
+    FigureCanvasAgg(figure)
+    share = height / (height + 45)
+    sides: tuple[Side, ...] = ("left", "right")
+    for i, side in enumerate(sides):
+        axes = figure.add_axes((0.5 * i, 0.0, 0.5, share))
+        _draw_side(axes, layout, side)
+        axes.text(width / 2, 12, f"{side} hand, from its back", ha="center", va="top", color="0.35")
+    unit = layout.table.unit
+    title = f"{layout.name}: {layout.title} ({unit})"
+    figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=11)
+    try:
+        figure.savefig(path, facecolor="white")
+    except (OSError, ValueError) as error:
+        raise InvalidInputError(
+            argument="--picture", problem=f"cannot write {path}: {error}", value=str(path)
+        ) from error
+
+
+def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
+    human = sized_human(side)
+    q = _open_posture(human)
+    solid = load_shape(human, colour=_SKIN).triangles(q).moved(_TO_PICTURE)
+    points, labels, is_used = _entries(layout, human, q)
+    places = transform_points(_TO_PICTURE, points)
+    directions = _wrist_axes(layout, side)
+    ends = transform_points(_TO_PICTURE, _AXIS_LENGTH * directions)
+    around = np.concatenate([solid.vertices.reshape(-1, 3), places, ends, np.zeros((1, 3))])
+    camera = Camera.framing(around, _PANEL, azimuth=90.0, elevation=14.0, margin=0.07)
+    draw_hands(axes, solid, camera)
+    shown = camera.project(places)[:, :2]
+    colours = np.where(is_used[:, None], _LANDMARK, _OTHER)
+    sizes = np.where(is_used, 34.0, 16.0)
+    axes.scatter(*shown.T, s=sizes, c=colours, edgecolors="white", linewidths=0.8, zorder=3)
+    _draw_axes(axes, camera, ends, directions)
+    # Landmarks have room at their right. Joints between wrist and knuckles stand close together,
+    # so their labels are turned and go below.
+    for place, label, is_own in zip(shown, labels, is_used, strict=True):
+        style = {"fontsize": 8, "color": "0.1", "zorder": 5, **_halo()}
+        if is_own:
+            axes.text(place[0] + 6, place[1] - 6, label, **style)
+        else:
+            style |= {"rotation": 90, "ha": "center", "va": "top", "color": "0.35", "fontsize": 7}
+            axes.text(place[0] + 1, place[1] + 6, label, **style)
+
+
+def _draw_axes(axes: Any, camera: Camera, ends: np.ndarray, directions: np.ndarray) -> None:
+    """Draw the wrist's axes as arrows with their names; an axis at right angles says its side."""
+    origin = camera.project(np.zeros(3))[:2]
+    for end, direction, name, colour in zip(ends, directions, "xyz", _AXIS_COLOURS, strict=True):
+        if not direction.any():
+            continue
+        place = camera.project(end)[:2]
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", xy=place, xytext=origin, arrowprops=arrow, zorder=4)
+        sides = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
+        text = name + sides.get(float(np.round(direction[2], 6)), "")
+        axes.text(place[0] + 5, place[1] + 11, text, fontsize=9, color=colour, zorder=6, **_halo())
+
+
+def _halo() -> dict[str, Any]:
+    from matplotlib import patheffects
+
+    return {"path_effects": [patheffects.withStroke(linewidth=2.5, foreground="white")]}
+
+
+def _open_posture(human: Hand) -> np.ndarray:
+    """Return an open hand with spread fingers, so that indices do not cover one another."""
+    q = 0.25 * human.rest
+    spread = {"thumb": 0.75, "index": 0.16, "middle": 0.02, "ring": -0.12, "little": -0.28}
+    for finger in FINGERS:
+        q[HUMAN_JOINTS.index(f"{finger}_{'TM' if finger == 'thumb' else 'MCP'}_abduction")] = (
+            spread[finger]
+        )
+    return np.clip(q, human.lower_limits, human.upper_limits)
+
+
+def _entries(
+    layout: Layout, human: Hand, q: np.ndarray
+) -> tuple[np.ndarray, list[str], np.ndarray]:
+    """Return places [m], indices as text, and whether they are landmarks."""
+    if isinstance(layout, AngleLayout):
+        return _angle_entries(layout, human.points(q))
+    if not isinstance(layout, PointLayout | MarkerLayout):
+        expected = "points, angles or markers"
+        raise InvalidInputError(argument="layout", expected=expected, value=layout)
+    table, written = layout.table, layout.write_posture(human, q, np.eye(4))
+    # Rows are points, poses, or a position and a quaternion.
+    read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
+    places = read * table.reflection * UNITS[table.unit]
+    shown = used = range(len(places))
+    if isinstance(layout, PointLayout):
+        if table.is_relative and table.wrist is not None:
+            places = places @ table.wrist.axes(human.spec.side).rotation(table.reflection).T
+        used = set(layout.order(human.spec.side).tolist())
+        is_near = np.linalg.norm(places, axis=1) < _FARTHEST
+        shown = [i for i in shown if i in used or (i in table.between and is_near[i])]
+    return places[shown], [str(i) for i in shown], np.array([i in used for i in shown])
+
+
+def _angle_entries(
+    layout: AngleLayout, landmarks: np.ndarray
+) -> tuple[np.ndarray, list[str], np.ndarray]:
+    """Return the joints that angles turn, two of which share the first place of a finger."""
+    texts: dict[int, list[str]] = {}
+    for i, entry in enumerate(layout.table.angles):
+        joint = HUMAN_JOINTS.index(entry.joint)
+        finger, k = divmod(joint, 4)
+        texts.setdefault(1 + 4 * finger + max(0, k - 1), []).append(str(i))
+    shown = sorted(texts)
+    return landmarks[shown], [", ".join(texts[i]) for i in shown], np.ones(len(shown), dtype=bool)
+
+
+def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:
+    """Return the wrist's x, y and z axes in our wrist frame, shape (3, 3); zeros if unknown."""
+    table = layout.wrist_table
+    if table is None:
+        return np.eye(3) if isinstance(layout, MarkerLayout) else np.zeros((3, 3))
+    reflection = layout.table.reflection
+    # Axes of left-handed data point where the data says, mirrored into the right-handed world.
+    return (table.axes(side).rotation(reflection) * reflection).T

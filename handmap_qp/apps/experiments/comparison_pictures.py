@@ -1,0 +1,205 @@
+"""Pictures of a comparison: every metric as dots, and the contact sheet of poses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import ceil
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
+from handmap_qp.apps.drawing.hands import require_matplotlib
+from handmap_qp.apps.offline.comparison import Comparison, base_name, own_methods
+from handmap_qp.apps.offline.metrics import METRICS, Metric
+from handmap_qp.apps.offline.poses import POSES, rank_poses
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_COLUMNS = 8
+_OWN, _OUTSIDE, _SAMPLE, _INK = "#c8452f", "#3f6fb5", "#b8bec6", "#222831"
+_BAND = 6  # Methods side by side on the contact sheet; more are drawn below.
+_HINTS = {"high": "higher is better", "low": "lower is better", "one": "best near 1"}
+_WIDEST = 6.0  # Values beyond this multiple of the median value are drawn at the edge.
+
+
+def draw_metrics(file: Path, comparison: Comparison) -> Path:
+    """Draw a panel for every metric: a dot for every method, small ones for each recording.
+
+    Args:
+        file: A PNG file to write.
+        comparison: What was measured.
+
+    Returns:
+        The file.
+
+    Raises:
+        MissingExtraError: If matplotlib is not installed.
+    """
+    style = {"font.family": "DejaVu Sans", "font.size": 8.0, "axes.edgecolor": "#8a929c"}
+    with require_matplotlib().rc_context(style):
+        from matplotlib.figure import Figure
+
+        rows = ceil(len(METRICS) / _COLUMNS)
+        height = 0.75 + 0.165 * len(comparison.methods)
+        figure = Figure(figsize=(18.5, rows * height + 0.8), dpi=100, facecolor="white")
+        axes = figure.subplots(rows, _COLUMNS, squeeze=False)
+        for i, panel in enumerate(axes.flat):
+            if i < len(METRICS):
+                _draw_panel(panel, METRICS[i], comparison, has_names=i % _COLUMNS == 0)
+            else:
+                panel.set_axis_off()
+        figure.suptitle(
+            f"{comparison.robot.name}: mean over {len(comparison.takes)} recordings (large dots) "
+            "and each recording (small dots); filled: best. Arrows: beyond the panel.",
+            fontsize=9.5,
+            color=_INK,
+        )
+        figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985))
+        figure.savefig(file)
+    return file
+
+
+def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[str]]:
+    """Draw the contact sheet: each pose as the recording that shows it most clearly has it.
+
+    Six methods are side by side; further ones are below, beside the human again.
+
+    Methods that failed on one of those recordings are left out.
+
+    Args:
+        file: A PNG file to write.
+        comparison: What was measured.
+
+    Returns:
+        The file, or None if no recording shows a pose or no method could be drawn; names of the
+        poses and methods that are not on it.
+
+    Raises:
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    shown = _clearest(comparison)
+    used = {k for k, _ in shown.values()}
+    methods = [
+        method
+        for method in comparison.methods
+        if all(run.motion for k, run in enumerate(comparison.of_method(method)) if k in used)
+    ]
+    missing = [pose for pose in POSES if pose not in shown]
+    missing += [method for method in comparison.methods if method not in methods]
+    if not used or not methods:
+        return None, missing
+    rows = [_sheet_row(comparison, methods, pose, *place) for pose, place in shown.items()]
+    footnote = f"Not shown: {', '.join(missing)}." if missing else ""
+    bands = []
+    for first in range(0, len(methods), _BAND):
+        band = slice(first, first + _BAND)
+        figure = contact_sheet(
+            [(method, comparison.robot) for method in methods[band]],
+            [replace(row, q=row.q[band]) for row in rows],
+            side=comparison.robot.spec.side,
+            title=comparison.robot.name,
+            footnote=footnote,
+        )
+        bands.append(_pixels(figure))
+    # One below the other, on white.
+    width = max(band.shape[1] for band in bands)
+    padded = [
+        np.pad(band, ((0, 0), (0, width - band.shape[1]), (0, 0)), constant_values=255)
+        for band in bands
+    ]
+    require_matplotlib().image.imsave(file, np.concatenate(padded))
+    return file, missing
+
+
+def _pixels(figure: Figure) -> np.ndarray:
+    """Return a picture as bytes, shape (height, width, 3)."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3]
+
+
+def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:
+    """Return the take and the sample that show each pose most clearly, of the poses shown."""
+    ranked = [rank_poses(take.recording) for take in comparison.takes]
+    places = {}
+    for pose in POSES:
+        shown = [(found, k) for k, poses in enumerate(ranked) if (found := poses[pose])]
+        if shown:
+            (index, _), k = max(shown, key=lambda place: place[0][1])
+            places[pose] = (k, index)
+    return places
+
+
+def _sheet_row(
+    comparison: Comparison, methods: list[str], pose: str, k: int, index: int
+) -> SheetRow:
+    """Return the row of a pose: sample `index` of take `k`."""
+    take = comparison.takes[k]
+    motions = []
+    for method in methods:
+        motion = comparison.of_method(method)[k].motion
+        assert motion is not None  # Methods that failed are not among these.
+        motions.append(motion.q)
+    (row,) = sheet_rows(take.recording, {pose: index}, motions)
+    name = take.name.replace("_", " ").removesuffix(f" {take.recording.side}")
+    return replace(row, note=f"{name}\n{row.note}")
+
+
+def _draw_panel(panel: Axes, metric: Metric, comparison: Comparison, *, has_names: bool) -> None:
+    """Draw one metric: methods from top to bottom."""
+    methods, own = comparison.methods, set(own_methods())
+    means = [comparison.overall(method)[metric.key] for method in methods]
+    best = metric.best(means)
+    low, high = _range(metric, means)
+    for y, method in enumerate(methods):
+        is_own = base_name(method) in own
+        colour = _OWN if is_own else _OUTSIDE
+        values = [run.values[metric.key] for run in comparison.of_method(method)]
+        panel.plot(
+            np.clip(values, low, high), [y] * len(values), ".", ms=3, color=_SAMPLE, zorder=1
+        )
+        if np.isnan(means[y]):
+            panel.text(low, y, " -", va="center", color=colour)
+            continue
+        is_beyond = not low <= means[y] <= high
+        panel.plot(
+            np.clip(means[y], low, high),
+            y,
+            ">" if is_beyond else "o",
+            ms=5.5,
+            color=colour,
+            mfc=colour if y in best or is_beyond else "white",
+            mew=1.3,
+            zorder=3,
+            clip_on=False,
+        )
+    panel.set_xlim(low, high + 0.02 * (high - low))
+    panel.set_ylim(len(methods) - 0.4, -0.6)
+    panel.set_yticks(range(len(methods)), methods if has_names else [""] * len(methods))
+    panel.grid(axis="y", color="#eceff2", lw=0.7)
+    panel.set_axisbelow(True)
+    panel.tick_params(length=0, labelsize=7)
+    panel.spines[["top", "right", "left"]].set_visible(False)
+    hint = _HINTS.get(metric.better, "best near 0")
+    panel.set_title(metric.label, fontsize=8.5, fontweight="bold", loc="left", pad=9)
+    panel.text(0.0, 1.005, hint, transform=panel.transAxes, fontsize=6.3, color="#6b7280")
+
+
+def _range(metric: Metric, means: list[float]) -> tuple[float, float]:
+    """Return the limits of a panel that shows most methods, without being stretched by one."""
+    finite = np.array([v for v in means if np.isfinite(v)])
+    if not len(finite):
+        return 0.0, 1.0
+    low, high = min(0.0, float(finite.min())), float(finite.max())
+    middle = float(np.median(np.abs(finite)))
+    if metric.better != "high" and middle > 0.0:
+        high = min(high, _WIDEST * middle)
+    if metric.better == "high":
+        high = max(high, 1.0 if finite.max() > 0.5 else high)
+    return low, high * 1.03 if high > low else low + 1.0

@@ -1,0 +1,519 @@
+"""The paper's Sec. IV as figures, numbers and claims: `run_figures`, the command `handmap figures`.
+
+`section_four` is the experiment, `paper_drawings` draws its figures.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Iterable, Sequence
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from handmap_qp.apps.drawing.hands import require_matplotlib
+from handmap_qp.apps.experiments.output_folder import output_folder
+from handmap_qp.apps.experiments.paper_drawings import (
+    draw_first_step,
+    draw_grasps,
+    draw_sensitivity,
+    draw_ways,
+)
+from handmap_qp.apps.experiments.section_four import (
+    UNIT,
+    Setting,
+    Stiffnesses,
+    human_motion,
+    in_hand_step,
+    object_error,
+    object_poses,
+    paper_scene,
+    rms,
+    run_experiment,
+)
+from handmap_qp.apps.experiments.style import STYLE
+from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
+from handmap_qp.apps.grasp.planning import contact_counts, plan_grasps
+from handmap_qp.hands.library import load_hand
+from handmap_qp.mapping.estimation import estimate_motion
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+GAMMAS = tuple(round(0.1 * k, 1) for k in range(1, 11))
+"""The paper's range of gamma."""
+STEPS = (2, 3, 5, 10, 20, 50, 100, 200)
+"""Numbers of steps of the sweep."""
+SYNERGIES = (1, 2, 3)
+MODELS: dict[str, Stiffnesses | None] = {"rigid": None, "quasi-static": UNIT}
+"""Models of the object's motion in the hand, with the stiffnesses of the quasi-static one."""
+PLANS, SEED = 240, 1
+"""Number of grasps planned for each hand, and their seed."""
+_GAMMA_STEPS = 20
+# Largest angle that counts as the paper's "quite comparable" directions [deg].
+_COMPARABLE = 45.0
+
+Row = dict[str, Any]
+
+
+class FigureRecord(NamedTuple):
+    """A figure with its numbers and text.
+
+    Attributes:
+        name: Stem of its file names.
+        title: Heading in the report.
+        figure: The figure.
+        rows: Its numbers; all rows have the same columns, with units in their names.
+        text: Description of the result, as Markdown.
+        facts: Numbers for the table of claims, by name.
+    """
+
+    name: str
+    title: str
+    figure: Figure
+    rows: Sequence[Row]
+    text: str
+    facts: dict[str, Any]
+
+    def save(self, folder: Path) -> None:
+        """Write NAME.png, NAME.svg and NAME.csv."""
+        with require_matplotlib().rc_context(STYLE):
+            self.figure.savefig(folder / f"{self.name}.png")
+            # No date: the same numbers must give the same file.
+            self.figure.savefig(folder / f"{self.name}.svg", metadata={"Date": None})
+        write_csv(folder / f"{self.name}.csv", self.rows)
+
+
+class FiguresResult(NamedTuple):
+    """Result of `run_figures`.
+
+    Attributes:
+        claims: The table "what the paper claims, what we find".
+        numbers: Object-centre errors of the sweeps of Fig. 7 [mm].
+        files: Files written.
+    """
+
+    claims: list[Row]
+    numbers: list[Row]
+    files: tuple[Path, ...]
+
+
+def run_figures(
+    directory: Path | str = Path("figures"),
+    *,
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> FiguresResult:
+    """Repeat the paper's numerical experiment (Sec. IV) and write figures, numbers and a report.
+
+    Writes NAME.png, NAME.svg and NAME.csv for each figure, `claims.csv`, `final_errors.csv` and
+    `report.md`: all of them, or none on failure.
+
+    Args:
+        directory: Folder to write to; created if it does not exist. Files of the same names are
+            replaced.
+        progress: Called with the present task, the number of tasks done and their total.
+
+    Returns:
+        The tables and the files.
+
+    Raises:
+        InvalidInputError: If the folder cannot be written.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    require_matplotlib()
+    directory = Path(directory)
+    made, most = [], {}
+    total = len(REFERENCE_HANDS) + len(FIGURES)
+    with output_folder(directory) as folder:
+        for hand in REFERENCE_HANDS:
+            progress(f"planning grasps of {hand}", len(most), total)
+            most[hand] = most_contacts(hand)
+        for i, (name, make) in enumerate(FIGURES.items(), len(most)):
+            progress(name, i, total)
+            made.append(make())
+            made[-1].save(folder)
+        claims, numbers = claim_rows(made, most), number_rows(made)
+        write_csv(folder / "claims.csv", claims)
+        write_csv(folder / "final_errors.csv", numbers)
+        (folder / "report.md").write_text(_report(made, claims, numbers), encoding="utf-8")
+        files = sorted(path.name for path in folder.iterdir())
+    progress("done", total, total)
+    return FiguresResult(claims, numbers, tuple(directory / name for name in files))
+
+
+def most_contacts(hand: str) -> int:
+    """Return the most frequent number of contacts in planned grasps of the reference cube."""
+    grasp = reference_grasp(hand).grasp
+    if grasp.shape is None:
+        raise TypeError("the reference grasp has no shape")
+    planned = plan_grasps(
+        load_hand(hand), grasp.shape, samples=PLANS, seed=SEED, object_pose=grasp.object_pose
+    )
+    counts = contact_counts(planned)
+    return max(counts, key=lambda number: counts[number])
+
+
+def figure_4_grasps() -> FigureRecord:
+    """Draw both hands on the cube, and the contact points."""
+    scene = paper_scene("ours")
+    rows = [
+        {"hand": hand, "contact": i, "finger": contact.finger, **_xyz(1e3 * point, suffix="_mm")}
+        for hand, grasp in (("human", scene.human), ("robot", scene.robot))
+        for i, (contact, point) in enumerate(zip(grasp.contacts, grasp.points, strict=True), 1)
+    ]
+    human, robot = len(scene.human.contacts), len(scene.robot.contacts)
+    text = (
+        f"The human hand holds the 50 mm cube with {human} contacts and the three-fingered hand "
+        f"with {robot}. These are the reference grasps of the package, computed with the paper's "
+        "toolbox. That toolbox models fingers as lines, so the contacts lie on the bones' axes, "
+        "and our fingers, which have thickness, penetrate the cube."
+    )
+    return FigureRecord(
+        "figure_4_grasps",
+        "Figure 4: both hands on the cube",
+        draw_grasps(scene),
+        rows,
+        text,
+        {"human_contacts": human, "robot_contacts": robot},
+    )
+
+
+def figure_5_object_paths(steps: int = 50) -> FigureRecord:
+    """Draw the paths of the object's centre in both hands: first synergy, gamma = 1."""
+    done = {
+        name: run_experiment(paper_scene(name), Setting(steps=steps))
+        for name in ("ours", "toolbox")
+    }
+    ways = {
+        (geometry, model): [poses[:, :3, 3] for poses in object_poses(run, stiffnesses)]
+        for geometry, run in done.items()
+        for model, stiffnesses in MODELS.items()
+    }
+    rows = [
+        {
+            "geometry": geometry,
+            "object_motion": model,
+            "step": k,
+            **_xyz(1e3 * human[k], "human_", "_mm"),
+            **_xyz(1e3 * robot[k], "robot_", "_mm"),
+            "distance_mm": 1e3 * float(np.linalg.norm(human[k] - robot[k])),
+        }
+        for (geometry, model), (human, robot) in ways.items()
+        for k in range(steps + 1)
+    ]
+    way = 1e3 * float(np.linalg.norm(np.diff(ways["ours", "rigid"][0], axis=0), axis=1).sum())
+    rigid, soft = (
+        1e3 * float(np.linalg.norm(np.subtract(*ways["ours", model])[-1])) for model in MODELS
+    )
+    text = (
+        f"The object's centre travels {way:.0f} mm in the human's hand. At the end the robot's is "
+        f"{rigid:.1f} mm away from it if the object follows the contacts as a rigid body, and "
+        f"{soft:.1f} mm by the quasi-static model at unit stiffness. In that model the object "
+        "hardly moves in the compliant human hand, whereas T_rb still moves the robot's wrist."
+    )
+    # RMS residual of the human's contacts to T over the path at gamma = 1 [mm].
+    paths = [human_motion(paper_scene("ours"), Setting(synergy=s)).points for s in SYNERGIES]
+    misses = [1e3 * rms(estimate_motion(path[0], path[-1]).residual_vectors) for path in paths]
+    return FigureRecord(
+        "figure_5_object_paths",
+        "Figure 5: the object's way",
+        draw_ways(done["ours"], ways),
+        rows,
+        text,
+        {"way": way, "end_rigid": rigid, "end_soft": soft, "misses": misses},
+    )
+
+
+def figure_6_first_step(steps: int = 50) -> FigureRecord:
+    """Draw the object's motion by the synergy alone, and the force changes, in the first step."""
+    scene = paper_scene("ours")
+    found = {
+        model: [
+            in_hand_step(scene, Setting(synergy=s, steps=steps), is_rigid=stiffnesses is None)
+            for s in SYNERGIES
+        ]
+        for model, stiffnesses in MODELS.items()
+    }
+    rows: list[Row] = []
+    for model, synergy in product(MODELS, SYNERGIES):
+        step = found[model][synergy - 1]
+        arrows = [
+            ("object motion", "mm", "human", 0, 1e3 * step.human_motion),
+            ("object motion", "mm", "robot", 0, 1e3 * step.robot_motion),
+        ]
+        # The quasi-static model gives the forces for both models of the motion.
+        if model == "quasi-static":
+            hands = (("human", step.human_forces), ("robot", step.robot_forces))
+            arrows += [
+                ("force change", "N", hand, i, force)
+                for hand, forces in hands
+                for i, force in enumerate(forces, 1)
+            ]
+        rows += [
+            {
+                "quantity": quantity,
+                "unit": unit,
+                "synergy": synergy,
+                "model": model,
+                "hand": hand,
+                "contact": contact,
+                **_xyz(arrow),
+            }
+            for quantity, unit, hand, contact, arrow in arrows
+        ]
+    rigid, soft = ([float(np.degrees(step.angle)) for step in found[model]] for model in MODELS)
+    lengths = [
+        float(np.linalg.norm(step.robot_motion) / np.linalg.norm(step.human_motion))
+        for step in found["quasi-static"]
+    ]
+    text = (
+        "Without the wrist's own motion, the first step of synergies 1 to 3 moves the object's "
+        f"centre in directions that are {listed(rigid, 0)} degrees apart in the two hands if the "
+        f"object follows the contacts as a rigid body, and {listed(soft, 0)} degrees by the "
+        "quasi-static model. The lengths agree less: at unit stiffness the robot's object moves "
+        f"{listed(lengths)} times as far as the human's, because T_rb moves it with the wrist, "
+        "which is not compliant. Force changes are in equilibrium on each hand. With 7 contacts on "
+        "one hand and 3 on the other they cannot be compared one by one, as the paper says."
+    )
+    changes = [
+        forces
+        for step in found["quasi-static"]
+        for forces in (step.human_forces, step.robot_forces)
+    ]
+    balance = max(float(np.abs(one.sum(axis=0)).max() / np.abs(one).max()) for one in changes)
+    return FigureRecord(
+        "figure_6_first_step",
+        "Figure 6: the first step",
+        draw_first_step(scene, found),
+        rows,
+        text,
+        {"angles_rigid": rigid, "angles_soft": soft, "balance": balance},
+    )
+
+
+def figure_7_sensitivity() -> FigureRecord:
+    """Draw the object-centre error by gamma and by number of steps."""
+    cases = [("gamma", s, g, _GAMMA_STEPS) for s in SYNERGIES for g in GAMMAS]
+    cases += [("steps", s, 1.0, n) for s in SYNERGIES for n in STEPS]
+    rows: list[Row] = []
+    for geometry, (sweep, synergy, gamma, steps) in product(("toolbox", "ours"), cases):
+        run = run_experiment(paper_scene(geometry), Setting(synergy, gamma, steps))
+        errors = {f"error_{m}_mm": 1e3 * object_error(run, MODELS[m]) for m in MODELS}
+        case = {"geometry": geometry, "sweep": sweep, "synergy": synergy, "gamma": gamma}
+        rows.append({**case, "steps": steps, **errors, "point_rms_mm": 1e3 * run.point_rms})
+
+    def curves(sweep: str, model: str, least: int = 0) -> list[list[float]]:
+        """Return a curve for every synergy, with the toolbox's geometry."""
+        return [
+            [
+                row[f"error_{model}_mm"]
+                for row in rows
+                if (row["geometry"], row["sweep"], row["synergy"]) == ("toolbox", sweep, synergy)
+                and row["steps"] >= least
+            ]
+            for synergy in SYNERGIES
+        ]
+
+    def variations(model: str, least: int) -> list[float]:
+        """Return the range in percent of the value at most steps, for every synergy."""
+        ranges = curves("steps", model, least)
+        return [100.0 * (max(curve) - min(curve)) / curve[-1] for curve in ranges]
+
+    by_gamma = curves("gamma", "rigid")
+    growth, ends = [v[-1] / v[0] for v in by_gamma], [v[-1] for v in by_gamma]
+    change = variations("rigid", 5)
+    text = (
+        f"From gamma 0.1 to 1 the error grows {listed(growth)}-fold for synergies 1 to 3, to "
+        f"{listed(ends)} mm (the object follows the contacts as a rigid body). From 5 to 200 steps "
+        f"it varies by {listed(change, 0)} % of its value at 200. Solid lines: the robot hand of "
+        "the toolbox's planner, with fingers 50/3 mm farther out. Dashed lines: the correct hand."
+    )
+    facts = {
+        "growth": growth,
+        "ends": ends,
+        "ends_soft": [values[-1] for values in curves("gamma", "quasi-static")],
+        "change": change,
+        "change_from_20": variations("rigid", 20),
+        "change_soft": variations("quasi-static", 5),
+        "point_rms": [
+            1e3 * run_experiment(paper_scene(), Setting(synergy=s, start="first")).point_rms
+            for s in SYNERGIES
+        ],
+    }
+    return FigureRecord(
+        "figure_7_sensitivity",
+        "Figure 7: sensitivity to gamma and to the step",
+        draw_sensitivity(rows),
+        rows,
+        text,
+        facts,
+    )
+
+
+FIGURES: dict[str, Callable[[], FigureRecord]] = {
+    make.__name__: make
+    for make in (
+        figure_4_grasps,
+        figure_5_object_paths,
+        figure_6_first_step,
+        figure_7_sensitivity,
+    )
+}
+"""The paper's figures by the stems of their files."""
+
+
+def claim_rows(made: Sequence[FigureRecord], most: dict[str, int]) -> list[Row]:
+    """Compare the paper's claims with our findings.
+
+    Args:
+        made: All of the paper's figures.
+        most: Most frequent number of contacts in planned grasps, by hand.
+
+    Returns:
+        One row per claim.
+    """
+    facts = {key: value for record in made for key, value in record.facts.items()}
+    growth, ends = facts["growth"], facts["ends"]
+    human, robot = facts["human_contacts"], facts["robot_contacts"]
+    claims: list[tuple[str, str, bool | None]] = [
+        (
+            "the grasp planner gives seven contacts on the human hand and three on the robot's",
+            f"our planner, with fingers of finite thickness, most often gives {most['human']} and "
+            f"{most['three_finger']} on the same cube; the toolbox's reference pair has {human} "
+            f"and {robot}",
+            most == {"human": 7, "three_finger": 3},
+        ),
+        (
+            "the reference points move by a linear transformation (eq. 5)",
+            f"seven contacts miss their T by {listed(facts['misses'])} mm (RMS) over the path, "
+            "synergies 1 to 3 at gamma = 1",
+            None,
+        ),
+        (
+            "the robotic hand is able to follow the human hand's trajectory (Fig. 5)",
+            f"over a path of {facts['way']:.0f} mm the objects' centres end "
+            f"{facts['end_rigid']:.1f} mm apart (rigid), {facts['end_soft']:.1f} mm (quasi-static "
+            "at unit stiffness)",
+            facts["end_soft"] < 0.05 * facts["way"],
+        ),
+        (
+            "the directions of the object's in-hand motion are quite comparable (Fig. 6)",
+            f"{listed(facts['angles_rigid'], 0)} degrees apart for synergies 1 to 3 (rigid), "
+            f"{listed(facts['angles_soft'], 0)} (quasi-static)",
+            max(facts["angles_rigid"] + facts["angles_soft"]) < _COMPARABLE,
+        ),
+        (
+            "contact force variations cannot simply be compared (Fig. 6)",
+            f"{human} contacts against {robot}, at other places; the sums are zero on both hands "
+            f"(within {facts['balance']:.0e} of the largest force)",
+            True,
+        ),
+        (
+            "the trajectory error is sensitive to gamma (Fig. 7, above)",
+            f"it grows {listed(facts['growth'])}-fold from gamma 0.1 to 1, synergies 1 to 3",
+            min(growth) > 2.0,
+        ),
+        (
+            "the sensitivity differs between the synergies (Fig. 7, above)",
+            f"at gamma = 1 {listed(ends)} mm (rigid), {listed(facts['ends_soft'])} mm "
+            "(quasi-static)",
+            max(ends) > 1.2 * min(ends),
+        ),
+        (
+            "the error is much less sensitive to the size of the steps (Fig. 7, below)",
+            f"from 5 to 200 steps it varies by {listed(facts['change'], 0)} % (rigid), from 20 on "
+            f"by {listed(facts['change_from_20'], 0)} %; {listed(facts['change_soft'])} % "
+            "(quasi-static, from 5)",
+            max(facts["change"]) < 100.0 * (min(growth) - 1.0),
+        ),
+        (
+            "the robot's kinematics keep it from reproducing the in-hand motion fully",
+            "with T from the first configuration imposed on it, its contacts end "
+            f"{listed(facts['point_rms'])} mm (RMS) from `T s` at gamma = 1",
+            min(facts["point_rms"]) > 0.5,
+        ),
+    ]
+    verdicts = {None: "assumed", True: "yes", False: "no"}
+    return [
+        {"the paper claims": claim, "we find": finding, "holds": verdicts[holds]}
+        for claim, finding, holds in claims
+    ]
+
+
+def number_rows(made: Sequence[FigureRecord]) -> list[Row]:
+    """Final object-centre errors [mm] by gamma (20 steps) and by number of steps (gamma = 1)."""
+    rows = next(record.rows for record in made if record.name == "figure_7_sensitivity")
+    table: list[Row] = []
+    for geometry, model, synergy in product(("toolbox", "ours"), MODELS, SYNERGIES):
+        errors = {
+            (row["sweep"], row[row["sweep"]]): row[f"error_{model}_mm"]
+            for row in rows
+            if (row["geometry"], row["synergy"]) == (geometry, synergy)
+        }
+        columns = {f"gamma {gamma:g}": errors["gamma", gamma] for gamma in (0.1, 0.5, 1.0)}
+        columns |= {f"{steps} steps": errors["steps", steps] for steps in (5, 50, 200)}
+        case = {"robot hand": geometry, "object motion": model, "synergy": synergy}
+        table.append({**case, **columns})
+    return table
+
+
+def listed(values: Iterable[float], digits: int = 1) -> str:
+    """Format numbers for a sentence: `1.0, 2.0 and 3.0`."""
+    words = [f"{value:.{digits}f}" for value in values]
+    return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
+
+
+def markdown_table(rows: Sequence[Row]) -> str:
+    """Format rows as a Markdown table; numbers have four significant digits."""
+    lines = [
+        [f"{v:.4g}" if isinstance(v, float) else str(v).replace("|", "/") for v in row.values()]
+        for row in rows
+    ]
+    rule = ["---:" if isinstance(value, int | float) else "---" for value in rows[0].values()]
+    return "\n".join("| " + " | ".join(line) + " |" for line in [list(rows[0]), rule, *lines])
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows with the same columns to a CSV file."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow(
+                {key: f"{v:.9g}" if isinstance(v, float) else v for key, v in row.items()}
+            )
+
+
+def _xyz(vector: np.ndarray, prefix: str = "", suffix: str = "") -> Row:
+    return {
+        f"{prefix}{axis}{suffix}": float(value) for axis, value in zip("xyz", vector, strict=True)
+    }
+
+
+def _report(made: Sequence[FigureRecord], claims: list[Row], numbers: list[Row]) -> str:
+    parts = [
+        "# The numerical experiment of Sec. IV",
+        "Salvietti, Malvezzi, Gioioso and Prattichizzo, *On the Use of Homogeneous Transformations "
+        "to Map Human Hand Movements onto Robotic Hands*, ICRA 2014. Both hands hold the same 50 "
+        "mm cube, the human's wrist goes along an arc of 470 mm by 150 mm, and a synergy is "
+        "activated on the way. The paper prints no values for its Figs. 5 to 7, no poses, no "
+        "stiffnesses and no number of steps, so trends can be compared, but not curves. Each "
+        "figure is written as PNG and SVG, and its numbers as CSV.",
+        "Default modelling choices: T is estimated from step to step, in world axes. T_def acts "
+        "about the centroid of the human's contacts, for both hands. The robot's wrist moves by "
+        "T_rb, its fingers by eq. (8) without limits. The object follows the contacts as a rigid "
+        "body (least squares), or by soft synergies at unit stiffness (1 N/mm at the contacts, "
+        "1 N mm/rad at the joints, 1 N mm per unit of a synergy).",
+        "## What the paper claims, what we find",
+        markdown_table(claims),
+        "## Distance between the objects' centres at the end [mm]",
+        "By gamma with 20 steps, and by number of steps with gamma = 1. `toolbox`: the robot hand "
+        "of the toolbox's planner, with fingers 50/3 mm too far out; `ours`: the correct hand, at "
+        "the same contacts.",
+        markdown_table(numbers),
+    ]
+    for record in made:
+        parts += [f"## {record.title}", f"![{record.title}]({record.name}.png)", record.text]
+    return "\n\n".join(parts) + "\n"

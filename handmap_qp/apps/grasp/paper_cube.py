@@ -1,0 +1,93 @@
+"""The two grasps of Sec. IV: the human and the three-fingered hand on the same 50 mm cube.
+
+The numbers come from the toolbox that the paper used (SynGrasp). They lie beside each hand's URDF,
+in `grasp_cube50.json`. The toolbox models fingers as lines, so its contacts lie on the bones' axes:
+with our collision shapes, human links penetrate the cube by up to 8 mm and robot links by up to
+11 mm. Grasps of `handmap_qp.apps.grasp.planning` do not penetrate.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from handmap_qp.apps.grasp.checks import one_of
+from handmap_qp.apps.grasp.contacts import Contact, Grasp
+from handmap_qp.apps.grasp.objects import Box
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.sources import urdf_directory
+from handmap_qp.hands.spec import read_hand_spec
+
+REFERENCE_HANDS = ("human", "three_finger")
+"""Names of the hands that have a reference grasp."""
+
+
+class ReferenceGrasp(NamedTuple):
+    """One of the paper's two grasps, with the published numbers.
+
+    Attributes:
+        grasp: The grasp; the reference points of its hand are the contacts.
+        published_points: Published contacts [m], shape (n_c, 3); equal to `grasp.points`.
+        published_q: Published joint angles [rad], shape (n,). The human's equal `grasp.q`. Those of
+            the three-fingered hand belong to fingers mounted 50/3 mm farther out, an error of the
+            toolbox's planner: they put our contacts 16.7 mm off, and no palm pose brings them
+            nearer than 16.4 mm RMS. `grasp.q`, up to 18 degrees away, reaches the published
+            contacts from the published palm pose.
+        published_quality: Quality measures by name, in millimetres (`length=1e-3` in
+            `grasp_quality`).
+        published_counts: Number of the toolbox's grasps of the cube by number of contacts.
+    """
+
+    grasp: Grasp
+    published_points: np.ndarray
+    published_q: np.ndarray
+    published_quality: dict[str, float]
+    published_counts: dict[int, int]
+
+
+def reference_grasp(hand: str = "human") -> ReferenceGrasp:
+    """Return the reference grasp of a hand.
+
+    Args:
+        hand: `human` or `three_finger`.
+
+    Returns:
+        The grasp. Both hands hold the same cube in the same world.
+
+    Raises:
+        InvalidInputError: If the hand has no reference grasp.
+    """
+    one_of(hand, REFERENCE_HANDS, "hand")
+    figures = read_cube_figures(hand)
+    model = Hand(
+        read_hand_spec(urdf_directory() / hand / "hand.yaml"), points="contacts", mount="floating"
+    )
+    wrist, q = np.array(figures["wrist_pose"]), np.array(figures["q"])
+    rows = figures["contacts"]
+    links = model.link_poses([row["link"] for row in rows], q, wrist)
+    contacts = tuple(
+        Contact(
+            row["link"],
+            tuple(row["xyz"]),
+            tuple(np.array(row["normal"]) @ pose[:3, :3]),
+            row["finger"],
+        )
+        for row, pose in zip(rows, links, strict=True)
+    )
+    shape = Box(tuple(figures["object"]["box"]))
+    return ReferenceGrasp(
+        grasp=Grasp(model, q, np.array(figures["object"]["pose"]), contacts, wrist, shape),
+        published_points=np.array([row["point"] for row in rows]),
+        published_q=np.array(figures.get("published", figures)["q"]),
+        published_quality=figures["quality"],
+        published_counts={
+            int(count): number for count, number in figures["contact_counts"].items()
+        },
+    )
+
+
+def read_cube_figures(hand: str) -> dict[str, Any]:
+    """Read a hand's `grasp_cube50.json`."""
+    return json.loads((urdf_directory() / hand / "grasp_cube50.json").read_text(encoding="utf-8"))

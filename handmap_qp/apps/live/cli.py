@@ -1,0 +1,291 @@
+"""`handmap track`: lead live samples of a human hand to the service or into a file."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import signal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import tyro
+from rich.console import Console
+
+from handmap_qp.apps.arguments import KeyFiles, OpenSession
+from handmap_qp.apps.live.mediapipe_source import MediapipeSource, install_environment
+from handmap_qp.apps.live.source import Recorder, Replay, Sink, Source, run
+from handmap_qp.apps.tables import print_table
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.person import read_person
+from handmap_qp.trackers.formats import read_recording
+from handmap_qp.trackers.injection import parse_faults
+
+_RARE = ("not_in_order", "hand_lost", "flags", "refusals", "last_refusal", "unanswered", "reopened")
+"""Rows of the table that are left out if there is nothing to count."""
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where samples go: to the service, into a file, or both.
+
+    Attributes:
+        to: Address of the service's requests.
+        robot: Robot hand that the service moves; `handmap hands` lists those of the package.
+        record: Recording to write (.npz or .csv).
+        session: Public name of the session.
+        preset: What the mapping is for, as in `handmap map`.
+        person: File of the person's hand, of `handmap calibrate`.
+        keys: For an encrypted service, the files NAME.key_secret and server.key.
+        json: Print the summary as one JSON object instead of a table.
+    """
+
+    to: Annotated[
+        str | None, tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)")
+    ] = None
+    robot: Annotated[str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="")] = None
+    record: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: no file)")
+    ] = None
+    session: Annotated[
+        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: made up)")
+    ] = None
+    preset: Annotated[
+        str | None,
+        tyro.conf.arg(metavar="PRESET", help_behavior_hint="(default: the service decides)"),
+    ] = None
+    person: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="PERSON.yaml", help_behavior_hint="(default: measured in the first samples)"
+        ),
+    ] = None
+    keys: KeyFiles = None
+    json: bool = False
+
+    def check(self) -> None:
+        """Refuse options that contradict each other, before any work.
+
+        Raises:
+            InvalidInputError: With the option at fault.
+        """
+        if self.to is None and self.record is None:
+            raise InvalidInputError(
+                problem="expected --to HOST, --record FILE.npz or both",
+                advice="samples need a place to go",
+            )
+        if self.to is None:
+            for name in ("robot", "session", "preset", "person", "keys"):
+                if getattr(self, name) is not None:
+                    raise InvalidInputError(argument=f"--{name}", problem="needs --to")
+        elif self.robot is None:
+            raise InvalidInputError(
+                argument="--robot",
+                problem="missing",
+                advice="name a hand that `handmap hands` lists",
+            )
+
+    def lead(self, source: Source) -> None:
+        """Lead the samples of a source here until it ends or Ctrl-C, and print a summary.
+
+        Raises:
+            InvalidInputError: If the service cannot be reached, refuses the session or every
+                sample, or the file cannot be written.
+        """
+        summary = _lead(source, self._sinks(source), is_json=self.json)
+        if summary.get("refusals") and not summary["accepted"]:
+            raise InvalidInputError(
+                problem=f"the service refused every sample: {summary['last_refusal']}"
+            )
+
+    def _sinks(self, source: Source) -> list[Sink]:
+        sinks: list[Sink] = []
+        if self.record is not None:
+            sinks.append(Recorder(self.record, "--record"))
+        if self.to is not None and self.robot is not None:
+            from handmap_qp.apps.live.service import ServiceSink
+
+            sinks.append(
+                ServiceSink(
+                    self.to,
+                    self.robot,
+                    source.side,
+                    session=self.session,
+                    preset=self.preset,
+                    person=None if self.person is None else read_person(self.person),
+                    keys=self.keys,
+                )
+            )
+        return sinks
+
+
+@dataclass(frozen=True)
+class TrackReplay:
+    """Play a recording as if it were live, with faults if wanted.
+
+    A fault is NAME@START[+DURATION][:SIZE], in seconds from the first sample, for example
+    dropout@2+0.5 or jump@4+1:0.3; separate several by commas. Names: dropout (hand not seen),
+    silence (no samples), frozen, jump (m), flip (palm and back), mirror (other hand), zero (all at
+    the origin), outlier (one landmark, m), noise (m), clock (s), jitter (s), late (s), duplicate.
+
+    Examples:
+        handmap track replay demo.npz --to 127.0.0.1 --robot allegro_right
+        handmap track replay demo.npz --speed 2 --loop --to 127.0.0.1 --robot hey5
+        handmap track replay demo.npz --faults dropout@2+0.5 --record spoilt.npz
+
+    Attributes:
+        recording: Recording of a human hand, as for `handmap map`.
+        speed: Factor on the speed of time, 0.01 to 100.
+        loop: Start again at the end, until Ctrl-C.
+        faults: Faults to put in.
+        seed: Seed of the faults' random numbers.
+        target: Where the samples go.
+    """
+
+    recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
+    speed: float = 1.0
+    loop: bool = False
+    faults: Annotated[
+        str | None, tyro.conf.arg(metavar="FAULTS", help_behavior_hint="(default: none)")
+    ] = None
+    seed: int = 0
+    target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
+
+    def run(self) -> None:
+        """Replay the recording until its end or Ctrl-C."""
+        self.target.check()
+        source = Replay(
+            read_recording(self.recording),
+            speed=self.speed,
+            loop=self.loop,
+            faults=() if self.faults is None else parse_faults(self.faults),
+            seed=self.seed,
+        )
+        self.target.lead(source)
+
+
+@dataclass(frozen=True)
+class TrackMediapipe:
+    """Track a hand in a camera's picture or a video file with MediaPipe.
+
+    MediaPipe needs an older numpy, so it runs in an environment of its own: make it once by
+    --install (1 GB). A video is played at its own speed, or as fast as possible with --record
+    alone. The hand's distance follows from the camera's field of view.
+
+    Examples:
+        handmap track mediapipe --install
+        handmap track mediapipe --camera 0 --to 127.0.0.1 --robot allegro_right
+        handmap track mediapipe --video hand.mp4 --side left --record hand.npz
+
+    Attributes:
+        camera: Number of the camera.
+        video: Video file in place of a camera.
+        side: The hand to track.
+        mirrored: The pictures are mirrored, as a selfie's are.
+        fov: Horizontal field of view of the camera [deg].
+        install: Make the environment of MediaPipe, and end.
+        target: Where the samples go.
+    """
+
+    camera: int = 0
+    video: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the camera)")
+    ] = None
+    side: Side = "right"
+    mirrored: bool = False
+    fov: float = 65.0
+    install: bool = False
+    target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
+
+    def run(self) -> None:
+        """Track until the video ends or Ctrl-C."""
+        if self.install:
+            print(f"MediaPipe is ready in {install_environment(print)}")
+            return
+        self.target.check()
+        source = MediapipeSource(
+            camera=self.camera,
+            video=self.video,
+            side=self.side,
+            fov=self.fov,
+            is_mirrored=self.mirrored,
+            is_paced=self.target.to is not None,
+        )
+        self.target.lead(source)
+
+
+@dataclass(frozen=True)
+class TrackRecord:
+    """Record the human samples that lead a session of the service.
+
+    Works beside a headset's page, `handmap track` in another terminal, or a program of your own
+    that opens its session with has_detail. Ends with the session or by Ctrl-C.
+
+    Examples:
+        handmap track record session.npz --from 127.0.0.1
+        handmap track record right.npz --from 127.0.0.1 --session webxr-right
+
+    Attributes:
+        out: Recording to write (.npz or .csv); one that exists is replaced at the end.
+        source: Address of the service's requests.
+        session: Public name of the session.
+        keys: For an encrypted service, the files NAME.key_secret and server.key.
+        json: Print the summary as one JSON object instead of a table.
+    """
+
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
+    source: Annotated[
+        str,
+        tyro.conf.arg(name="from", metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
+    ]
+    session: OpenSession = None
+    keys: KeyFiles = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Record until the session ends or Ctrl-C."""
+        from handmap_qp.apps.live.service import ServiceSource
+
+        recorder = Recorder(self.out, "OUT")
+        source = ServiceSource(self.source, session=self.session, keys=self.keys)
+        _lead(source, [recorder], is_json=self.json)
+
+
+def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> dict[str, Any]:
+    """Lead samples to sinks until the source ends or Ctrl-C; print and return a summary."""
+    # The state in one line on stderr, if stderr is a terminal.
+    line = Console(stderr=True).status("waiting for the first sample")
+    with _terminated_like_interrupted(), line:
+        summary = run(source, sinks, line.update)
+    if is_json:
+        print(json.dumps(summary))
+    else:
+        print_table(source.name, _table(summary))
+    return summary
+
+
+@contextlib.contextmanager
+def _terminated_like_interrupted() -> Iterator[None]:
+    """End on SIGTERM as on Ctrl-C, so that files are written and sessions closed."""
+
+    def interrupt(*_: object) -> NoReturn:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _table(summary: dict[str, Any]) -> dict[str, Any]:
+    """Return the rows of a table: labels in words, counts by name in one line."""
+    return {
+        name.replace("_", " "): ", ".join(f"{text}: {count}" for text, count in value.items())
+        if isinstance(value, dict)
+        else value
+        for name, value in summary.items()
+        if value or name not in _RARE
+    }

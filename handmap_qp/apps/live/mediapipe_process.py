@@ -1,0 +1,241 @@
+"""Track a hand in pictures with MediaPipe: a program of its own, in an environment of its own.
+
+MediaPipe 0.10.21, the last version that brings its hand model, needs numpy below 2. So this file
+imports nothing of handmap_qp but, for --to, its client. `handmap track mediapipe` runs
+it and reads its samples, one JSON object a line. On a machine with a camera and without handmap_qp,
+copy this file and the folder client there:
+
+    pip install mediapipe==0.10.21 msgspec pyzmq
+    python mediapipe_process.py --camera 0 --to tcp://192.168.1.5:5570 --robot allegro_right
+
+Landmarks are in metres, in the axes of the camera turned upright: x right in the picture, y up, z
+towards the camera; the origin is the camera. Their shape is MediaPipe's own; their distance from
+the camera follows from the field of view.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import importlib.util
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+# From the camera's axes (x right, y down, z forward) to upright ones (x right, y up, z back).
+_UPRIGHT = np.array([1.0, -1.0, -1.0])
+_OTHER = {"Left": "right", "Right": "left"}
+"""MediaPipe names hands for pictures mirrored as in a selfie; ours are not."""
+_LOST_FRAMES = 30
+"""Pictures in a row that a camera may fail to give."""
+
+
+class TrackedHand(NamedTuple):
+    """What MediaPipe finds of a hand in a picture.
+
+    Attributes:
+        landmarks: In upright camera axes [m], shape (21, 3).
+        confidence: MediaPipe's score of the hand being this one of the two, 0 to 1.
+    """
+
+    landmarks: np.ndarray
+    confidence: float
+
+
+def position_in_camera(
+    shape: np.ndarray, places: np.ndarray, focal_length: float, centre: tuple[float, float]
+) -> np.ndarray:
+    """Return where a hand is, from its shape and its picture.
+
+    Solves the equations of a pinhole camera, `f (X_k + t_x) = u_k (Z_k + t_z)` and the same of y,
+    for t by least squares; they are linear because the axes of the shape are the camera's.
+
+    Args:
+        shape: Landmarks relative to the hand, in camera axes [m], shape (n, 3).
+        places: Their places in the picture [pixel], shape (n, 2).
+        focal_length: Focal length [pixel].
+        centre: Principal point [pixel].
+
+    Returns:
+        The hand's origin in camera axes [m], shape (3,).
+    """
+    u = (places - centre) / focal_length
+    rows = np.zeros((2, len(shape), 3))
+    rows[0, :, 0] = rows[1, :, 1] = 1.0
+    rows[0, :, 2], rows[1, :, 2] = -u[:, 0], -u[:, 1]
+    sides = u.T * shape[:, 2] - shape[:, :2].T
+    return np.linalg.lstsq(rows.reshape(-1, 3), sides.ravel(), rcond=None)[0]
+
+
+class HandTracker:
+    """MediaPipe's hand tracker.
+
+    Args:
+        side: The hand to track, `right` or `left`.
+        fov: The camera's horizontal field of view [deg].
+    """
+
+    def __init__(self, side: str, fov: float) -> None:
+        try:
+            from mediapipe.python.solutions.hands import Hands
+        except ImportError as error:
+            _stop(f"mediapipe cannot be imported: {error}")
+        self._side, self._fov = side, fov
+        self._hands = Hands(max_num_hands=2, model_complexity=1)
+
+    def find(self, pixels: np.ndarray) -> TrackedHand | None:
+        """Return the hand in a picture; None if it is not there."""
+        result = self._hands.process(pixels)
+        found = [
+            TrackedHand(self._place(_rows(world), _rows(image), pixels.shape), min(1.0, kind.score))
+            for named, image, world in zip(
+                result.multi_handedness or (),
+                result.multi_hand_landmarks or (),
+                result.multi_hand_world_landmarks or (),
+                strict=True,
+            )
+            if _OTHER.get((kind := named.classification[0]).label) == self._side
+        ]
+        return max(found, key=lambda hand: hand.confidence, default=None)
+
+    def _place(self, shape: np.ndarray, image: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+        height, width = size[:2]
+        focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._fov))
+        places = image[:, :2] * (width, height)
+        centre = (0.5 * width, 0.5 * height)
+        position = position_in_camera(shape, places, focal_length, centre)
+        return (shape + position) * _UPRIGHT
+
+
+def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]]:
+    """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
+    import cv2
+
+    is_file = arguments.video is not None
+    source = str(arguments.video) if is_file else arguments.camera
+    capture = cv2.VideoCapture(source)
+    if not capture.isOpened():
+        _stop(f"the video {source} cannot be read" if is_file else f"there is no camera {source}")
+    rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
+    start, count = time.monotonic(), 0
+    for picture in _read(capture, 0 if is_file else _LOST_FRAMES):
+        stamp = start + count / rate if is_file else time.monotonic()
+        count += 1
+        if arguments.paced and is_file:
+            time.sleep(max(0.0, stamp - time.monotonic()))
+        yield stamp, cv2.flip(picture, 1) if arguments.mirrored else picture
+    capture.release()
+    if not count:
+        _stop(f"{source} holds no pictures")
+    if not is_file:
+        _stop(f"camera {source} gives no more pictures")
+
+
+def _read(capture: Any, most_lost: int) -> Iterator[np.ndarray]:
+    """Yield pictures as RGB until more than `most_lost` in a row are missing."""
+    import cv2
+
+    lost = 0
+    while lost <= most_lost:
+        is_there, picture = capture.read()
+        lost = 0 if is_there else lost + 1
+        if is_there:
+            yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+
+
+def printed(stamp: float, hand: TrackedHand | None) -> None:
+    """Print a sample as one line of JSON."""
+    sample: dict[str, Any] = {"time": stamp, "valid": hand is not None}
+    if hand is not None:
+        sample |= {"landmarks": hand.landmarks.tolist(), "confidence": hand.confidence}
+    print(json.dumps(sample), flush=True)
+
+
+def sent(
+    arguments: argparse.Namespace, closing: contextlib.ExitStack
+) -> Callable[[float, TrackedHand | None], None]:
+    """Open a session of the service until `closing`; return a function that sends samples to it."""
+    client = _client_module()
+    session = closing.enter_context(client.Client(arguments.to))
+    failures = client.ServiceError, client.ServiceTimeoutError
+    try:
+        session.open(arguments.robot, input="landmarks", side=arguments.side, has_detail=True)
+    except failures as error:
+        _stop(str(error))
+
+    def send(stamp: float, hand: TrackedHand | None) -> None:
+        given = {} if hand is None else hand._asdict()
+        try:
+            session.send(time=stamp, valid=hand is not None, **given)
+        except failures as error:
+            print(f"mediapipe_process: {error}", file=sys.stderr)
+
+    return send
+
+
+def main() -> None:
+    """Track until the video ends or the program is stopped."""
+    arguments = _parse()
+    tracker = HandTracker(arguments.side, arguments.fov)
+    with contextlib.ExitStack() as closing:
+        emit = printed if arguments.to is None else sent(arguments, closing)
+        # Ctrl-C and a reader that has gone end this process without a traceback.
+        with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
+            for stamp, pixels in pictures(arguments):
+                emit(stamp, tracker.find(pixels))
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="Track a hand with MediaPipe.")
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument("--camera", type=int, default=0, help="number of the camera (default: 0)")
+    source.add_argument("--video", type=Path, help="video file in place of a camera")
+    parser.add_argument("--side", choices=("right", "left"), default="right", help="hand to track")
+    parser.add_argument("--fov", type=float, default=65.0, help="horizontal field of view [deg]")
+    parser.add_argument("--mirrored", action="store_true", help="pictures are mirrored (selfie)")
+    parser.add_argument("--paced", action="store_true", help="play a video at its own speed")
+    parser.add_argument("--to", help="service to send to, tcp://HOST:PORT; else print JSON lines")
+    parser.add_argument("--robot", help="robot hand, for --to")
+    arguments = parser.parse_args()
+    if arguments.to is not None and arguments.robot is None:
+        parser.error("--to needs --robot")
+    if not 1.0 <= arguments.fov <= 170.0:
+        parser.error("--fov: expected 1 to 170 degrees")
+    if arguments.to is not None:
+        arguments.paced = True
+    return arguments
+
+
+def _rows(landmarks: Any) -> np.ndarray:
+    return np.array([(point.x, point.y, point.z) for point in landmarks.landmark])
+
+
+def _client_module() -> Any:
+    """Import the folder `client` from beside this file, or from its place in handmap_qp."""
+    here = Path(__file__).resolve()
+    for folder in (here.with_name("client"), here.parents[2] / "client"):
+        file = folder / "__init__.py"
+        if file.is_file():
+            spec = importlib.util.spec_from_file_location("handmap_client", file)
+            if spec is None or spec.loader is None:
+                break
+            module = importlib.util.module_from_spec(spec)
+            sys.modules[spec.name] = module
+            spec.loader.exec_module(module)
+            return module
+    _stop("the folder client of handmap_qp must lie beside this file")
+
+
+def _stop(message: str) -> NoReturn:
+    print(f"mediapipe_process: {message}", file=sys.stderr)
+    raise SystemExit(2)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,300 @@
+"""A session of the mapping service as a sink (`ServiceSink`) or as a source (`ServiceSource`)."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from handmap_qp.apps.addresses import service_address
+from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.person import Person
+from handmap_qp.human.sample import HumanSample
+
+try:
+    import zmq
+
+    from handmap_qp.client import Client, Command, ServiceError, ServiceTimeoutError
+except ModuleNotFoundError as missing:
+    raise MissingExtraError(str(missing.name), "service") from missing
+
+TIMEOUT = 3.0
+"""Longest wait for an answer of the service [s]."""
+_SILENCE = 1.0
+"""Time without a command after which the service counts as silent [s]."""
+_LAST_COMMAND = 0.5
+"""Longest wait at the end for the command of the last sample [s]."""
+_WAIT = 0.25
+"""Time without a command after which the session's state is asked for [s]."""
+
+
+@contextmanager
+def connected(
+    option: str, host: str, keys: tuple[Path, Path] | None, *, refused: str
+) -> Iterator[tuple[Client, str]]:
+    """Connect to the service, and close the connection if the block fails.
+
+    A failure of the service in the block is an error of an option.
+
+    Args:
+        option: The option that names the service.
+        host: `HOST`, `HOST:PORT` or `tcp://HOST:PORT` of the service's requests.
+        keys: Files `NAME.key_secret` and `server.key` of an encrypted service.
+        refused: The option at fault if the service refuses the request.
+
+    Yields:
+        The client, and the address.
+
+    Raises:
+        InvalidInputError: If the service cannot be reached or refuses the request.
+    """
+    address, client = service_address(option, host), None
+    try:
+        client = Client(address, timeout=TIMEOUT, keys=keys)
+        yield client, address
+    except BaseException as error:
+        if client is not None:
+            client.close()
+        if isinstance(error, ServiceTimeoutError):
+            raise InvalidInputError(
+                argument=option,
+                problem=f"no service answers at {address}",
+                advice="start one with handmap serve",
+            ) from error
+        if isinstance(error, ServiceError):
+            problem = f"the service refused the session: {error}"
+            raise InvalidInputError(argument=refused, problem=problem) from error
+        # An error of ours names its option already.
+        is_ours = isinstance(error, HandmapError)
+        if isinstance(error, zmq.ZMQError | OSError | ValueError) and not is_ours:
+            raise InvalidInputError(argument=option, problem=str(error)) from error
+        raise
+
+
+class ServiceSink:
+    """Sends samples to a session of the service, and reads its commands.
+
+    The session is open from construction until the end of the block. Its commands carry every
+    stage of the mapping, so that `handmap view --live` shows them. If the service restarts, the
+    session is opened again.
+
+    Args:
+        host: `HOST`, `HOST:PORT` or `tcp://HOST:PORT` of the service's requests.
+        robot: Name of a robot hand on the service.
+        side: The human hand.
+        session: Public name of the session; the service makes one if omitted.
+        preset: What the mapping is for; the service decides if omitted.
+        person: The measured person; the service measures the first samples if omitted.
+        keys: Files `NAME.key_secret` and `server.key` of an encrypted service.
+
+    Attributes:
+        command: The newest command; None before the first.
+
+    Raises:
+        InvalidInputError: If the service cannot be reached or refuses the session.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        robot: str,
+        side: Side,
+        *,
+        session: str | None = None,
+        preset: str | None = None,
+        person: Person | None = None,
+        keys: tuple[Path, Path] | None = None,
+    ) -> None:
+        measured = {} if person is None else person.session_fields()
+        with connected("--to", host, keys, refused="--to") as (self._client, _):
+            self.session = self._client.open(
+                robot,
+                name=session,
+                input="landmarks",
+                side=side,
+                preset=preset,
+                has_detail=True,
+                **measured,
+            ).name
+        self._robot = robot
+        self._counts = Counter(sent=0, hand_lost=0, commands=0, accepted=0, unanswered=0)
+        self._statuses: Counter[str] = Counter()
+        self._flags: Counter[str] = Counter()
+        self._refusals: Counter[str] = Counter()
+        self._refusal = ""
+        self.command: Command | None = None
+        self._heard = self._sent = time.monotonic()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        end = time.monotonic() + _LAST_COMMAND
+        while self._sent > self._heard and time.monotonic() < end:
+            self._read(timeout=0.05)
+        self._client.close()
+
+    def put(self, sample: HumanSample) -> None:
+        """Send a sample, and read what has been commanded meanwhile.
+
+        A sample in which the hand was not seen is sent as such: the robot holds.
+        """
+        self._counts["hand_lost"] += not sample.valid
+        try:
+            self._client.send(
+                landmarks=sample.landmarks if sample.valid else None,
+                wrist=sample.wrist,
+                time=sample.time,
+                valid=bool(sample.valid),
+                confidence=sample.confidence,
+            )
+            self._counts["sent"] += 1
+            self._sent = time.monotonic()
+        except ServiceError as error:
+            self._note_refusal(error)
+        except (ServiceTimeoutError, zmq.ZMQError):
+            # The service is gone; `status` says so, and the next sample tries again.
+            self._counts["unanswered"] += 1
+        self._read()
+
+    def status(self) -> str:
+        """Return the state of the robot, as the service last said."""
+        silence = time.monotonic() - self._heard
+        if silence > _SILENCE:
+            return f"{self._robot}: no answer for {silence:.0f} s"
+        if self.command is None:
+            return f"{self._robot}: {self._refusal or 'waiting'}"
+        flags = f" ({', '.join(self.command.flags)})" if self.command.flags else ""
+        return f"{self._robot}: {self.command.status}{flags}"
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts of samples, commands, their states and flags, and refusals."""
+        return {
+            "robot": self._robot,
+            "session": self.session,
+            **self._counts,
+            "statuses": dict(self._statuses),
+            "flags": dict(self._flags),
+            "refusals": dict(self._refusals),
+            "last_refusal": self._refusal,
+            "reopened": self._client.reopened,
+        }
+
+    def _read(self, timeout: float = 0.0) -> None:
+        """Read the newest command, if there is one."""
+        try:
+            command = self._client.latest(timeout)
+        except ServiceError as error:
+            self._note_refusal(error)
+            self._heard = time.monotonic()
+            return
+        if command is None:
+            return
+        self._heard, self.command = time.monotonic(), command
+        if "watchdog" not in command.flags:
+            self._counts.update(commands=1, accepted=not command.rule)
+            self._statuses[command.status] += 1
+            self._flags.update(command.flags)
+
+    def _note_refusal(self, error: ServiceError) -> None:
+        """Count a refusal by code and field; keep its text."""
+        code, field = error.error.code, error.error.field.partition("[")[0]
+        self._refusals[f"{code} {field}".strip()] += 1
+        self._refusal = str(error)
+
+
+class ServiceSource:
+    """Watches a session, whichever program or page leads it, and yields its landmarks.
+
+    Samples are those that the service mapped: at a rate above its own, the newest ones. Samples
+    that it measures the hand from, the first 30, are missing. The source ends with the session.
+
+    Args:
+        host: `HOST`, `HOST:PORT` or `tcp://HOST:PORT` of the service's requests.
+        session: Public name of the session; the only open one if omitted.
+        keys: Files `NAME.key_secret` and `server.key` of an encrypted service.
+
+    Attributes:
+        name: Public name of the session.
+        side: The session's human hand.
+        rate: 0: only its client knows.
+
+    Raises:
+        InvalidInputError: If the service cannot be reached, there is no such session, several are
+            open and none was named, or its commands do not carry landmarks.
+    """
+
+    rate: float = 0.0
+
+    def __init__(
+        self,
+        host: str,
+        *,
+        session: str | None = None,
+        keys: tuple[Path, Path] | None = None,
+    ) -> None:
+        with connected("--from", host, keys, refused="--session") as (self._client, address):
+            names = (session,) if session else self._client.status().names
+            if not names:
+                raise InvalidInputError(
+                    argument="--from",
+                    problem=f"no session is open at {address}",
+                    advice="start a client that opens one, such as handmap track replay",
+                )
+            if len(names) > 1:
+                raise InvalidInputError(
+                    argument="--session",
+                    problem=f"several sessions are open: {', '.join(names)}",
+                    advice="name one with --session",
+                )
+            self.name: str = names[0]
+            about: dict[str, Any] = self._client.watch(self.name).about or {}
+            if about["input"] != "landmarks":
+                raise InvalidInputError(
+                    argument="--session",
+                    expected="a session led by landmarks",
+                    got=f"one led by {about['input']}",
+                    value=self.name,
+                )
+            if not about["has_detail"]:
+                raise InvalidInputError(
+                    argument="--session",
+                    problem=f"commands of {self.name} do not carry landmarks",
+                    value=self.name,
+                    advice="its client must open it with has_detail",
+                )
+            self.side: Side = about["side"]
+
+    def __iter__(self) -> Iterator[HumanSample]:
+        """Yield the landmarks of each command that answers a mapped sample."""
+        with self._client as client:
+            heard = time.monotonic()
+            while True:
+                try:
+                    command = client.latest(_WAIT)
+                except ServiceError:
+                    # The service refused a sample of the session's client.
+                    continue
+                if command is not None:
+                    heard = time.monotonic()
+                    landmarks = (command.detail or {}).get("landmarks")
+                    if landmarks is not None:
+                        yield HumanSample(command.time, self.side, np.array(landmarks))
+                elif time.monotonic() - heard > _WAIT and not self._is_open():
+                    return
+
+    def _is_open(self) -> bool:
+        """Return whether the session is open; a service that restarts may open it again."""
+        try:
+            self._client.status()
+        except ServiceTimeoutError:
+            return True
+        except ServiceError:
+            return False
+        return True

@@ -1,0 +1,233 @@
+"""The commands `handmap map` and `handmap calibrate`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from handmap_qp.apps.arguments import InputArguments, MappingArguments, PersonFile, fit_side
+from handmap_qp.apps.tables import print_table, progress
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import check_output, make_folder
+
+if TYPE_CHECKING:
+    from handmap_qp.hands.hand import Hand
+    from handmap_qp.human.recording import Recording
+
+SIDES = ("left", "right")
+
+
+@dataclass(frozen=True)
+class Map:
+    """Map a recording of a human hand to a robot hand.
+
+    Measures the human hand, maps the landmarks of every sample, and prints a summary of errors
+    [mm], times [us] and limits. Writes an .npz file with time [s], joint_names, q [rad or m], wrist
+    (poses), targets and points [m], point_error [m], valid, versions and more.
+
+    Both hands are in one file or in two; --robots names a left and a right robot hand. `handmap
+    convert --help` lists the forms of files.
+
+    Examples:
+        handmap map demo --robot allegro_right
+        handmap map recording.npz --robot my_hand.yaml --preset object --json
+        handmap map recording.npz --robot allegro_right --person anna.yaml
+        handmap map left.npz right.npz --robots allegro_left allegro_right
+        handmap map glove.csv --layout manus --side right --robot allegro_right
+
+    Attributes:
+        recordings: Recording of a human hand, or one of each hand: files as of `handmap convert`.
+            `FILE::NAME` is one recording of several in a file; `demo` comes with the package.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
+        robots: A left and a right robot hand, for recordings of both human hands.
+        out: File to write; with --robots the folder.
+        mirror: Map the mirror image of a recording of the other hand.
+        person: File of the person's hand, of `handmap calibrate`.
+        json: Print the summary as one JSON object instead of a table; with --robots a list.
+        inputs: How the recordings are to be read.
+        arguments: Reference points and options.
+    """
+
+    recordings: tyro.conf.Positional[
+        Annotated[
+            tuple[Path, ...],
+            tyro.conf.arg(metavar="RECORDING [RECORDING]", help_behavior_hint="(required)"),
+        ]
+    ]
+    robot: Annotated[
+        str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="(or give --robots)")
+    ] = None
+    robots: Annotated[
+        tuple[str, str] | None,
+        tyro.conf.arg(metavar="LEFT RIGHT", help_behavior_hint="(or give --robot)"),
+    ] = None
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: RECORDING_ROBOT.npz)"),
+    ] = None
+    mirror: bool = False
+    person: PersonFile = None
+    json: bool = False
+    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
+        default_factory=InputArguments
+    )
+    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
+        default_factory=MappingArguments
+    )
+
+    def run(self) -> None:
+        """Read, measure and map each hand, write the trajectories, and print summaries."""
+        from handmap_qp.apps.offline.summary import notes, table_rows
+
+        pairs = self._pairs()
+        files = [self._out(recording, robot) for recording, robot in pairs]
+        summaries = [
+            self._map(recording, robot, file)
+            for (recording, robot), file in zip(pairs, files, strict=True)
+        ]
+        if self.json:
+            print(json.dumps(summaries if self.robots else summaries[0], allow_nan=False))
+            return
+        for summary in summaries:
+            title = f"{summary['recording']} to {summary['robot']}"
+            print_table(title, table_rows(summary))
+            for note in notes(summary):
+                print(note)
+            print(f"wrote {summary['out']}")
+
+    def _pairs(self) -> list[tuple[Recording, Hand]]:
+        """Read each recording with its robot."""
+        if (self.robot is None) == (self.robots is None):
+            raise InvalidInputError(
+                argument="--robot",
+                problem="expected either --robot HAND or --robots LEFT RIGHT",
+                advice="name hands of `handmap hands list`",
+            )
+        if self.robot is not None:
+            if len(self.recordings) != 1:
+                raise InvalidInputError(
+                    argument="RECORDING",
+                    expected="one recording with --robot",
+                    got=f"{len(self.recordings)}",
+                    advice="give --robots LEFT RIGHT for both hands",
+                )
+            robot = self.arguments.load_robot(self.robot)
+            recording = self.inputs.read(self.recordings[0], robot.spec.side, self.person)
+            return [(fit_side(recording, robot, mirror=self.mirror), robot)]
+        if self.mirror:
+            raise InvalidInputError(argument="--mirror", problem="has no effect with --robots")
+        robots = [self.arguments.load_robot(name) for name in self.robots or ()]
+        for robot, side in zip(robots, SIDES, strict=True):
+            if robot.spec.side != side:
+                got = f"{robot.name}, a {robot.spec.side} one"
+                raise InvalidInputError(
+                    argument="--robots", expected="a left hand, then a right hand", got=got
+                )
+        hands = self.inputs.read_both(self.recordings, self.person)
+        return [(hands[robot.spec.side], robot) for robot in robots]
+
+    def _out(self, recording: Recording, robot: Hand) -> Path:
+        """Check the file to write, before any work is done."""
+        name = Path(f"{recording.name}_{robot.name}.npz")
+        if self.robots is None or self.out is None:
+            return check_output("--out", self.out or name, (".npz",))
+        make_folder(self.out, "--out")
+        return check_output("--out", self.out / name, (".npz",))
+
+    def _map(self, recording: Recording, robot: Hand, out: Path) -> dict[str, Any]:
+        """Map one hand, write its trajectory, and return the summary."""
+        from handmap_qp.apps.offline.summary import summarise
+        from handmap_qp.apps.offline.trajectory import map_recording, save_npz
+        from handmap_qp.human.landmarks import scaled_human
+        from handmap_qp.human.person import read_person
+        from handmap_qp.mapping.mapper import HandMapper
+        from handmap_qp.stream.measurement import measure_person
+
+        person = measure_person(recording) if self.person is None else read_person(self.person)
+        human = scaled_human(recording, points=self.arguments.human_points, lengths=person.lengths)
+        preset = self.arguments.preset_for(human, robot, person.contact_gap)
+        mapper = HandMapper(human, robot, preset.method, ik=preset.ik)
+        with progress(f"mapping to {robot.name}", len(recording)) as advance:
+            trajectory = map_recording(
+                mapper, recording, advance, smoothing=self.arguments.smoothing
+            )
+        save_npz(out, trajectory.columns)
+        return {"recording": recording.name, **summarise(trajectory), "out": str(out)}
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Measure a person's hand in recordings, and keep it in a file.
+
+    Measures bone lengths and palm, and the contact gap: the distance that the tracker gives between
+    thumb and finger landmarks where the skin touches. Touch every finger with the thumb in the
+    recording, and open the hand. Samples that make no sense (jumps, outliers and the like) do not
+    count. The file is taken by --person of `handmap map`, `view`, `compare` and `track` instead of
+    measuring every recording again.
+
+    Examples:
+        handmap calibrate recording.npz --out anna.yaml
+        handmap calibrate left.npz right.npz --out anna.yaml
+        handmap map another.npz --robot allegro_right --person anna.yaml
+
+    Attributes:
+        recordings: Recordings of the person's hands, as for `handmap map`; all count together.
+        out: File to write.
+        overwrite: Replace the file if it exists.
+        json: Print one JSON object instead of a table.
+        inputs: How the recording is to be read.
+    """
+
+    recordings: tyro.conf.Positional[
+        Annotated[
+            tuple[Path, ...],
+            tyro.conf.arg(metavar="RECORDING...", help_behavior_hint="(required)"),
+        ]
+    ]
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("person.yaml")
+    overwrite: bool = False
+    json: bool = False
+    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
+        default_factory=InputArguments
+    )
+
+    def run(self) -> None:
+        """Measure the person, write the file, and print the measures."""
+        from handmap_qp.human.person import write_person
+        from handmap_qp.stream.measurement import measure_person
+
+        out = check_output("--out", self.out, (".yaml", ".yml"))
+        if out.exists() and not self.overwrite:
+            raise InvalidInputError(
+                argument="--out",
+                problem=f"{out} exists already",
+                value=str(out),
+                advice="give --overwrite to replace it",
+            )
+        if not self.recordings:
+            raise InvalidInputError(argument="RECORDING", expected="at least one file", got="none")
+        recordings = [self.inputs.read(file) for file in self.recordings]
+        person = measure_person(*recordings)
+        write_person(person, out)
+        samples = sum(int(recording.valid.sum()) for recording in recordings)
+        if self.json:
+            measures = {
+                "name": person.name,
+                "samples": samples,
+                "hand_length_m": person.hand_length,
+                "contact_gap_m": person.contact_gap,
+                "out": str(out),
+            }
+            print(json.dumps(measures))
+            return
+        rows = {
+            "samples": samples,
+            "hand length, wrist to middle tip": f"{1e3 * person.hand_length:.0f} mm",
+            "contact gap": f"{1e3 * person.contact_gap:.1f} mm",
+        }
+        print_table(person.name, rows)
+        print(f"wrote {out}")

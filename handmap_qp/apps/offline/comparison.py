@@ -1,0 +1,451 @@
+"""Methods side by side on recordings: `compare_methods` measures each on the same samples.
+
+Methods are the package's own by name (`own_method`), and those of programs outside it. An outside
+program is a file `compare.py` in a folder of its own. It is run with this interpreter:
+
+- `compare.py list HAND` prints JSON, `[{"name": ..., "about": ...}, ...]`: its methods for a hand;
+- `compare.py run METHOD HAND IN.npz OUT.npz` maps a recording.
+
+HAND is the name of a hand of this package or the path of its `hand.yaml`. IN is a recording. OUT
+holds `q (T, n)` [rad] in the order of the hand's `joint_names`, `step_time (T,)` [s], and `wrist
+(T, 4, 4)` if the method moves the wrist. On failure, it exits with another code than 0, and the
+last line on stderr says why.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from handmap_qp.apps.offline.fidelity import SETTLING, Fidelity, assess_fidelity, sample_workspace
+from handmap_qp.apps.offline.hand_trace import HandTrace, trace_human, trace_robot
+from handmap_qp.apps.offline.look_ahead import LookAhead, look_ahead, map_both_ways, smooth_poses
+from handmap_qp.apps.offline.metrics import mean_values
+from handmap_qp.apps.offline.surface_gaps import measure_gaps
+from handmap_qp.apps.offline.trajectory import follow_recording
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands.fingers import Finger, find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.fit import fit_recording
+from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.person import Person
+from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.presets import PRESETS, preset_choice
+from handmap_qp.se3 import as_floats, inverse_pose
+from handmap_qp.stream.measurement import measure_person
+from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
+from handmap_qp.trackers.formats.archive import read_archive
+
+PROGRAM = "compare.py"
+"""File that a folder of outside methods must hold."""
+SMOOTH = "+smooth"
+"""Ending of a name that asks for smoothed samples and motion, as `--smooth` of `handmap map`."""
+LOOK_AHEAD = "+look-ahead"
+"""Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
+# fixed_wrist is for hands that cannot follow a palm.
+_LEFT_OUT = ("fixed_wrist",)
+
+
+class OutsideError(HandmapError):
+    """An outside program cannot be run or failed; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Take:
+    """One recording of a human hand, on the robot's side.
+
+    Attributes:
+        recording: The recording; mirrored if the robot is a hand of the other side.
+        is_mirrored: Whether it is.
+        has_wrist: Whether the palm is the tracker's; otherwise it is fitted to its landmarks.
+        human: The human hand, scaled to the person.
+        trace: What the human did, by the raw landmarks. Samples that are not valid hold the one
+            before.
+        wrist: Pose of the human model's wrist frame in the world, shape (T, 4, 4).
+        q: The human's joint angles, fitted for the jerk alone [rad], shape (T, 20).
+        contact_gap: Distance of thumb and finger landmarks where the skin touches [m].
+    """
+
+    recording: Recording
+    is_mirrored: bool
+    has_wrist: bool
+    human: Hand
+    trace: HandTrace
+    wrist: np.ndarray
+    q: np.ndarray
+    contact_gap: float
+
+    @property
+    def name(self) -> str:
+        """Name of the recording."""
+        return self.recording.name
+
+
+class RobotMotion(NamedTuple):
+    """What a method makes of a take.
+
+    Attributes:
+        q: Joint positions in the order of `robot.joint_names` [rad or m], shape (T, n).
+        wrist: Poses of the robot's wrist frame in the human's world, shape (T, 4, 4). None if the
+            method does not move the wrist: the robot's palm then lies on the human's.
+        step_time: CPU time of each sample [s], NaN where the robot was held, shape (T,).
+        about: Version and settings, in words.
+    """
+
+    q: np.ndarray
+    wrist: np.ndarray | None
+    step_time: np.ndarray
+    about: str = ""
+
+    def wrist_in(self, take: Take, robot: Hand) -> np.ndarray:
+        """Return the wrist's poses; if it is not moved, those that put the palm on the human's."""
+        if self.wrist is not None:
+            return self.wrist
+        return take.trace.palm @ np.linalg.inv(robot.wrist_to_palm)
+
+
+class ComparedMethod(NamedTuple):
+    """A way from a human's landmarks to a robot's motion.
+
+    Attributes:
+        name: Short name.
+        map_take: Maps a take; raises `HandmapError` if the method cannot.
+    """
+
+    name: str
+    map_take: Callable[[Take, Hand], RobotMotion]
+
+
+class Run(NamedTuple):
+    """One method on one take.
+
+    Attributes:
+        method: Name of the method.
+        take: The take.
+        fidelity: What was measured; every metric is NaN if the method failed.
+        motion: What the method made of the take; None if it failed.
+        problem: Why it failed; empty if it did not.
+    """
+
+    method: str
+    take: Take
+    fidelity: Fidelity
+    motion: RobotMotion | None = None
+    problem: str = ""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every metric by its key; NaN where a question does not arise or the method failed."""
+        return self.fidelity.values
+
+
+class Comparison(NamedTuple):
+    """Methods side by side.
+
+    Attributes:
+        robot: The robot hand.
+        takes: The recordings, in the order given.
+        methods: Names of the methods, in the order given.
+        runs: Every method on every take, takes first.
+    """
+
+    robot: Hand
+    takes: tuple[Take, ...]
+    methods: tuple[str, ...]
+    runs: tuple[Run, ...]
+
+    def of_method(self, method: str) -> list[Run]:
+        """Return the runs of a method, a take each."""
+        return [run for run in self.runs if run.method == method]
+
+    def overall(self, method: str) -> dict[str, float]:
+        """Return each metric's mean over the takes in which it is not NaN."""
+        return mean_values([run.values for run in self.of_method(method)])
+
+    def notes(self) -> list[str]:
+        """Return a line for everything that a method did not do."""
+        lines, still = [], []
+        for method in self.methods:
+            runs = self.of_method(method)
+            failed = {run.take.name: run.problem for run in runs if run.problem}
+            if len(failed) == len(runs) and len(set(failed.values())) == 1:
+                lines.append(f"{method}: {runs[0].problem}")
+            else:
+                lines += [f"{method} on {take}: {problem}" for take, problem in failed.items()]
+            if any(run.motion is not None and run.motion.wrist is None for run in runs):
+                still.append(method)
+        if still:
+            lines.append(
+                f"{', '.join(still)}: the wrist is not moved; the robot's palm is put on the "
+                "human's, and the palm's error is not measured"
+            )
+        return lines
+
+
+def prepare_take(
+    recording: Recording, side: Side = "right", *, person: Person | None = None
+) -> Take:
+    """Describe what the human did in a recording.
+
+    Args:
+        recording: Landmarks of a hand, and the tracker's wrist poses if it gave any.
+        side: Side of the robot; a recording of the other hand is mirrored.
+        person: The person; measured in the recording if omitted.
+
+    Returns:
+        The take.
+
+    Raises:
+        InvalidInputError: If the landmarks are not those of a hand in metres, or no sample is valid
+            after the first half second.
+    """
+    if not (recording.valid & (recording.time >= recording.time[0] + SETTLING)).any():
+        raise InvalidInputError(
+            argument=recording.name,
+            expected="valid samples after the first half second",
+            got="none",
+        )
+    is_mirrored = recording.side != side
+    if is_mirrored:
+        recording = mirrored(recording)
+    held, poses = held_samples(recording.valid), recording.wrist
+    person = person or measure_person(recording)
+    lengths = person.lengths
+    human = load_hand(human_name(side), lengths=lengths)
+    wrist = None if poses is None else poses[held]
+    trace = trace_human(recording.landmarks[held], lengths, side, wrist)
+    return Take(
+        recording=recording,
+        is_mirrored=is_mirrored,
+        has_wrist=poses is not None,
+        human=human,
+        trace=trace,
+        wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
+        q=fit_recording(recording, lengths=lengths).q,
+        contact_gap=person.contact_gap,
+    )
+
+
+def held_samples(valid: np.ndarray) -> np.ndarray:
+    """Return for every sample the index of the last valid one, at the start of the first, (T,)."""
+    index = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
+    return np.where(index < 0, int(np.argmax(valid)), index)
+
+
+def compare_methods(
+    takes: Sequence[Take],
+    robot: Hand,
+    methods: Sequence[ComparedMethod],
+    progress: Callable[[str, int, int], None] = lambda *_: None,
+) -> Comparison:
+    """Run every method on every take, and measure what the robot does.
+
+    A method that cannot map a take gets a run without values, which says why.
+
+    Args:
+        takes: What the human did.
+        robot: The robot hand.
+        methods: The methods.
+        progress: Called before each run, and after the last, with the name of the run, the number
+            of runs done and their total number.
+
+    Returns:
+        All runs.
+
+    Raises:
+        InvalidInputError: If there is nothing to compare, two takes or methods have one name, a
+            take is of another side than the robot, or the robot has no finger with a human name.
+    """
+    check_names("takes", [take.name for take in takes])
+    check_names("methods", [method.name for method in methods])
+    for take in takes:
+        if take.recording.side != robot.spec.side:
+            raise InvalidInputError(
+                argument="takes",
+                expected=f"a {robot.spec.side} hand, as {robot.name} is",
+                got=f"{take.name} ({take.recording.side})",
+                advice="prepare_take mirrors it",
+            )
+    chains = find_fingers(robot)
+    if not chains:
+        raise InvalidInputError(
+            argument="robot",
+            problem=f"{robot.name} has no finger with a human name, so nothing can be compared",
+            advice="name the fingers of its points in hand.yaml",
+        )
+    workspace = sample_workspace(robot, chains)
+    runs, total = [], len(takes) * len(methods)
+    for take in takes:
+        for method in methods:
+            progress(f"{method.name} on {take.name}", len(runs), total)
+            runs.append(_run(method, take, robot, chains, workspace))
+    progress("measured", total, total)
+    return Comparison(robot, tuple(takes), tuple(method.name for method in methods), tuple(runs))
+
+
+def check_names(argument: str, names: Sequence[str], expected: str = "different names") -> None:
+    """Reject an empty list and a name that occurs twice."""
+    if not names:
+        raise InvalidInputError(argument=argument, expected="at least one", got="none")
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InvalidInputError(argument=argument, expected=expected, got=f"{twice} twice")
+
+
+def own_methods() -> tuple[str, ...]:
+    """Return the names of the package's own methods, without `+smooth`."""
+    return tuple(name for name in PRESETS if name not in _LEFT_OUT)
+
+
+def own_method(name: str) -> ComparedMethod:
+    """Return a method of the package.
+
+    Args:
+        name: Name of a preset; with `+smooth` for smoothed samples, with `+look-ahead` for
+            smoothing with the future too.
+
+    Raises:
+        InvalidInputError: If there is no such method.
+    """
+    if base_name(name) not in own_methods():
+        raise InvalidInputError(
+            argument="--methods", expected=f"some of {', '.join(own_methods())}", value=name
+        )
+    return ComparedMethod(name, partial(_map_own, name))
+
+
+def base_name(name: str) -> str:
+    """Return the name of a method without its ending."""
+    return name.removesuffix(SMOOTH).removesuffix(LOOK_AHEAD)
+
+
+class _Listed(msgspec.Struct):
+    name: str
+    about: str = ""
+
+
+def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
+    """Ask an outside program for its methods.
+
+    Args:
+        folder: The folder of its `compare.py`.
+        hand: The robot hand, by name or path.
+
+    Returns:
+        Its methods for this hand.
+
+    Raises:
+        OutsideError: If there is no such program, or it cannot run.
+    """
+    if not (folder / PROGRAM).is_file():
+        raise OutsideError(f"no {PROGRAM} in {folder}: --peers needs a checkout with benchmarks/")
+    answer = _call(folder, "list", hand)
+    try:
+        listed = msgspec.json.decode(answer, type=list[_Listed])
+    except msgspec.DecodeError as error:
+        raise OutsideError(
+            f"{folder / PROGRAM}: expected a JSON list of methods: {error}"
+        ) from error
+    return [ComparedMethod(one.name, partial(_map_outside, folder, one, hand)) for one in listed]
+
+
+def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
+    """Map the landmarks of a take, with the palm that it is measured against."""
+    _, method, ik = preset_choice(base_name(name), take.contact_gap)
+    recording = take.recording
+    if name.endswith(LOOK_AHEAD):
+        options = LookAhead()
+        wrist = smooth_poses(recording.time, take.wrist, recording.valid, options)
+        smooth = look_ahead(recording, options)
+        trajectory = map_both_ways(take.human, robot, method, ik, smooth, wrist_poses=wrist)
+    else:
+        smoothing = Smoothing() if name.endswith(SMOOTH) else None
+        ik = ik.replaced(**SMOOTH_IK) if smoothing else ik
+        mapper = HandMapper(take.human, robot, method, ik=ik)
+        # Mappings are compared, not how faults of the tracker are met: peers meet none.
+        trajectory = follow_recording(
+            mapper, recording, wrist_poses=take.wrist, smoothing=smoothing
+        )
+    return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
+
+
+def _map_outside(folder: Path, listed: _Listed, hand: str, take: Take, robot: Hand) -> RobotMotion:
+    """Run an outside program on a take."""
+    recording, count = take.recording, len(take.recording)
+    with tempfile.TemporaryDirectory(prefix="handmap-") as temporary:
+        given, made = Path(temporary) / f"{take.name}.npz", Path(temporary) / "made.npz"
+        np.savez(
+            given,
+            time=recording.time,
+            landmarks=recording.landmarks,
+            valid=recording.valid,
+            handedness=np.array(recording.side),
+        )
+        _call(folder, "run", listed.name, hand, str(given), str(made))
+        try:
+            values = read_archive(made)
+            shapes = {"q": (count, len(robot.joint_names)), "step_time": (count,)}
+            if "wrist" in values:
+                shapes["wrist"] = (count, 4, 4)
+            q, step_time, *wrist = (
+                as_floats(values[name], name, shape=shape, is_finite=name != "step_time")
+                for name, shape in shapes.items()
+            )
+        except (KeyError, ValueError) as error:
+            raise OutsideError(f"{folder / PROGRAM}: {listed.name}: bad result: {error}") from error
+    return RobotMotion(q, wrist[0] if wrist else None, step_time, listed.about)
+
+
+def _call(folder: Path, *words: str) -> str:
+    """Run the program and return its stdout."""
+    command = [sys.executable, str(folder / PROGRAM), *words]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    except OSError as error:
+        raise OutsideError(f"{folder / PROGRAM}: {error}") from error
+    if done.returncode:
+        lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        raise OutsideError(lines[-1])
+    return done.stdout
+
+
+def _run(
+    method: ComparedMethod,
+    take: Take,
+    robot: Hand,
+    chains: dict[str, Finger],
+    workspace: dict[str, np.ndarray],
+) -> Run:
+    try:
+        motion = method.map_take(take, robot)
+    except HandmapError as error:
+        unknown = Fidelity(mean_values([]), {}, 0)
+        return Run(method.name, take, unknown, problem=" ".join(str(error).split()))
+    wrist = motion.wrist_in(take, robot) if robot.is_floating else None
+    fidelity = assess_fidelity(
+        take.trace,
+        trace_robot(robot, motion.q, wrist, chains),
+        take.recording.time,
+        valid=take.recording.valid,
+        gaps=measure_gaps(robot, motion.q, chains),
+        hand=robot,
+        q=motion.q,
+        human_q=take.q,
+        workspace=workspace,
+        step_time=motion.step_time,
+    )
+    if motion.wrist is None:
+        fidelity.values.update(palm_deg=float("nan"), palm_mm=float("nan"))
+    return Run(method.name, take, fidelity, motion)

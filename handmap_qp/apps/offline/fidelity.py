@@ -1,0 +1,461 @@
+"""How well a robot does what the hand meant: one number a question (`METRICS`), for any mapping.
+
+Everything is measured against the tracker's raw landmarks, never against a fit of our own. Samples
+in the first half second do not count, nor those in which the hand was not seen. The first sample
+that counts is the reference of all metrics that need one.
+
+The eight metrics of mimic_retargeter_lab are computed on the same traces. Their definitions are
+those of https://github.com/mimicrobotics/mimic_retargeter_lab (`dexworld/metrics`): the human's
+landmarks are laid on the robot's by a similarity (Umeyama 1991) in every sample; key vectors and
+displacements are then compared.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+from scipy.stats import rankdata
+
+from handmap_qp.apps.offline.hand_trace import KNUCKLE, MIDDLE, TIP, HandTrace, trace_robot
+from handmap_qp.apps.offline.metrics import METRICS
+from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
+from handmap_qp.apps.offline.trajectory import rms_derivative
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.fingers import THUMB, Finger
+from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.decomposition import polar
+from handmap_qp.mapping.estimation import MotionEstimator
+
+SETTLING = 0.5
+"""Time at the start that does not count [s]."""
+PINCH = 0.015
+"""A thumb and a finger of the human pinch below this distance of their tips [m]."""
+OPEN = 0.030
+"""They do not pinch above this distance [m]."""
+CLOSED = 0.003
+"""A robot's pinch is closed below this gap of its surfaces [m]."""
+TOUCHING = 0.001
+"""Surfaces touch below this gap, and penetrate each other beyond this depth [m]."""
+NEAR = 0.080
+"""Tip distances below this are compared by their order [m]."""
+OBJECT_RIDGE = 0.1
+"""Ridge of the T that describes the motion of a held object."""
+WORKSPACE_RADIUS = 0.005
+"""A reachable point was used if the fingertip came this near [m]."""
+
+_LIMIT_TOLERANCE = 1e-6  # A joint is outside its limits beyond this [rad or m].
+_STILL = 1e-6  # A coordinate of a fingertip that moves less stands still [m].
+_MOST_LAG = 0.3  # Lags are looked for up to here [s].
+_LEAST = 1e-8
+_NAN = float("nan")
+
+
+class Fidelity(NamedTuple):
+    """What `assess_fidelity` finds. NaN where the question does not arise.
+
+    Attributes:
+        values: Every metric of `METRICS` by its key.
+        fingers: By finger that both hands have, its `extension_correlation` (0 if either finger
+            stands still), `extension_rms` and `extension_range` (the human's, from the 2nd to the
+            98th percentile) [reach], `direction_deg` (knuckle to tip), `wrist_direction_deg`,
+            `tip_error_mm` and `tip_error_knuckles_mm`.
+        pinch_samples: Samples of thumb-finger pairs in which the human pinches.
+    """
+
+    values: dict[str, float]
+    fingers: dict[str, dict[str, float]]
+    pinch_samples: int
+
+
+def assess_fidelity(
+    human: HandTrace,
+    robot: HandTrace,
+    time: np.ndarray,
+    *,
+    valid: np.ndarray | None = None,
+    gaps: SurfaceGaps | None = None,
+    hand: Hand | None = None,
+    q: np.ndarray | None = None,
+    human_q: np.ndarray | None = None,
+    workspace: dict[str, np.ndarray] | None = None,
+    step_time: np.ndarray | None = None,
+) -> Fidelity:
+    """Measure how well a robot's motion does what a human's meant.
+
+    Args:
+        human: The human's motion (`trace_human`).
+        robot: The robot's, of the same samples (`trace_robot`).
+        time: Instants, increasing [s], shape (T,).
+        valid: Samples in which the hand was seen, shape (T,); all if omitted.
+        gaps: The robot's surface gaps (`measure_gaps`), for pinches and self-penetration.
+        hand: The robot hand, for the limits of its joints.
+        q: Its joint angles [rad or m], shape (T, n).
+        human_q: The fitted human's joint angles [rad], shape (T, m), for the jerk ratio only.
+        workspace: Points that each fingertip can reach (`sample_workspace`).
+        step_time: Time that the mapping took for every sample [s], shape (T,).
+
+    Returns:
+        The metrics.
+
+    Raises:
+        InvalidInputError: If the numbers of samples differ, no sample counts, or the hands have no
+            finger in common.
+    """
+    seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid, dtype=bool)
+    shared = [name for name in human.names if name in robot.names]
+    sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
+    _check(sizes, len(time), shared)
+    counts = seen & (time >= time[0] + SETTLING)
+    if not counts.any():
+        raise InvalidInputError(
+            argument="time", expected="valid samples after the first half second", got="none"
+        )
+    h, r = human.part(counts, shared), robot.part(counts, shared)
+    fingers = finger_metrics(h, r)
+    values = dict.fromkeys((metric.key for metric in METRICS), _NAN)
+    values |= _over_fingers(shared, fingers)
+    values |= object_metrics(h, r) | palm_metrics(h, r) | key_vector_metrics(h, r)
+    values["latency_ms"] = latency(h, r, time[counts])
+    pinch_samples = 0
+    if gaps is not None:
+        pinched, found = gap_metrics(h, gaps, counts)
+        pinch_samples = len(pinched)
+        values |= found | {"pinch_order": pinch_order(h, r)}
+    if hand is not None and q is not None:
+        values |= joint_metrics(hand, q, time, counts, human_q)
+    if workspace is not None:
+        values["workspace"] = workspace_share(r, workspace)
+    if step_time is not None:
+        values["step_time_ms"] = 1e3 * _mean(step_time[counts])
+    by_finger = {
+        name: {key: float(found[i]) for key, found in fingers.items()}
+        for i, name in enumerate(shared)
+    }
+    return Fidelity(values, by_finger, pinch_samples)
+
+
+def _check(sizes: dict[str, int], count: int, shared: list[str]) -> None:
+    for name, size in sizes.items():
+        if size != count:
+            expected = f"{count} samples as in time"
+            raise InvalidInputError(argument=name, expected=expected, got=str(size))
+    if not shared:
+        raise InvalidInputError(
+            argument="robot", expected="a finger that the human has too", got="none"
+        )
+
+
+def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> dict[str, float]:
+    """Return metrics of the whole hand: correlations weighted by the human's range, and means."""
+    correlations, weights = fingers["extension_correlation"], fingers["extension_range"]
+    found = {
+        "extension_correlation": correlations @ weights / weights.sum() if weights.any() else _NAN,
+        "extension_rms": _rms(fingers["extension_rms"]),
+        "finger_direction_deg": fingers["direction_deg"].mean(),
+    }
+    for key in ("wrist_direction_deg", "tip_error_mm", "tip_error_knuckles_mm"):
+        found[key] = fingers[key].mean()
+    if THUMB in names:
+        found["thumb_extension_correlation"] = correlations[names.index(THUMB)]
+    return {key: float(value) for key, value in found.items()}
+
+
+def finger_metrics(human: HandTrace, robot: HandTrace) -> dict[str, np.ndarray]:
+    """Compare extension, direction and tip of each finger; see `Fidelity.fingers`.
+
+    Tips are in palm frames. `tip_error_mm` scales the robot's by the ratio of hand sizes;
+    `tip_error_knuckles_mm` takes each hand's tips relative to the centre of its knuckles and scales
+    by the mean ratio of reaches. So it does not depend on the origin of the palm frame, which is a
+    convention of each robot's description. Both are in mm of the human's hand.
+    """
+    one, other = human.extension, robot.extension
+    still = np.minimum(np.ptp(one, axis=0), np.ptp(other, axis=0)) < 1e-6
+    correlations = [
+        0.0 if is_still else float(np.corrcoef(a, b)[0, 1])
+        for a, b, is_still in zip(one.T, other.T, still, strict=True)
+    ]
+    low, high = np.percentile(one, (2.0, 98.0), axis=0)
+    h, r = human.local, robot.local
+    tip_h, tip_r = h[:, :, TIP], r[:, :, TIP]
+    ratio = (robot.reach / human.reach).mean()
+    wanted = tip_h - _knuckle_centre(human.names, h)
+    from_centre = (tip_r - _knuckle_centre(robot.names, r)) / ratio
+    return {
+        "extension_correlation": np.array(correlations),
+        "extension_rms": _rms(one - other),
+        "extension_range": high - low,
+        "direction_deg": angles_between(tip_h - h[:, :, KNUCKLE], tip_r - r[:, :, KNUCKLE]).mean(
+            axis=0
+        ),
+        "wrist_direction_deg": angles_between(tip_h, tip_r).mean(axis=0),
+        "tip_error_mm": _distance_mm(tip_r * (human.size / robot.size), tip_h),
+        "tip_error_knuckles_mm": _distance_mm(from_centre, wanted),
+    }
+
+
+def angles_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Angles between vectors of shape (..., 3) [deg], shape (...)."""
+    sine = np.linalg.norm(np.cross(a, b), axis=-1)
+    return np.degrees(np.arctan2(sine, (a * b).sum(axis=-1)))
+
+
+def object_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
+    """Compare the motions that both hands impose on an object between their fingers.
+
+    T (eqs. 5-6, ridge 0.1) is estimated from each hand's tips and middle joints, from the first
+    sample to every other. Both are expressed in the hand's own palm axes at the first sample.
+
+    Returns:
+        Mean angle between the rotations [deg], mean Frobenius norm of the difference of the
+        log-stretches, mean distance between the centroids' displacements [mm].
+    """
+    motions = [_object_motion(hand) for hand in (human, robot)]
+    (r1, s1, c1), (r2, s2, c2) = motions
+    angles = Rotation.from_matrix(r1.transpose(0, 2, 1) @ r2).magnitude()
+    return {
+        "object_rotation_deg": float(np.degrees(angles.mean())),
+        "object_stretch": float(np.linalg.norm(s1 - s2, axis=(1, 2)).mean()),
+        "object_translation_mm": float(_distance_mm(c1, c2)),
+    }
+
+
+def palm_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
+    """Compare the palms' motions since the first sample, each in its own axes there, as RMS."""
+    one, other = (np.linalg.inv(hand.palm[0]) @ hand.palm for hand in (human, robot))
+    angles = Rotation.from_matrix(one[:, :3, :3].transpose(0, 2, 1) @ other[:, :3, :3]).magnitude()
+    distances = np.linalg.norm(one[:, :3, 3] - other[:, :3, 3], axis=1)
+    return {"palm_deg": float(np.degrees(_rms(angles))), "palm_mm": float(1e3 * _rms(distances))}
+
+
+def pinch_gaps(hand: HandTrace) -> dict[str, np.ndarray]:
+    """Distances from the thumb's tip to the other fingertips [m], shape (T,) each."""
+    if THUMB not in hand.names:
+        return {}
+    tips = hand.points[:, :, TIP]
+    gaps = np.linalg.norm(tips - tips[:, [hand.names.index(THUMB)]], axis=2)
+    return {name: gap for name, gap in zip(hand.names, gaps.T, strict=True) if name != THUMB}
+
+
+def pinch_order(human: HandTrace, robot: HandTrace) -> float:
+    """Whether nearer tips of the human are nearer tips of the robot.
+
+    Returns:
+        Spearman's correlation over all samples and thumb-finger pairs in which the human's tips are
+        less than 80 mm apart; NaN with fewer than three.
+    """
+    a, b = (np.array(list(pinch_gaps(hand).values())).ravel() for hand in (human, robot))
+    a, b = a[a < NEAR], b[a < NEAR]
+    if len(a) < 3 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+        return _NAN
+    return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+
+
+def gap_metrics(
+    human: HandTrace, gaps: SurfaceGaps, counts: np.ndarray
+) -> tuple[np.ndarray, dict[str, float]]:
+    """Return the robot's gaps in the human's pinches [m], and metrics of surfaces."""
+    wanted = pinch_gaps(human)
+    shared = [name for name in wanted if name in gaps.pinches]
+    h = np.array([wanted[name] for name in shared]).ravel()
+    r = np.array([gaps.pinches[name][counts] for name in shared]).ravel()
+    pinched, apart = r[h < PINCH], r[h > OPEN]
+    nearest = gaps.nearest[counts]
+    found = {
+        "self_penetration": float((nearest < -TOUCHING).mean()),
+        "colliding": float((nearest < 0.0).mean()),
+    }
+    if len(pinched):
+        closed = float((pinched < CLOSED).mean())
+        found |= {
+            "pinch_closed": closed,
+            "pinch_gap_mm": 1e3 * float(np.median(pinched)),
+            "pinch_gap_p95_mm": 1e3 * float(np.percentile(pinched, 95)),
+        }
+        # Surfaces that never come near cannot penetrate.
+        if closed:
+            found["pinch_depth_mm"] = 1e3 * max(0.0, -float(np.percentile(pinched, 5)))
+    if len(apart):
+        found["pinch_false"] = float((apart < TOUCHING).mean())
+    return pinched, found
+
+
+def joint_metrics(
+    hand: Hand, q: np.ndarray, time: np.ndarray, counts: np.ndarray, human_q: np.ndarray | None
+) -> dict[str, float]:
+    """Compare joints with their limits, and their jerk with the fitted human's."""
+    outside = np.maximum(hand.lower_limits - q, q - hand.upper_limits).max(axis=1)
+    speed = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None] / hand.velocity_limits
+    moving = counts[1:] & counts[:-1]
+    found = {
+        "outside_limits": float((outside > _LIMIT_TOLERANCE)[counts].mean()),
+        "speed_ratio": float(speed[moving].max()) if moving.any() else _NAN,
+    }
+    if human_q is not None:
+        human_jerk = rms_derivative(human_q, time, counts, order=3)
+        jerk = rms_derivative(q, time, counts, order=3)
+        found["jerk_ratio"] = jerk / human_jerk if human_jerk > 0.0 else _NAN
+    return found
+
+
+def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
+    """Lag of the robot's fingertips behind the human's, both in palm frames.
+
+    The cross-correlation of all coordinates together, over all lags up to 0.3 s, is refined by a
+    parabola through its largest value.
+
+    Args:
+        human: The human's motion.
+        robot: The robot's, with the same fingers.
+        time: Instants [s], shape (T,).
+
+    Returns:
+        Lag [ms]; negative if the robot is ahead; NaN if either stands still or with fewer than
+        eight samples.
+    """
+    if len(time) < 8:
+        return _NAN
+    step = float(np.median(np.diff(time)))
+    grid = np.arange(time[0], time[-1], step)
+    a, b = (
+        np.column_stack([np.interp(grid, time, column) for column in tips.reshape(len(time), -1).T])
+        for tips in (human.local[:, :, TIP], robot.local[:, :, TIP])
+    )
+    if min(np.ptp(a, axis=0).max(), np.ptp(b, axis=0).max()) < _STILL:
+        return _NAN
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
+    values = np.array([_lagged_correlation(a, b, lag) for lag in range(-most, most + 1)])
+    best, shift = int(np.argmax(values)), 0.0
+    if 0 < best < 2 * most:
+        before, here, after = values[best - 1 : best + 2]
+        curvature = before - 2.0 * here + after
+        shift = 0.5 * (before - after) / curvature if curvature < 0.0 else 0.0
+    return float(1e3 * step * (best - most + shift))
+
+
+def key_vector_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
+    """Compute those of mimic's metrics that need both hands; see the top of this module.
+
+    Key vectors go from the palm's origin to each tip, and from the thumb's tip to each other tip.
+    """
+    count = len(human.names)
+    aligned, other = _palm_points(human), _palm_points(robot)
+    aligned = _laid_on(aligned, other)
+    starts, ends = [0] * count, list(range(1, 1 + count))
+    if THUMB in human.names:
+        thumb = 1 + human.names.index(THUMB)
+        ends += [i for i in range(1, 1 + count) if i != thumb]
+        starts += [thumb] * (count - 1)
+    a, b = (points[:, ends] - points[:, starts] for points in (aligned, other))
+    cosine = _cosines(a, b)
+    scale = np.linalg.norm(b, axis=2) / (np.linalg.norm(a, axis=2) + _LEAST)
+    tips = slice(1, 1 + count)
+    moves = _cosines(np.diff(aligned[:, tips], axis=0), np.diff(other[:, tips], axis=0))
+    bends = np.diff(other[:, tips], 2, axis=0)
+    return {
+        "key_cosine": float(cosine.mean()),
+        "key_angle_deg": float(np.degrees(np.arccos(cosine)).mean()),
+        "key_scale": float(scale.mean()),
+        "motion_preservation": _mean(moves),
+        "flatness_mm2": 1e6 * _mean((bends**2).sum(axis=2)),
+    }
+
+
+def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float:
+    """Share of the reachable points that the fingertips came near, mean over the fingers."""
+    tips, shares = robot.local[:, :, TIP], []
+    for name, points in workspace.items():
+        if name in robot.names:
+            distances, _ = KDTree(tips[:, robot.names.index(name)]).query(points)
+            shares.append(float((distances <= WORKSPACE_RADIUS).mean()))
+    return float(np.mean(shares)) if shares else _NAN
+
+
+def sample_workspace(
+    hand: Hand, chains: dict[str, Finger] | None = None, *, count: int = 20_000, seed: int = 42
+) -> dict[str, np.ndarray]:
+    """Draw points that each fingertip can reach, joints uniform within their limits.
+
+    Args:
+        hand: The robot hand.
+        chains: Its fingers, if they have been found before.
+        count: Number of postures.
+        seed: Of the random numbers.
+
+    Returns:
+        Points in the palm frame by finger [m], shape (count, 3) each.
+    """
+    random = np.random.default_rng(seed)
+    q = random.uniform(hand.lower_limits, hand.upper_limits, (count, len(hand.joint_names)))
+    trace = trace_robot(hand, q, None, chains)
+    return dict(zip(trace.names, trace.local[:, :, TIP].transpose(1, 0, 2), strict=True))
+
+
+def _knuckle_centre(names: tuple[str, ...], local: np.ndarray) -> np.ndarray:
+    """Centre of the knuckles, without the thumb's if there are others [m], shape (T, 1, 3)."""
+    others = [i for i, name in enumerate(names) if name != THUMB] or [0]
+    return local[:, others, KNUCKLE].mean(axis=1, keepdims=True)
+
+
+def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rotations (T, 3, 3), log-stretches (T, 3, 3) and centroid displacements (T, 3)."""
+    points = hand.points[:, :, [TIP, MIDDLE]].reshape(len(hand.points), -1, 3)
+    points = points @ hand.palm[0, :3, :3]
+    estimator = MotionEstimator(points[0], ridge=OBJECT_RIDGE)
+    rotations, stretches = np.empty((2, len(points), 3, 3))
+    for t, sample in enumerate(points):
+        factors = polar(estimator.estimate(sample).motion[:3, :3])
+        rotations[t] = factors.rotation
+        stretches[t] = factors.stretch(np.log(np.maximum(factors.stretches, 1e-6)))
+    centroids = points.mean(axis=1)
+    return rotations, stretches, centroids - centroids[0]
+
+
+def _palm_points(hand: HandTrace) -> np.ndarray:
+    """Palm origin, tips and knuckles in the palm frame [m], shape (T, 1 + 2 k, 3)."""
+    local = hand.local
+    origin = np.zeros((len(local), 1, 3))
+    return np.concatenate([origin, local[:, :, TIP], local[:, :, KNUCKLE]], axis=1)
+
+
+def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """Points of every sample moved by the similarity that lays them best on others (Umeyama)."""
+    centre, centre_onto = points.mean(axis=1, keepdims=True), onto.mean(axis=1, keepdims=True)
+    a, b = points - centre, onto - centre_onto
+    left, values, right = np.linalg.svd(np.einsum("tki,tkj->tij", b, a))
+    signs = np.ones_like(values)
+    signs[:, 2] = np.sign(np.linalg.det(left @ right))
+    rotation = (left * signs[:, None]) @ right
+    scale = (values * signs).sum(axis=1) / np.maximum((a**2).sum(axis=(1, 2)), _LEAST**2)
+    return scale[:, None, None] * (a @ rotation.transpose(0, 2, 1)) + centre_onto
+
+
+def _lagged_correlation(a: np.ndarray, b: np.ndarray, lag: int) -> float:
+    """Correlation of a(t) with b(t + lag), all columns together."""
+    count = len(a) - abs(lag)
+    one, other = a[max(0, -lag) :][:count], b[max(0, lag) :][:count]
+    norm = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum()) / norm if norm > 0.0 else _NAN
+
+
+def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cosines between vectors along the last axis; 0 where either is zero."""
+    norms = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    dots = (a * b).sum(axis=-1)
+    return np.clip(np.divide(dots, norms, out=np.zeros_like(dots), where=norms > 0.0), -1.0, 1.0)
+
+
+def _distance_mm(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Mean distance over samples [mm]."""
+    return 1e3 * np.linalg.norm(a - b, axis=-1).mean(axis=0)
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(values.mean()) if values.size else _NAN
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(np.square(values), axis=0))

@@ -1,0 +1,153 @@
+"""The command `handmap layouts`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from handmap_qp.apps.tables import print_rows, print_table
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.output_files import check_output
+
+if TYPE_CHECKING:
+    from handmap_qp.trackers.layouts.base import Layout
+
+
+@dataclass(frozen=True)
+class Layouts:
+    """List the layouts of trackers, or show one: order, frame and units.
+
+    A layout says how a tracker lays out one sample of a hand. `handmap map` and others take one by
+    --layout. It is a table; for a tracker of your own, write one with --template, change it, and
+    give its path where a name is expected.
+
+    Examples:
+        handmap layouts
+        handmap layouts openxr26
+        handmap layouts manus --template my_glove.yaml
+        handmap layouts openxr26 --picture openxr26.png
+
+    Attributes:
+        layout: Layout to show: a name, or the path of a table of your own.
+        template: Write the layout's table to this file, to start one of your own from.
+        picture: Draw the layout's hand with its indices and wrist axes.
+        json: Print JSON instead of tables.
+    """
+
+    layout: tyro.conf.Positional[
+        Annotated[
+            str | None, tyro.conf.arg(metavar="[LAYOUT]", help_behavior_hint="(default: list all)")
+        ]
+    ] = None
+    template: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE.yaml", help_behavior_hint="(default: none)")
+    ] = None
+    picture: Annotated[
+        Path | None, tyro.conf.arg(metavar="FILE.png", help_behavior_hint="(default: none)")
+    ] = None
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the list or the layout, and write what is asked for."""
+        from handmap_qp.trackers.layouts import LAYOUTS
+        from handmap_qp.trackers.layouts.tables import load_layout
+
+        if self.layout is None:
+            for name in ("template", "picture"):
+                if getattr(self, name) is not None:
+                    raise InvalidInputError(
+                        argument=f"--{name}",
+                        problem="needs a layout",
+                        advice="name one of `handmap layouts`",
+                    )
+            rows = [_summary(layout) for layout in LAYOUTS.values()]
+            if self.json:
+                print(json.dumps(rows))
+            else:
+                print_rows("Layouts", rows)
+            return
+        layout = load_layout(self.layout)
+        written = [file for file in (self._template(layout), self._picture(layout)) if file]
+        facts = _facts(layout)
+        if self.json:
+            print(json.dumps({**facts, "entries": layout.rows()}))
+            return
+        print_table(
+            layout.name,
+            {key: "; ".join(v) if isinstance(v, list) else v for key, v in facts.items()},
+        )
+        print_rows("Order", layout.rows())
+        for file in written:
+            print(f"wrote {file}")
+
+    def _template(self, layout: Layout) -> Path | None:
+        """Copy the table, with its comments."""
+        from handmap_qp.output_files import replaced_file
+        from handmap_qp.trackers.layouts.tables import table_text
+
+        if self.template is None:
+            return None
+        out = check_output("--template", self.template, (".yaml", ".yml"))
+        if out.exists():
+            raise InvalidInputError(
+                argument="--template", problem=f"{out} exists already", advice="name another file"
+            )
+        with replaced_file(out, "--template") as file:
+            file.write(table_text(self.layout or layout.name).encode())
+        return out
+
+    def _picture(self, layout: Layout) -> Path | None:
+        from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
+
+        if self.picture is None:
+            return None
+        out = check_output("--picture", self.picture, (".png",))
+        save_layout_picture(layout, out)
+        return out
+
+
+def _summary(layout: Layout) -> dict[str, Any]:
+    """Return one row of the list."""
+    wrist = "in the values" if layout.has_wrist else ""
+    if not wrist:
+        wrist = "beside them" if layout.wrist_table is not None else "none"
+    return {
+        "name": layout.name,
+        "tracker": layout.title,
+        "one sample": " or ".join(str(shape) for shape in layout.shapes),
+        "unit": layout.table.unit,
+        "wrist pose": wrist,
+    }
+
+
+def _facts(layout: Layout) -> dict[str, Any]:
+    """Return what the table says, in words."""
+    facts: dict[str, Any] = {
+        "tracker": layout.title,
+        "values": layout.table.values,
+        "one sample": [str(shape) for shape in layout.shapes],
+        "unit": layout.table.unit,
+        "axes": layout.table.axes,
+    }
+    if layout.table.mirror:
+        facts["left-handed"] = f"{layout.table.mirror} is negated"
+    wrist = layout.wrist_table
+    if wrist is None:
+        facts["wrist pose"] = "fitted" if layout.has_wrist else "none; fitted to the palm"
+    else:
+        axes = [
+            f"{side}: fingers along {found.distal}, back of the hand along {found.dorsal}"
+            for side, found in (("right", wrist.right), ("left", wrist.left))
+            if found is not None
+        ]
+        where = f"of the joint {wrist.joint}" if layout.has_wrist else "given beside the values"
+        facts["wrist pose"] = [where, *axes]
+        facts["quaternions"] = getattr(layout.table, "quaternion", wrist.quaternion)
+    facts["not given"] = list(layout.table.missing)
+    facts["arrays in .npz"] = list(layout.table.arrays)
+    facts["sources"] = list(layout.table.sources)
+    return facts

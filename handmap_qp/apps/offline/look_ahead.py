@@ -1,0 +1,268 @@
+"""Smooth a whole recording with look-ahead: zero lag, and short gaps filled.
+
+A Whittaker-Henderson smoother (Whittaker 1923; Eilers, Anal. Chem. 75 (2003) 3631): for each column
+y over the instants t,
+
+    min  sum_i w_i (x_i - y_i)^2 dt_i  +  (2 pi f)^-4  integral of (x'')^2 dt
+
+with w_i = 0 where the hand was not seen. It passes a motion of frequency f at half its amplitude,
+slower ones unchanged, and has no phase: it looks as far ahead as back. In a gap it is the cubic
+spline between both sides. The palm's motion and the landmarks in the palm are smoothed apart, so
+that the hand keeps its size while it turns.
+
+A robot that is slower than the hand trails behind it. Mapped backwards in time, it runs ahead by as
+much. The mean of both motions has no lag, and is inside all limits of position and speed, because
+these are convex. Links may overlap in it, so a last pass of the QP follows the mean, with contact
+rows and limits: what `map_both_ways` returns holds them all as exactly as online.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from handmap_qp.apps.offline.trajectory import Trajectory, map_recording, trajectory_of
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.human.landmarks import PALM
+from handmap_qp.human.recording import Recording, recording_samples
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.method import Method
+from handmap_qp.se3 import poses_from_quats, rigid_fit
+from handmap_qp.stream.follower import Follower
+
+# The last pass follows joint angles, which are inside the limits already.
+_FOLLOW = {"rest_weight": 3.0, "max_iterations": 3, "step_tolerance": 0.02, "error_damping": 0.0}
+
+
+@dataclass(frozen=True, slots=True)
+class LookAhead:
+    """How a recording is smoothed.
+
+    Attributes:
+        cutoff: Frequency that is passed at half its amplitude [Hz].
+        longest_gap: Gaps up to this time are filled [s]; in longer ones the robot holds.
+
+    Raises:
+        InvalidInputError: If the cutoff is not a number > 0, or the gap not one >= 0.
+    """
+
+    cutoff: float = 6.0
+    longest_gap: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.cutoff < np.inf:
+            raise InvalidInputError(argument="cutoff", expected="a rate > 0", value=self.cutoff)
+        if not 0.0 <= self.longest_gap < np.inf:
+            expected = "a time >= 0"
+            raise InvalidInputError(
+                argument="longest_gap", expected=expected, value=self.longest_gap
+            )
+
+
+def look_ahead(recording: Recording, options: LookAhead | None = None) -> Recording:
+    """Smooth a recording forwards and backwards in time, and fill its short gaps.
+
+    Args:
+        recording: The recording.
+        options: How; the defaults if omitted.
+
+    Returns:
+        The smoothed recording; samples in filled gaps are valid. Wrist poses and confidences of the
+        tracker are left out, because the filled samples have none.
+    """
+    chosen = options or LookAhead()
+    valid = recording.valid
+    filled = _filled(recording.time, valid, chosen.longest_gap)
+    landmarks = recording.landmarks.copy()
+    for part in _parts(filled):
+        if valid[part].sum() < 3:
+            filled[part] &= valid[part]
+            continue
+        landmarks[part] = _smoothed(
+            recording.time[part], recording.landmarks[part], valid[part], chosen.cutoff
+        )
+    return replace(recording, landmarks=landmarks, valid=filled, wrist=None, confidence=None)
+
+
+def smooth_poses(
+    time: np.ndarray, poses: np.ndarray, valid: np.ndarray, options: LookAhead
+) -> np.ndarray:
+    """Smooth poses forwards and backwards in time.
+
+    Args:
+        time: Instants, strictly increasing [s], shape (T,), T >= 3.
+        poses: Poses, shape (T, 4, 4); ignored where not valid.
+        valid: Poses to use, at least two of them, shape (T,).
+        options: How; gaps of any length are filled.
+
+    Returns:
+        The smoothed poses, shape (T, 4, 4).
+    """
+    rows = np.zeros((len(time), 7))
+    rows[valid] = np.hstack([_quats(poses[valid, :3, :3]), poses[valid, :3, 3]])
+    smooth = whittaker(time, rows, valid.astype(float), options.cutoff)
+    return poses_from_quats(smooth[:, 4:], smooth[:, :4], "poses")
+
+
+def whittaker(
+    time: np.ndarray, values: np.ndarray, weight: np.ndarray, cutoff: float
+) -> np.ndarray:
+    """Smooth columns by a penalty on their second derivative.
+
+    Args:
+        time: Instants, strictly increasing [s], shape (T,), T >= 3.
+        values: Columns, shape (T, n); ignored where the weight is 0.
+        weight: Weight of each sample, >= 0, at least two of them > 0, shape (T,).
+        cutoff: Frequency that is passed at half its amplitude [Hz].
+
+    Returns:
+        The smoothed columns, shape (T, n).
+    """
+    # Imported when used: it takes a quarter of the start of a worker, and most look at the past.
+    from scipy.linalg import solveh_banded
+
+    count = len(time)
+    before, after = np.diff(time)[:-1], np.diff(time)[1:]
+    # Second derivative by divided differences: rows (a, -(a + b), b) over three samples.
+    first, last = 2.0 / (before * (before + after)), 2.0 / (after * (before + after))
+    middle, span = -(first + last), 0.5 * (before + after)
+    penalty = (2.0 * np.pi * cutoff) ** -4
+    bands = np.zeros((3, count))
+    bands[2] = weight * np.gradient(time)
+    bands[2, :-2] += penalty * span * first * first
+    bands[2, 1:-1] += penalty * span * middle * middle
+    bands[2, 2:] += penalty * span * last * last
+    bands[1, 1:-1] += penalty * span * first * middle
+    bands[1, 2:] += penalty * span * middle * last
+    bands[0, 2:] += penalty * span * first * last
+    known = np.where(weight[:, None] > 0.0, values, 0.0)
+    right = (weight * np.gradient(time))[:, None] * known
+    return np.asarray(solveh_banded(bands, right, check_finite=False))
+
+
+def map_both_ways(
+    human: Hand,
+    robot: Hand,
+    method: Method,
+    ik: IkOptions,
+    recording: Recording,
+    *,
+    wrist_poses: np.ndarray | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> Trajectory:
+    """Map a recording as a whole, without lag.
+
+    Args:
+        human: The human hand, scaled to the person.
+        robot: The robot hand.
+        method: The mapping method.
+        ik: Weights and settings of the QP.
+        recording: The recording, smoothed (`look_ahead`).
+        wrist_poses: Poses of the human model's wrist frame, shape (T, 4, 4); fitted to the palm's
+            landmarks if omitted.
+        progress: Called after each sample of the first pass with the number of samples done.
+
+    Returns:
+        The trajectory. The wrist is that of the forward pass: it follows within its limits but for
+        the fastest reaches.
+
+    Raises:
+        InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
+    """
+    first = HandMapper(human, robot, method, ik=ik)
+    steps = list(Follower(first).map_samples(recording_samples(recording, wrist_poses)))
+    forward = trajectory_of(first.robot, recording.time, iter(steps), progress)
+    turned = replace(
+        recording,
+        time=-recording.time[::-1],
+        landmarks=recording.landmarks[::-1],
+        valid=recording.valid[::-1],
+        wrist=None,
+        confidence=None,
+    )
+    poses = None if wrist_poses is None else wrist_poses[::-1]
+    backward = map_recording(HandMapper(human, robot, method, ik=ik), turned, wrist_poses=poses)
+    bound = method.bind(human, robot)
+    solver = PointIk(bound.robot, ik.replaced(**_FOLLOW), contacts=bound.contacts)
+    mean, dt, margins = 0.5 * (forward.q + backward.q[::-1]), recording.steps, None
+    q, points = np.empty_like(mean), np.empty_like(forward.points)
+    at_bound = np.zeros(q.shape, dtype=bool)
+    robot = forward.robot
+    solver.place(robot.configuration_vector(mean[0], forward.wrist[0]))
+    for i, (angles, wrist) in enumerate(zip(mean, forward.wrist, strict=True)):
+        # Where the robot was held, its links keep the distances of the sample before.
+        if forward.valid[i]:
+            margins = steps[i].asked.margins
+        targets = robot.points(angles, wrist)
+        result = solver.solve(targets, wrist, float(dt[i]), rest=angles, margins=margins)
+        q[i] = solver.configuration.q[robot.q_indices]
+        points[i] = result.points
+        at_bound[i] = result.active[result.joint_columns] != 0
+    at_limit = robot.at_position_limit(q)
+    return replace(
+        forward,
+        q=q,
+        points=points,
+        point_error=np.linalg.norm(points - forward.targets, axis=2),
+        at_limit=at_limit,
+        at_speed_limit=at_bound & ~at_limit,
+    )
+
+
+def _smoothed(
+    time: np.ndarray, landmarks: np.ndarray, valid: np.ndarray, cutoff: float
+) -> np.ndarray:
+    """Smooth landmarks, shape (T, 21, 3): the palm's motion, and what moves in the palm."""
+    seen = landmarks[valid]
+    rotations, centres = _palms(seen)
+    local = (seen - centres[:, None]) @ rotations
+    rows = np.zeros((len(time), 4 + 3 + 63))
+    rows[valid] = np.hstack([_quats(rotations), centres, local.reshape(len(seen), 63)])
+    smooth = whittaker(time, rows, valid.astype(float), cutoff)
+    poses = poses_from_quats(smooth[:, 4:7], smooth[:, :4], "landmarks")
+    inside = smooth[:, 7:].reshape(-1, 21, 3)
+    return inside @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
+
+
+def _palms(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return rotation (T, 3, 3) and centre (T, 3) of the palm from that of the first sample."""
+    points = landmarks[:, PALM]
+    rotations = rigid_fit(points, points[0])[:, :3, :3]
+    return rotations.transpose(0, 2, 1), points.mean(axis=1)
+
+
+def _quats(rotations: np.ndarray) -> np.ndarray:
+    """Return quaternions wxyz without jumps of sign, shape (T, 4)."""
+    # Bar-Itzhack 2000: the eigenvector of the largest eigenvalue of this symmetric matrix.
+    m = rotations
+    k = np.empty((len(m), 4, 4))
+    k[:, 0, 0] = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
+    k[:, 1:, 1:] = m + m.transpose(0, 2, 1) - k[:, :1, :1] * np.eye(3)
+    axis = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], 1)
+    k[:, 0, 1:] = k[:, 1:, 0] = axis
+    quats = np.linalg.eigh(k)[1][:, :, -1]
+    flips = np.einsum("ti,ti->t", quats[1:], quats[:-1]) < 0.0
+    quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    return quats
+
+
+def _filled(time: np.ndarray, valid: np.ndarray, longest: float) -> np.ndarray:
+    """Tell which samples are valid or in a gap that is filled, shape (T,)."""
+    filled = valid.copy()
+    seen = np.flatnonzero(valid)
+    for start, end in pairwise(seen):
+        if end > start + 1 and time[end] - time[start] <= longest:
+            filled[start:end] = True
+    return filled
+
+
+def _parts(filled: np.ndarray) -> list[slice]:
+    """Return the stretches without a gap."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], filled.astype(int), [0]])))
+    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist()]

@@ -1,0 +1,189 @@
+"""Holds and summary numbers of a mapped motion, printed by `handmap map`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.apps.offline.trajectory import Trajectory
+
+SLOW_SHARE = 0.2
+"""Share of samples held by a speed limit from which `notes` says so."""
+# A wrist this far from its target is out of reach [m], in more than this share of the samples.
+_WRIST_OFF, _LATE_SHARE = 0.02, 0.05
+_NAMED_JOINTS = 3
+_NAMED_HOLDS = 5
+
+
+def summarise(trajectory: Trajectory) -> dict[str, Any]:
+    """Summarise a mapped motion.
+
+    Args:
+        trajectory: The robot's trajectory.
+
+    Returns:
+        Numbers by name, with the unit in the name. Errors and times are taken over the samples
+        that the robot followed, `samples_at_limit` over all. `held` counts the others, `rules` how
+        many samples broke each rule, and `events` lists the holds. `consistency_mm_mean` is the
+        mean RMS difference of bones and palm from the person's. `speed_limited_share` is the share
+        of the followed samples in which a speed limit held a joint; `speed_limited_joints` has the
+        joints held most often, with share and limit [rad/s or m/s]. `arm_out_of_reach` has the
+        share of samples, the largest error, the extent of the motion and a scale to try, of an
+        arm that does not reach the motion; None if it does.
+    """
+    seen = trajectory.valid
+    points = 1e3 * trajectory.point_error[seen]
+    step = 1e6 * trajectory.step_cpu[seen]
+    consistency = trajectory.consistency[~np.isnan(trajectory.consistency)]
+    return {
+        "robot": trajectory.robot.name,
+        "samples": len(trajectory.time),
+        "held": int((~seen).sum()),
+        "rules": count_rules(trajectory),
+        "events": find_holds(trajectory),
+        "consistency_mm_mean": float((1e3 * consistency).mean()) if len(consistency) else None,
+        "confidence_mean": float(trajectory.confidence[seen].mean()),
+        "step_cpu_us_median": float(np.median(step)),
+        "step_cpu_us_p99": float(np.percentile(step, 99)),
+        "point_error_mm_mean": float(points.mean()),
+        "point_error_mm_p95": float(np.percentile(points, 95)),
+        "point_error_mm_max": float(points.max()),
+        "wrist_error_mm_mean": 1e3 * float(trajectory.wrist_error[seen].mean()),
+        "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
+        "limit_violation_max": trajectory.limit_violation,
+        "speed_limited_share": float(trajectory.at_speed_limit[seen].any(axis=1).mean()),
+        "speed_limited_joints": _slow_joints(trajectory),
+        "arm_out_of_reach": _arm(trajectory),
+    }
+
+
+def find_holds(trajectory: Trajectory) -> list[dict[str, Any]]:
+    """Find the holds of a mapped motion.
+
+    Returns:
+        The holds in the order of time: `rule` that began it (`trackers.guard.RULES`); `start`, the
+        time of its first sample from the first sample of all on [s]; `duration` to the first sample
+        that is followed again, or to the end [s]; `samples` that were not followed.
+    """
+    time, is_held = trajectory.time - trajectory.time[0], ~trajectory.valid
+    edges = np.diff(is_held.astype(int), prepend=0, append=0)
+    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return [
+        {
+            "rule": str(trajectory.rule[begin]),
+            "start": float(time[begin]),
+            "duration": float(time[min(end, len(time) - 1)] - time[begin]),
+            "samples": int(end - begin),
+        }
+        for begin, end in zip(begins, ends, strict=True)
+    ]
+
+
+def count_rules(trajectory: Trajectory) -> dict[str, int]:
+    """Count the samples that break each rule, most frequent first."""
+    rules, counts = np.unique(trajectory.rule[trajectory.rule != ""], return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return {str(rules[i]): int(counts[i]) for i in order}
+
+
+def notes(summary: dict[str, Any]) -> list[str]:
+    """Return a line if speed limits, and one if a short arm, kept the robot from following.
+
+    Args:
+        summary: Result of `summarise`.
+    """
+    lines, share, arm = [], summary["speed_limited_share"], summary["arm_out_of_reach"]
+    if share > SLOW_SHARE:
+        joints = ", ".join(
+            f"{row['joint']} ({row['limit']:.3g} per s)" for row in summary["speed_limited_joints"]
+        )
+        lines.append(
+            f"speed limits held a joint in {100.0 * share:.0f} % of the samples, most often "
+            f"{joints}: move more slowly, or give the robot's true limits in `limits` of its "
+            "hand.yaml"
+        )
+    if arm is not None:
+        lines.append(
+            f"the arm does not reach the motion of about {arm['motion_mm']:.0f} mm: the wrist is "
+            f"up to {arm['error_mm']:.0f} mm off its target, in {100.0 * arm['share']:.0f} % of "
+            f"the samples; try --scale {arm['scale']:.2g}, or start in the middle of the arm's "
+            "range"
+        )
+    return lines
+
+
+def table_rows(summary: dict[str, Any]) -> dict[str, str]:
+    """Format a summary as table rows.
+
+    Args:
+        summary: Result of `summarise`.
+
+    Returns:
+        Formatted values, with their units, by label.
+    """
+    number, events = summary, summary["events"]
+    holds = [
+        f"{event['rule']} at {event['start']:.2f} s for {event['duration']:.2f} s"
+        for event in events[:_NAMED_HOLDS]
+    ]
+    if len(events) > _NAMED_HOLDS:
+        holds.append(f"{len(events) - _NAMED_HOLDS} more")
+    consistency = number["consistency_mm_mean"]
+    return {
+        "samples": f"{number['samples']}, {number['held']} not followed (robot held still)",
+        "holds": "; ".join(holds) or "none",
+        "bones and palm off the person's": "not measured"
+        if consistency is None
+        else f"{consistency:.1f} mm RMS",
+        "step, CPU time": (
+            f"{number['step_cpu_us_median']:.0f} us median, {number['step_cpu_us_p99']:.0f} us p99"
+        ),
+        "point error": (
+            f"{number['point_error_mm_mean']:.2f} mm mean, "
+            f"{number['point_error_mm_p95']:.2f} mm p95, {number['point_error_mm_max']:.2f} mm max"
+        ),
+        "wrist error": f"{number['wrist_error_mm_mean']:.2f} mm mean",
+        "samples at a limit": f"{number['samples_at_limit']}",
+        "samples held by a speed limit": f"{100.0 * number['speed_limited_share']:.1f} %",
+        "largest limit violation": f"{number['limit_violation_max']:.1e} rad",
+    }
+
+
+def _arm(trajectory: Trajectory) -> dict[str, float] | None:
+    """Measure how far a motion leaves the reach of an arm; None if the arm follows.
+
+    The scale is the largest one at which no target is farther from the first sample than the wrist
+    got.
+    """
+    robot, seen = trajectory.robot, trajectory.valid
+    if robot.is_floating or not robot.has_moving_wrist or not seen.any():
+        return None
+    places, errors = trajectory.wrist[seen, :3, 3], trajectory.wrist_error[seen]
+    late = errors > _WRIST_OFF
+    if not late.mean() > _LATE_SHARE:
+        return None
+    moved = np.linalg.norm(places - places[0], axis=1)
+    wanted = np.maximum(moved + errors, 1e-6)
+    scale = float((moved[late] / wanted[late]).min())
+    return {
+        "share": float(late.mean()),
+        "error_mm": 1e3 * float(errors.max()),
+        "motion_mm": 1e3 * float(wanted.max()),
+        "scale": max(0.05, float(np.floor(20.0 * scale) / 20.0)),
+    }
+
+
+def _slow_joints(trajectory: Trajectory) -> list[dict[str, Any]]:
+    """Return the joints that speed limits held most often, with share and limit."""
+    robot = trajectory.robot
+    shares = trajectory.at_speed_limit[trajectory.valid].mean(axis=0)
+    return [
+        {
+            "joint": robot.joint_names[i],
+            "share": float(shares[i]),
+            "limit": float(robot.velocity_limits[i]),
+        }
+        for i in np.argsort(-shares, kind="stable")[:_NAMED_JOINTS]
+        if shares[i] > 0.0
+    ]

@@ -1,0 +1,563 @@
+"""Check a `hand.yaml`: `check_hand` reports findings and advice, and tables of what was measured.
+
+The checks compare names, close fingers and pinch, look for files, map a motion, and compare the
+description with a detection. Each yields its findings, and may add a table.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.apps.onboarding.anatomy import FINGERS, angle_between
+from handmap_qp.apps.onboarding.detect import detect_text, left_out_wrist
+from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
+from handmap_qp.apps.onboarding.measure import (
+    colliding_links,
+    fingertip_pads,
+    make_fist,
+    measure_arm,
+    measure_pinches,
+    measure_reach,
+    measure_size,
+    try_motion,
+)
+from handmap_qp.apps.onboarding.robot import Robot
+from handmap_qp.errors import HandError, HandmapError
+from handmap_qp.hands.fingers import (
+    THUMB,
+    PalmKinematics,
+    find_fingers,
+    partner_names,
+    place_of,
+    zero_posture,
+)
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.shape_pairs import named_pairs
+from handmap_qp.hands.sources import read_urdf, urdf_path
+from handmap_qp.hands.urdf import parse_urdf, urdf_with_mesh_paths
+from handmap_qp.se3 import transform_points
+
+# A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
+_FIST_TIME, _FIST_ANGLE = 0.5, 1.5
+# A larger range is in degrees or millimetres [rad or m].
+_LARGEST_TURN, _LARGEST_SLIDE = 2.0 * np.pi + 0.01, 2.0
+# Allowed distance of a reference point from its link's shape, for example a sensor's frame [m].
+_OFF_THE_LINK = 0.02
+# Names in one finding.
+_MOST_NAMES = 3
+# Least confidence of the detection for a warning, and the angle with and without certainty [deg].
+_SURE = 0.65
+_CERTAIN_ANGLE, _LIKELY_ANGLE = 20.0, 40.0
+# Largest angles of the axis of flexion and of the straight fingers to the palm's axes [deg].
+_ACROSS, _DISTAL = 25.0, 35.0
+# A thumb whose pad stays farther than this from every other opposes none of them [m].
+_OPPOSING = 0.015
+# Knuckles closer than this may be in any order [m].
+_NARROW = 0.004
+# A point this far from its target is out of reach [m].
+_OUT_OF_REACH = 0.02
+# A person's hand moves this far to all sides in front of the body [m].
+_ARM_MOTION = 0.25
+# An arm follows if it reaches that far in this share of the directions.
+_MOST_DIRECTIONS = 0.8
+
+Level = Literal["error", "warning", "advice", "fine"]
+LEVELS = get_args(Level)
+"""All levels, the worst first."""
+Tables = dict[str, list[dict[str, Any]]]
+"""Rows by the title of their table."""
+
+
+class Finding(NamedTuple):
+    """One finding about a description.
+
+    Attributes:
+        level: `error`: cannot be used; `warning`: probably wrong; `advice`: could be better;
+            `fine`: no problem.
+        where: Key of the `hand.yaml`.
+        what: What was found.
+        change: What to change; empty if nothing.
+    """
+
+    level: Level
+    where: str
+    what: str
+    change: str = ""
+
+
+Findings = Iterator[Finding]
+
+
+@dataclass(eq=False)
+class Report:
+    """All findings about a hand.
+
+    Attributes:
+        name: Name of the hand.
+        hand: The hand; None if it cannot be built.
+        findings: All findings, the worst first.
+        measured: Tables of what was measured.
+    """
+
+    name: str
+    hand: Hand | None = None
+    findings: list[Finding] = field(default_factory=list)
+    measured: Tables = field(default_factory=dict)
+
+    def raise_if_unusable(self) -> None:
+        """Raise the first error, if there is one.
+
+        Raises:
+            HandError: With the finding.
+        """
+        for level, where, what, change in self.findings:
+            if level == "error":
+                raise HandError(f"{what}; {change}" if change else what, key=where)
+
+    def tables(self) -> Tables:
+        """Return everything as tables to print: rows by title."""
+        names = ("", "key", "found", "change")
+        findings = [dict(zip(names, finding, strict=True)) for finding in self.findings]
+        return {f"{self.name}: findings": findings, **self.measured}
+
+    def document(self, picture: Path | None) -> dict[str, Any]:
+        """Return everything as values for JSON."""
+        names = ("level", "key", "found", "change")
+        findings = [dict(zip(names, finding, strict=True)) for finding in self.findings]
+        shown = None if picture is None else str(picture)
+        return {"name": self.name, **self.measured, "findings": findings, "picture": shown}
+
+
+def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
+    """Check a description.
+
+    Args:
+        hand: Path of a `hand.yaml` or name of a hand.
+        has_motion: Whether to map a standard motion to it.
+
+    Returns:
+        All findings; the only one is an error if the hand cannot be built.
+    """
+    report = Report(str(hand))
+    with warnings.catch_warnings():
+        # Warnings of the loader are among `hand.notes`, which become findings.
+        warnings.simplefilter("ignore")
+        try:
+            report.hand = built = load_hand(hand)
+        except HandError as error:
+            report.findings.append(Finding("error", error.key or "hand", str(error)))
+            return report
+        report.name, report.measured["Joints"] = built.name, _joint_rows(built)
+        for where, check in _CHECKS[: None if has_motion else -1]:
+            try:
+                for finding in check(built, report.measured):
+                    report.findings.append(finding)
+            except HandmapError as error:
+                report.findings.append(Finding("advice", where, f"not checked: {error}"))
+    if not {"error", "warning"} & {finding.level for finding in report.findings}:
+        what = "no contradiction between description, names, limits, shapes and gestures"
+        report.findings.append(Finding("fine", "", what))
+    report.measured = {title: rows for title, rows in report.measured.items() if rows}
+    report.findings.sort(key=lambda finding: LEVELS.index(finding.level))
+    return report
+
+
+def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
+    """Return a row per joint of the URDF: role, limits of active joints, rest angle."""
+    rest = hand.all_joints(hand.rest)
+    rows = []
+    for i, (joint, role) in enumerate(zip(hand.all_joint_names, hand.all_joint_roles, strict=True)):
+        is_set = i < len(hand.joint_names)
+        limits = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]" if is_set else ""
+        speed = f"{hand.velocity_limits[i]:.3g}" if is_set else ""
+        rows.append(
+            {"joint": joint, "role": role, "limits": limits, "speed": speed, "rest": float(rest[i])}
+        )
+    return rows
+
+
+def _check_joints(hand: Hand, tables: Tables) -> Findings:
+    """Check limits, rest angles, speeds and followers."""
+    for note in hand.notes:
+        change = "correct the URDF, or give the rule in `mimic` or the limits in `limits`"
+        yield Finding("warning", "mimic", note, change)
+    columns = (hand.rest, hand.lower_limits, hand.upper_limits, hand.velocity_limits)
+    for joint, rest, lower, upper, speed in zip(hand.joint_names, *columns, strict=True):
+        width = upper - lower
+        if min(rest - lower, upper - rest) < 0.01 * width:
+            what = "rests at its limit, so it can move in one direction only"
+            yield Finding("advice", f"rest.{joint}", what, "move it inwards")
+        if width < 0.002:
+            what = f"{joint} has a range of {width:.2g}"
+            yield Finding("warning", "limits", what, "give its true limits, or lock it")
+        if not 0.02 <= speed <= 60.0:
+            what = f"a speed of {speed:.3g} per second is unusual"
+            yield Finding("advice", f"limits.{joint}", what, "check its unit")
+
+
+def _check_ranges(hand: Hand, tables: Tables) -> Findings:
+    """Find ranges in degrees or millimetres; joints of an arm may turn twice."""
+    width, own = hand.upper_limits - hand.lower_limits, ~_carriers(hand)
+    joints = [hand.model.getJointId(joint) for joint in hand.joint_names]
+    turns = PalmKinematics(hand).axes(hand.rest, joints)[0].any(axis=1)
+    for kind, largest, unit in (
+        (turns, _LARGEST_TURN, "degrees"),
+        (~turns, _LARGEST_SLIDE, "millimetres"),
+    ):
+        wide = np.flatnonzero((width > largest) & kind & own)
+        if len(wide):
+            count = f"{len(wide)} joints have ranges" if len(wide) > 1 else "it has a range"
+            what = f"{count} of up to {width[wide].max():.3g}: in {unit}?"
+            where = f"limits.{hand.joint_names[wide[0]]}"
+            yield Finding("warning", where, what, "give limits in rad and m")
+
+
+def _carriers(hand: Hand) -> np.ndarray:
+    """Return which active joints move the wrist, shape (n,)."""
+    carriers = [*hand.model.supports[hand.model.frames[hand.wrist_frame_id].parentJoint]]
+    return np.array([hand.model.getJointId(joint) in carriers for joint in hand.joint_names])
+
+
+def _check_speeds(hand: Hand, tables: Tables) -> Findings:
+    """Find joints of the fingers that are too slow for a fist in half a second."""
+    stretched = zero_posture(hand)
+    travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
+    needed = np.minimum(travel, _FIST_ANGLE) / _FIST_TIME
+    slowness = needed / hand.velocity_limits
+    slow = np.flatnonzero((slowness > 1.0) & ~_carriers(hand))
+    if len(slow):
+        worst, count = slow[np.argmax(slowness[slow])], len(slow)
+        what = (
+            f"{count} {'joints are' if count > 1 else 'joint is'} too slow for a fist in half a "
+            f"second; at {hand.velocity_limits[worst]:.3g} per second this one needs "
+            f"{_FIST_TIME * slowness[worst]:.2g} s"
+        )
+        change = "give the true speeds in `limits`, or move more slowly than people do"
+        yield Finding("advice", f"limits.{hand.joint_names[worst]}", what, change)
+
+
+def _check_followers(hand: Hand, tables: Tables) -> Findings:
+    followers = hand.all_joint_roles.count("follower")
+    if not followers:
+        return
+    plain = pin.buildModelFromXML(hand.urdf_text)
+    for i, joint in enumerate(hand.joint_names):
+        at = plain.joints[plain.getJointId(joint)].idx_q
+        lower, upper = plain.lowerPositionLimit[at], plain.upperPositionLimit[at]
+        narrowing = max(hand.lower_limits[i] - lower, upper - hand.upper_limits[i])
+        if narrowing > 0.005 * (upper - lower):
+            now = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]"
+            what = f"its followers narrow [{lower:.3g}, {upper:.3g}] to {now}"
+            yield Finding("fine", f"limits.{joint}", what)
+    within = "" if hand.notes else ", within their own limits"
+    yield Finding("fine", "mimic", f"{followers} joints follow others{within}")
+
+
+def _check_points(hand: Hand, tables: Tables) -> Findings:
+    """Check partners, places and weights of the reference points."""
+    points, names = hand.points(hand.rest), {point.name for point in load_hand("human").spec.points}
+    partners = partner_names(hand, names)
+    for i, point in enumerate(hand.reference_points):
+        where = f"points.{point.name}"
+        if partners[i] not in names:
+            what = f"the human hand has no point {partners[i]!r}"
+            yield Finding("advice", where, what, "name a partner")
+        for j in np.flatnonzero(np.linalg.norm(points[:i] - points[i], axis=1) < 1e-3):
+            what = f"lies on {hand.reference_points[j].name}"
+            yield Finding("warning", where, what, "one of them will do")
+    ratio = hand.point_weights.max() / hand.point_weights.min()
+    if ratio > 100.0:
+        what = f"weights are {ratio:.0f}-fold apart"
+        yield Finding("advice", "points.weight", what, "stay within 100")
+    if len(points) < 3:
+        what = f"{len(points)} points leave some of the hand's motion open"
+        yield Finding("advice", "sets", what, "add points of the same links")
+
+
+def _check_places(hand: Hand, tables: Tables) -> Findings:
+    """Find reference points far outside the shape of their body."""
+    try:
+        robot = Robot(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
+    except HandError:
+        return
+    for point in hand.reference_points:
+        body = robot.body(point.link) if point.link in robot.links else ""
+        if not body or not len(cloud := robot.body_surface(body)):
+            continue
+        place = transform_points(robot.pose_in(point.link, body), np.array(point.xyz))
+        outside = np.maximum(cloud.min(axis=0) - place, place - cloud.max(axis=0))
+        distance = float(np.linalg.norm(np.maximum(outside, 0.0)))
+        if distance > _OFF_THE_LINK:
+            what = f"lies {1e3 * distance:.0f} mm outside the shape of {point.link}"
+            change = "check its xyz, in metres in that link's frame"
+            yield Finding("warning", f"points.{point.name}", what, change)
+
+
+def _check_meshes(hand: Hand, tables: Tables) -> Findings:
+    robot = parse_urdf(urdf_with_mesh_paths(hand.spec, hand.urdf_text))
+    for tag, use in (("collision", "self-collision and pinches"), ("visual", "pictures")):
+        meshes = (mesh for shape in robot.iter(tag) for mesh in shape.iter("mesh"))
+        names = dict.fromkeys(mesh.get("filename", "") for mesh in meshes)
+        missing = [name for name in names if not Path(name).is_file()]
+        if missing:
+            shown = ", ".join(Path(name).name for name in missing[:_MOST_NAMES])
+            more = ", ..." if len(missing) > _MOST_NAMES else ""
+            what = f"{len(missing)} of {len(names)} {tag} meshes are missing: {shown}{more}; "
+            change = f"put them where the URDF looks for them: {Path(missing[0]).parent}"
+            yield Finding("warning", "urdf", f"{what}{use} do without them", change)
+
+
+def _check_wrist(hand: Hand, tables: Tables) -> Findings:
+    """Find actuated wrist joints that the description leaves out."""
+    spec = hand.spec
+    is_on_arm = spec.arm is not None or (hand.has_moving_wrist and not hand.is_floating)
+    if spec.root is None or is_on_arm or urdf_path(spec).suffix != ".urdf":
+        return
+    robot = Robot(read_urdf(spec), urdf_path(spec))
+    joints, base = left_out_wrist(robot, spec.root)
+    if joints:
+        what = f"wrist joints are left out: {joints}"
+        yield Finding("advice", "root", what, f"keep them with `hands init --base {base}`")
+
+
+def _check_names(hand: Hand, tables: Tables) -> Findings:
+    """Compare the fingers and the side with the names of links and joints."""
+    chains = find_fingers(hand)
+    names = [
+        [hand.model.names[joint] for joint in chain.joints]
+        + [point.link for point in hand.spec.points if point.finger == finger]
+        for finger, chain in chains.items()
+    ]
+    for finger, label in zip(chains, named_fingers(names), strict=True):
+        if label is not None and label != finger:
+            what = f"its links and joints are named {label}, but its finger is {finger}"
+            change = f"finger: {label}, with a matching name and partner"
+            yield Finding("warning", f"points.{finger}_tip", what, change)
+    side = named_side([hand.spec.palm.link, *(name for group in names for name in group)])
+    if side is not None and side != hand.side and not hand.spec.mirror:
+        yield Finding("warning", "side", f"links and joints are named {side}", f"side: {side}")
+
+
+def _check_order(hand: Hand, tables: Tables) -> Findings:
+    """Compare the row of the knuckles with the side: thumb and index are at the radial edge."""
+    chains = find_fingers(hand)
+    row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
+    places = PalmKinematics(hand).points(zero_posture(hand), row).reshape(-1, 3)
+    is_back = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0) > _NARROW
+    if len(is_back) and is_back.all():
+        row = "fingers run from little to index, seen from the thumb's side"
+        what = f"the {hand.side} hand's {row}"
+        yield Finding("warning", "side", what, "change side, or the sign of palm.dorsal")
+    elif is_back.any():
+        what = "the fingers are not in the order of their knuckles"
+        yield Finding("warning", "points", what, "rename them")
+
+
+def _check_fist(hand: Hand, tables: Tables) -> Findings:
+    """Close the fingers: their tips must go to the palm, about an axis across it."""
+    fist = make_fist(hand)
+    if fist is None:
+        return
+    across = f"{fist.across_deg:.0f} degrees off"
+    if fist.across_deg > 180.0 - _ACROSS:
+        what = "a fist brings the fingertips to the back of the hand"
+        yield Finding("warning", "palm.dorsal", what, "turn dorsal over, or change side")
+    elif fist.across_deg > _ACROSS:
+        what = f"the fingers close about an axis {across} the palm's x axis"
+        yield Finding("warning", "palm.dorsal", what, "correct distal and dorsal")
+    elif fist.distal_deg > _DISTAL:
+        what = f"the straight fingers point {fist.distal_deg:.0f} degrees off it"
+        yield Finding("warning", "palm.distal", what, "correct distal")
+    else:
+        what = f"{len(fist.fingers)} fingers close to the palm, {across} its x axis"
+        yield Finding("fine", "palm", what)
+
+
+def _check_opposition(hand: Hand, tables: Tables) -> Findings:
+    """Find which fingers the thumb can touch."""
+    fingers = find_fingers(hand)
+    tables["Pads"] = [
+        {
+            "finger": finger,
+            "on the link of": hand.model.names[pad.joint],
+            "centre, mm": " ".join(f"{1e3 * value:.1f}" for value in pad.offset),
+            "radius, mm": round(1e3 * pad.radius, 1),
+        }
+        for finger, pad in fingertip_pads(hand, fingers).items()
+    ]
+    pinches = measure_pinches(hand)
+    tables["Pinches"] = [
+        {
+            "thumb and": pinch.finger,
+            "nearest, mm between pads": max(0.0, round(1e3 * pinch.gap, 1)),
+            "touch": "yes" if pinch.touches else "no",
+        }
+        for pinch in pinches
+    ]
+    touched = [pinch.finger for pinch in pinches if pinch.touches]
+    if THUMB not in fingers:
+        yield Finding("advice", "points", "no point is on a thumb: pinches are not mapped")
+    elif touched:
+        yield Finding("fine", "points", f"the thumb can touch {', '.join(touched)}")
+    elif pinches:
+        nearest = min(pinches, key=lambda pinch: pinch.gap)
+        gap = f"{1e3 * nearest.gap:.0f} mm away"
+        what = f"the thumb touches no finger; nearest is the {nearest.finger}, {gap}"
+        level: Level = "warning" if nearest.gap > _OPPOSING else "advice"
+        yield Finding(level, "points", what, "check the thumb, the tips, and the limits")
+
+
+def _compare_detection(hand: Hand, tables: Tables) -> Findings:
+    """Compare the description with a detection from the URDF."""
+    try:
+        found = detect_text(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
+    except HandError as error:
+        yield Finding("advice", "palm", f"not compared with the URDF: {error.problem}")
+        return
+    clues = {clue.what: clue for clue in found.clues}
+    own, theirs = hand.link_poses([hand.spec.palm.link, found.spec.palm.link], hand.rest)[:, :3, :3]
+    for name in ("distal", "dorsal"):
+        # The detected direction in the frame of the described palm link.
+        other = own.T @ theirs @ np.array(getattr(found.spec.palm, name))
+        angle = angle_between(np.array(getattr(hand.spec.palm, name)), other)
+        allowed = _CERTAIN_ANGLE if clues[name].certainty == "certain" else _LIKELY_ANGLE
+        if angle > allowed and clues[name].confidence > _SURE:
+            better = ", ".join(f"{value:.3f}" for value in other)
+            what = f"is {angle:.0f} degrees from the detected one: {clues[name].how}"
+            yield Finding("warning", f"palm.{name}", what, f"try [{better}]")
+    side = found.spec.side
+    if side != hand.side and clues["side"].confidence > _SURE:
+        yield Finding("warning", "side", f"{clues['side'].how}: a {side} hand", f"side: {side}")
+    if side != hand.side or clues["fingers"].confidence <= _SURE:
+        return
+    # The finger named by each point must be the one whose chain moves it.
+    for point in hand.reference_points:
+        mover = hand.model.names[place_of(hand, point)[0]]
+        owner = next((finger for finger, chain in found.chains.items() if mover in chain), None)
+        if owner is not None and point.finger not in (None, owner):
+            what = f"is on the finger at the position of the {owner}, but names {point.finger}"
+            change = f"finger: {owner}, with a matching name and partner"
+            yield Finding("warning", f"points.{point.name}", what, change)
+
+
+def _check_reach(hand: Hand, tables: Tables) -> Findings:
+    """Measure the point of each finger with the largest span."""
+    rows = sorted(measure_reach(hand), key=lambda row: -row.span)
+    fingers = dict.fromkeys(point.finger for point in hand.reference_points)
+    best = [next(row for row in rows if row.finger == finger) for finger in fingers if finger]
+    tables["Fingers"] = [
+        {
+            "point": row.point,
+            "span mm": 1e3 * row.span,
+            "moves in": f"{row.directions} of 3 directions",
+            "slowest direction, mm per rad or m": 1e3 * row.slowest,
+            "manipulability": f"{row.manipulability:.2e}",
+        }
+        for row in best
+    ]
+    for row in best:
+        if row.directions == 0:
+            change = "put it on a link that moves, or leave it out"
+            yield Finding("warning", "points", f"no joint moves {row.point}", change)
+
+
+def _check_collisions(hand: Hand, tables: Tables) -> Findings:
+    if hand.spec.collision is not None:
+        try:
+            named_pairs(hand)
+        except HandError as error:
+            yield Finding("warning", error.key or "collision", error.problem, "correct the pair")
+    pairs = [f"{one} and {other}" for one, other in colliding_links(hand, hand.rest)]
+    if pairs:
+        shown = ", ".join([*pairs[:4], *(["..."] if len(pairs) > 4 else [])])
+        change = "open the hand or spread its fingers more"
+        yield Finding("warning", "rest", f"at rest {shown} overlap", change)
+    else:
+        yield Finding("fine", "rest", "no links overlap at rest, except neighbours at a joint")
+
+
+def _check_size(hand: Hand, tables: Tables) -> Findings:
+    tips = hand.with_points("fingertips") if "fingertips" in hand.spec.sets else hand
+    size = measure_size(tips)
+    ratio = f"{size.ratio:.2f}"
+    rows = {
+        "length, palm to fingertip": f"{1e3 * size.length:.0f} mm, {ratio} of a human hand",
+        "RMS distance of fingertips from their mean": f"{1e3 * size.cloud:.0f} mm; "
+        f"a person's: {1e3 * size.human_cloud:.0f} mm",
+        "suggested scale": "1 (translations as the human's), or "
+        f"{ratio} (in proportion to the hand)",
+    }
+    tables["Size"] = [{"what": what, "value": value} for what, value in rows.items()]
+    if not 0.3 < size.ratio < 4.0:
+        what = f"palm to fingertip is {size.length:.3g} m, {size.ratio:.2g} of a human hand"
+        change = "check the URDF's unit (metres) and the palm's origin"
+        yield Finding("warning", "palm.xyz", what, change)
+
+
+def _check_arm(hand: Hand, tables: Tables) -> Findings:
+    """Compare the reach of an arm with that of a person's hand in front of the body."""
+    reach = measure_arm(hand)
+    if reach is None:
+        return
+    far = int((reach >= _ARM_MOTION).sum())
+    what = (
+        f"the arm moves the wrist by {1e3 * _ARM_MOTION:.0f} mm in {far} of {len(reach)} "
+        f"directions from rest, and by {1e3 * np.median(reach):.0f} mm in half of them"
+    )
+    if far >= _MOST_DIRECTIONS * len(reach):
+        yield Finding("fine", "rest", what)
+        return
+    change = "rest in the middle of the arm's range"
+    scale = float(np.floor(20.0 * min(1.0, np.quantile(reach, 0.2) / _ARM_MOTION)) / 20.0)
+    if scale >= 0.05:
+        what += f"; a scale of {scale:.2g} fits"
+        change += f", or map with --scale {scale:.2g}"
+    yield Finding("advice", "rest", what, change)
+
+
+def _check_motion(hand: Hand, tables: Tables) -> Findings:
+    motion = try_motion(hand)
+    tables["A standard motion"] = [
+        {
+            "posture": part.name,
+            "worst point": part.worst_point,
+            "error mm": 1e3 * part.error,
+            "joints at a position limit": ", ".join(part.limited),
+        }
+        for part in motion
+    ]
+    for part in motion:
+        if part.error > _OUT_OF_REACH:
+            stops = f", {', '.join(part.limited[:3])} at a position limit" if part.limited else ""
+            gap = f"stays {1e3 * part.error:.0f} mm from its target{stops}"
+            yield Finding("advice", "reach", f"{part.name}: {part.worst_point} {gap}")
+
+
+_CHECKS: tuple[tuple[str, Callable[[Hand, Tables], Findings]], ...] = (
+    ("joints", _check_joints),
+    ("joints", _check_ranges),
+    ("joints", _check_speeds),
+    ("joints", _check_followers),
+    ("points", _check_points),
+    ("points", _check_places),
+    ("meshes", _check_meshes),
+    ("root", _check_wrist),
+    ("palm", _check_names),
+    ("palm", _check_order),
+    ("palm", _check_fist),
+    ("palm", _check_opposition),
+    ("palm", _compare_detection),
+    ("rest", _check_collisions),
+    ("reach", _check_reach),
+    ("size", _check_size),
+    ("arm", _check_arm),
+    ("motion", _check_motion),
+)

@@ -1,0 +1,104 @@
+"""Pairs of links that self-collision avoidance keeps apart on a new hand."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pinocchio as pin
+
+from handmap_qp.apps.onboarding.detect import Detection
+from handmap_qp.apps.onboarding.measure import across
+from handmap_qp.errors import HandmapError
+from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
+from handmap_qp.hands.spec import CollisionSpec
+
+MARGIN = 0.0005
+"""Least distance between links [m]: pinches close, and the linearised rows hold."""
+# Random postures, and the distance below which a pair may collide if it comes that near in one of
+# them [m].
+_SAMPLES, _NEAR = 60, 0.01
+# Pairs that overlap in more postures than this overlap by design.
+_BY_DESIGN = 0.5
+
+
+def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
+    """Add the pairs of links to keep apart to a detected hand.
+
+    Returns:
+        The detection with `collision`; with a note instead if there are no shapes.
+    """
+    try:
+        collision = find_collision_pairs(hand)
+    except HandmapError as error:
+        return replace(found, notes=(*found.notes, f"no pairs for self-collision: {error}"))
+    if collision is None:
+        return found
+    return replace(found, spec=msgspec.structs.replace(found.spec, collision=collision))
+
+
+def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
+    """Find the pairs of links that may collide: thumb and fingers, thumb and palm, neighbours.
+
+    Bars of linkages, pairs on one finger, pairs that overlap at rest, stretched or in most
+    postures, and pairs that never come near each other are left out.
+
+    Returns:
+        The pairs; None if there are none.
+
+    Raises:
+        HandError: If a collision shape cannot be read.
+    """
+    fingers = find_fingers(hand)
+    pairs = all_pairs(hand, fingers)
+    owners = {link: _owner(hand, fingers, link) for link in {*itertools.chain(*pairs.links)}}
+    wanted = [_is_wanted(owners[one], owners[other], [*fingers]) for one, other in pairs.links]
+    distances = _distances(hand, pairs)
+    touches = distances[0] < 2.0 * MARGIN
+    pinches = np.array([bool(finger) for finger in pairs.fingers], dtype=bool)
+    is_near = pinches | (distances.min(axis=0) < _NEAR)
+    overlaps = (distances <= 0.0).mean(axis=0) > _BY_DESIGN
+    named = [(min(links), max(links)) for links in pairs.links]
+    # A link has several shapes: its pair is left out if one pair of them touches.
+    bad = {named[i] for i in np.flatnonzero(touches | overlaps)}
+    good = dict.fromkeys(named[i] for i in np.flatnonzero(np.array(wanted, dtype=bool) & is_near))
+    found = tuple(pair for pair in good if pair not in bad)
+    return CollisionSpec(found, MARGIN) if found else None
+
+
+def _owner(hand: Hand, fingers: dict[str, Finger], link: str) -> str:
+    """Return the finger that a link is on; `palm`, or `bar` of a linkage, which is on none."""
+    model = hand.model
+    joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+    palm = model.frames[hand.palm_frame_id].parentJoint
+    owners = [name for name, finger in fingers.items() if joint in finger.joints]
+    if not owners and joint != palm and palm in [*model.supports[joint]]:
+        return "bar"
+    return owners[0] if len(owners) == 1 else "palm"
+
+
+def _is_wanted(one: str, other: str, fingers: list[str]) -> bool:
+    """Return whether owners are the thumb and another finger or the palm, or neighbours."""
+    if one == other or "bar" in (one, other):
+        return False
+    row = [finger for finger in fingers if finger != THUMB]
+    if THUMB in (one, other):
+        return True
+    return "palm" not in (one, other) and abs(row.index(one) - row.index(other)) == 1
+
+
+def _distances(hand: Hand, pairs: ShapePairs) -> np.ndarray:
+    """Return the distance of each pair at rest and in random postures [m], shape (1 + n, k)."""
+    data, geometry_data = hand.model.createData(), pairs.geometry.createData()
+    random = across(hand, np.random.default_rng(0).random((_SAMPLES, len(hand.rest))))
+    found = []
+    for q in (hand.rest, *random):
+        vector = hand.configuration_vector(q)
+        pin.updateGeometryPlacements(hand.model, data, pairs.geometry, geometry_data, vector)
+        pin.computeDistances(pairs.geometry, geometry_data)
+        found.append([result.min_distance for result in geometry_data.distanceResults])
+    return np.array(found, dtype=float).reshape(_SAMPLES + 1, -1)

@@ -1,0 +1,219 @@
+"""The matched posture of a robot hand: solve it, write it into a hand.yaml, and draw it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand
+from handmap_qp.hands.sources import urdf_directory
+from handmap_qp.hands.spec import read_hand_spec
+from handmap_qp.human.landmarks import human_name, scaled_human
+from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.mapping.hand_pair import HandPair, resting_posture
+from handmap_qp.output_files import replaced_path
+from handmap_qp.se3 import inverse_pose, transform_points
+
+# Positions are written with four decimals: 0.1 mrad or 0.1 mm.
+_DECIMALS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """The posture of a robot that corresponds to a resting human hand.
+
+    Attributes:
+        human: The human hand; its reference points are the 21 landmarks.
+        robot: The robot hand.
+        q: The robot's joint positions in the order of `robot.joint_names` [rad or m], inside their
+            limits and rounded to four decimals, shape (n,).
+    """
+
+    human: Hand
+    robot: Hand
+    q: np.ndarray
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """Return a table row for every joint of the hand: limits, rest and matched position."""
+        robot = self.robot
+        columns = (robot.lower_limits, robot.upper_limits, robot.rest, self.q)
+        rows = [
+            {"joint": name, "lower": low, "upper": high, "rest": rest, "matched": matched}
+            for name, low, high, rest, matched in zip(
+                robot.joint_names, *(column.tolist() for column in columns), strict=True
+            )
+        ]
+        if (given := robot.matched) is not None:
+            for row, position in zip(rows, given.tolist(), strict=True):
+                row["in hand.yaml"] = position
+        return [row for row in rows if row["joint"] in robot.spec.joints]
+
+    @property
+    def text(self) -> str:
+        """Return the key `matched` of a hand.yaml."""
+        return _block({row["joint"]: row["matched"] for row in self.rows})
+
+
+def match_hand(
+    robot: Hand, *, recording: Recording | None = None, human_length: float | None = None
+) -> Match:
+    """Solve the robot posture that corresponds to the human hand at rest.
+
+    Args:
+        robot: The robot hand. A matched posture of its description is not used.
+        recording: A recording to measure the person's hand in. The other hand's is mirrored.
+        human_length: Length of the person's hand from wrist crease to middle fingertip [m]. If
+            both are omitted, the human is the standard one.
+
+    Raises:
+        InvalidInputError: If the recording or the length cannot be used, or both are given.
+        InvalidOptionsError: If the description names no finger.
+    """
+    if recording is not None and human_length is not None:
+        raise InvalidInputError(
+            argument="human_length", problem="cannot be combined with a recording: give one of them"
+        )
+    if recording is None:
+        human = load_hand(human_name(robot.spec.side), points="landmarks", hand_length=human_length)
+    else:
+        same = recording if recording.side == robot.side else mirrored(recording)
+        human = scaled_human(same, points="landmarks")
+    solved = HandPair(human, robot).solve_matched()
+    limits = zip(solved, robot.lower_limits, robot.upper_limits, strict=True)
+    return Match(human, robot, np.array([_rounded(*numbers) for numbers in limits]))
+
+
+def own_file(hand: str | Path) -> Path:
+    """Return the path of the user's own hand.yaml.
+
+    Raises:
+        InvalidInputError: If `hand` is a hand of the package, or there is no such file.
+    """
+    file = Path(hand)
+    if file.is_dir():
+        file = file / "hand.yaml"
+    is_ours = str(hand) in hand_files() or urdf_directory().resolve() in file.resolve().parents
+    if is_ours or not file.is_file():
+        raise InvalidInputError(
+            argument="--write",
+            expected="the path of a hand.yaml of your own",
+            value=str(hand),
+            advice="write one with `extends: PATH` of the package's file, or paste the text",
+        )
+    return file
+
+
+def write_matched(match: Match, file: Path) -> None:
+    """Write the matched posture into a hand.yaml; the rest of the file stays as it is.
+
+    An existing key `matched` is replaced, else the text is appended. The result is loaded before it
+    takes the file's place.
+
+    Raises:
+        InvalidInputError: If the file cannot be written, or would not load with the new key.
+    """
+    try:
+        with replaced_path(file.resolve(), "--write") as temporary:
+            text = _with_block(file.read_bytes().decode(), match.text)
+            temporary.write_bytes(text.encode())
+            written = load_hand(read_hand_spec(temporary)).matched
+            if written is None or not np.array_equal(written, match.q):
+                raise HandError("it would not hold the posture", file=file)
+    except (HandError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise InvalidInputError(
+            argument="--write",
+            problem=f"cannot write {file}: {' '.join(str(error).split())}",
+            value=str(file),
+            advice="paste the text by hand",
+        ) from error
+
+
+def draw_match(match: Match, path: Path) -> None:
+    """Draw the resting human beside the robot at rest and matched, in their palm frames.
+
+    Args:
+        match: The posture.
+        path: Picture to write, PNG.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet
+
+    human, robot = match.human, match.robot
+    q = resting_posture(human)
+    landmarks = transform_points(inverse_pose(human.frame_pose("palm", q)), human.points(q))
+    rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
+    columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
+    figure = contact_sheet(columns, rows, side=robot.spec.side)
+    try:
+        figure.savefig(path, dpi=figure.dpi)
+    except (OSError, ValueError) as error:
+        raise InvalidInputError(
+            argument="--picture", problem=f"cannot write {path}: {error}", value=str(path)
+        ) from error
+
+
+def check_robot(hand: Hand) -> Hand:
+    """Reject a human hand, which needs no matched posture.
+
+    Raises:
+        InvalidInputError: If the hand is the human one.
+    """
+    if hand.name in HUMAN_HANDS:
+        raise InvalidInputError(argument="hand", expected="a robot hand", value=hand.name)
+    return hand
+
+
+def _rounded(value: float, lower: float, upper: float) -> float:
+    """Round a position inside its limits, which may have more decimals."""
+    scale = 10.0**_DECIMALS
+    nearest = round(float(value), _DECIMALS)
+    if nearest > upper:
+        nearest = math.floor(upper * scale) / scale
+    if nearest < lower:
+        nearest = math.ceil(lower * scale) / scale
+    return nearest if lower <= nearest <= upper else float(np.clip(value, lower, upper))
+
+
+def _block(positions: dict[str, float]) -> str:
+    """Return positions as the lines of a key of a YAML file; names are quoted where needed."""
+    return yaml.safe_dump({"matched": positions}, sort_keys=False, allow_unicode=True)
+
+
+def _with_block(text: str, block: str) -> str:
+    """Replace the top-level key `matched` of a YAML text, or append it."""
+    newline = "\r\n" if "\r\n" in text else "\n"
+    block = block.replace("\n", newline)
+    document = yaml.compose(text, Loader=yaml.SafeLoader)
+    for key, value in document.value if isinstance(document, yaml.MappingNode) else ():
+        if key.value == "matched":
+            end = max(node.end_mark.index for node in (key, *_ends(value)))
+            following = text[end:].find("\n")
+            rest = "" if following < 0 else text[end + following + 1 :]
+            return text[: key.start_mark.index] + block + rest
+    comment = "# Posture for the resting human hand, of `handmap hands match` [rad or m]."
+    gap = "" if not text or text.endswith("\n") else newline
+    return f"{text}{gap}{comment}{newline}{block}"
+
+
+def _ends(node: yaml.Node) -> Iterator[yaml.Node]:
+    """Yield the nodes whose end marks are exact.
+
+    A block mapping ends where the next key begins, behind the comments between them.
+    """
+    if isinstance(node, yaml.MappingNode) and not node.flow_style:
+        for _, value in node.value:
+            yield from _ends(value)
+    else:
+        yield node

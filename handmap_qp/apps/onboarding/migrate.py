@@ -1,0 +1,176 @@
+"""From a configuration of dex-retargeting to a hand's description.
+
+dex-retargeting (github.com/dexsuite/dex-retargeting) describes a task by links of the robot and
+indices of human landmarks. Both are taken over as reference points; palm, rest posture and the rest
+are found in the URDF, as by `handmap hands init`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import yaml
+
+from handmap_qp.apps.onboarding.detect import Detection, detect
+from handmap_qp.apps.onboarding.robot import Robot
+from handmap_qp.errors import HandError, without_errno
+from handmap_qp.hands.sources import decode_xml
+from handmap_qp.hands.spec import PointSpec
+from handmap_qp.human.sample import LANDMARK_NAMES
+
+_TIPS = (4, 8, 12, 16, 20)
+# Settings without a counterpart, and what takes their place.
+_ELSEWHERE = {
+    "scaling_factor": "sizes are measured on both hands; --scale of the presets object and paper",
+    "low_pass_alpha": "--smooth filters samples, without lag of 56 ms",
+    "project_dist": "pinches begin at a gap of 70 mm; --contact-gap",
+    "escape_dist": "pinches begin at a gap of 70 mm; --contact-gap",
+    "ignore_mimic_joint": "mimic joints always follow",
+    "has_joint_limits": "joint limits always hold",
+}
+
+
+# Settings that name the links, by the type of a configuration.
+_LINKS = {
+    "dexpilot": "finger_tip_link_names",
+    "vector": "target_task_link_names",
+    "position": "target_link_names",
+}
+
+
+class DexConfiguration(NamedTuple):
+    """The parts of a configuration that have a counterpart here.
+
+    Attributes:
+        file: The configuration.
+        urdf: Path of the URDF as it says, relative to a folder that it does not name.
+        links: Robot links by the names of human landmarks.
+        notes: Settings that were not taken over, and what takes their place.
+    """
+
+    file: Path
+    urdf: str
+    links: dict[str, str]
+    notes: tuple[str, ...]
+
+
+def read_dex_configuration(path: Path) -> DexConfiguration:
+    """Read a configuration.
+
+    Raises:
+        HandError: If the file cannot be read, or is not a configuration of dex-retargeting.
+    """
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8
+        raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
+    except yaml.YAMLError as error:
+        raise HandError(f"is not YAML: {' '.join(str(error).split())}", file=path) from error
+    table = document.get("retargeting") if isinstance(document, dict) else None
+    if not isinstance(table, dict):
+        raise HandError("expected a table `retargeting`, as in dex-retargeting's files", file=path)
+    kind, urdf = str(table.get("type", "")).lower(), table.get("urdf_path")
+    field = _LINKS.get(kind, "")
+    links: Any = table.get(field)
+    indices: Any = table.get("target_link_human_indices")
+    if kind == "vector":
+        # It has two rows of indices: where vectors begin, and where they end.
+        indices = indices[1] if isinstance(indices, list) and len(indices) == 2 else None
+    names = links if isinstance(links, list) else []
+    if kind == "dexpilot":
+        indices = [*_TIPS[: len(names)]]
+    is_index = isinstance(indices, list) and all(i in range(21) for i in indices)
+    for key, value, is_right, expected in (
+        ("urdf_path", urdf, isinstance(urdf, str), "a path"),
+        ("type", table.get("type"), bool(field), "vector, position or DexPilot"),
+        (field, links, bool(names) and {*map(type, names)} == {str}, "a list of link names"),
+        (
+            "target_link_human_indices",
+            table.get("target_link_human_indices"),
+            is_index and len(indices) == len(names),
+            f"{len(names)} indices of landmarks from 0 to 20 for {field}, of DexPilot at most five",
+        ),
+    ):
+        if not is_right:
+            raise HandError(f"expected {expected}", file=path, key=key, value=value)
+    named: Any = zip(indices or (), names, strict=True)
+    return DexConfiguration(
+        path,
+        urdf,
+        # The wrist's own landmark is not a reference point.
+        {LANDMARK_NAMES[i]: link for i, link in named if i != 0},
+        tuple(f"{name} is not used: {text}" for name, text in _ELSEWHERE.items() if name in table),
+    )
+
+
+def migrate(configuration: DexConfiguration, urdf: Path, *, name: str | None = None) -> Detection:
+    """Find the hand in its URDF, with the configuration's links as reference points.
+
+    Args:
+        configuration: The configuration.
+        urdf: The URDF that it means.
+        name: Name of the hand; that of the robot if omitted.
+
+    Raises:
+        HandError: If the URDF cannot be used, or has no link of the configuration.
+    """
+    if not urdf.is_file():
+        problem = f"{configuration.file}: no URDF {urdf}: give the file by --urdf"
+        raise HandError(problem, key="urdf_path", value=configuration.urdf)
+    robot = Robot(decode_xml(urdf.read_bytes()), urdf)
+    links = configuration.links
+    carriers = {landmark: _carrier(robot, link) for landmark, link in links.items()}
+    found = detect(urdf, thumb=carriers.get("thumb_tip"), name=name)
+    points = {point.name: point for point in _renamed(found, carriers)} | {
+        landmark: PointSpec(landmark, link, finger=landmark.partition("_")[0])
+        for landmark, link in links.items()
+    }
+    tips = tuple(name for name in points if name.endswith("_tip"))
+    others = tuple(name for name in points if name not in tips)
+    spec = msgspec.structs.replace(
+        found.spec,
+        points=tuple(points[name] for name in (*tips, *others)),
+        sets={"fingertips": tips} | ({"fingertips_middle": (*tips, *others)} if others else {}),
+    )
+    notes = (f"reference points are those of {configuration.file.name}", *configuration.notes)
+    return replace(found, spec=spec, notes=(*notes, *found.notes))
+
+
+def _carrier(robot: Robot, link: str) -> str:
+    """Return the joint that moves a link: the last one on the way to it.
+
+    Raises:
+        HandError: If there is no such link, or no joint moves it.
+    """
+    if link not in robot.links:
+        raise HandError(f"has no link {link!r} of the configuration", file=robot.file, value=link)
+    passed = robot.chain(link, robot.root)
+    if not passed:
+        raise HandError(f"no joint moves the link {link!r}", file=robot.file, value=link)
+    return passed[-1][0]
+
+
+def _renamed(found: Detection, carriers: dict[str, str]) -> list[PointSpec]:
+    """Return the found points under the finger names of the configuration.
+
+    Points of fingers that the configuration does not name are left out.
+    """
+    names = {
+        finger: landmark.partition("_")[0]
+        for landmark, joint in carriers.items()
+        for finger, chain in found.chains.items()
+        if joint in chain
+    }
+    return [
+        msgspec.structs.replace(
+            point,
+            name=f"{names[point.finger]}_{point.name.rpartition('_')[2]}",
+            finger=names[point.finger],
+            partner=None,
+        )
+        for point in found.spec.points
+        if point.finger in names
+    ]

@@ -1,0 +1,215 @@
+"""Write a `hand.yaml` with comments that explain each key and how its value was found."""
+
+from __future__ import annotations
+
+import os
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from handmap_qp.apps.onboarding.detect import Detection
+from handmap_qp.errors import InvalidInputError, MissingExtraError, MissingPackageError
+from handmap_qp.hands.sources import package_folder
+from handmap_qp.hands.spec import is_named_source
+from handmap_qp.output_files import make_folder, writing
+
+_WIDTH = 120
+# Keys whose values are written on several lines.
+_BLOCKS = (
+    *("palm", "wrist", "joints", "rest", "locked", "limits", "mimic", "points", "sets"),
+    *("collision", "collision.pairs"),
+)
+# Comments above keys: fixed ones, and evidence by the name of its clue and what it is of.
+_ABOVE = {
+    "root": "The hand starts at this link; the rest of the robot is ignored.",
+    "joints": "Active joints, in the order of every q; mimic joints are not among them.",
+    "locked": "Locked joints and their positions [rad or m].",
+    "limits": "Assumed limits that the URDF lacks; give the true values [rad or m, and per s].",
+    "mimic": "Joints that mimic a joint outside this part of the robot: treated as independent.",
+    "points": "Reference points on links [m]; `partner` names the corresponding human point.",
+    "collision": "Links that self-collision avoidance keeps apart: thumb and fingers, thumb and "
+    "palm, and neighbouring fingers.",
+}
+_FOUND = {
+    "side": ("side", ""),
+    "palm": ("palm", "the palm: "),
+    "palm.xyz": ("palm origin", "origin, at the wrist [m]: "),
+    "palm.distal": ("distal", "distal, the direction of the straight fingers: "),
+    "palm.dorsal": ("dorsal", "dorsal, out of the back of the hand: "),
+    "rest": ("rest", "rest posture [rad or m]: "),
+}
+_BESIDE = {
+    "wrist.max_linear_speed": "m/s",
+    "wrist.max_angular_speed": "rad/s",
+    "collision.margin": "m",
+}
+
+
+def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> None:
+    """Write a `hand.yaml`.
+
+    Args:
+        detection: What was found.
+        path: The file; its folder is made if it does not exist.
+        overwrite: Whether to replace an existing file.
+
+    Raises:
+        InvalidInputError: If the file exists, or cannot be written.
+    """
+    check_free(path, overwrite=overwrite)
+    make_folder(path.parent, "--out")
+    with writing(path, "--out"):
+        path.write_text(hand_text(detection, path.parent), encoding="utf-8")
+
+
+def check_free(path: Path, *, overwrite: bool) -> None:
+    """Reject a file that is no YAML, or that exists, unless it may be replaced.
+
+    Args:
+        path: The file to write.
+        overwrite: Whether to replace it.
+
+    Raises:
+        InvalidInputError: If it has another suffix, or exists.
+    """
+    if path.suffix not in (".yaml", ".yml"):
+        raise InvalidInputError(
+            argument="--out", expected="a file that ends in .yaml", value=str(path)
+        )
+    if path.exists() and not overwrite:
+        raise InvalidInputError(
+            argument="--out",
+            problem=f"{path} exists already",
+            value=str(path),
+            advice="give --overwrite to replace it",
+        )
+
+
+def hand_text(detection: Detection, folder: Path) -> str:
+    """Return the text of a `hand.yaml`; the URDF's path is relative to `folder`."""
+    spec, clues = detection.spec, {clue.what: clue for clue in detection.clues}
+    palm = {key: getattr(spec.palm, key) for key in ("link", "xyz", "distal", "dorsal")}
+    is_floating = spec.wrist.mount == "floating"
+    document: dict[str, Any] = {
+        "name": spec.name,
+        "urdf": _urdf_reference(spec.urdf, folder),
+        "root": spec.root,
+        "side": spec.side,
+        "palm": palm,
+        "wrist": msgspec.to_builtins(spec.wrist)
+        if is_floating
+        else {"link": spec.wrist.link, "mount": "fixed"},
+        "joints": spec.joints,
+        "rest": {joint: spec.rest[joint] for joint in spec.joints},
+        "locked": spec.locked,
+        "limits": {joint: _given(limit) for joint, limit in spec.limits.items()},
+        "mimic": spec.mimic,
+        "points": [_given(point) for point in spec.points],
+        "sets": spec.sets,
+        "reference": spec.reference,
+        "collision": None
+        if spec.collision is None
+        else {"margin": spec.collision.margin, "pairs": spec.collision.pairs},
+    }
+    above = dict(_ABOVE)
+    for key, (name, what) in _FOUND.items():
+        above[key] = f"{what}{clues[name].how} ({clues[name].certainty})"
+    for i, point in enumerate(spec.points):
+        if clue := clues.get(point.name):
+            above[f"points.{i}"] = f"{clue.how} ({clue.certainty})"
+    how = "six free coordinates" if is_floating else "to the world, or to an arm among the joints"
+    beside = {"wrist.mount": how} | _BESIDE | _owners(detection)
+    intro = (
+        f"{spec.name}: written by `handmap hands init`. Comments say how each value was found and "
+        "how certain it is. Correct what is wrong, then run `handmap hands check`.",
+        *(f"Note: {note}" for note in detection.notes),
+    )
+    lines = [line for note in intro for line in _comment(note, "")]
+    return "\n".join([*lines, *_lines(document, "", above, beside)]) + "\n"
+
+
+def _lines(
+    values: Mapping[str, Any] | Sequence[Any],
+    path: str,
+    above: Mapping[str, str],
+    beside: Mapping[str, str],
+) -> Iterator[str]:
+    """Yield the lines of a mapping or a list, with comments by the paths of keys."""
+    is_list = not isinstance(values, Mapping)
+    indent = "  " * path.count(".")
+    for key, value in enumerate(values) if is_list else values.items():
+        at = f"{path}{key}"
+        if value in (None, {}, ()) and not path:
+            continue
+        yield from _comment(above.get(at, ""), indent)
+        start = f"{indent}-" if is_list else f"{indent}{_flow(key)}:"
+        if at in _BLOCKS:
+            yield start
+            yield from _lines(value, f"{at}.", above, beside)
+        else:
+            end = f"  # {beside[at]}" if at in beside else ""
+            # YAML reads a line break inside a value as a space.
+            yield from _wrapped(f"{start} {_flow(value)}{end}", subsequent_indent=f"{indent}    ")
+
+
+def _comment(text: str, indent: str) -> list[str]:
+    return [f"{indent}# {line}" for line in _wrapped(text)]
+
+
+def _wrapped(text: str, subsequent_indent: str = "") -> list[str]:
+    return textwrap.wrap(
+        text,
+        _WIDTH,
+        subsequent_indent=subsequent_indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
+
+
+def _given(value: msgspec.Struct) -> dict[str, Any]:
+    """Return the fields of a struct that differ from their defaults."""
+    fields = ((field, getattr(value, field.name)) for field in msgspec.structs.fields(value))
+    return {field.name: given for field, given in fields if given != field.default}
+
+
+def _owners(detection: Detection) -> dict[str, str]:
+    """Return the finger of each joint that is the first of its finger, by the joint's path."""
+    owners, before = {}, ""
+    for i, joint in enumerate(detection.spec.joints):
+        moved = [finger for finger, chain in detection.chains.items() if joint in chain]
+        is_common = len(moved) == len(detection.chains) > 1
+        owner = "all fingers" if is_common else " and ".join(moved) or "arm"
+        if owner != before:
+            owners[f"joints.{i}"] = owner
+        before = owner
+    return owners
+
+
+def _urdf_reference(urdf: str, folder: Path) -> str:
+    """Return a URDF's path as written in `folder`: in a package, relative, or absolute."""
+    if is_named_source(urdf):
+        return urdf
+    file = Path(urdf).resolve()
+    parts = file.parts
+    if "cmeel.prefix" in parts:
+        inside = parts[parts.index("cmeel.prefix") + 2 :]
+        try:
+            if package_folder(inside[0]).resolve().joinpath(*inside[1:]) == file:
+                return f"package://{'/'.join(inside)}"
+        except (MissingExtraError, MissingPackageError):
+            pass
+    relative = os.path.relpath(file, folder.resolve())
+    return relative if relative.count("..") <= 2 else str(file)
+
+
+def _flow(value: object) -> str:
+    """Return a value as YAML on one line."""
+    plain = msgspec.to_builtins(value)
+    text = yaml.safe_dump(
+        plain, default_flow_style=True, sort_keys=False, allow_unicode=True, width=10**6
+    )
+    return text.removesuffix("...\n").rstrip("\n")

@@ -1,0 +1,74 @@
+"""`handmap serve` and `handmap keys`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.errors import MissingExtraError
+
+
+@dataclass(frozen=True)
+class Serve(Settings):
+    """Serve the mapper to trackers and robots over ZeroMQ and WebSocket.
+
+    Listens on loopback, prints one JSON line with its ports when it is ready, and logs JSON lines
+    on stderr. `handmap serve --schema` describes the messages. The folder `handmap_qp/client` is a
+    client to copy where you need it.
+
+    Attributes:
+        log_level: Lowest level to log.
+        schema: Print the description of all messages, and exit.
+        json_schema: Print their JSON schema, and exit.
+    """
+
+    log_level: Literal["debug", "info", "warning", "error"] = "info"
+    schema: bool = False
+    json_schema: bool = False
+
+    def run(self) -> None:
+        """Serve until SIGINT or SIGTERM."""
+        try:
+            from handmap_qp.apps.service.schema import json_schema, schema_text
+            from handmap_qp.apps.service.server import run_server
+        except ModuleNotFoundError as error:
+            raise MissingExtraError(str(error.name), "service") from error
+        if self.schema or self.json_schema:
+            print(json_schema() if self.json_schema else schema_text())
+        else:
+            run_server(self, self.log_level)
+
+
+@dataclass(frozen=True)
+class Keys:
+    """Make the keys that `handmap serve --keys` needs; existing keys stay.
+
+    Give each client its NAME.key_secret and server.key. A running server admits new keys at once.
+    To shut a client out, delete clients/NAME.key; the same command with its name admits it again.
+    Open connections stay until they end.
+
+    Attributes:
+        folder: Folder of the keys.
+        client: Names of clients.
+    """
+
+    folder: tyro.conf.Positional[Path]
+    client: tuple[str, ...] = field(default=("client",))
+
+    def run(self) -> None:
+        """Make the keys, and print the files written."""
+        try:
+            from handmap_qp.apps.service.keys import make_keys
+        except ModuleNotFoundError as error:
+            raise MissingExtraError(str(error.name), "service") from error
+
+        written = make_keys(self.folder, self.client)
+        for file in written:
+            is_back = file.parent.name == "clients" and self.folder / file.name not in written
+            print(f"wrote {file}" + (f", which admits {file.stem} again" if is_back else ""))
+        if not written:
+            print("wrote nothing: all keys exist")

@@ -1,0 +1,273 @@
+"""The ports of requests and stream, in front of ZeroMQ's sockets.
+
+libzmq stores without a bound what a peer sends: the topics of a PUB socket, and the parts of a
+message up to its last one. While a ROUTER socket reads one peer's message, it reads no other's.
+
+So clients connect to a gate, which passes bytes between them and the socket. A connection has a
+credit of bytes, and each frame costs what libzmq stores for it too. The service gives the credit of
+a message back once it has read the whole message. The gate does not read from a connection without
+credit, and ends it if it gets none in time. libzmq then forgets what it has stored. Only lengths of
+frames are read, so encrypted connections pass too.
+
+If a client does not read, the gate does not read either, and the PUB socket keeps the newest
+message for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import socket
+import time
+from collections.abc import Generator, Sequence
+from contextlib import suppress
+from logging import WARNING
+
+import zmq
+
+from handmap_qp.apps.service.logs import Throttle
+from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.rate_limit import Bucket
+from handmap_qp.errors import InvalidInputError
+
+_RATE = 1024.0
+"""Credit that a connection gets without a message, for heartbeats and topics [bytes/s]."""
+_STARVED = 1.0
+"""Time without credit after which a connection ends [s]."""
+_ACCEPTED = 8
+"""Connections accepted in one turn of the event loop."""
+_AT_ONCE = 2048
+"""Bytes read from a client in one turn of the event loop."""
+_BUFFER = 4096
+"""Bytes that wait for a client before the gate stops reading from the socket."""
+_GREETING, _LONG = 64, 0x02
+"""ZMTP 3: bytes of the greeting; flag of a frame whose length has eight bytes."""
+_FRAME = 64
+"""What libzmq stores for a frame beside its content [bytes]."""
+
+
+def cost_of(frame: zmq.Frame) -> int:
+    """Return the credit that a frame gives back: its cost, with the 40 bytes of encryption."""
+    return len(frame) + 2 * _FRAME
+
+
+def count_frames() -> Generator[int, bytes, None]:
+    """Count the frames of ZMTP 3 that begin in each piece of the bytes of a peer.
+
+    Raises:
+        ValueError: If the peer speaks an older protocol.
+    """
+    data = b""
+    while len(data) < _GREETING:
+        data += yield 0
+    if data[0] != 0xFF or not data[9] & 1 or data[10] < 3:
+        raise ValueError("a client speaks an older protocol than ZMTP 3")
+    at = _GREETING
+    while True:
+        count = 0
+        while at < len(data):
+            size = 9 if data[at] & _LONG else 2
+            if at + size > len(data):
+                break
+            at += size + int.from_bytes(data[at + 1 : at + size], "big")
+            count += 1
+        rest, at = data[at:], max(0, at - len(data))
+        data = rest + (yield count)
+
+
+class ConnectionGate:
+    """Listens in front of a socket: an asynchronous context manager that returns the port.
+
+    Args:
+        name: Name of the port, for counters and log.
+        host: Address to listen on.
+        port: Port; 0 lets the system choose.
+        most: Connections at once.
+        credit: Bytes that a connection may send before the service has read a message.
+        metrics: Counters.
+        evicts: Whether a connection beyond `most` ends one without a message, or else the one that
+            was silent for longest. Otherwise it is refused.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        host: str,
+        port: int,
+        most: int,
+        credit: float,
+        metrics: Metrics,
+        *,
+        evicts: bool = False,
+    ) -> None:
+        self._name, self._host, self._port, self._metrics = name, host, port, metrics
+        self._most, self.credit, self._evicts = most, credit, evicts
+        self.inner = f"handmap-{secrets.token_hex(16)}"
+        self._clients: set[_Client] = set()
+        self._known: dict[bytes, _Client] = {}
+        self._refusals = Throttle()
+
+    def bind(self, inner: zmq.Socket) -> None:
+        """Put the gate in front of a socket, which then admits connections of this process only."""
+        inner.setsockopt(zmq.IPC_FILTER_PID, os.getpid())
+        inner.bind(f"ipc://@{self.inner}")
+
+    async def __aenter__(self) -> int:
+        loop = asyncio.get_running_loop()
+        try:
+            self._server = await loop.create_server(
+                lambda: _Client(self), self._host, self._port, backlog=_ACCEPTED
+            )
+        except OSError as error:
+            address, problem = f"{self._host}:{self._port}", str(error.strerror or error)
+            advice = "give a free port at an IP address of this machine"
+            raise InvalidInputError(argument=address, problem=problem, advice=advice) from error
+        (bound, *_) = self._server.sockets
+        # asyncio accepts the whole backlog in one turn, so it is told of a shorter one.
+        with socket.fromfd(bound.fileno(), bound.family, bound.type) as listening:
+            listening.listen()
+        return bound.getsockname()[1]
+
+    async def __aexit__(self, *_: object) -> None:
+        # The last messages of sessions that end are still on their way.
+        await asyncio.sleep(0.05)
+        self._server.close()
+        for client in list(self._clients):
+            client.end()
+
+    def admit(self, client: _Client) -> None:
+        """Count a connection in, and end one if there are too many."""
+        if len(self._clients) >= self._most:
+            least = min(self._clients, key=lambda each: (bool(each.identity), each.heard))
+            (least if self._evicts else client).end("too many connections")
+        if not client.transport.is_closing():
+            self._clients.add(client)
+
+    def release(self, client: _Client, reason: str) -> None:
+        """Count a connection out; if the gate ended it, count and log the reason."""
+        self._clients.discard(client)
+        self._known.pop(client.identity, None)
+        if reason:
+            self._metrics.refusals[self._name] += 1
+            self._refusals.report(WARNING, "ended", port=self._name, reason=reason)
+
+    def find(self, message: Sequence[zmq.Frame]) -> _Client | None:
+        """Return the connection of a message from a ROUTER socket; None if it has ended."""
+        identity = message[0].bytes
+        if (client := self._known.get(identity)) is None:
+            # The socket's descriptor of a connection shows the name of the gate's end.
+            with suppress(OSError, StopIteration):
+                descriptor = int(message[-1].get(zmq.SRCFD))
+                with socket.fromfd(descriptor, socket.AF_UNIX, socket.SOCK_STREAM) as end:
+                    name = end.getpeername()
+                client = next(each for each in self._clients if each.name == name)
+                client.identity, self._known[identity] = identity, client
+        return client
+
+
+class _Client(asyncio.BufferedProtocol):
+    """The connection of one client.
+
+    Attributes:
+        heard: Time of its last message, at first that of the connection [s].
+        name: Name of the gate's end of the connection to the socket.
+        identity: Name that a ROUTER socket gave to it; empty before its first message.
+    """
+
+    transport: asyncio.Transport
+    _inner: asyncio.Transport | None = None
+    _starving: asyncio.TimerHandle | None = None
+    name = identity = b""
+
+    def __init__(self, gate: ConnectionGate) -> None:
+        self.heard = time.monotonic()
+        self._gate, self._buffer, self._frames = gate, bytearray(_AT_ONCE), count_frames()
+        self._credit = Bucket(_RATE, self.heard, gate.credit)
+        next(self._frames)
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self.transport, self._loop = transport, asyncio.get_running_loop()
+        self._gate.admit(self)
+        if transport.is_closing():
+            return
+        transport.set_write_buffer_limits(high=_BUFFER)
+        transport.pause_reading()
+        self._connecting = self._loop.create_task(self._connect())
+
+    async def _connect(self) -> None:
+        """Connect to the socket, then start to read."""
+        end = socket.socket(socket.AF_UNIX)
+        try:
+            end.setblocking(False)
+            # The system chooses a unique name.
+            end.bind("")
+            self.name = end.getsockname()
+            await self._loop.sock_connect(end, f"\0{self._gate.inner}")
+            self._inner, _ = await self._loop.create_unix_connection(lambda: _Inner(self), sock=end)
+        except OSError:
+            end.close()
+        if self._inner is None or self.transport.is_closing():
+            self.end()
+        else:
+            self.transport.resume_reading()
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        data = bytes(memoryview(self._buffer)[:nbytes])
+        try:
+            cost = nbytes + _FRAME * self._frames.send(data)
+        except ValueError as error:
+            self.end(str(error))
+            return
+        assert self._inner is not None
+        self._inner.write(data)
+        if self._credit.charge(time.monotonic(), cost) <= 0.0:
+            self.transport.pause_reading()
+            reason = "a client sent more than its messages need"
+            self._starving = self._loop.call_later(_STARVED, self.end, reason)
+
+    def refund(self, cost: float) -> str:
+        """Give credit back; return the address of the client."""
+        self.heard = time.monotonic()
+        if self._credit.charge(self.heard, -cost) > 0.0 and self._starving is not None:
+            self._starving.cancel()
+            self._starving = None
+            self.transport.resume_reading()
+        return self.transport.get_extra_info("peername")[0]
+
+    def pause_writing(self) -> None:
+        if self._inner is not None:
+            self._inner.pause_reading()
+
+    def resume_writing(self) -> None:
+        if self._inner is not None:
+            self._inner.resume_reading()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.end()
+
+    def end(self, reason: str = "") -> None:
+        """End both connections, if by the gate with the reason."""
+        self._gate.release(self, reason)
+        if self._starving is not None:
+            self._starving.cancel()
+        for transport in (self.transport, self._inner):
+            if transport is not None:
+                transport.abort()
+
+
+class _Inner(asyncio.Protocol):
+    """The connection to the socket for one client."""
+
+    def __init__(self, client: _Client) -> None:
+        self._client = client
+
+    def data_received(self, data: bytes) -> None:
+        self._client.transport.write(data)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._client.end()

@@ -1,0 +1,215 @@
+"""Secrets in files that only their owner can read: CURVE keys, and the WebSocket token.
+
+A folder of keys holds `server.key_secret` and `server.key`, and such a pair for each client. The
+public keys of admitted clients are also in `clients/`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from logging import INFO, WARNING
+from pathlib import Path
+from typing import NamedTuple
+
+from zmq.auth import create_certificates, load_certificate
+
+from handmap_qp.apps.service.logs import Throttle, report
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+
+_KEY_LENGTH = 40
+"""Length of a key as Z85."""
+
+
+class ServerKeys(NamedTuple):
+    """The public and the secret key of a server, Z85."""
+
+    public: bytes
+    secret: bytes
+
+
+class ClientKeys:
+    """The public keys of admitted clients, as they are in a folder.
+
+    pyzmq's authenticator asks it at every handshake.
+
+    Args:
+        folder: Folder of the public keys, each in a file `*.key`.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._seen: dict[Path, tuple[int, int, int]] = {}
+        self._keys: frozenset[bytes] = frozenset()
+        # Names stay when a client is shut out, because its connections stay too.
+        self._names: dict[str, str] = {}
+        self._refusals = Throttle()
+
+    def read(self) -> frozenset[bytes]:
+        """Return the keys, Z85; read the files again only if the folder has changed."""
+        seen = {}
+        for file in self._folder.glob("*.key"):
+            # A file that was deleted meanwhile admits no one.
+            with suppress(OSError):
+                status = file.stat()
+                seen[file] = (status.st_ino, status.st_mtime_ns, status.st_size)
+        if seen != self._seen:
+            keys = {file: key for file in seen if (key := _read_public(file))}
+            self._seen, self._keys = seen, frozenset(keys.values())
+            self._names |= {key.decode("ascii", "replace"): f.stem for f, key in keys.items()}
+            report(INFO, "keys", clients=len(self._keys))
+        return self._keys
+
+    def name_of(self, key: str) -> str:
+        """Return the name of a client by its public key, Z85; the key if it was never read."""
+        return self._names.get(key, key)
+
+    def callback(self, domain: str, key: bytes) -> bool:
+        """Return whether a client is admitted; pyzmq gives the method its name.
+
+        Args:
+            domain: Not used; all clients share one.
+            key: Public key of the client, Z85.
+        """
+        is_known = key in self.read()
+        if not is_known:
+            self._refusals.report(WARNING, "refused_key", key=key.decode("ascii", "replace"))
+        return is_known
+
+
+def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
+    """Make keys; existing ones stay, and clients whose admission was deleted are admitted again.
+
+    Args:
+        folder: Folder of the keys. It is made if it does not exist, readable for its owner only.
+        clients: Names of clients.
+
+    Returns:
+        The files written.
+
+    Raises:
+        InvalidInputError: If a name cannot be a file name, or the folder cannot be written.
+    """
+    for name in clients:
+        if not name.replace("-", "").replace("_", "").isalnum() or name == "server":
+            raise InvalidInputError(
+                argument="client",
+                expected="a name of letters, digits, - and _ that is not 'server'",
+                value=name,
+            )
+    _check_folder(folder)
+    written: list[Path] = []
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        (folder / "clients").mkdir(mode=0o700, exist_ok=True)
+        for name in ("server", *clients):
+            secret = folder / f"{name}.key_secret"
+            if not secret.exists():
+                # Create the file with its mode, so that others can never read the secret.
+                secret.touch(mode=0o600)
+                create_certificates(folder, name)
+                secret.chmod(0o600)
+                written += [folder / f"{name}.key", secret]
+            admitted = folder / "clients" / f"{name}.key"
+            if name != "server" and (secret in written or not admitted.exists()):
+                admitted.write_bytes((folder / f"{name}.key").read_bytes())
+                written.append(admitted)
+    except OSError as error:
+        raise InvalidInputError(
+            argument=str(error.filename or folder), problem=str(error.strerror)
+        ) from error
+    return written
+
+
+def read_server_keys(folder: Path) -> ServerKeys:
+    """Read the server's keys.
+
+    Raises:
+        InvalidInputError: If they do not exist, or others can read them.
+    """
+    _check_folder(folder)
+    file = folder / "server.key_secret"
+    try:
+        _check_private(file)
+        public, secret = load_certificate(file)
+    except FileNotFoundError as error:
+        raise InvalidInputError(
+            argument=str(file), problem="does not exist", advice=f"handmap keys {folder} makes it"
+        ) from error
+    except OSError as error:
+        raise _unreadable(file, error) from error
+    except InvalidInputError:
+        raise
+    except (ValueError, IndexError):
+        # pyzmq raises them if the file has no key.
+        public, secret = b"", None
+    if secret is None or not len(public) == len(secret) == _KEY_LENGTH:
+        raise InvalidInputError(
+            argument=str(file),
+            expected="a server's secret key",
+            got="something else",
+            advice=f"delete it and run handmap keys {folder}; "
+            "then give all clients the new server.key",
+        )
+    return ServerKeys(public, secret)
+
+
+def read_token(file: Path) -> str:
+    """Read the token that WebSocket clients must present.
+
+    Raises:
+        InvalidInputError: If it cannot be read, or if others can read it.
+        InvalidOptionsError: If it is not a token.
+    """
+    try:
+        _check_private(file)
+        token = file.read_text(encoding="utf-8").strip()
+    except OSError as error:
+        raise _unreadable(file, error) from error
+    except UnicodeDecodeError as error:
+        raise InvalidInputError(
+            argument=str(file),
+            problem="cannot be read: expected a token, got bytes that are not text",
+        ) from error
+    if not re.fullmatch(r"[A-Za-z0-9_-]{16,256}", token):
+        raise InvalidOptionsError(
+            option="web_token_file", expected="a token of 16 to 256 letters, digits, - and _"
+        )
+    return token
+
+
+def _unreadable(file: Path, error: OSError) -> InvalidInputError:
+    return InvalidInputError(argument=str(file), problem=f"cannot be read: {error.strerror}")
+
+
+def _check_private(file: Path) -> None:
+    """Reject a file with a secret that others can read."""
+    if file.stat().st_mode & 0o077:
+        raise InvalidInputError(
+            argument=str(file),
+            problem="others can read it",
+            advice="chmod 600 it, and make a new secret if they may have",
+        )
+
+
+def _check_folder(folder: Path) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise InvalidInputError(
+            argument=str(folder),
+            expected="a folder of keys",
+            got="a file",
+            advice="handmap keys FOLDER makes one",
+        )
+
+
+def _read_public(file: Path) -> bytes | None:
+    """Return a client's public key; log a warning and return None if the file has none.
+
+    The other clients must still be admitted.
+    """
+    try:
+        return load_certificate(file)[0]
+    except (OSError, ValueError, IndexError) as error:
+        report(WARNING, "no_key", file=str(file), error=str(error))
+        return None

@@ -1,0 +1,336 @@
+"""From an `open` request to the hands and the mapper of a session.
+
+Loading and measuring take some 100 ms, so they run in a thread.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from handmap_qp.apps.service.refusals import field_of_option, with_field_errors, with_option_errors
+from handmap_qp.client.messages import FORMER_OPTIONS, Configure, Open
+from handmap_qp.errors import (
+    HandError,
+    HandmapError,
+    InvalidInputError,
+    InvalidOptionsError,
+    RefusedError,
+)
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
+from handmap_qp.hands.spec import Mount, Side, read_hand_spec
+from handmap_qp.human.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
+from handmap_qp.human.landmarks import PalmShape, check_length, human_name, measure_hand
+from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.verdict import Rule
+from handmap_qp.mapping.hand_pair import HandPair, hand_pair
+from handmap_qp.mapping.landmarks import LandmarkReader
+from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.presets import Choice, default_preset, preset_choice, preset_with
+from handmap_qp.options import Options
+from handmap_qp.stream.follower import Follower, RejoinKind
+from handmap_qp.stream.guard import StreamGuard
+
+CALIBRATION_SAMPLES = 30
+"""Number of landmark samples that the human hand is measured from."""
+SOLVERS = ("daqp",)
+"""Solvers that a client may choose. The time of others is not bounded, and all sessions would wait:
+with a large weight, ProxQP took 97 s for one sample."""
+MOST_ITERATIONS = 20
+_CACHED_HANDS = 32
+_PERIOD = 1.0 / 60.0
+"""Usual time between the samples [s]; gaps are medians over 0.1 s."""
+# Limits that protect the robot do not end with a preset.
+_PROTECTING = ("max_acceleration", "avoids_self_collision")
+
+T = TypeVar("T", bound=Options)
+
+
+class HandCache:
+    """The hands that clients may open, by name.
+
+    Sessions share a `Hand`, because it does not change. Threads may share the cache.
+
+    Args:
+        files: Further robot hands: paths of `hand.yaml` files. Clients never name paths.
+
+    Raises:
+        HandError: If one cannot be read, or two hands have the same name.
+
+    Attributes:
+        missing: Why each hand that is not installed cannot be opened, by name.
+    """
+
+    def __init__(self, files: Sequence[Path] = ()) -> None:
+        self._files = {name: file for name, file in hand_files().items() if name not in HUMAN_HANDS}
+        self.missing = missing_hands()
+        for file in files:
+            spec = read_hand_spec(file)
+            if spec.name in self.robots:
+                raise HandError(
+                    f"there is already a hand {spec.name!r}", file=file, key="name", value=spec.name
+                )
+            self._files[spec.name] = file
+            self.missing.pop(spec.name, None)
+        self._load = lru_cache(maxsize=_CACHED_HANDS)(load_hand)
+
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """Names of the robot hands that are installed."""
+        return tuple(name for name in self._files if name not in self.missing)
+
+    def robot(self, name: str, points: str | None, mount: Mount | None) -> Hand:
+        """Return a robot hand.
+
+        Args:
+            name: Its name.
+            points: Set of reference points; the hand's own if None.
+            mount: How its wrist is mounted; as in the description if None.
+
+        Raises:
+            RefusedError: If no hand has this name, or it cannot be loaded so.
+        """
+        if name not in self._files:
+            raise RefusedError(
+                "invalid",
+                f"no hand {name!r:.80}; there are {', '.join(self.robots)}",
+                field="robot",
+            )
+        file = self._files[name]
+        return with_field_errors("robot", lambda: self._load(file, points=points, mount=mount))
+
+    def human(self, side: Side, points: str | None) -> Hand:
+        """Return a human hand of the model's size."""
+        return self._load(human_name(side), points=points)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hands:
+    """The hands of a session and what maps between them.
+
+    Attributes:
+        mapper: Maps the human hand to the robot hand.
+        follower: Lets the mapper follow samples of landmarks.
+        robot: The robot hand with the reference points of the request.
+        choice: Preset and options of the mapper.
+        palm: Recognises landmarks of another size; None if samples are joint angles or points.
+        lengths: The measured human hand; None for the model's own.
+        contact_gap: The measured contact gap [m]; None if it was not measured yet.
+        pair: Both hands, matched for teleoperation; kept so that `configure` finds it at once. None
+            if their fingers do not correspond.
+    """
+
+    mapper: HandMapper
+    follower: Follower
+    robot: Hand
+    choice: Choice
+    palm: PalmShape | None
+    lengths: HumanLengths | None
+    contact_gap: float | None
+    pair: HandPair | None = None
+
+    @property
+    def needs_measuring(self) -> bool:
+        """Whether the first landmarks measure the human hand; until then it is the model's own."""
+        return self.palm is not None and self.lengths is None
+
+
+def prepare_hands(
+    request: Open,
+    cache: HandCache,
+    lengths: HumanLengths | None = None,
+    contact_gap: float | None = None,
+) -> Hands:
+    """Make the mapper of a session.
+
+    Args:
+        request: The client's request.
+        cache: The hands that clients may open.
+        lengths: The human hand as measured from landmarks; the request decides if omitted.
+        contact_gap: The contact gap as measured from landmarks [m], unless the request gives one.
+
+    Returns:
+        The mapper and the hands.
+
+    Raises:
+        RefusedError: With the field at fault.
+    """
+    if request.hand_length is not None and request.lengths is not None:
+        raise RefusedError("invalid", "give hand_length or lengths, not both", field="lengths")
+    contact_gap = contact_gap if request.contact_gap is None else request.contact_gap
+    robot = cache.robot(request.robot, request.robot_points, request.mount)
+    if lengths is None:
+        lengths = with_field_errors("lengths", lambda: _human_lengths(request))
+    human = with_field_errors("human_points", lambda: _human(request, cache, lengths))
+    palm = None
+    if request.input == "landmarks":
+        palm = PalmShape(human)
+        # Reject reference points that are no landmarks now, not at the first sample.
+        with_field_errors("human_points", lambda: LandmarkReader(human))
+    choice = read_choice(request, human, robot, contact_gap)
+    rejoin: RejoinKind = "clutch" if request.resume == "clutch" else "glide"
+    mapper = with_option_errors(
+        request,
+        robot,
+        choice,
+        lambda: HandMapper(human, robot, choice.method, ik=choice.ik),
+    )
+    pair = None
+    if default_preset(human, robot) == "teleoperation":
+        # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
+        with suppress(HandmapError):
+            pair = hand_pair(human, robot)
+    follower = Follower(mapper, rejoin=rejoin)
+    return Hands(mapper, follower, robot, choice, palm, lengths, contact_gap, pair)
+
+
+def _human(request: Open, cache: HandCache, lengths: HumanLengths | None) -> Hand:
+    """Return the human hand with the reference points of the request."""
+    if lengths is None:
+        return cache.human(request.side, request.human_points)
+    return load_hand(human_name(request.side), points=request.human_points, lengths=lengths)
+
+
+def _human_lengths(request: Open) -> HumanLengths | None:
+    """Return the measured hand if the request has one."""
+    lengths = request.lengths
+    if lengths is None:
+        length = request.hand_length
+        return None if length is None else HumanLengths.from_hand_length(length)
+    if not all(0.0 < math.hypot(*row) < 1.0 for row in (*lengths.bases, *lengths.segments)):
+        raise InvalidInputError(argument="lengths", expected="lengths between 0 and 1 m")
+    return HumanLengths(*map(np.array, (lengths.bases, lengths.segments, lengths.rolls)))
+
+
+def read_choice(
+    request: Open, human: Hand, robot: Hand, contact_gap: float | None = None
+) -> Choice:
+    """Read preset and options from a request.
+
+    Args:
+        request: The request, with the changes of all `configure` since.
+        human: The hand that leads.
+        robot: The hand that follows.
+        contact_gap: The measured contact gap [m], used unless the request gives one.
+
+    Raises:
+        RefusedError: With the field at fault.
+    """
+    name = request.preset or preset_with(request.options, human, robot)
+    start = with_field_errors("preset", lambda: preset_choice(name, contact_gap))
+    # Each former name of the options belongs to other presets.
+    others = FORMER_OPTIONS[name != FORMER_OPTIONS[1]]
+    for option in sorted(getattr(request, others)):
+        message = f"the preset {name} has no such option"
+        raise RefusedError("invalid", message, field=f"{others}.{option:.64}")
+    method = _changed(partial(field_of_option, request), start.method, request.options)
+    ik = _changed("ik.{:.64}".format, start.ik, request.ik)
+    if ik.solver not in SOLVERS:
+        expected = f"expected one of {', '.join(SOLVERS)}; got {ik.solver!r:.40}"
+        raise RefusedError("invalid", expected, field="ik.solver")
+    if ik.max_iterations > MOST_ITERATIONS:
+        expected = f"expected at most {MOST_ITERATIONS}, got {ik.max_iterations}"
+        raise RefusedError("invalid", expected, field="ik.max_iterations")
+    return Choice(name, method, ik)
+
+
+def _changed(field_of: Callable[[str], str], start: T, values: dict[str, Any]) -> T:
+    """Return options with the values of a request, which gives each in the field of its name."""
+    try:
+        return start.replaced(**values)
+    except InvalidOptionsError as error:
+        message = ": ".join(filter(None, (error.what, error.advice)))
+        raise RefusedError("invalid", message, field=field_of(error.option)) from error
+
+
+def with_changes(request: Open, choice: Choice, changes: Configure) -> Open:
+    """Return the request that opens a session with changed options.
+
+    Args:
+        request: The request, with all changes before.
+        choice: The choice in force.
+        changes: The changes. Without a preset, options that are not named stay as they are.
+    """
+    kept, ik = request.options, request.ik
+    if changes.preset is not None:
+        kept, ik = {}, {name: ik[name] for name in _PROTECTING if name in ik}
+    return msgspec.structs.replace(
+        request,
+        preset=changes.preset or choice.preset,
+        options=kept | changes.options,
+        mapping=changes.mapping,
+        teleoperation=changes.teleoperation,
+        ik=ik | changes.ik,
+    )
+
+
+class Calibration:
+    """Measure the human hand from landmarks, and prepare the hands of the session with it.
+
+    Args:
+        request: The request that opened the session.
+        cache: The hands that clients may open.
+        defer: Runs the measurement, which takes some 200 ms, in another thread.
+    """
+
+    def __init__(
+        self, request: Open, cache: HandCache, defer: Callable[[Callable[[], Hands]], Future[Hands]]
+    ) -> None:
+        self._request, self._cache, self._defer = request, cache, defer
+        self._guard = StreamGuard(cache.human(request.side, None))
+        self._landmarks: list[np.ndarray] = []
+        self._work: Future[Hands] | None = None
+
+    def add(self, sample: HumanSample) -> tuple[Rule, Hands | None]:
+        """Take one more sample, unless it makes no sense.
+
+        Args:
+            sample: The sample.
+
+        Returns:
+            What is wrong with the sample, which is then ignored, empty if nothing; and the hands,
+            once they are ready.
+
+        Raises:
+            RefusedError: If the landmarks are not a hand in metres; the sample is then ignored. Or
+                if the samples so far cannot be measured; then new ones are collected.
+        """
+        verdict = self._guard.check(sample)
+        if verdict.rule in ("missing", "zero"):
+            return verdict.rule, None
+        landmarks = sample.landmarks
+        with_field_errors("landmarks", lambda: check_length(landmarks[None]))
+        # The person may be much larger or smaller than the model.
+        if verdict.is_held and verdict.rule != "size":
+            return verdict.rule, None
+        if self._work is None:
+            self._landmarks.append(landmarks)
+            if len(self._landmarks) >= CALIBRATION_SAMPLES:
+                collected, self._landmarks = np.array(self._landmarks), []
+                self._work = self._defer(lambda: self._prepare(collected))
+        if self._work is None or not self._work.done():
+            return "", None
+        work, self._work = self._work, None
+        return "", work.result()
+
+    def _prepare(self, landmarks: np.ndarray) -> Hands:
+        time = _PERIOD * np.arange(len(landmarks))
+        is_valid = np.ones(len(landmarks), dtype=bool)
+        recording = Recording("calibration", time, landmarks, is_valid, self._request.side)
+        lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
+        # Without a touch, nothing was measured: the preset's own gap is the better guess.
+        smallest = smallest_gap(time, landmarks)
+        gap = clipped_gap(smallest) if smallest < TOUCH_GAP else None
+        return prepare_hands(self._request, self._cache, lengths, gap)

@@ -1,0 +1,116 @@
+"""What the service answers to HTTP requests: the page for a headset's browser, metrics and health.
+
+The page makes no external requests.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import cache
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from handmap_qp.apps.addresses import names_loopback
+from handmap_qp.apps.service.logs import websocket_log
+from handmap_qp.apps.service.metrics import Metrics
+
+_FOLDER = Path(__file__).with_name("webxr")
+_TEXT = "text/plain; charset=utf-8"
+_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+_HEADERS = {
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "Permissions-Policy": "xr-spatial-tracking=(self)",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-cache",
+}
+_READ_TIMEOUT = 2.0
+
+
+def page_response(request: Request) -> Response | None:
+    """Answer a request of a browser for the page or one of its files.
+
+    The files are the same for everyone and hold no secrets, so they need no token.
+
+    Args:
+        request: A request; None is returned for a handshake of a WebSocket.
+
+    Returns:
+        The file, or 404 where there is none.
+    """
+    if "Upgrade" in request.headers:
+        return None
+    found = _files().get(request.path.partition("?")[0])
+    if found is None:
+        return _response(HTTPStatus.NOT_FOUND, _TEXT, b"not found\n")
+    return _response(HTTPStatus.OK, *found)
+
+
+async def serve_metrics(
+    host: str, port: int, metrics: Metrics, health: Callable[[], dict[str, Any]]
+) -> Server:
+    """Answer `GET /metrics`, and `GET /health` as JSON.
+
+    Args:
+        host: Loopback address to listen on.
+        port: Port; 0 lets the system choose.
+        metrics: The counters.
+        health: Returns the result of the health check; its `status` is `ok` or an error.
+
+    Returns:
+        The listening server.
+    """
+
+    def respond(_: ServerConnection, request: Request) -> Response:
+        # Prevent DNS rebinding: an attacker's name that resolves to 127.0.0.1 in a browser.
+        if not all(map(names_loopback, request.headers.get_all("Host"))):
+            return _response(HTTPStatus.MISDIRECTED_REQUEST, _TEXT, b"ask for localhost\n")
+        path = request.path.partition("?")[0]
+        if path == "/metrics":
+            kind = "text/plain; version=0.0.4; charset=utf-8"
+            return _response(HTTPStatus.OK, kind, metrics.render().encode())
+        if path == "/health":
+            state = health()
+            is_well = state["status"] == "ok"
+            status = HTTPStatus.OK if is_well else HTTPStatus.SERVICE_UNAVAILABLE
+            return _response(status, "application/json", json.dumps(state).encode())
+        return _response(HTTPStatus.NOT_FOUND, _TEXT, b"there are /metrics and /health\n")
+
+    async def never(_: ServerConnection) -> None:
+        """Serve no WebSocket, because every request has a response."""
+
+    return await serve(
+        never,
+        host,
+        port,
+        process_request=respond,
+        logger=websocket_log,
+        compression=None,
+        open_timeout=_READ_TIMEOUT,
+    )
+
+
+@cache
+def _files() -> dict[str, tuple[str, bytes]]:
+    """Return type and content of every file of the page, by its path in requests."""
+    files = {
+        f"/{file.name}": (f"{_TYPES[file.suffix]}; charset=utf-8", file.read_bytes())
+        for file in sorted(_FOLDER.iterdir())
+        if file.suffix in _TYPES
+    }
+    return files | {"/": files["/index.html"]}
+
+
+def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
+    headers = Headers(_HEADERS)
+    headers.update({"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"})
+    return Response(status.value, status.phrase, headers, body)

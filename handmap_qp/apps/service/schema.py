@@ -1,0 +1,214 @@
+"""Description of the messages, as Markdown and as JSON schema, made from their types."""
+
+from __future__ import annotations
+
+import json
+from typing import Any, get_args
+
+import docstring_parser
+import msgspec
+
+from handmap_qp.apps.service.decoding import LARGEST, LATEST
+from handmap_qp.apps.service.opening import MOST_ITERATIONS, SOLVERS
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.client.messages import (
+    PROTOCOL,
+    About,
+    AnyReply,
+    AnyRequest,
+    Detail,
+    Lengths,
+    Pose,
+    Reply,
+    Request,
+)
+from handmap_qp.human.verdict import RULES
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.presets import PRESETS
+
+FLAGS = {
+    "dt_clamped": "more time than `max_dt` has passed since the last command",
+    "time_backwards": "the time stamp is not later than the last one",
+    "time_jump": "the time stamps jumped by more than a second relative to the server's clock",
+    "slewing": "the robot is on its way to the mapped posture, within its speed limits",
+    "stretch_clamped": "a stretch of T was outside its range",
+    "watchdog": "no sample arrived in time: `status` is `hold` or `returning`",
+    "at_rest": "the robot is at its rest posture",
+    "resumed": "the first command after a hold",
+    "released": "the robot is released and holds until `clutch`, whatever `status` says",
+    "stopped": "an emergency stop is in force, until `clear`",
+}
+"""Flags of a command, besides the rule that a sample broke."""
+
+CODES = {
+    "invalid": "a field is missing, unknown, of another type or unusable; `field` names it",
+    "protocol": "the message is of another version of the protocol; `protocols` has the versions "
+    "that the server answers",
+    "no_session": "the server does not know the session: it was restarted, or closed the session",
+    "taken": "another client took the session over (`restore`)",
+    "stale": "the number is not above the last one, and the request is not a repetition",
+    "busy": "all sessions are in use, or this one is",
+    "rate": "too many messages, openings or changes of options per second; `seq` may be 0",
+    "stopped": "an emergency stop is in force: clear it first",
+    "denied": "the server or the client of the session does not allow it",
+    "internal": "the server failed and logged the reason",
+}
+"""Codes of an error."""
+
+_NARROWED = {
+    "solver": f"`{'` or `'.join(SOLVERS)}`, because the time of other solvers has no bound.",
+    "max_iterations": "Linearisations per sample, at most; "
+    f"the service accepts up to {MOST_ITERATIONS}.",
+}
+"""Options that the service restricts."""
+
+_INTRODUCTION = f"""\
+One message is one map with the key `type`. Units are SI and radians; poses are of the wrist frame,
+in right-handed worlds.
+
+- ZeroMQ: msgpack. Connect a DEALER (or REQ) socket to the port of requests, and a SUB socket to the
+  port of the stream. A message of the stream is the session's name, a zero byte, and the message.
+  Use one SUB socket per session: for each socket, the server keeps the newest message only,
+  whatever session it is of.
+- WebSocket: binary frames are msgpack, text frames JSON. `subscribe` starts a stream. If the server
+  requires a token (16 to 256 of A-Z a-z 0-9 _ -), send it as the header `Authorization: Bearer
+  TOKEN`. A page in a browser cannot set headers, so it offers the token as a subprotocol:
+  `new WebSocket(url, ["handmap.v1", "bearer.TOKEN"])`.
+
+A message is at most {Settings().message_size} bytes long; a longer one ends its connection.
+Coordinates [m] and angles [rad] are within {LARGEST:g} of 0, time stamps [s] within
+{LATEST:g}.
+
+If a request arrives again byte by byte, the server repeats its answer without carrying it out
+again. A request with a session's public `name` in place of its secret is carried out each time."""
+
+
+def schema_text() -> str:
+    """Return the description of all messages as Markdown."""
+    parts = [
+        f"# Messages of the mapping service, protocol {PROTOCOL}",
+        _INTRODUCTION,
+        "## Requests",
+        "Every request also has these fields:",
+        _rows(Request),
+        *(_table(kind) for kind in get_args(AnyRequest)),
+        "## Replies",
+        "Every reply has `seq`, the number of the request that it answers. "
+        "Replies may get further fields.",
+        *(_table(kind) for kind in get_args(AnyReply)),
+        "## Values",
+        *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
+        "### Presets",
+        "\n".join(map(_preset_line, PRESETS)),
+        *map(_table, dict.fromkeys([*(type(each.method) for each in PRESETS.values()), IkOptions])),
+        "## Flags of a command",
+        "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
+        "## Rules for landmarks",
+        "A sample that breaks a rule does not move the robot: `status` is `held`, and `rule` and "
+        "`flags` have the name. Afterwards, `gliding` leads back to the human.",
+        "\n".join(f"- `{rule}`: {text}" for rule, text in RULES.items()),
+        "## Codes of an error",
+        "\n".join(f"- `{code}`: {text}" for code, text in CODES.items()),
+    ]
+    return "\n\n".join(parts)
+
+
+def json_schema() -> str:
+    """Return all messages as JSON schema (2020-12)."""
+    either, components = _components(AnyRequest, AnyReply)
+    title = f"handmap protocol {PROTOCOL}"
+    return json.dumps({"title": title, "anyOf": either, "$defs": components}, indent=2)
+
+
+def _components(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Return the JSON schemas of types, and those of the structs that they refer to.
+
+    Fields are described in the docstring of their class, or of a base, under `Attributes`.
+    """
+    schemas, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
+    structs = [*get_args(AnyRequest), *get_args(AnyReply), Request, About, Detail, Lengths, Pose]
+    for kind in structs:
+        for base in reversed(kind.__mro__) if kind.__name__ in components else ():
+            doc = docstring_parser.parse(base.__doc__ or "")
+            schema = components[kind.__name__]
+            for item in doc.params:
+                if item.arg_name in schema["properties"]:
+                    text = " ".join((item.description or "").split())
+                    schema["properties"][item.arg_name]["description"] = text
+            text = f"{doc.short_description} {doc.long_description or ''}"
+            schema["description"] = " ".join(text.split())
+    return list(schemas), components
+
+
+def _table(kind: type[msgspec.Struct]) -> str:
+    """Describe a message, value or options with its fields."""
+    tag = kind.__struct_config__.tag
+    about = _components(kind)[1][kind.__name__].get("description", "").partition("\n")[0]
+    return "\n\n".join(filter(None, (f"### `{tag or kind.__name__}`", about, _rows(kind))))
+
+
+def _rows(kind: type[msgspec.Struct]) -> str:
+    """Describe the fields that a struct adds to its base; empty if there are none."""
+    inherited = {"type"}
+    for base in (Request, Reply):
+        if issubclass(kind, base) and kind is not base:
+            inherited |= set(base.__struct_fields__)
+    fields = _components(kind)[1][kind.__name__]["properties"].items()
+    rows = [_row(name, field) for name, field in fields if name not in inherited]
+    return "\n".join(["| field | type | default | |", "|---|---|---|---|", *rows]) if rows else ""
+
+
+def _row(name: str, field: dict[str, Any]) -> str:
+    default = field.get("default")
+    value = json.dumps(round(default, 4) if isinstance(default, float) else default)
+    given = f"`{value}`" if "default" in field else ""
+    texts = [part.get("description", "") for part in (field, *field.get("anyOf", ()))]
+    about = _NARROWED.get(name, next(filter(None, texts), ""))
+    return f"| `{name}` | {_type(field)} | {given} | {about} |"
+
+
+def _preset_line(name: str) -> str:
+    """Describe a preset, and where its options differ from the defaults in the tables."""
+    preset = PRESETS[name]
+    changes = {
+        option: value
+        for part in (preset.ik, preset.method)
+        for option, value in type(part)().changes_to(part).items()
+    }
+    listed = ", ".join(f"`{option}` {json.dumps(value)}" for option, value in changes.items())
+    differs = f" Its own values: {listed}." if changes else ""
+    kind = type(preset.method).__name__
+    return f"- `{name}` (`{kind}`): {preset.purpose}. Weakness: {preset.weakness}.{differs}"
+
+
+_NAMES = {"string": "text", "object": "map", None: "any"}
+_BOUNDS = {
+    "minimum": "at least",
+    "exclusiveMinimum": "above",
+    "maximum": "at most",
+    "maxLength": "at most",
+    "maxItems": "at most",
+}
+
+
+def _type(schema: dict[str, Any]) -> str:
+    """Name the type of a JSON schema."""
+    if "$ref" in schema:
+        return f"`{schema['$ref'].rpartition('/')[2]}`"
+    if "anyOf" in schema:
+        return " or ".join(map(_type, schema["anyOf"]))
+    if "enum" in schema:
+        return " or ".join(f"`{value}`" for value in schema["enum"])
+    if "prefixItems" in schema:
+        return f"{len(schema['prefixItems'])} x {_type(schema['prefixItems'][0])}"
+    if "items" in schema:
+        return f"[{_type(schema['items'])}, ...]{_bounds(schema)}"
+    return f"{_NAMES.get(schema.get('type'), schema.get('type'))}{_bounds(schema)}"
+
+
+def _bounds(schema: dict[str, Any]) -> str:
+    """Name the bounds of a JSON schema; 2^53 is only the limit of integers in JSON."""
+    given = [(sign, schema[key]) for key, sign in _BOUNDS.items() if key in schema]
+    bounds = [f"{sign} {bound:g}" for sign, bound in given if bound != 2**53]
+    bounds += [schema["title"]] if "pattern" in schema else []
+    return f" ({', '.join(bounds)})" if bounds else ""

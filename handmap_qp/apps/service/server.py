@@ -1,0 +1,392 @@
+"""`Server`: the mapping service on its ZeroMQ sockets.
+
+    ROUTER  requests, each answered; samples, not answered, of which the newest counts
+    PUB     the stream: commands of every session under its name
+
+A reader needs one SUB socket for each session, because PUB keeps the newest message only. Off
+loopback, both sockets use CURVE and admit only the clients whose public keys are in the folder of
+keys. The server also starts WebSocket and HTTP.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import importlib
+import json
+import os
+import resource
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from functools import partial
+from logging import ERROR, INFO, WARNING
+from pathlib import Path
+from typing import Any
+
+import zmq
+import zmq.asyncio
+from zmq.auth.asyncio import AsyncioAuthenticator
+from zmq.utils.monitor import recv_monitor_message
+
+from handmap_qp.apps.service.connection_gate import ConnectionGate, cost_of
+from handmap_qp.apps.service.dispatch import Dispatcher
+from handmap_qp.apps.service.keys import ClientKeys, ServerKeys, read_server_keys, read_token
+from handmap_qp.apps.service.logs import AuditLog, Throttle, log_to_stderr, report
+from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.opening import HandCache
+from handmap_qp.apps.service.pages import serve_metrics
+from handmap_qp.apps.service.settings import Settings
+from handmap_qp.apps.service.states import Caller
+from handmap_qp.apps.service.store import PostureStore
+from handmap_qp.apps.service.websocket import WebSocketTransport
+from handmap_qp.client.messages import TOPIC_END
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+
+TICK = 0.005
+"""Time between checks of the watchdogs [s]."""
+_BATCH = 128
+"""Parts of messages read before other tasks get their turn; a message has two or three."""
+_MOST_PARTS = 3
+_MOST_WAITING = 200
+"""High-water mark of received messages, above which a client has to wait."""
+_CONNECTIONS_PER_SESSION = 4
+_TOPICS = 12288.0
+"""Length of the topics of a reader of the stream: some hundred subscriptions [bytes]."""
+_ENVELOPE = 4096.0
+"""What the largest message and its handshake take beside the message [bytes]."""
+_MOST_UNREAD = 500
+"""High-water mark of replies, above which a slow client loses the others."""
+_FAILURES = (
+    zmq.Event.HANDSHAKE_FAILED_NO_DETAIL,
+    zmq.Event.HANDSHAKE_FAILED_PROTOCOL,
+    zmq.Event.HANDSHAKE_FAILED_AUTH,
+)
+# Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
+# default is ten times longer.
+_SWITCH_INTERVAL = 5e-4
+# Idle connections must not use up the descriptors that clients need.
+_MOST_FILES = 65536
+
+
+class Server:
+    """The service.
+
+    Args:
+        settings: Addresses, limits and files.
+
+    Raises:
+        InvalidInputError: If a file cannot be used, or a setting.
+        InvalidOptionsError: With the setting at fault.
+
+    Attributes:
+        dispatcher: Answers messages.
+        metrics: Counters.
+        ports: The ports in use by name, once started.
+    """
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings = settings.checked()
+        files = () if settings.keys is None else (settings.keys / "clients").glob("*.key")
+        for name in set(settings.supervisor).difference(file.stem for file in files):
+            raise InvalidOptionsError(
+                option="supervisor", expected="the name of a client in keys", value=name
+            )
+        self.metrics = Metrics()
+        self.ports: dict[str, int] = {}
+        self._closing = contextlib.AsyncExitStack()
+        cache = HandCache(settings.hand)
+        file = settings.web_token_file
+        self._token = None if file is None else read_token(file)
+        self._audit = AuditLog(settings.audit)
+        self._closing.callback(self._audit.close)
+        # Acquire the file lock last, after everything that can fail.
+        store = self._closing.enter_context(PostureStore(settings.state))
+        self.dispatcher = Dispatcher(settings, cache, self.metrics, store=store, audit=self._audit)
+        self._clients: ClientKeys | None = None
+        self._keys: ServerKeys | None = None
+        self._tasks: list[asyncio.Task[None]] = []
+        self._bugs = Throttle()
+        self._is_draining = False
+        self._parts: list[zmq.Frame] = []
+        self._cost = 0
+        self._lag = self._worst_lag = 0.0
+        self._busy = self._worst_busy = 0.0
+        self.metrics.gauges["lag_seconds"] = lambda: max(self._lag, self._worst_lag)
+        self.metrics.gauges["busy_seconds"] = lambda: max(self._busy, self._worst_busy)
+
+    async def start(self) -> None:
+        """Listen on all transports.
+
+        Raises:
+            InvalidInputError: If an address or file cannot be used.
+        """
+        settings, context = self.settings, zmq.asyncio.Context()
+        self._closing.callback(context.term)
+        if settings.keys is not None:
+            self._keys = read_server_keys(settings.keys)
+            self._authenticate(context, settings.keys / "clients")
+        # Plain sockets polled by FD: a Future per message costs a third of a step.
+        plain = zmq.Context.shadow(context.underlying)
+        self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
+        host, most = _ip(settings.host), _CONNECTIONS_PER_SESSION * settings.sessions
+        credit = settings.message_size + _ENVELOPE
+        self._gate = ConnectionGate(
+            "requests", host, settings.port, most, credit, self.metrics, evicts=True
+        )
+        stream = ConnectionGate("stream", host, settings.stream_port, most, _TOPICS, self.metrics)
+        self._gate.bind(self._router)
+        stream.bind(self._stream)
+        self.ports["requests"] = await self._closing.enter_async_context(self._gate)
+        self.dispatcher.stream_port = await self._closing.enter_async_context(stream)
+        self.ports["stream"] = self.dispatcher.stream_port
+        self.dispatcher.sessions.publish.append(self._publish)
+        self._closing.push_async_callback(self.dispatcher.close)
+        if settings.web:
+            transport = WebSocketTransport(settings, self._token, self.dispatcher)
+            self.ports["web"] = await self._closing.enter_async_context(transport)
+        if settings.health_port >= 0:
+            try:
+                health = await serve_metrics(
+                    "127.0.0.1", settings.health_port, self.metrics, self.health
+                )
+            except OSError as error:
+                raise InvalidInputError(
+                    argument="health_port",
+                    problem=f"{settings.health_port}: {error.strerror}",
+                    value=settings.health_port,
+                ) from error
+            self._closing.callback(health.close)
+            self.ports["health"] = next(iter(health.sockets)).getsockname()[1]
+        self._loop = asyncio.get_running_loop()
+        self._loop.add_reader(self._router.FD, self._drain)
+        self._closing.callback(self._loop.remove_reader, self._router.FD)
+        watches = [
+            _report_handshakes(context, socket, self.metrics)
+            for socket in (self._router, self._stream)
+        ]
+        self._tasks = [asyncio.create_task(work) for work in (self._tick(), *watches)]
+        self._audit.note("started", "server", ports=self.ports)
+        report(INFO, "ready", host=settings.host, ports=self.ports, curve=settings.keys is not None)
+
+    async def stop(self) -> None:
+        """Close all sessions and transports."""
+        was_ready = bool(self._tasks)
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._closing.aclose()
+        if was_ready:
+            report(INFO, "stopped")
+
+    def health(self) -> dict[str, Any]:
+        """Return the result of the health check."""
+        is_alive = bool(self._tasks) and not any(task.done() for task in self._tasks)
+        return {
+            "status": "ok" if is_alive else "stopped",
+            "sessions": len(self.dispatcher.sessions.entries),
+            "lag_seconds": max(self._lag, self._worst_lag),
+        }
+
+    def _socket(self, context: zmq.Context, kind: int) -> zmq.Socket:
+        socket = context.socket(kind)
+        # Linger [ms]: send queued messages when the server stops.
+        self._closing.callback(socket.close, 100)
+        socket.setsockopt(zmq.MAXMSGSIZE, self.settings.message_size)
+        socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
+        socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
+        socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
+        socket.setsockopt(zmq.RCVHWM, _MOST_WAITING)
+        socket.setsockopt(zmq.SNDHWM, _MOST_UNREAD)
+        # ROUTER reports replies that it cannot queue, so that they are counted. PUB keeps the
+        # newest message per reader, whatever its topic.
+        socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
+        if (keys := self._keys) is not None:
+            socket.curve_publickey, socket.curve_secretkey = keys
+            socket.curve_server = True
+        return socket
+
+    def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
+        """Admit only clients whose public keys are in the folder at their handshake."""
+        clients = self._clients = ClientKeys(folder)
+        if not clients.read():
+            raise InvalidInputError(
+                argument=str(folder),
+                expected="a client's key (*.key)",
+                got="none",
+                advice="handmap keys FOLDER --client NAME makes one",
+            )
+        authenticator = AsyncioAuthenticator(context)
+        authenticator.start()
+        self._closing.callback(authenticator.stop)
+        authenticator.configure_curve_callback("*", credentials_provider=clients)
+
+    def _drain(self) -> None:
+        """Read waiting messages, up to a batch of parts.
+
+        Then the waiting samples are mapped, and other tasks get their turn.
+        """
+        if self._router.closed:
+            return
+        self._is_draining = True
+        try:
+            for _ in range(_BATCH):
+                frame = self._router.recv(zmq.NOBLOCK, copy=False)
+                self._cost += cost_of(frame)
+                # Keep one part too many of a message that has too many.
+                if len(self._parts) <= _MOST_PARTS:
+                    self._parts.append(frame)
+                if not frame.more:
+                    parts, cost, self._parts, self._cost = self._parts, self._cost, [], 0
+                    self._receive(parts, cost)
+            self._loop.call_soon(self._drain)
+        except zmq.Again:
+            pass
+        finally:
+            self._is_draining = False
+
+    def _receive(self, parts: Sequence[zmq.Frame], cost: int) -> None:
+        """Handle one message: the payload of a DEALER, or that of a REQ after an empty frame."""
+        client = self._gate.find(parts)
+        *envelope, payload = (part.bytes for part in parts)
+        if len(parts) > _MOST_PARTS or (len(parts) == _MOST_PARTS and envelope[1]):
+            if client is not None:
+                client.end("a message has too many parts")
+            return
+        address = "" if client is None else client.refund(cost)
+
+        def who() -> Caller:
+            keys = self._clients
+            key = "" if keys is None else keys.name_of(str(parts[-1].get("User-Id")))
+            return Caller(address, key)
+
+        try:
+            self.dispatcher.receive(payload, envelope[0], partial(self._reply, envelope), who=who)
+        except Exception as error:
+            self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
+
+    def _reply(self, envelope: list[bytes], payload: bytes) -> None:
+        try:
+            self._router.send_multipart([*envelope, payload], zmq.NOBLOCK)
+        except zmq.ZMQError:
+            self.metrics.counts["dropped"] += 1
+        if not self._is_draining:
+            # ZeroMQ's descriptor is edge-triggered, and sending may have consumed the edge.
+            self._loop.call_soon(self._drain)
+
+    def _publish(self, name: str, payload: bytes) -> None:
+        with contextlib.suppress(zmq.Again):
+            self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
+
+    async def _tick(self) -> None:
+        """Drive the watchdogs, and measure the delay of the event loop."""
+        second, spent = time.monotonic(), time.process_time()
+        while True:
+            wanted = time.monotonic() + TICK
+            await asyncio.sleep(TICK)
+            now = time.monotonic()
+            self._worst_lag = max(self._worst_lag, now - wanted)
+            before, spent = spent, time.process_time()
+            self._worst_busy = max(self._worst_busy, spent - before)
+            if now - second > 1.0:
+                if self._worst_lag > 0.1:
+                    report(WARNING, "late", seconds=round(self._worst_lag, 4))
+                second, self._lag, self._worst_lag = now, self._worst_lag, 0.0
+                self._busy, self._worst_busy = self._worst_busy, 0.0
+            try:
+                self._drain()
+                self.dispatcher.tick()
+            except Exception as error:
+                self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
+
+
+def _ip(host: str) -> str:
+    return "127.0.0.1" if host == "localhost" else host
+
+
+async def _report_handshakes(
+    context: zmq.asyncio.Context, socket: zmq.Socket, metrics: Metrics
+) -> None:
+    """Count and log the handshakes that fail on a socket, until cancelled.
+
+    libzmq reports them only through a socket monitor, neither to the server nor to the client.
+    """
+    address, failed = f"inproc://handshakes-{socket.FD}", Throttle()
+    with context.socket(zmq.PAIR) as events:
+        # No high-water mark: libzmq's I/O thread, which serves all connections, would block.
+        events.linger = events.rcvhwm = 0
+        socket.monitor(address, sum(_FAILURES))
+        try:
+            events.connect(address)
+            while True:
+                event = await recv_monitor_message(events)
+                metrics.refusals["handshake"] += 1
+                failed.report(INFO, "handshake", reason=_reason(event["event"], event["value"]))
+        finally:
+            socket.disable_monitor()
+
+
+def _reason(event: int, value: int) -> str:
+    """Return why a handshake failed, as far as libzmq reports it."""
+    if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
+        return "the client's key is not among the keys in clients/"
+    if (
+        event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL
+        and value == zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
+    ):
+        return "the client's server.key is another server's"
+    return "only one of client and server uses keys, or the client does not speak ZeroMQ"
+
+
+def run_server(settings: Settings, log_level: str = "info") -> None:
+    """Serve until SIGINT or SIGTERM.
+
+    Args:
+        settings: Addresses, limits and files.
+        log_level: Lowest level to log.
+
+    Raises:
+        InvalidInputError: If an address or file cannot be used.
+    """
+    log_to_stderr(log_level)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
+    _raise_file_limit()
+    if asyncio.run(_serve(settings)):
+        # Python would wait for the thread that loads a hand, for seconds if the hand is large.
+        sys.stdout.flush()
+        os._exit(0)
+
+
+async def _serve(settings: Settings) -> bool:
+    """Serve; return whether a hand was being loaded at the end."""
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ended.set)
+    # The first hand with meshes would import it, which delays running sessions. Leases count from
+    # when the server is made.
+    importlib.import_module("scipy.spatial")
+    server = Server(settings)
+    try:
+        await server.start()
+        # Exclude the objects that exist now from garbage collection: they stay.
+        gc.collect()
+        gc.freeze()
+        settings = server.settings
+        hosts = {"host": settings.host} | ({"web_host": settings.web_host} if settings.web else {})
+        print(json.dumps({"ready": True, **hosts, "ports": server.ports}), flush=True)
+        await ended.wait()
+    finally:
+        await server.stop()
+    return server.dispatcher.sessions.is_preparing
+
+
+def _raise_file_limit() -> None:
+    """Raise the limit of open files to the system's maximum, at most 65536."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    # RLIM_INFINITY is -1.
+    wanted = min(hard, _MOST_FILES) if hard >= 0 else _MOST_FILES
+    if 0 <= soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))

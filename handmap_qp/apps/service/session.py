@@ -1,0 +1,534 @@
+"""One session: a human hand that leads and a robot hand that follows.
+
+A session has no sockets and no clock of its own; its caller passes messages and times. `states` has
+its states and their transitions, `watchdog` the effects of silence.
+
+Every posture that leaves was admitted by a gate: the mapper's while the robot moves as the mapper
+says, else the robot's own. If the postures of robot and mapper differ for good, after a return to
+rest or an exception in the mapper, the mapper continues from the robot's motion at the next sample,
+which is then the reference.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.apps.service.opening import Calibration, Hands, read_choice, with_changes
+from handmap_qp.apps.service.refusals import refused, with_option_errors
+from handmap_qp.apps.service.safety import CommandedRobot, StepClock, start_angles, start_wrist
+from handmap_qp.apps.service.samples import (
+    MappedSample,
+    SampleForm,
+    to_detail,
+    to_lengths,
+    to_pose,
+    to_row,
+)
+from handmap_qp.apps.service.states import Event, MapperState, SessionState, Watchdog, next_state
+from handmap_qp.apps.service.store import Record
+from handmap_qp.client.messages import (
+    About,
+    Command,
+    Configure,
+    Open,
+    Opened,
+    Reset,
+    State,
+    Step,
+)
+from handmap_qp.errors import HandmapError, RefusedError
+from handmap_qp.hands.hand import LONGEST_STOP
+from handmap_qp.human.contact_gap import ContactGapMeter
+from handmap_qp.ik.gate import Motion
+from handmap_qp.mapping.step import MapStep
+
+Posture = tuple[np.ndarray, np.ndarray | None]
+"""Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
+
+
+class Session:
+    """A session, driven by its caller.
+
+    Args:
+        request: The request that opened it.
+        hands: The hands that `prepare_hands` made of the request.
+        name: Public name.
+        now: The present on a monotonic clock [s].
+        calibration: Measures the human hand, if `hands` needs that.
+        former: Record of the session to continue; the request decides if omitted.
+        owner: Its owner, see `Caller.owner`. The epoch of another owner ends.
+        motion: How the robot of that session moves, if it is running; at rest if omitted.
+
+    Attributes:
+        request: The request that opened it.
+        name: Public name.
+        robot: The robot hand.
+        counts: Counts of what happened.
+        last_request: Time of the last request with the session's secret [s].
+        owner: Its owner.
+
+    Raises:
+        RefusedError: If the robot cannot be where the request says, or there is no such layout.
+    """
+
+    def __init__(
+        self,
+        request: Open,
+        hands: Hands,
+        name: str,
+        now: float,
+        *,
+        calibration: Calibration | None = None,
+        former: Record | None = None,
+        owner: str = "",
+        motion: Motion | None = None,
+    ) -> None:
+        self.request, self.owner = request, owner
+        self.name = name
+        self.robot = hands.mapper.robot
+        self.counts: Counter[str] = Counter()
+        self.last_request = now
+        self._hands = hands
+        self._form = SampleForm(request)
+        # The request and the choice change with `configure`.
+        self._wanted, self._choice = request, hands.choice
+        self._calibration = calibration if hands.needs_measuring else None
+        self._gap_meter: ContactGapMeter | None = None
+        self._adopt(hands)
+        self._has_detail = request.has_detail
+        start = (
+            start_angles(self.robot, request.robot_q),
+            start_wrist(self.robot, request.robot_wrist),
+        )
+        q, wrist = start if former is None else former.posture
+        self._commanded = CommandedRobot(self.robot, q, wrist)
+        if motion is not None and len(motion.q) == self.robot.model.nq and wrist is not None:
+            self._commanded.motion = motion
+        self._commanded.obey(hands.mapper.point_ik)
+        self._clock = StepClock(request.max_dt, request.time_from, now)
+        self._watchdog = Watchdog(request.watchdog, request.return_after, now, 2.0 * request.max_dt)
+        self._state = SessionState.WAITING
+        self._mapper_state = MapperState.ALIGNED
+        self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
+        self._opened_at = now
+        self._stamp, self._seq, self._dt = 0.0, request.seq, 0.0
+        self._reset_mapper()
+        # The server's record is newer than the client's belief.
+        if request.is_released if former is None else former.is_released:
+            self.release()
+        self._stop = 0
+
+    @property
+    def posture(self) -> Posture:
+        """The posture last commanded."""
+        return self._commanded.q, self._commanded.wrist
+
+    @property
+    def motion(self) -> Motion:
+        """How the robot moves."""
+        return self._commanded.motion
+
+    @property
+    def mode(self) -> str:
+        """What the robot does, as clients read it."""
+        is_calibrating = self._calibration is not None and self._state is SessionState.FOLLOWING
+        return "calibrating" if is_calibrating else self._state.mode
+
+    @property
+    def record(self) -> Record:
+        """Posture, epoch, release and owner, for a session that continues from here."""
+        q, wrist = self.posture
+        pose = None if wrist is None else tuple(wrist.ravel().tolist())
+        control = self._epoch, self._state.is_released, self._stop, self.owner
+        return Record(self.name, self.robot.name, to_row(q), pose, *control)
+
+    @property
+    def will_move(self) -> bool:
+        """Whether silence makes the robot move yet, to its rest posture."""
+        return self._watchdog.will_return(self._state) and not self._is_at_rest
+
+    def opened(self, seq: int, stream_port: int) -> Opened:
+        """Answer `open`."""
+        robot, human = self.robot, self._hands.mapper.human
+        return Opened(
+            seq=seq,
+            name=self.name,
+            joint_names=robot.joint_names,
+            lower=to_row(robot.lower_limits),
+            upper=to_row(robot.upper_limits),
+            speed=to_row(robot.velocity_limits),
+            q=to_row(self._commanded.q),
+            human_joint_names=human.joint_names,
+            human_point_names=tuple(point.name for point in human.reference_points),
+            is_floating=robot.is_floating,
+            stream_port=stream_port,
+            stop_time=LONGEST_STOP,
+            stop_distance=to_row(robot.stop_distances),
+        )
+
+    def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
+        """Answer `status`."""
+        request, choice = self.request, self._choice
+        about = About(
+            robot=self.robot.name,
+            side=request.side,
+            input=request.input,
+            layout=request.layout,
+            lengths=to_lengths(self._hands.lengths),
+            human_points=request.human_points,
+            robot_points=request.robot_points,
+            mount=request.mount,
+            preset=choice.preset,
+            options=choice.method.values,
+            ik=choice.ik.values,
+            has_detail=self._has_detail,
+            is_shared=request.is_shared,
+        )
+        return State(
+            seq=seq,
+            version=version,
+            uptime=now - self._opened_at,
+            names=(self.name,),
+            mode=self.mode,
+            is_released=self._state.is_released,
+            stop=self._stop,
+            counts=dict(self.counts),
+            q=to_row(self._commanded.q),
+            stream_port=stream_port,
+            about=about,
+        )
+
+    def step(self, sample: Step, now: float) -> Command:
+        """Map one sample.
+
+        Args:
+            sample: The sample; its numbers are finite.
+            now: The present [s].
+
+        Returns:
+            The command.
+
+        Raises:
+            RefusedError: If the sample cannot be used. The robot and the watchdog then ignore it.
+        """
+        try:
+            self._form.check(sample)
+            if self._calibration is not None:
+                return self._calibrate(self._calibration, sample, now)
+            self._prepare_mapper()
+            self._dt, flags = self._clock.grant(sample.time, now)
+            arrival = now if self.request.time_from == "server" else None
+            mapped = self._form.map(self._hands, sample, self._dt, arrival)
+        except HandmapError as error:
+            self.counts["refused"] += 1
+            raise refused(error) from error
+        except Exception:
+            # Unexpected exception: hold, and restart the mapper from the last command.
+            self._mapper_state = MapperState.STALE
+            raise
+        if mapped.step.is_held:
+            return self._held(sample, mapped.step, now, flags)
+        flags = self._accept(sample, now) + flags
+        if mapped.step.rule:
+            flags.append(mapped.step.rule)
+        if self._state is SessionState.FOLLOWING:
+            flags += self._follow(mapped.step)
+            self._measure_gap(mapped)
+        else:
+            self._stay(mapped.step)
+        flags += mapped.step.asked.flags
+        self.counts["steps"] += 1
+        status = self._state.mode if self._state.is_stopped else mapped.step.status
+        return self._command(now, status, flags, **self._diagnostics(mapped))
+
+    def _held(self, sample: Step, step: MapStep, now: float, flags: list[str]) -> Command:
+        """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
+        self._stamp, self._seq = sample.time, sample.seq
+        self.counts["held"] += 1
+        self._stay(step)
+        return self._command(now, step.status, [*flags, step.rule], **_trust(step))
+
+    def tick(self, now: float) -> Command | None:
+        """Let time pass.
+
+        Args:
+            now: The present [s].
+
+        Returns:
+            A command of the watchdog to send out, with the flag `watchdog`; None if none is due.
+        """
+        while event := self._watchdog.event(self._state, now, is_at_rest=self._is_at_rest):
+            if event is Event.SILENCE:
+                self.counts["watchdog"] += 1
+            self._handle(event)
+        if not self._watchdog.take_turn(
+            self._state, now, is_braking=self._commanded.motion.is_braking
+        ):
+            return None
+        status = self._state.mode
+        # A heartbeat counts too: the driver starts its next motion there.
+        self._dt = self._clock.grant_tick(now)
+        if self._state is SessionState.RETURNING:
+            share = self.request.return_speed
+            self._commanded.advance(self.robot.rest, None, self._dt, share, stops=True)
+            # The posture of the mapper stays behind, even if the client has clutched meanwhile.
+            self._mapper_state = MapperState.STALE
+            if self._is_at_rest:
+                self._handle(Event.ARRIVAL)
+        else:
+            self._commanded.brake(self._dt)
+        flags = ["watchdog", "at_rest"] if self._is_at_rest else ["watchdog"]
+        return self._command(now, status, flags)
+
+    def release(self) -> None:
+        """Let the robot hold its posture until `clutch`."""
+        self._hands.mapper.release()
+        self._handle(Event.RELEASE)
+
+    def stop(self, number: int = 0) -> None:
+        """Stop the robot until `clear`; 0 makes a new number. A second stop changes nothing."""
+        if not self._state.is_stopped:
+            self._latch(number or _new_epoch())
+
+    def clear(self, number: int) -> None:
+        """Clear an emergency stop; the robot is then released.
+
+        Args:
+            number: Number of the stop, so that nobody clears another one than the one seen.
+
+        Raises:
+            RefusedError: If no such stop is in force.
+        """
+        if number != self._stop:
+            got = f"stop {self._stop} is" if self._stop else "no stop is"
+            raise RefusedError("invalid", f"{got} in force, not {number}", field="stop")
+        self._stop = 0
+        self._handle(Event.CLEAR)
+
+    def clutch(self) -> None:
+        """Make the next sample the reference; the robot continues from where it is.
+
+        Raises:
+            RefusedError: If an emergency stop is in force.
+        """
+        self._check_not_stopped()
+        if self._mapper_state is MapperState.ALIGNED:
+            self._hands.mapper.clutch()
+        else:
+            self._reset_mapper()
+        self._handle(Event.CLUTCH)
+
+    def configure(self, request: Configure) -> None:
+        """Change options; the reference stays, and the robot continues from where it is.
+
+        Raises:
+            RefusedError: With the option at fault. The session is then unchanged.
+        """
+        self._choose(self._hands, with_changes(self._wanted, self._choice, request))
+        self._has_detail = self._has_detail if request.has_detail is None else request.has_detail
+
+    def reset(self, request: Reset, now: float) -> None:
+        """Start again.
+
+        Args:
+            request: Where the robot is now. If it does not say, the robot moves to its rest posture
+                within its speed limits.
+            now: The present [s].
+
+        Raises:
+            RefusedError: If the robot cannot be there, or an emergency stop is in force.
+        """
+        self._check_not_stopped()
+        if request.robot_q is None and request.robot_wrist is None:
+            self._reset_mapper(self.robot.rest)
+        else:
+            q, wrist = self.posture
+            if request.robot_q is not None:
+                q = start_angles(self.robot, request.robot_q)
+            if request.robot_wrist is not None:
+                wrist = start_wrist(self.robot, request.robot_wrist)
+            self._commanded = CommandedRobot(self.robot, q, wrist)
+            self._commanded.obey(self._hands.mapper.point_ik)
+            self._reset_mapper()
+            self._epoch = _new_epoch()
+        self._watchdog.restart(now)
+        self._handle(Event.RESET)
+
+    @property
+    def _is_at_rest(self) -> bool:
+        return bool((self._commanded.q == self.robot.rest).all())
+
+    def _latch(self, number: int) -> None:
+        """Bring an emergency stop into force; its command is due at once."""
+        self._stop = number
+        self._hands.mapper.release()
+        self._handle(Event.STOP)
+        self._watchdog.hasten()
+
+    def _check_not_stopped(self) -> None:
+        if self._state.is_stopped:
+            message = f"the robot was stopped: clear the stop {self._stop} first"
+            raise RefusedError("stopped", message)
+
+    def _stay(self, step: MapStep) -> None:
+        """Bring a robot that is not led to a stop, as the mapper did if it leads the robot."""
+        if self._mapper_state is MapperState.ALIGNED and step.ik.status == "released":
+            self._commanded.motion = self._hands.mapper.motion
+        else:
+            self._commanded.brake(self._dt)
+
+    def _handle(self, event: Event) -> None:
+        self._state = next_state(self._state, event)
+
+    def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
+        """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
+        rule, hands = calibration.add(self._form.human_sample(sample))
+        self._dt, _ = self._clock.grant(sample.time, now)
+        if rule:
+            self._stamp, self._seq = sample.time, sample.seq
+            self.counts["held"] += 1
+            flags: list[str] = [rule]
+        else:
+            flags = self._accept(sample, now)
+        command = self._command(now, "calibrating", flags, rule=rule, confidence=sample.confidence)
+        if hands is not None:
+            # Options may have changed since the hands were prepared.
+            self._choose(hands, self._wanted)
+            self._adopt(hands)
+            self._calibration = None
+            self._reset_mapper()
+            if self._state.is_released:
+                hands.mapper.release()
+        return command
+
+    def _adopt(self, hands: Hands) -> None:
+        """Make these the hands of the session, and measure their contact gap if nobody gave it."""
+        self._hands = hands
+        wanted = self._wanted
+        is_known = wanted.contact_gap is not None or "contact_gap" in wanted.options
+        gap = hands.choice.method.values.get("contact_gap")
+        self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
+
+    def _measure_gap(self, mapped: MappedSample) -> None:
+        """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
+        meter, landmarks = self._gap_meter, mapped.landmarks
+        if meter is None or landmarks is None or "contact_gap" in self._wanted.options:
+            return
+        if meter.add(self._stamp, landmarks):
+            hands = replace(self._hands, contact_gap=meter.gap, choice=self._choice)
+            self._choose(hands, self._wanted)
+            self._hands = hands
+
+    def _choose(self, hands: Hands, wanted: Open) -> None:
+        """Give the mapper of these hands the options of a request, and remember both.
+
+        Raises:
+            RefusedError: With the option at fault. Nothing has changed then.
+        """
+        mapper = hands.mapper
+        before = self._choice if hands is self._hands else hands.choice
+        choice = read_choice(wanted, mapper.human, hands.robot, hands.contact_gap)
+        method = None if choice.method == before.method else choice.method
+        with_option_errors(
+            wanted, hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik)
+        )
+        self._wanted, self._choice = wanted, choice
+        self._commanded.obey(mapper.point_ik)
+
+    def _prepare_mapper(self) -> None:
+        """Reset the mapper if it must start again from the robot's posture."""
+        must_reset = self._mapper_state is MapperState.STALE or (
+            self.request.resume == "clutch" and self._state.is_silent
+        )
+        if must_reset and not self._state.is_released:
+            self._reset_mapper()
+        if self._mapper_state is MapperState.ALIGNED:
+            # It may have braked meanwhile, or a sample was refused half-way.
+            self._hands.mapper.motion = self._commanded.motion
+
+    def _accept(self, sample: Step, now: float) -> list[str]:
+        """Note a sample that can be used, which ends a hold; return flags for its command."""
+        flags = ["resumed"] if self._state.is_silent else []
+        self._handle(Event.SAMPLE)
+        self._watchdog.feed(now)
+        self._stamp, self._seq = sample.time, sample.seq
+        return flags
+
+    def _follow(self, step: MapStep) -> list[str]:
+        """Move the robot to the mapper's posture within its limits; return flags."""
+        mapper, target = self._hands.mapper, step.command
+        if self._mapper_state is MapperState.ALIGNED and mapper.ik.has_velocity_limits:
+            self._commanded.motion = mapper.motion
+            return []
+        if self._commanded.advance(target.q, target.wrist, self._dt):
+            self._mapper_state = MapperState.ALIGNED
+            return []
+        self._mapper_state = MapperState.SLEWING
+        return ["slewing"]
+
+    def _reset_mapper(self, q: np.ndarray | None = None) -> None:
+        """Reset the mapper to the robot's posture; the next sample is the reference.
+
+        Args:
+            q: Joint angles [rad], shape (n,); those of the robot if omitted.
+        """
+        mapper, robot = self._hands.mapper, self.robot
+        if q is None and self._commanded.is_placed:
+            mapper.clutch()
+            self._mapper_state = MapperState.ALIGNED
+            return
+        angles = np.clip(
+            self._commanded.q if q is None else q, robot.lower_limits, robot.upper_limits
+        )
+        wrist = self._commanded.wrist if robot.is_floating else None
+        mapper.reset(robot_q=angles, robot_wrist=wrist)
+        self._mapper_state = MapperState.SLEWING
+
+    def _diagnostics(self, mapped: MappedSample) -> dict[str, Any]:
+        """Return the fields of a command that describe the mapping."""
+        step = mapped.step
+        residuals = step.diagnostics.get("residual_norms", np.empty(0))
+        return {
+            "point_error": to_row(step.point_error),
+            "residual": float(np.sqrt(residuals.dot(residuals) / max(len(residuals), 1))),
+            "at_limit": tuple(np.array(self.robot.joint_names)[step.at_bound].tolist()),
+            "out_of_range": step.out_of_range,
+            "solve_time": step.duration,
+            "detail": to_detail(mapped) if self._has_detail else None,
+            **_trust(step),
+        }
+
+    def _command(self, now: float, status: str, flags: list[str], **diagnostics: Any) -> Command:
+        released = ["released"] if self._state.is_released else []
+        released += ["stopped"] if self._state.is_stopped else []
+        return Command(
+            seq=self._seq,
+            name=self.name,
+            time=self._stamp,
+            server_time=now,
+            joint_names=self.robot.joint_names,
+            q=to_row(self._commanded.q),
+            wrist=to_pose(self._commanded.wrist),
+            status=status,
+            flags=tuple(flags + released),
+            epoch=self._epoch,
+            dt=self._dt,
+            **diagnostics,
+        )
+
+
+def _trust(step: MapStep) -> dict[str, Any]:
+    """Return the fields of a command that say how much a sample is to be trusted."""
+    consistency = None if math.isnan(step.consistency) else step.consistency
+    return {"rule": step.rule, "consistency": consistency, "confidence": step.confidence}
+
+
+def _new_epoch() -> int:
+    """Return a number that no session has had on any server: microseconds since 1970."""
+    return time.time_ns() // 1000

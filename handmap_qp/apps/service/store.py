@@ -1,0 +1,189 @@
+"""Records of where sessions left their robots, for sessions that ask to be restored.
+
+Records are in memory, and by option in a database (SQLite) that outlives the server. Each is
+written before its command leaves, without waiting for the disk: it survives a kill of the process,
+and a power cut may damage the file. A server does not start with a damaged file, so that nobody
+overlooks that emergency stops are lost.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from contextlib import suppress
+from logging import ERROR, WARNING
+from pathlib import Path
+from typing import Self
+
+import msgspec
+import numpy as np
+
+from handmap_qp.apps.service.logs import Throttle, report
+from handmap_qp.apps.service.settings import MOST_SESSIONS
+from handmap_qp.errors import InvalidInputError, RefusedError
+
+_KIND = 0x686D7170
+"""Identifies the database as one of the service."""
+_FORMER = b"handmap_qp postures 1\n"
+"""Start of the files of former versions."""
+_LARGEST = 4096
+"""Bytes of a record to reserve."""
+# One server at a time; no waiting for the disk; the log starts again before it grows.
+_SETTINGS = """
+    PRAGMA locking_mode = EXCLUSIVE; PRAGMA journal_mode = WAL; PRAGMA synchronous = OFF;
+    PRAGMA wal_autocheckpoint = 100
+"""
+_WRITE = "INSERT OR REPLACE INTO postures (name, record) VALUES (?, ?)"
+
+
+class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Where a session left its robot.
+
+    Attributes:
+        name: Name of the session.
+        robot: Name of the robot hand.
+        q: Joint angles last commanded [rad].
+        wrist: Pose of the wrist row by row, 16 numbers; None if it was not known.
+        epoch: Epoch of the last command.
+        is_released: Whether a client had released the robot.
+        stop: Number of the emergency stop in force; 0 for none.
+        owner: Its owner, see `Caller.owner`.
+    """
+
+    name: str
+    robot: str
+    q: tuple[float, ...]
+    wrist: tuple[float, ...] | None
+    epoch: int
+    is_released: bool = False
+    stop: int = 0
+    owner: str = ""
+
+    @property
+    def posture(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Joint angles (n,) [rad] and pose of the wrist (4, 4)."""
+        return np.array(self.q), None if self.wrist is None else np.array(self.wrist).reshape(4, 4)
+
+
+class PostureStore:
+    """Records by session name, in `records`, the least recently updated first.
+
+    Args:
+        path: The file, made if it does not exist, for one server at a time; None for memory alone.
+
+    Raises:
+        InvalidInputError: If the file cannot be used, is another kind of file, or is in use.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self.records: dict[str, Record] = {}
+        self._database: sqlite3.Connection | None = None
+        self._failures = Throttle()
+        if path is not None:
+            try:
+                self._database = _open(path)
+                self._load(self._database, path)
+            except (OSError, sqlite3.Error) as error:
+                self.close()
+                raise _unusable(path, error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def is_persistent(self) -> bool:
+        """Whether records are in a file, where they outlive the server."""
+        return self._database is not None
+
+    def note(self, record: Record) -> None:
+        """Keep a record in place of an earlier one of the same session."""
+        # Least recently updated first: the one to evict.
+        self.records.pop(record.name, None)
+        self.records[record.name] = record
+        evicted = next(iter(self.records)) if len(self.records) > MOST_SESSIONS else None
+        if evicted is not None:
+            del self.records[evicted]
+        if self._database is None:
+            return
+        try:
+            self._database.execute(_WRITE, (record.name, msgspec.msgpack.encode(record)))
+            if evicted is not None:
+                self._database.execute("DELETE FROM postures WHERE name = ?", (evicted,))
+        except sqlite3.Error as error:
+            self._failures.report(ERROR, "state_unwritten", error=str(error))
+
+    def find(self, name: str, robot: str, joints: int) -> Record | None:
+        """Return the record of the last session of a name, if there is one.
+
+        Raises:
+            RefusedError: If it is of another robot.
+        """
+        record = self.records.get(name)
+        if record is not None and (record.robot != robot or len(record.q) != joints):
+            message = f"the last session {name!r} moved {record.robot}, not {robot}"
+            raise RefusedError("invalid", message, field="restore")
+        return record
+
+    def close(self) -> None:
+        """Write the file and release its lock."""
+        if self._database is not None:
+            self._database.close()
+
+    def _load(self, database: sqlite3.Connection, path: Path) -> None:
+        """Read all records, which are in the order of their last updates."""
+        rows = database.execute("SELECT name, record FROM postures ORDER BY rowid").fetchall()
+        for name, encoded in rows:
+            with suppress(msgspec.MsgspecError):
+                self.records[name] = msgspec.msgpack.decode(encoded, type=Record)
+        if damaged := len(rows) - len(self.records):
+            report(WARNING, "state_damaged", file=str(path), postures_lost=damaged)
+
+
+def _open(path: Path) -> sqlite3.Connection:
+    """Open a database of records, and reserve its space; leave other kinds of files unchanged."""
+    # Only the owner may read it.
+    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    start = os.read(file, len(_FORMER))
+    os.close(file)
+    if start == _FORMER:
+        raise InvalidInputError(
+            argument=str(path),
+            problem="is of a former version, whose postures and emergency stops are not read",
+            advice="name another file, and stop again what must not move",
+        )
+    database = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
+    try:
+        (kind,) = database.execute("PRAGMA application_id").fetchone()
+        # A start that failed leaves a database without tables.
+        if kind != _KIND and database.execute("SELECT name FROM sqlite_master").fetchone():
+            raise sqlite3.DatabaseError
+        database.executescript(_SETTINGS)
+        database.execute("BEGIN IMMEDIATE")
+        database.execute(f"PRAGMA application_id = {_KIND}")
+        database.execute("CREATE TABLE IF NOT EXISTS postures (name TEXT UNIQUE, record BLOB)")
+        # A disk that fills up later must not lose postures: pages of rows that are deleted are used
+        # again, in the database and in its log.
+        unused = [(f" {i}", bytes(_LARGEST)) for i in range(MOST_SESSIONS)]
+        database.executemany(_WRITE, unused)
+        database.execute("DELETE FROM postures WHERE name LIKE ' %'")
+        database.execute("COMMIT")
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def _unusable(path: Path, error: OSError | sqlite3.Error) -> InvalidInputError:
+    """Return why a file cannot be used for records."""
+    if isinstance(error, OSError):
+        return InvalidInputError(argument=str(path), problem=f"cannot be used: {error.strerror}")
+    if not isinstance(error, sqlite3.OperationalError):
+        return InvalidInputError(
+            argument=str(path), expected="a state file of handmap", got="another or a damaged file"
+        )
+    is_locked = error.sqlite_errorcode == sqlite3.SQLITE_BUSY
+    problem = "another server uses it" if is_locked else f"cannot be used: {error}"
+    return InvalidInputError(argument=str(path), problem=problem)

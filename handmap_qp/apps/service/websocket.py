@@ -1,0 +1,327 @@
+"""WebSocket transport of the same messages, for browsers and headsets.
+
+Binary frames are msgpack, text frames JSON.
+
+A page of any web site could reach a socket on loopback from the user's browser. So a page must come
+from loopback or from a named origin, unless the server requires a token. Off loopback, a token and
+TLS are required.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import hmac
+import http
+import re
+import ssl
+import time
+from collections import deque
+from collections.abc import Sequence
+from functools import partial
+from logging import ERROR
+from pathlib import Path
+
+import msgspec
+from websockets.asyncio.server import Server as WebServer
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CTRL_OPCODES, Frame
+from websockets.http11 import Request, Response
+from websockets.protocol import Event
+from websockets.typing import Subprotocol
+
+from handmap_qp.apps.service.dispatch import Dispatcher
+from handmap_qp.apps.service.logs import report, websocket_log
+from handmap_qp.apps.service.pages import page_response
+from handmap_qp.apps.service.rate_limit import Bucket
+from handmap_qp.apps.service.sessions import Sessions
+from handmap_qp.apps.service.settings import MOST_SESSIONS, Settings
+from handmap_qp.apps.service.states import Caller
+from handmap_qp.errors import InvalidInputError
+
+SUBPROTOCOL = Subprotocol("handmap.v1")
+"""Subprotocol that a browser offers besides `bearer.TOKEN`, because it cannot set headers."""
+_LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:\d+)?")
+_SEND_TIMEOUT = 5.0
+_CLOSE_TIMEOUT = 1.0
+_PENALTY = 0.02
+_CONNECTIONS_PER_SESSION = 2
+_AT_ONCE = 2048
+"""Bytes read from a connection in one turn of the event loop."""
+_MOST_FRAGMENTS = 64
+_CONTROLS_PER_SECOND, _CONTROLS = 5.0, 50.0
+"""Control frames of a connection, and how many at once; the server's own ping asks for one."""
+_ACTIVE = 1.0
+"""Time after a message in which a connection keeps its place before silent ones [s]."""
+
+
+class WebSocketTransport:
+    """The listening WebSocket: an asynchronous context manager that returns the port in use.
+
+    Args:
+        settings: Address and access rules.
+        token: Token that clients must present; None for none.
+        dispatcher: Answers messages.
+    """
+
+    def __init__(self, settings: Settings, token: str | None, dispatcher: Dispatcher) -> None:
+        self._settings, self._token, self._dispatcher = settings, token, dispatcher
+        self._connections: set[_Outbox] = set()
+        self._server: WebServer | None = None
+
+    async def __aenter__(self) -> int:
+        settings, tls = self._settings, None
+        try:
+            if settings.web_certificate is not None and settings.web_key is not None:
+                tls = _read_tls(settings.web_certificate, settings.web_key)
+            self._server = await serve(
+                self._handle,
+                settings.web_host,
+                settings.web_port,
+                ssl=tls,
+                process_request=self._check,
+                select_subprotocol=_choose_subprotocol,
+                create_connection=_Connection,
+                logger=websocket_log,
+                compression=None,
+                max_size=self._settings.message_size,
+                max_queue=16,
+                open_timeout=5.0,
+                close_timeout=0.5 * _CLOSE_TIMEOUT,
+            )
+        except OSError as error:
+            raise InvalidInputError(
+                argument=f"web {settings.web_host}:{settings.web_port}",
+                problem=str(error.strerror or error),
+            ) from error
+        self._dispatcher.sessions.publish.append(self._publish)
+        return next(iter(self._server.sockets)).getsockname()[1]
+
+    async def __aexit__(self, *_: object) -> None:
+        self._dispatcher.sessions.publish.remove(self._publish)
+        if self._server is not None:
+            self._server.close()
+            # Handshakes under way would hold it up for their own timeout.
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(_CLOSE_TIMEOUT):
+                    await self._server.wait_closed()
+
+    def _check(self, connection: ServerConnection, request: Request) -> Response | None:
+        """Return None to accept a handshake, or the response that rejects it.
+
+        A request that is no handshake gets the page for headsets.
+        """
+        if (page := page_response(request)) is not None:
+            return page
+        if self._token is not None:
+            if not _has_token(request, self._token):
+                return connection.respond(http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n")
+            return None
+        origins = request.headers.get_all("Origin")
+        if all(
+            _LOOPBACK_ORIGIN.fullmatch(origin) or origin in self._settings.web_origin
+            for origin in origins
+        ):
+            return None
+        return connection.respond(
+            http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect\n"
+        )
+
+    async def _handle(self, connection: ServerConnection) -> None:
+        """Serve one connection, and release it however it ends.
+
+        Reader and writer end each other: a client that vanished with answers outstanding ends the
+        writer, and the reader would wait for those answers.
+        """
+        outbox = _Outbox(connection, self._dispatcher.sessions)
+        if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._settings.sessions:
+            # The new client may come to stop a robot.
+            least = min(self._connections, key=_Outbox.use)
+            least.connection.transport.abort()
+            self._connections.discard(least)
+        self._connections.add(outbox)
+        tasks = {
+            asyncio.create_task(self._read(connection, outbox)),
+            asyncio.create_task(outbox.write()),
+            asyncio.create_task(outbox.idle(self._settings.idle)),
+        }
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._connections.discard(outbox)
+            for task in tasks:
+                task.cancel()
+            for result in await asyncio.gather(*tasks, return_exceptions=True):
+                if isinstance(result, Exception):
+                    report(ERROR, "failed", error=repr(result), failure=result)
+
+    async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
+        """Pass messages to the dispatcher until the connection closes."""
+        with contextlib.suppress(ConnectionClosed):
+            async for message in connection:
+                outbox.heard = time.monotonic()
+                is_json = isinstance(message, str)
+                payload = message.encode() if isinstance(message, str) else message
+                is_taken = self._dispatcher.receive(
+                    payload,
+                    ("web", connection.id),
+                    partial(outbox.answer, is_json=is_json),
+                    is_json=is_json,
+                    subscribe=partial(outbox.subscribe, is_json=is_json),
+                    who=partial(_who, connection),
+                )
+                # Back-pressure: stop reading from clients that do not drain replies, and throttle
+                # those over the rate limit.
+                await outbox.answered()
+                if not is_taken:
+                    await asyncio.sleep(_PENALTY)
+
+    def _publish(self, name: str, payload: bytes) -> None:
+        for outbox in self._connections:
+            outbox.offer(name, payload)
+
+
+class _Connection(ServerConnection, asyncio.BufferedProtocol):
+    """Read little in a turn, and bound empty fragments and control frames: the library does not."""
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        self._buffer, self._fragments = bytearray(_AT_ONCE), 0
+        self._controls = Bucket(_CONTROLS_PER_SECOND, time.monotonic(), _CONTROLS)
+        super().connection_made(transport)
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.data_received(bytes(memoryview(self._buffer)[:nbytes]))
+
+    def process_event(self, event: Event) -> None:
+        is_control = isinstance(event, Frame) and event.opcode in CTRL_OPCODES
+        if isinstance(event, Frame) and not is_control:
+            self._fragments = 0 if event.fin else self._fragments + 1
+        if self._fragments >= _MOST_FRAGMENTS or (
+            is_control and not self._controls.take(time.monotonic())
+        ):
+            self.transport.abort()
+        else:
+            super().process_event(event)
+
+
+class _Outbox:
+    """Messages waiting for one connection: all answers in order, the newest of each stream.
+
+    Attributes:
+        connection: The connection.
+        heard: Time of its last message, at first that of its handshake [s].
+    """
+
+    def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
+        self.connection, self._sessions = connection, sessions
+        self._answers: deque[bytes | str] = deque()
+        self._streams: dict[str, bool] = {}
+        self._newest: dict[str, bytes] = {}
+        self._has_work, self._is_idle = asyncio.Event(), asyncio.Event()
+        self._is_idle.set()
+        self.heard = self._opened = time.monotonic()
+
+    def use(self) -> tuple[bool, bool, float]:
+        """Return the rank of the connection: active ones are highest, then readers of streams."""
+        is_active = self.heard > self._opened and time.monotonic() - self.heard < _ACTIVE
+        return is_active, bool(self._streams), self.heard
+
+    async def idle(self, longest: float) -> None:
+        """Wait until nothing was heard of a connection without a stream for some time [s]."""
+        while self._streams or time.monotonic() - self.heard < longest:
+            await asyncio.sleep(0.1 * longest)
+
+    def answer(self, payload: bytes, *, is_json: bool) -> None:
+        self._answers.append(payload.decode() if is_json else payload)
+        self._is_idle.clear()
+        self._has_work.set()
+
+    def subscribe(self, name: str, *, is_json: bool) -> None:
+        if len(self._streams) >= MOST_SESSIONS:
+            # Forget ended sessions. They could return under their names, but their number has no
+            # bound.
+            self._streams = {
+                known: self._streams[known]
+                for known in self._sessions.names
+                if known in self._streams
+            }
+        self._streams[name] = is_json
+
+    def offer(self, name: str, payload: bytes) -> None:
+        if name in self._streams:
+            self._newest[name] = payload
+            self._has_work.set()
+
+    async def answered(self) -> None:
+        await self._is_idle.wait()
+
+    async def write(self) -> None:
+        """Send waiting messages until the connection closes or accepts none for too long."""
+        with contextlib.suppress(ConnectionClosed, TimeoutError):
+            while True:
+                await self._has_work.wait()
+                self._has_work.clear()
+                while self._answers:
+                    await self._send(self._answers.popleft())
+                self._is_idle.set()
+                newest, self._newest = self._newest, {}
+                for name, payload in newest.items():
+                    await self._send(_as_json(payload) if self._streams.get(name) else payload)
+        self.connection.transport.abort()
+
+    async def _send(self, message: bytes | str) -> None:
+        async with asyncio.timeout(_SEND_TIMEOUT):
+            await self.connection.send(message)
+
+
+def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
+    """Read the certificate and its key.
+
+    Raises:
+        InvalidInputError: If a file cannot be read, or they are not a certificate and its key.
+    """
+    for file in (certificate, key):
+        try:
+            file.read_bytes()
+        except OSError as error:
+            raise InvalidInputError(
+                argument=str(file), problem=f"cannot be read: {error.strerror}"
+            ) from error
+    tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        # An empty passphrase: otherwise OpenSSL would prompt for one.
+        tls.load_cert_chain(certificate, key, password="")
+    except ssl.SSLError as error:
+        raise InvalidInputError(
+            argument=f"{certificate}, {key}",
+            problem="expected a PEM certificate and its key, without passphrase",
+            advice=error.reason.replace("_", " ").lower() if error.reason else "",
+        ) from error
+    return tls
+
+
+def _choose_subprotocol(_: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
+    """Select the subprotocol of the messages if a client offers it."""
+    return SUBPROTOCOL if SUBPROTOCOL in offered else None
+
+
+def _has_token(request: Request, token: str) -> bool:
+    given = [value.removeprefix("Bearer ") for value in request.headers.get_all("Authorization")]
+    for value in request.headers.get_all("Sec-WebSocket-Protocol"):
+        offered = map(str.strip, value.split(","))
+        given += [part.removeprefix("bearer.") for part in offered if part.startswith("bearer.")]
+    return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
+
+
+def _who(connection: ServerConnection) -> Caller:
+    """Return the address of a client."""
+    address = connection.remote_address
+    return Caller(f"web@{address[0]}" if address else "web")
+
+
+def _as_json(payload: bytes) -> str:
+    return msgspec.json.encode(msgspec.msgpack.decode(payload)).decode()

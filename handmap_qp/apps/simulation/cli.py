@@ -1,0 +1,238 @@
+"""The command `handmap simulate`."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import tyro
+
+from handmap_qp.apps.arguments import HandName
+from handmap_qp.apps.offline.comparison import prepare_take
+from handmap_qp.apps.offline.trajectory import save_npz
+from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_commands
+from handmap_qp.apps.simulation.page import write_page
+from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
+from handmap_qp.apps.simulation.pictures import Stage, film, picture
+from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
+from handmap_qp.apps.simulation.simulator import Episode, Simulator
+from handmap_qp.apps.simulation.trials import describe_trial, outcome_row, random_trials, trial_row
+from handmap_qp.apps.tables import print_rows, progress
+from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.hands.library import load_hand
+from handmap_qp.output_files import check_output
+from handmap_qp.trackers.formats import read_recording
+
+Up = Literal["x", "y", "z", "-x", "-y", "-z"]
+_FRICTION = 0.8
+_NOT_GIVEN = (None, None, _FRICTION)
+
+
+def _optional(metavar: str, default: str) -> Any:
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Simulate a mapped hand that holds an object, with contacts, friction and gravity.
+
+    The recording shows a pinch: an object stands where the robot's pads meet. It must stay between
+    them until the human opens the hand. With --trials, random objects and places are tried, and the
+    table shows how many were held by every mapping.
+
+    Links touch the object, not each other. Actuators are springs with critical damping: servos, or
+    motors that are told torques. The hand's own weight is compensated.
+
+    Examples:
+        handmap simulate pinch.npz --robot allegro_right --film pinch.gif
+        handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
+        handmap simulate pinch.npz --robot allegro_right --actuators torque --html pinch.html
+        handmap simulate --robot allegro_right --serve lab --object sphere:0.04
+
+    Attributes:
+        recording: Recording with a pinch of thumb and index finger.
+        robot: Robot hand, by name or by the path of its hand.yaml.
+        methods: Mappings, as of `handmap compare`.
+        peers: Folder of the program that runs outside methods, such as benchmarks/peers.
+        object: box:SIDE, box:XxYxZ, sphere:DIAMETER, cylinder:DIAMETERxLENGTH [m], or a mesh file.
+        mass: Mass of the object [kg].
+        friction: Coulomb coefficient.
+        stiffness: Stiffness of the fingers' actuators [N m/rad].
+        actuators: Servos that are told positions, or motors that are told torques of this
+            stiffness.
+        up: World axis against gravity.
+        trials: Random objects and places, for every mapping.
+        objects: Random objects (varied), or the same object at random places (nominal).
+        seed: Seed of the random numbers.
+        grip: Force between the pads [N] that a squeeze term keeps while they press on the object.
+        out: File of the first mapping's simulation, .npz.
+        picture: Picture of four instants of the first mapping, .png.
+        film: Moving picture of the first mapping, .gif or .webp.
+        html: Page that plays every mapping in a browser without a server, .html.
+        serve: Name of a session of the mapping service to follow as a stand-in for its robot,
+            until Ctrl-C; no recording then.
+        server: Address of that service.
+        duration: Time to follow it [s].
+        json: Print one JSON object instead of a table.
+    """
+
+    recording: tyro.conf.Positional[Annotated[Path | None, _optional("RECORDING", "none")]] = None
+    robot: HandName = "three_finger"
+    methods: tuple[str, ...] = ("teleoperation",)
+    peers: Annotated[Path | None, _optional("FOLDER", "none")] = None
+    object: Annotated[str | None, _optional("OBJECT", "box:0.03")] = None
+    mass: Annotated[float | None, _optional("KG", "0.05")] = None
+    friction: float = _FRICTION
+    stiffness: float = 3.0
+    actuators: Literal["position", "torque"] = "position"
+    up: Up = "y"
+    trials: int = 0
+    objects: Literal["nominal", "varied"] = "varied"
+    seed: int = 0
+    grip: Annotated[float | None, _optional("N", "position control alone")] = None
+    out: Annotated[Path | None, _optional("FILE.npz", "none")] = None
+    picture: Annotated[Path | None, _optional("FILE.png", "none")] = None
+    film: Annotated[Path | None, _optional("FILE.gif", "none")] = None
+    html: Annotated[Path | None, _optional("PAGE.html", "none")] = None
+    serve: Annotated[str | None, _optional("SESSION", "none")] = None
+    server: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "tcp://127.0.0.1:5570"
+    duration: Annotated[float, _optional("SECONDS", "until Ctrl-C")] = math.inf
+    json: bool = False
+
+    def run(self) -> None:
+        """Simulate, print a table, and write the files."""
+        self._check()
+        if self.serve is not None:
+            self._stand_in(self.serve)
+            return
+        outcomes, trials = self._simulate()
+        found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
+        if self.trials:
+            found["rows"] = [trial_row(name, made) for name, made in outcomes.items()]
+            found["trials"] = [
+                {**describe_trial(trial), "held": [n for n, m in outcomes.items() if m[i].is_held]}
+                for i, trial in enumerate(trials)
+            ]
+        else:
+            found["rows"] = [outcome_row(name, made[0]) for name, made in outcomes.items()]
+        if self.json:
+            print(json.dumps(found))
+        else:
+            print_rows(f"{self.robot}: simulated", found["rows"])
+        self._write({name: made[0].episode for name, made in outcomes.items()})
+
+    def _check(self) -> None:
+        """Reject options that contradict each other, before any work is done."""
+        if (self.recording is None) == (self.serve is None):
+            raise InvalidInputError(
+                argument="RECORDING", expected="a recording with a pinch, or --serve SESSION"
+            )
+        files = {
+            "--out": (self.out, (".npz",)),
+            "--picture": (self.picture, (".png",)),
+            "--film": (self.film, (".gif", ".webp", ".png")),
+            "--html": (self.html, (".html", ".htm")),
+        }
+        named = [(option, path, ends) for option, (path, ends) in files.items() if path]
+        for file in named:
+            check_output(*file)
+        if self.trials:
+            self._check_trials(writes=bool(named))
+
+    def _check_trials(self, *, writes: bool) -> None:
+        problem, advice = "", ""
+        if writes or self.serve:
+            problem = "needs a recording, and writes no file"
+        elif self.objects == "varied" and (self.object, self.mass, self.friction) != _NOT_GIVEN:
+            problem = "draws object, mass and friction"
+            advice = "add --objects nominal to draw places alone"
+        if problem:
+            raise InvalidInputError(problem, argument="--trials", value=self.trials, advice=advice)
+
+    def _physics(self) -> Physics:
+        sign = 9.81 if self.up.startswith("-") else -9.81
+        x, y, z = (sign * (self.up[-1] == name) + 0.0 for name in "xyz")
+        return Physics(
+            friction=self.friction,
+            actuators=self.actuators,
+            joint_stiffness=self.stiffness,
+            gravity=(x, y, z),
+        )
+
+    def _body(self) -> Body:
+        return Body(
+            parse_object(self.object or "box:0.03"), 0.05 if self.mass is None else self.mass
+        )
+
+    def _simulate(self) -> tuple[dict[str, list[PinchOutcome]], list[PinchTrial]]:
+        """Pinch every object by every mapping."""
+        assert self.recording is not None
+        body, physics, robot = self._body(), self._physics(), load_hand(self.robot)
+        nominal = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
+        trials = [nominal]
+        if self.trials:
+            trials = random_trials(self.trials, self.seed, self.objects, nominal)
+        read = read_recording(self.recording)
+        methods = chosen_methods(self.methods, self.peers, self.robot)
+        window, take = find_pinch(read), prepare_take(read, robot.spec.side)
+        outcomes: dict[str, list[PinchOutcome]] = {}
+        for method in methods:
+            scene = PinchScene(map_commands(method, take, robot), window, physics)
+            made = outcomes[method.name] = []
+            with progress(method.name, len(trials)) as advance:
+                for trial in trials:
+                    made.append(scene.run(trial, self.grip))
+                    advance(len(made))
+        return outcomes, trials
+
+    def _stand_in(self, session: str) -> None:
+        """Follow a session of the mapping service."""
+        try:
+            from handmap_qp.apps.simulation.stand_in import Report, StandIn
+            from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+        except ImportError as missing:
+            raise MissingExtraError(str(missing.name), "service") from missing
+
+        def show(report: Report) -> None:
+            print(
+                f"{report.time:7.1f} s  {report.commands} commands, epoch {report.epoch}, wrist "
+                f"{1e3 * report.wrist_error:.1f} mm off, {report.touching} links press with "
+                f"{report.force:.1f} N",
+                flush=True,
+            )
+
+        simulator = Simulator(load_hand(self.robot), self._body(), self._physics())
+        try:
+            with Client(self.server) as client:
+                StandIn(simulator, client, session).run(self.duration, show)
+        except InvalidInputError:
+            raise
+        except (ServiceError, ServiceTimeoutError, ValueError) as error:
+            raise InvalidInputError(
+                argument="--serve", problem=str(error), value=session
+            ) from error
+
+    def _write(self, episodes: dict[str, Episode]) -> None:
+        """Write the files: of the first mapping; the page shows all."""
+        written, episode = [], next(iter(episodes.values()))
+        up = -np.array(self._physics().gravity)
+        if self.out is not None:
+            save_npz(self.out, episode.columns)
+            written.append(self.out)
+        if self.picture is not None:
+            picture(Stage(episode, up), self.picture)
+            written.append(self.picture)
+        if self.film is not None:
+            with progress("rendering") as advance:
+                film(Stage(episode, up), self.film, progress=advance)
+            written.append(self.film)
+        if self.html is not None:
+            with progress("writing the page") as advance:
+                write_page(self.html, episodes, up, f"{self.robot} - handmap simulate", advance)
+            written.append(self.html)
+        for path in () if self.json else written:
+            print(f"wrote {path}")

@@ -1,0 +1,208 @@
+"""What a simulation assumes: `Physics`, and the object: `Body`, by name, and as a surface."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from handmap_qp.apps.grasp.checks import positive_number
+from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError, MissingExtraError
+from handmap_qp.hands.spec import Vector
+from handmap_qp.options import Options, number, text
+
+KINDS = ("box", "sphere", "cylinder")
+"""Names of shapes with one size."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshShape:
+    """The convex hull of points, in the object's own frame.
+
+    Attributes:
+        points: Vertices [m], shape (n, 3), n >= 4.
+
+    Raises:
+        InvalidInputError: If they do not span a volume.
+    """
+
+    points: np.ndarray
+
+    def __post_init__(self) -> None:
+        points = np.asarray(self.points, dtype=float)
+        is_solid = (
+            points.shape[1:] == (3,)
+            and bool(np.isfinite(points).all())
+            and np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6) == 3
+        )
+        if not is_solid:
+            raise InvalidInputError(
+                argument="points", expected="points [m] that span a volume, shape (n, 3)"
+            )
+        object.__setattr__(self, "points", points)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A free object.
+
+    Attributes:
+        shape: Its shape.
+        mass: Its mass, spread evenly over the shape [kg].
+    """
+
+    shape: Shape | MeshShape
+    mass: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.shape, Shape | MeshShape):
+            raise InvalidInputError(argument="shape", expected="a shape", value=self.shape)
+        positive_number(self.mass, "mass")
+
+
+class Physics(Options, frozen=True):
+    """Contacts, actuators and time steps.
+
+    Links of the hand collide with the object, not with each other. The hand's own weight is
+    compensated, as its controller would.
+
+    Actuators of fingers press with `K (q_command - q) - D dq`, D critical. Servos (`position`) have
+    one stiffness each. Motors (`torque`) are told these torques at every step of time, and those
+    that carry the hand's own weight. An arm keeps its servos.
+    """
+
+    friction: Annotated[float, number("Coulomb coefficient between hand and object.")] = 0.8
+    torsion: Annotated[
+        float,
+        number(
+            "Coefficient of friction against spinning about the contact normal [m]: the radius of "
+            "a soft pad's patch times `friction`. 0 for hard fingers, as in Sec. IV."
+        ),
+    ] = 0.005
+    actuators: Annotated[
+        Literal["position", "torque"], text("Servos or motors, for the fingers.")
+    ] = "position"
+    joint_stiffness: Annotated[
+        float, number("Stiffness of the fingers' actuators [N m/rad, N/m].", above=True)
+    ] = 3.0
+    arm_stiffness: Annotated[
+        float, number("Stiffness of an arm's actuators [N m/rad].", above=True)
+    ] = 3000.0
+    effort_limit: Annotated[
+        float, number("Largest torque at a finger's joint [N m].", 0.0, math.inf, above=True)
+    ] = math.inf
+    armature: Annotated[float, number("Inertia of each motor at its joint [kg m^2].")] = 5e-4
+    density: Annotated[
+        float, number("Density of links whose URDF gives no mass [kg/m^3].", above=True)
+    ] = 1000.0
+    gravity: Annotated[Vector, text("Acceleration [m/s^2], in world axes.")] = (0.0, 0.0, -9.81)
+    time_step: Annotated[float, number("Step of the simulation [s].", above=True)] = 2e-3
+    contact_time: Annotated[
+        float,
+        number("Time constant with which a penetration is corrected [s].", above=True),
+    ] = 4e-3
+
+    def check(self) -> None:
+        """Reject infinite gravity, and contacts that are too stiff for the time step."""
+        if not all(map(math.isfinite, self.gravity)):
+            raise InvalidOptionsError(
+                option="gravity", expected="3 finite numbers", value=self.gravity
+            )
+        if self.contact_time < 2.0 * self.time_step:
+            raise InvalidOptionsError(
+                option="contact_time",
+                expected=f"at least two time steps, {2.0 * self.time_step:g} s",
+                value=self.contact_time,
+            )
+
+
+def named_shape(kind: str, size: float) -> Shape:
+    """Return a cube, a sphere, or a cylinder as long as twice its width.
+
+    Args:
+        kind: One of `KINDS`.
+        size: Its width [m].
+    """
+    if kind == "box":
+        return Box((size, size, size))
+    return Sphere(size / 2.0) if kind == "sphere" else Cylinder(size / 2.0, 2.0 * size)
+
+
+def parse_object(text: str) -> Shape | MeshShape:
+    """Read an object as the command line gives it.
+
+    Args:
+        text: `box:0.05` or `box:0.03x0.04x0.1`, `sphere:0.04` (diameter), `cylinder:0.04x0.1`
+            (diameter and length), or the path of a mesh file in metres.
+
+    Raises:
+        InvalidInputError: If it is none of these.
+        MissingExtraError: If a mesh is given and trimesh is not installed.
+    """
+    kind, _, rest = text.partition(":")
+    sizes = [float(word) for word in rest.split("x")] if re.fullmatch(r"[\d.x]+", rest) else []
+    match kind, *sizes:
+        case "box", x, y, z:
+            return Box((x, y, z))
+        case "cylinder", diameter, length:
+            return Cylinder(diameter / 2.0, length)
+        case (("box" | "sphere" | "cylinder"), size):
+            return named_shape(kind, size)
+    if Path(text).is_file():
+        return _mesh(Path(text))
+    raise InvalidInputError(
+        argument="--object",
+        expected="box:0.05, box:0.03x0.04x0.1, sphere:0.04, cylinder:0.04x0.1 or a mesh file",
+        value=text,
+    )
+
+
+def surface(shape: Shape | MeshShape) -> Any:
+    """Return the surface of an object in its own frame, a `trimesh.Trimesh`.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    trimesh = _trimesh()
+    match shape:
+        case Box():
+            return trimesh.creation.box(extents=shape.size)
+        case Sphere():
+            return trimesh.creation.icosphere(subdivisions=3, radius=shape.radius)
+        case Cylinder():
+            return trimesh.creation.cylinder(shape.radius, shape.length, sections=40)
+    return trimesh.Trimesh(shape.points).convex_hull
+
+
+def turn_up(up: np.ndarray) -> np.ndarray:
+    """Return the rotation that turns a direction to +z, for pictures, shape (3, 3)."""
+    z = np.asarray(up, dtype=float) / np.linalg.norm(up)
+    x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
+    x /= np.linalg.norm(x)
+    return np.array([x, np.cross(z, x), z])
+
+
+def _mesh(file: Path) -> MeshShape:
+    try:
+        hull = _trimesh().load_mesh(file).convex_hull
+    except MissingExtraError:
+        raise
+    # Mesh readers raise many types.
+    except Exception as error:
+        raise InvalidInputError(
+            argument="--object", problem=f"{file}: cannot be read as a mesh ({error})"
+        ) from error
+    return MeshShape(np.asarray(hull.vertices) - np.asarray(hull.center_mass))
+
+
+def _trimesh() -> Any:
+    try:
+        import trimesh
+    except ImportError as error:
+        raise MissingExtraError("trimesh", "plot") from error
+    return trimesh

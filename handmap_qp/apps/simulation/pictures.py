@@ -1,0 +1,118 @@
+"""Pictures of a simulation by the software renderer: `film`, `picture`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.apps.drawing.hands import load_shape, solid
+from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.apps.simulation.physics import surface, turn_up
+from handmap_qp.apps.simulation.simulator import Episode
+from handmap_qp.errors import MissingExtraError
+from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import affine
+
+_OBJECT_COLOUR = (0.93, 0.55, 0.15)
+_PAPER = np.array([0.965, 0.97, 0.975])
+_SIZE = (480, 360)
+
+
+class Stage:
+    """What the camera sees: a hand and its object, turned so that gravity points down.
+
+    Args:
+        episode: The simulation.
+        up: Direction against gravity, shape (3,).
+    """
+
+    def __init__(self, episode: Episode, up: np.ndarray) -> None:
+        self.episode = episode
+        self._shape = load_shape(episode.hand)
+        mesh = surface(episode.body.shape)
+        self._object = solid(mesh.vertices, mesh.faces, _OBJECT_COLOUR)
+        self._turn = affine(turn_up(up), np.zeros(3))
+        # An object that is lost falls far, and must not make the hand small.
+        count = len(episode.at.time)
+        hands = [self._hand(i) for i in range(0, count, max(1, count // 8))]
+        seen = merged([*hands, self._held(0)]).moved(self._turn)
+        self._camera = Camera.framing(seen.vertices.reshape(-1, 3)[::7], _SIZE)
+
+    def frame(self, i: int, *, supersampling: int = 2) -> np.ndarray:
+        """Render one instant; the camera sees the hand's whole motion, and the object at first.
+
+        Returns:
+            Red, green and blue in 0..255, shape (height, width, 3).
+        """
+        seen = merged([self._hand(i), self._held(i)]).moved(self._turn)
+        image = render(seen, self._camera, supersampling=supersampling)
+        colour, alpha = image[..., :3], image[..., 3:]
+        return np.round(255.0 * (alpha * colour + (1.0 - alpha) * _PAPER)).astype(np.uint8)
+
+    def _hand(self, i: int) -> Triangles:
+        at, hand = self.episode.at, self.episode.hand
+        return self._shape.triangles(at.q[i], at.wrist[i] if hand.is_floating else None)
+
+    def _held(self, i: int) -> Triangles:
+        return self._object.moved(self.episode.at.object_pose[i])
+
+
+def film(
+    stage: Stage,
+    path: Path,
+    *,
+    rate: float = 15.0,
+    progress: Callable[[int], None] = lambda _: None,
+) -> None:
+    """Write a simulation as a moving picture, in real time.
+
+    Args:
+        stage: What the camera sees.
+        path: The file: `.gif`, `.webp` or `.png` (an animated PNG).
+        rate: Pictures of each second.
+        progress: Called after each picture with the number done.
+
+    Raises:
+        MissingExtraError: If Pillow is not installed.
+        InvalidInputError: If the file cannot be written.
+    """
+    pillow, time, pictures = _pillow(), stage.episode.at.time, []
+    for instant in np.arange(time[0], time[-1], 1.0 / rate):
+        i = int(np.argmin(np.abs(time - instant)))
+        pictures.append(pillow.fromarray(stage.frame(i, supersampling=1)))
+        progress(len(pictures))
+    first, *others = pictures
+    kind = path.suffix.removeprefix(".").upper()
+    about = {"append_images": others, "duration": 1e3 / rate, "loop": 0}
+    with replaced_file(path, "--film") as file:
+        first.save(file, format=kind, save_all=True, **about)
+
+
+def picture(stage: Stage, path: Path, *, count: int = 4) -> None:
+    """Write instants of a simulation side by side.
+
+    Args:
+        stage: What the camera sees.
+        path: The file, PNG.
+        count: Number of instants, evenly spread.
+
+    Raises:
+        MissingExtraError: If Pillow is not installed.
+        InvalidInputError: If the file cannot be written.
+    """
+    pillow = _pillow()
+    chosen = np.linspace(0, len(stage.episode.at.time) - 1, count).round().astype(int)
+    strip = np.concatenate([stage.frame(int(i)) for i in chosen], axis=1)
+    with replaced_file(path, "--picture") as file:
+        pillow.fromarray(strip).save(file, format="PNG", optimize=True)
+
+
+def _pillow() -> Any:
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise MissingExtraError("pillow", "plot") from error
+    return Image

@@ -1,0 +1,346 @@
+"""Pinch and carry: a recorded pinch closes on an object, which must then stay (`PinchScene`).
+
+The object stands on a stand where the robot's pads come together when nothing is between them. The
+stand lets go when the thumb and another finger press on it, or when the pads should have met it a
+while ago. From then until the human opens his hand, the object must stay between the pads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from handmap_qp.apps.grasp.checks import positive_number
+from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
+from handmap_qp.apps.simulation.commands import Commands, PinchWindow
+from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
+from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator, poses_between
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.fingers import THUMB, find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.pads import Pad, find_pads
+from handmap_qp.se3 import affine, inverse_pose
+
+CUBE = Box((0.03, 0.03, 0.03))
+"""The nominal object."""
+
+_INDEX = "index"
+# Force of thumb and of another finger at which the stand lets go [N].
+_PRESSED = 0.2
+# The stand lets go this long after the pads should have met the object, at the latest [s].
+_LATEST = 0.3
+# The object is lost farther than this, and half its size, from the middle between the pads [m].
+_LOST = 0.02
+# The robot's pads meet this long after the human's, at the latest [s]; filters make some late.
+_LAG = 1.0
+# Instants between two samples at which the closing is looked at.
+_PARTS = 4
+# The object of that simulation, far from the hand.
+_NOTHING, _FAR = Body(Sphere(0.01), 0.01), affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
+# Step of the numerical Jacobian [rad].
+_STEP = 1e-6
+
+
+class Pads:
+    """The pads of a hand's thumb and index finger.
+
+    Args:
+        hand: The hand.
+
+    Raises:
+        InvalidInputError: If the hand has no index finger, or no thumb.
+    """
+
+    def __init__(self, hand: Hand) -> None:
+        chains = find_fingers(hand)
+        if not {THUMB, _INDEX} <= chains.keys():
+            raise InvalidInputError(
+                argument="robot",
+                expected=f"a hand with {THUMB} and {_INDEX}",
+                got=f"{hand.name} with {', '.join(chains)}",
+            )
+        self.hand = hand
+        found = find_pads(hand, {name: chains[name] for name in (THUMB, _INDEX)})
+        self.thumb, self.finger = found[THUMB], found[_INDEX]
+        self._data = hand.model.createData()
+
+    def places(self, q: np.ndarray, wrist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the middles of both pads in the world [m], shape (3,) each."""
+        vector = self.hand.configuration_vector(q, wrist if self.hand.is_floating else None)
+        pin.forwardKinematics(self.hand.model, self._data, vector)
+        return self._place(self.thumb), self._place(self.finger)
+
+    def gap(self, q: np.ndarray, wrist: np.ndarray) -> float:
+        """Return the distance between the pads' surfaces [m]."""
+        one, other = self.places(q, wrist)
+        return float(np.linalg.norm(other - one)) - self.thumb.radius - self.finger.radius
+
+    def middle(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
+        """Return the point midway between the pads' surfaces [m], shape (3,)."""
+        one, other = self.places(q, wrist)
+        distance = max(float(np.linalg.norm(other - one)), 1e-6)
+        share = 0.5 + 0.5 * (self.thumb.radius - self.finger.radius) / distance
+        return one + np.clip(share, 0.0, 1.0) * (other - one)
+
+    def is_pinched(self, simulator: Simulator) -> bool:
+        """Return whether the thumb and another link press on the object."""
+        contacts = simulator.contacts()
+        is_thumb = np.array([self._is_of_thumb(joint) for joint in contacts.joints], dtype=bool)
+        pressing = contacts.normal_forces
+        return min(pressing[is_thumb].sum(), pressing[~is_thumb].sum()) > _PRESSED
+
+    def squeezed(self, simulator: Simulator, command: np.ndarray, force: float) -> np.ndarray:
+        """Return a command that presses the pads together with a wanted force.
+
+        With the row `r = d(gap)/dq`, springs of stiffness k at `command` press with
+        `f = -r k (command - q) / (r r)`. The result is `command + (f - f_0) r / k`. All other
+        directions of the command stay.
+
+        Args:
+            simulator: The simulation.
+            command: Mapped command [rad], shape (n,).
+            force: The force, f_0 [N].
+        """
+        q, wrist, stiffness = simulator.q, simulator.wrist, simulator.physics.joint_stiffness
+        gap = self.gap(q, wrist)
+        steps = q + _STEP * np.eye(len(q))
+        row = np.array([(self.gap(step, wrist) - gap) / _STEP for step in steps])
+        if row @ row < 1e-9:
+            return command
+        pressing = -stiffness * (row @ (command - q)) / (row @ row)
+        return command + (pressing - force) / stiffness * row
+
+    def _place(self, pad: Pad) -> np.ndarray:
+        return self._data.oMi[pad.joint].act(pad.offset)
+
+    def _is_of_thumb(self, joint: str) -> bool:
+        """Return whether a joint is on the way from the palm to the thumb's tip."""
+        model = self.hand.model
+        way = list(model.supports[self.thumb.joint])[2:]
+        return model.existJointName(joint) and model.getJointId(joint) in way
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PinchTrial:
+    """One object and its place.
+
+    Attributes:
+        shape: The object's shape; a cube of 30 mm if omitted.
+        mass: Its mass [kg].
+        friction: Coulomb coefficient.
+        offset: Displacement of its place from where the pads meet [m], in world axes.
+        yaw: Rotation about the vertical [rad].
+    """
+
+    shape: Shape | MeshShape = CUBE
+    mass: float = 0.05
+    friction: float = 0.8
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw: float = 0.0
+
+    @property
+    def kind(self) -> str:
+        """Name of the kind of its shape, such as box."""
+        return type(self.shape).__name__.lower()
+
+    @property
+    def size(self) -> float:
+        """Width of the object along the pinch, about [m]."""
+        match self.shape:
+            case Box(size=(width, *_)):
+                return width
+            case Sphere(radius=radius) | Cylinder(radius=radius):
+                return 2.0 * radius
+            case MeshShape(points=points):
+                return float(np.ptp(points[:, 0]))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PinchOutcome:
+    """Result of one trial.
+
+    Attributes:
+        is_held: Whether the object stayed between the pads until the human opened the hand.
+        held_time: Time from the stand's letting go to the loss, or to the opening [s].
+        pinch_time: Time from the stand's letting go to the opening [s].
+        slip: Largest displacement of the object from its place between the pads [m], while held.
+        rotation: Rotation of the object against the wrist, at the end or the loss [rad].
+        force: Mean normal force while held [N].
+        episode: The simulation.
+    """
+
+    is_held: bool
+    held_time: float
+    pinch_time: float
+    slip: float
+    rotation: float
+    force: float
+    episode: Episode
+
+
+class Meeting(NamedTuple):
+    """The robot when its pads are as near as an object is wide.
+
+    Attributes:
+        time: The instant [s].
+        q: Joint angles [rad], shape (n,).
+        wrist: Wrist pose, shape (4, 4).
+    """
+
+    time: float
+    q: np.ndarray
+    wrist: np.ndarray
+
+
+class PinchScene:
+    """A robot that follows a recorded pinch, and objects for it.
+
+    Args:
+        commands: Commands of the mapping for the whole recording.
+        window: When the human pinches.
+        physics: Actuators, gravity and time steps; the friction is that of each trial.
+
+    Raises:
+        InvalidInputError: If the hand has no thumb, or no index finger.
+        HandError: If the hand has no collision shapes.
+    """
+
+    def __init__(self, commands: Commands, window: PinchWindow, physics: Physics) -> None:
+        self.commands, self.window, self.physics = commands, window, physics
+        self.pads = Pads(commands.hand)
+
+    def run(self, trial: PinchTrial, grip: float | None = None) -> PinchOutcome:
+        """Simulate one trial.
+
+        Args:
+            trial: The object and its place; the friction is the trial's.
+            grip: Force [N] that a squeeze term keeps while the pads press; none if omitted.
+
+        Returns:
+            What became of the object.
+
+        Raises:
+            InvalidInputError: If the force is not positive.
+        """
+        if grip is not None:
+            positive_number(grip, "grip")
+        commands, window, pads = self.commands, self.window, self.pads
+        met = self.meeting(trial.size)
+        place = pads.middle(met.q, met.wrist) + np.array(trial.offset)
+        simulator = self._start(
+            Body(trial.shape, trial.mass),
+            self.physics.replaced(friction=trial.friction),
+            affine(self._upright(met, trial.yaw), place),
+        )
+        instants, distances = [], []
+        for i in range(window.start + 1, window.end + 1):
+            goal, wrist = commands.at(i)
+            if grip is not None and pads.is_pinched(simulator):
+                goal = pads.squeezed(simulator, goal, grip)
+            simulator.follow(goal, wrist, commands.time[i] - commands.time[i - 1])
+            instants.append(simulator.instant())
+            is_late = commands.time[i] >= met.time + _LATEST
+            if not distances and (is_late or pads.is_pinched(simulator)):
+                simulator.set_stand(holds=False)
+            elif not distances:
+                continue
+            between = simulator.object_pose[:3, 3] - pads.middle(simulator.q, simulator.wrist)
+            distances.append(float(np.linalg.norm(between)))
+        episode = Episode.of(simulator, instants)
+        # Pads that never pressed had no object to lose.
+        distances = distances or [np.inf]
+        time = commands.time[: window.end + 1][-len(distances) :]
+        return _outcome(episode, np.array(distances), time, trial.size)
+
+    def meeting(self, size: float) -> Meeting:
+        """Return the first instant at which the pads are as near as an object is wide.
+
+        Actuators lag behind their commands by some 50 ms, so the pads meet later and, as the wrist
+        moves meanwhile, elsewhere than commanded.
+
+        Args:
+            size: Width of the object [m].
+
+        Returns:
+            The instant, or that of the smallest gap if the pads do not come near enough.
+        """
+        instants, gaps = self._closing
+        near = np.flatnonzero(gaps <= size)
+        if not len(near):
+            return instants[int(np.argmin(gaps))]
+        if near[0] == 0:
+            return instants[0]
+        before, at = instants[near[0] - 1 : near[0] + 1]
+        wide, narrow = gaps[near[0] - 1 : near[0] + 1]
+        share = float((wide - size) / (wide - narrow))
+        return Meeting(
+            before.time + share * (at.time - before.time),
+            before.q + share * (at.q - before.q),
+            poses_between(before.wrist, at.wrist, np.array([share]))[0],
+        )
+
+    @cached_property
+    def _closing(self) -> tuple[list[Meeting], np.ndarray]:
+        """The robot's own motion while the human's pinch closes, and its gaps [m], shape (k,)."""
+        commands, window, shares = self.commands, self.window, np.arange(1, _PARTS + 1) / _PARTS
+        simulator = self._start(_NOTHING, self.physics, _FAR)
+        last = np.searchsorted(commands.time, commands.time[window.closed] + _LAG)
+        instants = []
+        for i in range(window.start + 1, min(int(last), window.end)):
+            (q, wrist), (start, _) = commands.at(i), commands.at(i - 1)
+            places = poses_between(commands.wrist[i - 1], commands.wrist[i], shares)
+            before, step = commands.time[i - 1], commands.time[i] - commands.time[i - 1]
+            for share, place in zip(shares, places, strict=True):
+                goal = start + share * (q - start)
+                simulator.follow(goal, None if wrist is None else place, step / _PARTS)
+                now = float(before + share * step)
+                instants.append(Meeting(now, simulator.q, simulator.wrist))
+        return instants, np.array([self.pads.gap(at.q, at.wrist) for at in instants])
+
+    def _start(self, body: Body, physics: Physics, place: np.ndarray) -> Simulator:
+        """Put an object on its stand, and the hand where the recording starts."""
+        simulator = Simulator(self.commands.hand, body, physics)
+        simulator.reset(*self.commands.at(self.window.start), place)
+        simulator.set_stand(holds=True)
+        return simulator
+
+    def _upright(self, met: Meeting, yaw: float) -> np.ndarray:
+        """Return axes with z up and x along the pinch, turned by `yaw` about the vertical."""
+        up = -np.array(self.physics.gravity)
+        up = up / np.linalg.norm(up) if up.any() else np.array([0.0, 0.0, 1.0])
+        thumb, finger = self.pads.places(met.q, met.wrist)
+        across = finger - thumb
+        across -= (across @ up) * up
+        if np.linalg.norm(across) < 1e-6:
+            across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+        x = across / np.linalg.norm(across)
+        axes = np.column_stack([x, np.cross(up, x), up])
+        return Rotation.from_rotvec(yaw * up).as_matrix() @ axes
+
+
+def _outcome(
+    episode: Episode, distances: np.ndarray, time: np.ndarray, size: float
+) -> PinchOutcome:
+    """Judge the instants at the end, for which there are distances from the pads' middle."""
+    lost = np.flatnonzero(distances > _LOST + size / 2.0)
+    last = int(lost[0]) if len(lost) else len(distances) - 1
+    first = len(episode.at.time) - len(distances)
+    kept = Instant(*(column[first : first + last + 1] for column in episode.at))
+    poses = np.array(
+        [inverse_pose(w) @ o for w, o in zip(kept.wrist, kept.object_pose, strict=True)]
+    )
+    turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
+    return PinchOutcome(
+        is_held=not len(lost) and bool(episode.at.links_touching[-1] >= 2),
+        held_time=float(time[last] - time[0]),
+        pinch_time=float(time[-1] - time[0]),
+        slip=float(np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max()),
+        rotation=float(turn),
+        force=float(kept.normal_force.mean()),
+        episode=episode,
+    )

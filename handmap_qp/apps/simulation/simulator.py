@@ -1,0 +1,328 @@
+"""Step a hand and an object in time: `Simulator`, `Contacts`, `Episode`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from handmap_qp.apps.grasp.checks import finite_array
+from handmap_qp.apps.simulation.model import MOCAP, OBJECT, build_model
+from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.se3 import affine, check_pose, inverse_pose
+
+# Friction of the stand against turning the object acts at this lever [m]: 2/3 of the radius of a
+# disc of 30 mm under even pressure.
+_STAND_LEVER = 0.01
+
+
+class Contacts(NamedTuple):
+    """Contacts between the hand and the object at one instant.
+
+    Attributes:
+        points: Places in the world [m], shape (n, 3).
+        normals: Unit normals into the object, shape (n, 3).
+        forces: Forces of the hand on the object, world axes [N], shape (n, 3).
+        joints: Name of the joint that carries the touching link, for each contact; empty for the
+            hand's base.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    forces: np.ndarray
+    joints: tuple[str, ...]
+
+    @property
+    def normal_forces(self) -> np.ndarray:
+        """Shares of the forces along the normals [N], shape (n,)."""
+        return np.einsum("ci,ci->c", self.forces, self.normals)
+
+
+class Instant(NamedTuple):
+    """One instant of a simulation, or many as columns with a leading axis.
+
+    Attributes:
+        time: Simulated time [s].
+        q: Joint angles in the order of `hand.joint_names` [rad], shape (n,).
+        command: Commanded joint angles [rad], shape (n,).
+        wrist: Pose of the wrist, shape (4, 4).
+        object_pose: Pose of the object, shape (4, 4).
+        normal_force: Sum of the normal forces of the hand on the object [N].
+        friction_use: Sum of the tangential forces' lengths over what friction allows; NaN without
+            contact.
+        links_touching: Number of joints whose links touch the object.
+    """
+
+    time: np.ndarray
+    q: np.ndarray
+    command: np.ndarray
+    wrist: np.ndarray
+    object_pose: np.ndarray
+    normal_force: np.ndarray
+    friction_use: np.ndarray
+    links_touching: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episode:
+    """A simulation of T instants.
+
+    Attributes:
+        hand: The hand.
+        body: The object.
+        at: All instants, each field of T rows.
+    """
+
+    hand: Hand
+    body: Body
+    at: Instant
+
+    @classmethod
+    def of(cls, simulator: Simulator, instants: Sequence[Instant]) -> Episode:
+        """Return what happened in a simulation, instant after instant."""
+        columns = (np.array(column) for column in zip(*instants, strict=True))
+        return cls(simulator.hand, simulator.body, Instant(*columns))
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Plain arrays by name, as written to a file."""
+        return {
+            **self.at._asdict(),
+            "joint_names": np.array(self.hand.joint_names),
+            "robot": np.array(self.hand.name),
+            "object_mass": np.array(self.body.mass),
+        }
+
+
+class Simulator:
+    """A hand that holds, or is to hold, an object.
+
+    Args:
+        hand: The hand; floating, or on an arm, or fixed to the world.
+        body: The object.
+        physics: Contacts, actuators and time steps; the usual ones if omitted.
+        compliance: Compliance in series with that of the joints [rad/(N m)], shape (n, n), as of
+            soft synergies; for motors (`Physics.actuators`).
+
+    Attributes:
+        hand: The hand.
+        body: The object.
+        physics: Contacts, actuators and time steps.
+        parts: The model and where its parts are.
+        data: `mujoco.MjData`, the state.
+
+    Raises:
+        HandError: If the hand has no collision shapes.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        body: Body,
+        physics: Physics | None = None,
+        compliance: np.ndarray | None = None,
+    ) -> None:
+        self.hand, self.body = hand, body
+        self.physics = physics or Physics()
+        self.parts = build_model(hand, body, self.physics, compliance)
+        self.data = mujoco.MjData(self.parts.model)
+        self._target: tuple[np.ndarray, np.ndarray | None] | None = None
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the start [s]."""
+        return float(self.data.time)
+
+    @property
+    def q(self) -> np.ndarray:
+        """Joint angles in the order of `hand.joint_names` [rad], shape (n,)."""
+        return self.data.qpos[self.parts.joint_q].copy()
+
+    @property
+    def wrist(self) -> np.ndarray:
+        """Pose of the wrist in the world, shape (4, 4)."""
+        if not self.hand.is_floating:
+            return self.hand.frame_pose("wrist", self.q)
+        return self._pose_at(self.parts.base_q) @ self._base_to_wrist
+
+    @property
+    def object_pose(self) -> np.ndarray:
+        """Pose of the object in the world, shape (4, 4)."""
+        return self._pose_at(self.parts.object_q)
+
+    @property
+    def target(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Commanded joint angles [rad], shape (n,), and wrist pose, None if it does not float."""
+        assert self._target is not None, "reset first"
+        return self._target
+
+    def instant(self) -> Instant:
+        """Return what is now."""
+        contacts = self.contacts()
+        pressing = contacts.normal_forces
+        sliding = contacts.forces - pressing[:, None] * contacts.normals
+        allowed, used = (
+            self.physics.friction * pressing.sum(),
+            np.linalg.norm(sliding, axis=1).sum(),
+        )
+        return Instant(
+            time=np.array(self.time),
+            q=self.q,
+            command=self.target[0],
+            wrist=self.wrist,
+            object_pose=self.object_pose,
+            normal_force=pressing.sum(),
+            friction_use=np.array(used / allowed if allowed > 0.0 else np.nan),
+            links_touching=np.array(len(set(contacts.joints))),
+        )
+
+    def reset(
+        self, q: npt.ArrayLike, wrist: npt.ArrayLike | None, object_pose: npt.ArrayLike
+    ) -> None:
+        """Put hand and object at rest.
+
+        Args:
+            q: Joint angles [rad], shape (n,).
+            wrist: Pose of the wrist, shape (4, 4); None for a hand that does not float.
+            object_pose: Pose of the object, shape (4, 4).
+
+        Raises:
+            InvalidInputError: On a wrong shape, or a wrist for a hand that does not float.
+        """
+        angles = finite_array(q, (len(self.hand.joint_names),), "q")
+        pose = check_pose(object_pose, "object_pose")
+        place = None if wrist is None else check_pose(wrist, "wrist")
+        if self.hand.is_floating == (place is None):
+            raise InvalidInputError(
+                argument="wrist", expected="a pose for a floating hand, else None", value=wrist
+            )
+        parts, data = self.parts, self.data
+        mujoco.mj_resetData(parts.model, data)
+        self.set_stand(holds=False)
+        is_there = parts.all_q >= 0
+        data.qpos[parts.all_q[is_there]] = self.hand.all_joints(angles)[is_there]
+        data.qpos[parts.object_q : parts.object_q + 7] = _sevens(pose[None])[0]
+        if place is not None:
+            (base,) = _sevens(place[None] @ inverse_pose(self._base_to_wrist))
+            data.qpos[parts.base_q : parts.base_q + 7] = base
+            self._lead_base(base)
+        self._control(angles)
+        self._target = (angles, place)
+        mujoco.mj_forward(parts.model, data)
+
+    def set_stand(self, holds: bool) -> None:
+        """Let a stand carry the object, or let go.
+
+        The stand carries the weight m g. A push beyond the friction, mu m g along each axis of the
+        world, moves the object, as on a table.
+        """
+        model, held = self.parts.model, self.parts.object
+        first = model.body_dofadr[held]
+        weight = float(model.body_mass[held] * np.linalg.norm(self.physics.gravity))
+        friction = self.physics.friction * weight if holds else 0.0
+        model.body_gravcomp[held] = float(holds)
+        model.dof_frictionloss[first : first + 3] = friction
+        model.dof_frictionloss[first + 3 : first + 6] = _STAND_LEVER * friction
+
+    def follow(self, q: npt.ArrayLike, wrist: np.ndarray | None, duration: float) -> None:
+        """Move the command in a straight line to a posture, and simulate meanwhile.
+
+        Args:
+            q: Commanded joint angles at the end [rad], shape (n,).
+            wrist: Commanded wrist pose at the end, shape (4, 4); None for a hand that does not
+                float.
+            duration: Time that it takes [s], rounded to whole steps of the simulation.
+        """
+        goal = np.array(q, dtype=float)
+        start, start_wrist = self.target
+        steps = max(1, round(duration / self.physics.time_step))
+        shares = np.arange(1, steps + 1) / steps
+        bases = None
+        if wrist is not None and start_wrist is not None:
+            places = poses_between(start_wrist, wrist, shares)
+            bases = _sevens(places @ inverse_pose(self._base_to_wrist))
+        for k, share in enumerate(shares):
+            self._control(start + share * (goal - start))
+            if bases is not None:
+                self._lead_base(bases[k])
+            mujoco.mj_step(self.parts.model, self.data)
+        self._target = (goal, None if wrist is None else wrist.copy())
+        # Contacts and velocities of the state after the last step.
+        mujoco.mj_forward(self.parts.model, self.data)
+
+    def hold(self, duration: float) -> None:
+        """Keep the last command, and simulate."""
+        self.follow(*self.target, duration)
+
+    def contacts(self) -> Contacts:
+        """Return the contacts between the hand and the object."""
+        model, rows = self.parts.model, []
+        held = model.geom(OBJECT).id
+        wrench = np.zeros(6)
+        for index in range(self.data.ncon):
+            contact = self.data.contact[index]
+            if held not in contact.geom or contact.efc_address < 0:
+                continue
+            # The frame's x axis points from the first geom to the second, on which the force acts.
+            one, other = contact.geom
+            sign, link = (1.0, one) if other == held else (-1.0, other)
+            mujoco.mj_contactForce(model, self.data, index, wrench)
+            frame = sign * contact.frame.reshape(3, 3)
+            body = model.body(model.geom_bodyid[link]).name
+            joint = body.removesuffix("_body") if body.endswith("_body") else ""
+            rows.append((contact.pos.copy(), frame[0], frame.T @ wrench[:3], joint))
+        points, normals, forces, joints = zip(*rows, strict=True) if rows else ((), (), (), ())
+        vectors = (np.reshape(column, (-1, 3)) for column in (points, normals, forces))
+        return Contacts(*vectors, joints=joints)
+
+    def _control(self, command: np.ndarray) -> None:
+        """Tell the actuators a command [rad], shape (n,)."""
+        data, parts = self.data, self.parts
+        data.ctrl[:] = parts.controls(command, data.qpos[parts.joint_q], data.qvel[parts.joint_v])
+
+    def _lead_base(self, base: np.ndarray) -> None:
+        """Move the body that leads the floating base."""
+        mocap = self.parts.model.body(MOCAP).mocapid[0]
+        self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base[:3], base[3:]
+
+    @cached_property
+    def _base_to_wrist(self) -> np.ndarray:
+        """The wrist's pose in the floating base, shape (4, 4)."""
+        base = self.hand.configuration_vector(self.hand.rest, np.eye(4))[:7]
+        return inverse_pose(affine(Rotation.from_quat(base[3:]).as_matrix(), base[:3]))
+
+    def _pose_at(self, address: int) -> np.ndarray:
+        values = self.data.qpos[address : address + 7].copy()
+        return affine(Rotation.from_quat(values[[4, 5, 6, 3]]).as_matrix(), values[:3])
+
+
+def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """Return poses at shares of the way: positions in a line, rotations about one axis.
+
+    Args:
+        start: Pose at share 0, shape (4, 4).
+        end: Pose at share 1, shape (4, 4).
+        shares: Between 0 and 1, shape (k,).
+
+    Returns:
+        Poses, shape (k, 4, 4).
+    """
+    turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
+    poses = np.tile(start, (len(shares), 1, 1))
+    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(shares, turn)).as_matrix() @ start[:3, :3]
+    poses[:, :3, 3] += np.outer(shares, end[:3, 3] - start[:3, 3])
+    return poses
+
+
+def _sevens(poses: np.ndarray) -> np.ndarray:
+    """Return poses (k, 4, 4) as positions and quaternions wxyz, as MuJoCo has them, (k, 7)."""
+    quats = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    return np.hstack([poses[:, :3, 3], quats[:, [3, 0, 1, 2]]])

@@ -1,0 +1,130 @@
+"""A simulated robot that follows a session of the mapping service, as a driver would: `StandIn`.
+
+It watches a session of another client, receives the stream of commands, and simulates up to the
+clock's time with the newest one. A command that holds the robot is followed too: it repeats the
+last posture.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from handmap_qp.apps.simulation.pinch import Pads
+from handmap_qp.apps.simulation.simulator import Simulator
+from handmap_qp.client import Client, Command
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.se3 import affine
+
+# Longest wait for a command before the robot is simulated further with the last one [s].
+_WAIT = 0.02
+# The simulation never runs ahead of the clock, and skips more than this [s].
+_LONGEST = 0.1
+
+
+class Report(NamedTuple):
+    """What the stand-in does, once a second.
+
+    Attributes:
+        time: Simulated time [s].
+        commands: Number of commands received so far.
+        epoch: The last command's epoch; commands are continuous within one.
+        wrist_error: Distance of the wrist from its command [m].
+        force: Sum of the normal forces on the object [N].
+        touching: Number of joints whose links touch the object.
+    """
+
+    time: float
+    commands: int
+    epoch: int
+    wrist_error: float
+    force: float
+    touching: int
+
+
+class StandIn:
+    """Follows the commands of a session.
+
+    The object stands where the pads of thumb and index finger are at the first command, in the
+    middle between them. It is let go when the thumb and another finger press on it.
+
+    Args:
+        simulator: The robot and its object.
+        client: A client without a session of its own.
+        session: Public name of the session to follow.
+
+    Raises:
+        InvalidInputError: If the hand has no thumb and index finger.
+        ServiceError: If there is no such session.
+        ServiceTimeoutError: If the service does not answer.
+    """
+
+    def __init__(self, simulator: Simulator, client: Client, session: str) -> None:
+        self.simulator, self._client = simulator, client
+        self._pads = Pads(simulator.hand)
+        client.watch(session)
+        self._goal: tuple[np.ndarray, np.ndarray | None] | None = None
+        self._epoch, self._count = 0, 0
+        self._is_standing = True
+
+    def run(self, duration: float, report: Callable[[Report], None]) -> None:
+        """Follow the session.
+
+        Args:
+            duration: Time to follow it [s]; infinity until interrupted.
+            report: Called once a second while commands arrive.
+
+        Raises:
+            InvalidInputError: If the session drives a robot with other joints.
+        """
+        start = last = told = clock.monotonic()
+        while clock.monotonic() - start < duration:
+            command = self._client.latest(_WAIT)
+            if command is not None:
+                self._accept(command)
+            now = clock.monotonic()
+            if self._goal is None:
+                last = told = now
+            elif now - last >= self.simulator.physics.time_step:
+                self._advance(self._goal, min(now - last, _LONGEST))
+                last = now
+                if now - told >= 1.0:
+                    report(self._report(self._goal))
+                    told = now
+
+    def _accept(self, command: Command) -> None:
+        """Take a command as the goal; start at the first one, and again in a new epoch."""
+        hand = self.simulator.hand
+        angles = dict(zip(command.joint_names, command.q, strict=True))
+        if missing := [name for name in hand.joint_names if name not in angles]:
+            raise InvalidInputError(
+                argument="--robot",
+                expected=f"the robot of the session, with {', '.join(command.joint_names[:4])}",
+                got=f"{hand.name}, with {missing[0]}",
+            )
+        q = np.array([angles[name] for name in hand.joint_names])
+        pose = np.eye(4) if command.wrist is None else command.wrist.matrix
+        wrist = pose if hand.is_floating else None
+        if self._goal is None or command.epoch != self._epoch:
+            place = affine(np.eye(3), self._pads.middle(q, pose))
+            self.simulator.reset(q, wrist, place)
+            self.simulator.set_stand(holds=True)
+            self._is_standing = True
+        self._goal, self._epoch = (q, wrist), command.epoch
+        self._count += 1
+
+    def _advance(self, goal: tuple[np.ndarray, np.ndarray | None], duration: float) -> None:
+        """Simulate towards the goal, and let the object go once it is pinched."""
+        self.simulator.follow(*goal, duration)
+        if self._is_standing and self._pads.is_pinched(self.simulator):
+            self.simulator.set_stand(holds=False)
+            self._is_standing = False
+
+    def _report(self, goal: tuple[np.ndarray, np.ndarray | None]) -> Report:
+        now, wrist = self.simulator.instant(), goal[1]
+        error = 0.0 if wrist is None else float(np.linalg.norm((now.wrist - wrist)[:3, 3]))
+        pressing, touching = float(now.normal_force), int(now.links_touching)
+        return Report(float(now.time), self._count, self._epoch, error, pressing, touching)

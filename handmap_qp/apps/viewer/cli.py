@@ -1,0 +1,212 @@
+"""The command `handmap view`."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import webbrowser
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from handmap_qp.apps.addresses import check_port
+from handmap_qp.apps.arguments import (
+    InputArguments,
+    KeyFiles,
+    MappingArguments,
+    OpenSession,
+    PersonFile,
+    fit_side,
+)
+from handmap_qp.apps.viewer.live import LiveViewer
+from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
+from handmap_qp.apps.viewer.serving import run_frames, serving
+from handmap_qp.errors import InvalidInputError, MissingExtraError, did_you_mean
+from handmap_qp.human.fit import fit_recording
+from handmap_qp.human.person import read_person
+from handmap_qp.mapping.presets import possible_presets
+from handmap_qp.output_files import check_output, replaced_file
+from handmap_qp.stream.measurement import measure_person
+
+if TYPE_CHECKING:
+    import viser
+
+
+@dataclass(frozen=True)
+class View:
+    """Show a mapping in the browser, and change its preset and options while it plays.
+
+    Shows the human hand and the robot hand side by side, their reference points and targets, the
+    deformation T_def as an ellipsoid, the robot's joints between their limits, point and wrist
+    errors, pinch gaps [mm], and the time per step [us]. A second method can be compared with the
+    first. Ctrl-C ends the view.
+
+    Examples:
+        handmap view recording.npz --robot allegro_right
+        handmap view demo --robot allegro_right --compare fingertip-vectors
+        handmap view recording.npz --robot three_finger --html page.html
+        handmap view --live 127.0.0.1      (beside a running handmap serve)
+
+    Attributes:
+        recording: Recording of a human hand, as for `handmap map`.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
+            Required for a recording. A service names its own.
+        live: Show a session of a running mapping service instead of a recording. Its client must
+            have opened it with has_detail or is_shared. A shared session can also be steered.
+        session: Name of the service's session.
+        keys: For an encrypted service, the files NAME.key_secret and server.key.
+        mirror: Map the mirror image of a recording of the other hand.
+        person: File of the person's hand, of `handmap calibrate`.
+        compare: Preset or method that a second robot follows the same hand by, as for
+            `handmap compare`.
+        html: Write the recording as a page that plays without a server, and end.
+        host: Address to listen on. Everyone who can reach it can use the view, so keep it on
+            loopback unless you trust the network.
+        port: Port to listen on. The next free one is taken if it is in use.
+        open: Open the browser.
+        inputs: How the recording is to be read.
+        arguments: Preset, reference points and initial options, for a recording only.
+    """
+
+    recording: tyro.conf.Positional[
+        Annotated[
+            Path | None, tyro.conf.arg(metavar="[RECORDING]", help_behavior_hint="(or give --live)")
+        ]
+    ] = None
+    robot: Annotated[
+        str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="(default: the service's)")
+    ] = None
+    live: Annotated[
+        str | None, tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)")
+    ] = None
+    session: OpenSession = None
+    keys: KeyFiles = None
+    mirror: bool = False
+    person: PersonFile = None
+    compare: Annotated[
+        str | None, tyro.conf.arg(metavar="METHOD", help_behavior_hint="(default: none)")
+    ] = None
+    html: Annotated[
+        Path | None, tyro.conf.arg(metavar="PAGE.html", help_behavior_hint="(default: serve)")
+    ] = None
+    host: str = "127.0.0.1"
+    port: int = 8080
+    open: bool = False
+    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
+        default_factory=InputArguments
+    )
+    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
+        default_factory=MappingArguments
+    )
+
+    def run(self) -> None:
+        """Map the recording or connect to the service, and show it until interrupted."""
+        # Check first: mapping takes a while.
+        if importlib.util.find_spec("viser") is None:
+            raise MissingExtraError("viser", "view")
+        check_port("--port", self.port)
+        if (self.recording is None) == (self.live is None):
+            raise InvalidInputError(problem="expected either a recording or --live HOST")
+        self._refuse_unused_options()
+        if self.live is not None:
+            self._show_live(self.live)
+        elif self.recording is not None:
+            if self.robot is None:
+                raise InvalidInputError(
+                    argument="--robot",
+                    problem="missing",
+                    advice="name a hand that `handmap hands list` prints",
+                )
+            self._show_recording(self.recording, self.robot)
+
+    def _refuse_unused_options(self) -> None:
+        """Refuse options that would have no effect."""
+        given = {name for name in vars(self) if getattr(self, name) != getattr(View, name, None)}
+        given |= {name for name, value in vars(self.inputs).items() if value is not None}
+        problems = dict.fromkeys(("session", "keys"), "needs --live")
+        if self.html is not None:
+            problems |= dict.fromkeys(("host", "port", "open"), "has no effect with --html")
+        if self.live is not None:
+            problems = dict.fromkeys(("mirror", "compare", "layout", "side"), "needs a recording")
+            problems["html"] = "needs a recording: a running session has no end"
+            chosen = "needs a recording: the service's client chooses it"
+            problems |= dict.fromkeys(("person", *self.arguments.changed()), chosen)
+            given.update(self.arguments.changed())
+        for name, problem in problems.items():
+            if name in given:
+                option = f"--{name.removeprefix('--')}"
+                raise InvalidInputError(argument=option, problem=problem)
+
+    def _show_recording(self, file: Path, robot: str) -> None:
+        if self.html is not None:
+            check_output("--html", self.html, (".html", ".htm"))
+            page = self.replay(file, robot).page()
+            with replaced_file(self.html, "--html") as stream:
+                stream.write(page)
+            print(f"wrote {self.html}")
+            return
+        replay = self.replay(file, robot)
+        with self._serving() as server:
+            run_frames(ReplayViewer(server, replay).tick)
+
+    def _show_live(self, live: str) -> None:
+        from handmap_qp.apps.viewer.remote import ServiceSession
+
+        # Connect before serving, so that a missing session is reported at once.
+        source = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
+        try:
+            with self._serving() as server:
+                while True:
+                    viewer = LiveViewer(server, source)
+                    try:
+                        viewer.run()
+                    finally:
+                        viewer.close()
+                    # Its hands have changed.
+                    server.gui.reset()
+                    server.scene.reset()
+                    source = ServiceSession(
+                        live, session=source.name, robot=self.robot, keys=self.keys
+                    )
+        finally:
+            source.close()
+
+    @contextlib.contextmanager
+    def _serving(self) -> Iterator[viser.ViserServer]:
+        """Serve until Ctrl-C; print the address, and open the browser if requested."""
+        with serving(self.host, self.port) as server:
+            host = server.get_host()
+            address = f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+            print(f"open {address} in a browser (Ctrl-C ends the view)", flush=True)
+            if self.open:
+                webbrowser.open(address)
+            with contextlib.suppress(KeyboardInterrupt):
+                yield server
+
+    def replay(self, file: Path, name: str) -> Replay:
+        """Return a recording mapped to a robot, as the view shows it."""
+        robot = self.arguments.load_robot(name)
+        recording = self.inputs.read(file, robot.spec.side, self.person)
+        recording = fit_side(recording, robot, mirror=self.mirror)
+        person = measure_person(recording) if self.person is None else read_person(self.person)
+        motion = fit_recording(recording, lengths=person.lengths)
+        human, gap = motion.human.with_points(self.arguments.human_points), person.contact_gap
+        names = possible_presets(human, robot)
+        if self.compare is not None and self.compare not in names:
+            raise InvalidInputError(
+                argument="--compare",
+                expected=f"one of {', '.join(names)}",
+                value=self.compare,
+                advice=did_you_mean(self.compare, names),
+            )
+        choice = self.arguments.preset_for(human, robot, gap)
+        smoothing = self.arguments.smoothing
+        replay = Replay(
+            recording, motion, human, robot, choice, smoothing=smoothing, contact_gap=gap
+        )
+        if self.compare is not None:
+            replay.compare(replay.preset(self.compare))
+        return replay

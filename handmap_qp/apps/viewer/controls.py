@@ -1,0 +1,457 @@
+"""The controls: play bar, preset, comparison, clutch, options, display, and files to save.
+
+viser calls callbacks in threads of its own. They only record a request, which the viewer's `tick`
+carries out, so that mapping and drawing happen in one thread.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import yaml
+
+from handmap_qp.apps.viewer.figure import TRAIL_LENGTH
+from handmap_qp.apps.viewer.scene import HandScene
+from handmap_qp.errors import HandmapError
+from handmap_qp.mapping.presets import PRESETS, Choice
+from handmap_qp.options import Option, Options, options_of
+
+if TYPE_CHECKING:
+    import viser
+
+NOTHING, KEPT = "nothing", "kept options"
+"""Entries of the list of methods to compare with, besides the methods."""
+SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
+LEFT_OUT = ("step_tolerance", "point_tolerance", "tasks")
+"""Options without a control: tolerances, and names of tasks."""
+_GIVEN = "as given"
+# Largest value of a slider without a bound, in units of its default; and where that is 0 or none.
+_SPAN, _UNKNOWN, _OPTIONAL = 4.0, 20.0, 200.0
+_PANEL_WIDTH = 300
+# How long a browser may take to draw a picture [s].
+_PATIENCE = 60.0
+
+
+def add_panels(server: viser.ViserServer) -> tuple[Any, Any, Any]:
+    """Put the gauges on the left, and return the tabs on the right: control, show, save.
+
+    The gauges are in viser's main panel, because only that one can be folded away for one browser
+    (`BrowserCameras`). Controls that are added outside the tabs go there.
+    """
+    gui = server.gui
+    gui.set_panel_label("handmap view: gauges")
+    gui.main_panel.dock_left()
+    gui.main_panel.set_width(_PANEL_WIDTH)
+    panel = gui.add_panel()
+    tabs = panel.add_tab("Control"), panel.add_tab("Show"), panel.add_tab("Save")
+    panel.dock_right()
+    panel.set_width(_PANEL_WIDTH)
+    return tabs
+
+
+class _Control:
+    """A viser control, whose changes by the user are taken once.
+
+    Args:
+        handle: The viser control.
+        to_shown: Converts a value to the handle's, which may be rounded or clipped.
+        to_value: Converts the handle's value back.
+    """
+
+    def __init__(
+        self,
+        handle: Any,
+        to_shown: Callable[[Any], Any] = lambda value: value,
+        to_value: Callable[[Any], Any] = lambda value: value,
+    ) -> None:
+        self.handle, self._to_shown, self._to_value = handle, to_shown, to_value
+        self._taken = handle.value
+
+    def take(self, changes: dict[str, Any], name: str) -> None:
+        """Add the value to changes by name, if the user has changed it since the last call."""
+        value = self.handle.value
+        if value != self._taken:
+            self._taken, changes[name] = value, self._to_value(value)
+
+    def show(self, value: Any) -> None:
+        """Show a value, except where the user has just changed the control."""
+        shown = self._to_shown(value)
+        if shown != self._taken:
+            self.handle.value = self._taken = shown
+
+    def set_visible(self, is_visible: bool) -> None:
+        """Show or hide the control; what the user changed before then does not count."""
+        self._taken, self.handle.visible = self.handle.value, is_visible
+
+
+class DisplayControls:
+    """What the scene shows."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        gui = server.gui
+        self.follow = gui.add_dropdown(
+            "follow",
+            ("hands", "world"),
+            hint="hands: keep each hand in place; world: show how it travels",
+        )
+        self.shape = gui.add_dropdown(
+            "deformation",
+            ("ellipsoid", "cube", "off"),
+            hint="Shape of a ball or cube at the pivot after T_def",
+        )
+        self.landmarks = gui.add_checkbox(
+            "landmarks", initial_value=False, hint="The tracker's landmarks, beside the hand"
+        )
+        self.trails = gui.add_checkbox(
+            "trails",
+            initial_value=False,
+            hint=f"Where the fingertips were in the last {TRAIL_LENGTH:g} s",
+        )
+        self.clear = gui.add_button("Clear trails", hint="Start the trails again from here")
+        self._is_to_clear = False
+        self.clear.on_click(self._request_clear)
+
+    @property
+    def state(self) -> tuple[object, ...]:
+        """The settings; the scene has to be drawn again if they change."""
+        return self.follow.value, self.shape.value, self.landmarks.value, self.trails.value
+
+    def apply_to(self, scene: HandScene) -> None:
+        """Copy the settings to the scene; its next drawing shows them."""
+        if self._is_to_clear or (scene.has_trails and not self.trails.value):
+            self._is_to_clear = False
+            scene.clear_trails()
+        scene.follow, scene.deformation_shape = self.follow.value, self.shape.value
+        scene.has_landmarks, scene.has_trails = self.landmarks.value, self.trails.value
+
+    def _request_clear(self, _: object) -> None:
+        self._is_to_clear = True
+
+
+class SteeringControls:
+    """Preset, comparison, clutch, options, and a message about the last request.
+
+    Args:
+        choice: Preset and options to start from.
+        presets: The presets that the hands can be mapped with.
+        compared: The preset that is compared with, or `NOTHING`; None if nothing can be compared.
+
+    Attributes:
+        preset: List of presets; choosing one brings its own options.
+        compare: List of methods to compare with; None if nothing can be compared.
+        keep: Button that keeps the robot as it is now for comparison with later options, likewise.
+        release: Button that freezes the robot. Two buttons instead of a toggle, so that a click
+            cannot act on a label that has just changed.
+        clutch: Button that resumes mapping from where the robot is.
+        message: What is being done, or why the last request failed; hidden if empty.
+        options: Sliders, lists and boxes for the options.
+        reset: Button that restores the initial preset and options, and clutches.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        choice: Choice,
+        presets: tuple[str, ...],
+        compared: str | None = None,
+    ) -> None:
+        gui = server.gui
+        self._requests: list[str] = []
+        names = dict.fromkeys((*presets, choice.preset))
+        self.preset = gui.add_dropdown(
+            "preset",
+            tuple(names),
+            initial_value=choice.preset,
+            hint="; ".join(f"{name}: {PRESETS[name].purpose}" for name in names),
+        )
+        self._lists = {"preset": _Control(self.preset)}
+        self.compare = self.keep = None
+        if compared is not None:
+            self.compare = gui.add_dropdown(
+                "compare with",
+                (NOTHING, *presets, KEPT),
+                initial_value=compared,
+                hint="A second robot follows the same hand by another method",
+            )
+            self._lists["compare"] = _Control(self.compare)
+            self.keep = self._add_button(
+                gui, "Keep for comparison", "Keep the robot as it is now beside later options"
+            )
+        self.message = gui.add_markdown("", visible=False)
+        self.options = OptionControls(server, choice)
+        self.reset = self._add_button(
+            gui,
+            "Reset options and clutch",
+            "Restore the initial preset and options, and resume mapping",
+        )
+        self.release = self._add_button(gui, "Release", "Freeze the robot until Clutch is pressed")
+        self.clutch = self._add_button(gui, "Clutch", "Resume mapping from where the robot is")
+        self.clutch.disabled = True
+
+    def _add_button(self, gui: Any, label: str, hint: str) -> Any:
+        """Add a button that requests the first word of its label."""
+        button = gui.add_button(label, hint=hint)
+        button.on_click(lambda _: self._requests.append(label.split()[0].lower()))
+        return button
+
+    def take_requests(self) -> list[str]:
+        """Return the buttons pressed since the last call: `release`, `clutch`, `reset`, `keep`."""
+        return [self._requests.pop(0) for _ in range(len(self._requests))]
+
+    def take_lists(self) -> dict[str, str]:
+        """Return what the user has chosen since the last call, of `preset` and `compare`."""
+        chosen: dict[str, str] = {}
+        for name, control in self._lists.items():
+            control.take(chosen, name)
+        return chosen
+
+    def show_choice(self, choice: Choice) -> None:
+        """Show preset and options, except where the user has just changed a control."""
+        if choice.preset not in self.preset.options:
+            self.preset.options = (*self.preset.options, choice.preset)
+        self._lists["preset"].show(choice.preset)
+        self.options.show(choice)
+
+    def show_compared(self, name: str) -> None:
+        """Show what is compared with."""
+        self._lists["compare"].show(name)
+
+    def show_released(self, is_released: bool) -> None:
+        """Enable the button that has an effect."""
+        self.release.disabled, self.clutch.disabled = is_released, not is_released
+
+    def show_message(self, text: str) -> None:
+        """Show a line above the options; hide it if the text is empty."""
+        self.message.visible, self.message.content = text != "", text
+
+    def show_error(self, error: HandmapError | None) -> None:
+        """Show why the last request failed; None clears the message."""
+        self.show_message("" if error is None else f"**Not possible:** {error}")
+
+
+class OptionControls:
+    """A slider, a list or a box for each option, made from its type and range.
+
+    They are those of the QP and of every method shown so far; one method is visible.
+
+    Args:
+        choice: The initial options.
+    """
+
+    def __init__(self, server: viser.ViserServer, choice: Choice) -> None:
+        self._gui = server.gui
+        tabs = server.gui.add_tab_group()
+        self._tab = tabs.add_tab("Mapping")
+        self._methods: dict[type[Options], dict[str, _Control]] = {}
+        with tabs.add_tab("QP"):
+            self._ik = self._controls_of(type(choice.ik))
+        self._method: dict[str, _Control] = {}
+        self.show(choice)
+
+    @property
+    def handles(self) -> dict[str, Any]:
+        """The viser controls of the method and the QP, by option name."""
+        return {name: control.handle for name, control in (self._method | self._ik).items()}
+
+    def take_changes(self) -> dict[str, Any]:
+        """Return the options that the user has changed since the last call, by name."""
+        changes: dict[str, Any] = {}
+        for name, control in (self._method | self._ik).items():
+            control.take(changes, name)
+        return changes
+
+    def show(self, choice: Choice) -> None:
+        """Show the options, except where the user has changed a control since `take_changes`.
+
+        If the method is another one, show its controls instead.
+        """
+        kind = type(choice.method)
+        if kind not in self._methods:
+            with self._tab:
+                self._methods[kind] = self._controls_of(kind)
+        if (method := self._methods[kind]) is not self._method:
+            for controls in (self._method, method):
+                for control in controls.values():
+                    control.set_visible(controls is method)
+            self._method = method
+        values = choice.method.values | choice.ik.values
+        for name, control in (method | self._ik).items():
+            control.show(values[name])
+
+    def _controls_of(self, kind: type[Options]) -> dict[str, _Control]:
+        options = [option for option in options_of(kind) if option.name not in LEFT_OUT]
+        return {option.name: self._control(option) for option in options}
+
+    def _control(self, option: Option) -> _Control:
+        """Make the control that suits an option's values."""
+        label, hint = option.name.replace("_", " "), option.about
+        if option.plain is bool:
+            return _Control(self._gui.add_checkbox(label, bool(option.default), hint=hint))
+        if option.choices:
+            return self._list(option, label)
+        if option.range is not None:
+            return self._slider(option, label, *option.range)
+        handle = self._gui.add_text(label, _as_text(option.default), hint=hint)
+        return _Control(handle, _as_text, _from_text)
+
+    def _slider(self, option: Option, label: str, low: float, high: float) -> _Control:
+        is_optional = option.default is None
+        usual = _OPTIONAL if is_optional else _SPAN * option.default or _UNKNOWN
+        high = min(high, max(usual, low + 1.0) if low else usual)
+        step = 10.0 ** math.floor(math.log10((high - low) / 40.0))
+        if isinstance(option.default, int):
+            step, high = 1, int(high)
+        handle = self._gui.add_slider(label, low, high, step, low, hint=option.about)
+
+        def to_shown(value: float | None) -> float:
+            # Widen the range to a value outside it; show infinity as the maximum.
+            value = low if value is None else value
+            if handle.max < value < math.inf:
+                handle.max = value
+            return min(value, handle.max)
+
+        return _Control(handle, to_shown, lambda value: (value or None) if is_optional else value)
+
+    def _list(self, option: Option, label: str) -> _Control:
+        handle = self._gui.add_dropdown(
+            label, option.choices, initial_value=str(option.default), hint=option.about
+        )
+        given: list[Any] = []
+
+        def to_shown(value: Any) -> str:
+            if isinstance(value, str):
+                return value
+            # A value beside the words, such as a rotation matrix.
+            given[:] = [value]
+            if _GIVEN not in handle.options:
+                handle.options = (*handle.options, _GIVEN)
+            return _GIVEN
+
+        return _Control(handle, to_shown, lambda value: given[0] if value == _GIVEN else value)
+
+
+def _as_text(value: Any) -> str:
+    if value is None or isinstance(value, str):
+        return value or ""
+    return ", ".join(map(str, value))
+
+
+def _from_text(text: str) -> Any:
+    """Return the value of a text: nothing, a word, or numbers with commas between."""
+    try:
+        return tuple(yaml.safe_load(f"[{text}]")) if "," in text else yaml.safe_load(text)
+    except yaml.YAMLError:
+        return text
+
+
+class PlayBar:
+    """Play and pause, speed, scrubbing.
+
+    Args:
+        duration: Time from the first to the last sample [s].
+
+    Attributes:
+        is_playing: Whether time advances.
+        time: Current time since the first sample [s].
+    """
+
+    def __init__(self, server: viser.ViserServer, duration: float) -> None:
+        import viser
+
+        self._icons = {"Pause": viser.Icon.PLAYER_PAUSE, "Play": viser.Icon.PLAYER_PLAY}
+        self.is_playing = True
+        self.time = self._written = 0.0
+        self._duration = duration
+        self.button = server.gui.add_button("Pause", icon=self._icons["Pause"])
+        self.button.on_click(lambda _: self.toggle())
+        self.speed = server.gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
+        self.slider = server.gui.add_slider(
+            "time [s]", 0.0, max(round(duration, 2), 0.01), 0.01, 0.0
+        )
+
+    def toggle(self) -> None:
+        """Play or pause."""
+        self.is_playing = not self.is_playing
+        self.button.label = "Pause" if self.is_playing else "Play"
+        self.button.icon = self._icons[self.button.label]
+
+    def advance(self, elapsed: float) -> None:
+        """Advance time, or take it from the slider if the user moved it.
+
+        Args:
+            elapsed: Time since the last call [s].
+        """
+        if self.slider.value != self._written:
+            self.time = self.slider.value
+        elif self.is_playing:
+            self.time += SPEEDS[self.speed.value] * elapsed
+            if self.time > self._duration:
+                self.time = 0.0
+        self.slider.value = self._written = round(self.time, 2)
+
+
+class ExportControls:
+    """Buttons that send what the view shows to the browser, as files.
+
+    Args:
+        options_text: Returns the text of the file of options.
+        page: Returns the page; may raise `HandmapError`.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, options_text: Callable[[], str], page: Callable[[], bytes]
+    ) -> None:
+        self._contents: dict[str, Callable[[Any], bytes]] = {
+            "options.yaml": lambda _: options_text().encode(),
+            "handmap.png": _picture,
+            "handmap.html": lambda _: page(),
+        }
+        labels = ("Save options", "Save picture", "Save page")
+        hints = (
+            "Download preset and options, for --options of the commands",
+            "Download the hands as they are shown, without the panels",
+            "Download a page that plays the motion without a server",
+        )
+        for name, label, hint in zip(self._contents, labels, hints, strict=True):
+            button = server.gui.add_button(label, hint=hint)
+            button.on_click(lambda event, name=name: self.send(name, event.client))
+        self._message = server.gui.add_markdown("", visible=False)
+
+    def send(self, name: str, client: Any) -> None:
+        """Send a file to the browser that asked for it.
+
+        Args:
+            name: `options.yaml`, `handmap.png` or `handmap.html`.
+            client: The browser's handle of viser.
+        """
+        self._say(f"writing {name} …")
+        try:
+            client.send_file_download(name, self._contents[name](client))
+            self._say("")
+        except HandmapError as error:
+            self._say(f"**Not possible:** {error}")
+
+    def _say(self, text: str) -> None:
+        self._message.visible, self._message.content = text != "", text
+
+
+def _picture(client: Any) -> bytes:
+    """Let the browser draw the hands, and return the picture."""
+    height, width = client.camera.image_height, client.camera.image_width
+    return on_white(client.get_render(height, width, transport_format="png", timeout=_PATIENCE))
+
+
+def on_white(image: np.ndarray) -> bytes:
+    """Return a picture as a PNG file on a white background.
+
+    Args:
+        image: Red, green, blue and opacity, 0 to 255, shape (rows, columns, 4).
+    """
+    import imageio.v3 as imageio
+
+    opacity = image[..., 3:] / 255.0
+    opaque = image[..., :3] * opacity + 255.0 * (1.0 - opacity)
+    return bytes(imageio.imwrite("<bytes>", opaque.round().astype(np.uint8), extension=".png"))

@@ -1,0 +1,585 @@
+"""What stands in the scene's row: landmarks, the human hand, and robot hands.
+
+Each figure's world is a node of the scene, so its children take coordinates of that world. viser
+sends what has changed only.
+"""
+
+from __future__ import annotations
+
+import io
+import xml.etree.ElementTree as ET
+from abc import ABC, abstractmethod
+from collections import defaultdict, deque
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
+from handmap_qp.apps.viewer.sample import ViewSample
+from handmap_qp.hands.fingers import finger_tips
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.urdf import parse_urdf
+from handmap_qp.human.landmarks import TIPS
+from handmap_qp.mapping.decomposition import polar
+from handmap_qp.se3 import inverse_pose, quat_wxyz_from_rotation, transform_points
+
+if TYPE_CHECKING:
+    import viser
+
+Colour = tuple[float, float, float]
+"""Red, green and blue, 0 to 1."""
+Shape = Literal["ellipsoid", "cube", "off"]
+"""How T_def is shown."""
+Seen = tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]
+"""Joint angles (n,), wrist pose (4, 4) and reference points (n, 3) of a hand, where known."""
+
+TARGET_COLOUR = (0.98, 0.66, 0.10)
+LANDMARK_COLOUR = (0.10, 0.52, 0.50)
+DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
+_FINGERS = [(0, *range(first, first + 4)) for first in (1, 5, 9, 13, 17)]
+BONES = np.array(
+    [pair for chain in _FINGERS for pair in pairwise(chain)] + [(5, 9), (9, 13), (13, 17)]
+)
+"""Pairs of landmarks that a line joins, shape (n, 2)."""
+TRAIL_LENGTH = 4.0
+"""A trail shows this time [s]."""
+# Least time between two points of a trail [s].
+_TRAIL_PERIOD = 1.0 / 30.0
+_LANDMARK_RADIUS = 0.0045
+# A box grows by this margin more than needed, so that it does not grow at every sample [m].
+_MARGIN = 0.03
+# Spheres at the points stand out from the links by about this [m].
+_PADDING = 0.006
+# Percentage of the instants in which a hand may reach out of its room.
+_RARE = 4.0
+_UNIT_BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+_EDGES = np.array([(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1])
+
+
+def as_bytes(colour: Colour) -> tuple[int, int, int]:
+    """Return a colour as three numbers up to 255."""
+    red, green, blue = (round(255 * part) for part in colour)
+    return red, green, blue
+
+
+class Figure(ABC):
+    """Something in the row, with a name below it and a trail of its fingertips.
+
+    Args:
+        node: Name of its node.
+        colour: Colour of its trail.
+        variant: Index of the variant whose samples it shows.
+
+    Attributes:
+        axes: From the world's axes to the scene's, shape (3, 3).
+        anchor: Position in the scene of the centre, or of the middle of its travel [m], shape (3,).
+        extent: Box of all drawn parts about the centre, along the scene's axes: lowest and highest
+            corner [m], shape (2, 3). Empty until something is known.
+        travel: Box of the centre's positions that the view has room for, likewise.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, node: str, colour: Colour, variant: int = 0
+    ) -> None:
+        self.variant = variant
+        self._frame = server.scene.add_frame(f"/{node}", show_axes=False)
+        self._label = server.scene.add_label(
+            f"/{node}_name", "", anchor="top-center", font_screen_scale=1.0
+        )
+        self.trail = Trail(server, f"/{node}/trail", colour)
+        self.anchor = np.zeros(3)
+        self.turn(np.eye(3))
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether it stands in the row."""
+        return self._frame.visible
+
+    @is_shown.setter
+    def is_shown(self, is_shown: bool) -> None:
+        self._frame.visible = self._label.visible = is_shown
+
+    @property
+    def size(self) -> np.ndarray:
+        """Size of `extent` [m], shape (3,)."""
+        return np.ptp(self.extent, axis=0)
+
+    @abstractmethod
+    def centre_of(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the centre in the figure's world [m], shape (3,); None if nothing is known."""
+
+    @abstractmethod
+    def corners_of(self, sample: ViewSample) -> np.ndarray:
+        """Return corners of what is drawn, if anything is, likewise, shape (n, 3)."""
+
+    @abstractmethod
+    def tips(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the fingertips in the figure's world [m], shape (n, 3); None if not known."""
+
+    @abstractmethod
+    def draw(self, sample: ViewSample) -> None:
+        """Draw one instant."""
+
+    def turn(self, axes: np.ndarray) -> None:
+        """Turn the figure's world to other axes (3, 3), and forget which room it needs."""
+        self.axes = axes
+        self._frame.wxyz = quat_wxyz_from_rotation(axes)
+        self.extent, self.travel = np.empty((0, 3)), np.empty((0, 3))
+
+    def fit(self, samples: Iterable[ViewSample]) -> None:
+        """Make room for instants that are known beforehand, save for rare excursions."""
+        seen = [box for sample in samples if (box := self._boxes(sample)) is not None]
+        if seen:
+            centres, boxes = map(np.array, zip(*seen, strict=True))
+            self.travel = np.array([centres.min(axis=0), centres.max(axis=0)])
+            low, high = np.percentile(boxes, (_RARE, 100.0 - _RARE), axis=0)
+            self.extent = np.array([low[0], high[1]])
+
+    def include(self, sample: ViewSample) -> None:
+        """Make room for one more instant."""
+        if (seen := self._boxes(sample)) is not None:
+            self.travel = _extended(self.travel, np.tile(seen[0], (2, 1)))
+            self.extent = _extended(self.extent, seen[1])
+
+    def _boxes(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the centre (3,) and the box of the corners about it (2, 3), in scene axes."""
+        if (centre := self.centre_of(sample)) is None:
+            return None
+        about = (self.corners_of(sample) - centre) @ self.axes.T
+        return self.axes @ centre, np.array([about.min(axis=0), about.max(axis=0)])
+
+    def place(self, middle: np.ndarray, low: float) -> None:
+        """Move the figure's world so that a point of it is at the anchor.
+
+        Args:
+            middle: The point, along the scene's axes [m], shape (3,).
+            low: Height of the name [m].
+        """
+        self._frame.position = self.anchor - middle
+        x, _, z = self.anchor + self.extent.mean(axis=0)
+        self._label.position = (x, low, z)
+
+    def name(self, text: str) -> None:
+        """Write the name below the figure."""
+        self._label.text = text
+
+
+class Spheres:
+    """Spheres at points of a figure's world; their number follows the points, as methods do.
+
+    A slow browser moves all nodes in the same frame, whereas a batch of points would lag.
+
+    Args:
+        path: Name of the parent node.
+        radius: Radius [m].
+        colour: Their colour.
+        opacity: 0 to 1; opaque if omitted.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        path: str,
+        radius: float,
+        colour: Colour,
+        opacity: float | None = None,
+    ) -> None:
+        self._nodes: list[Any] = []
+        self._add = lambda: server.scene.add_icosphere(
+            f"{path}/{len(self._nodes)}",
+            radius,
+            as_bytes(colour),
+            opacity=opacity,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def move(self, points: np.ndarray | None) -> None:
+        """Place the spheres at points (n, 3), and hide those that have none."""
+        places = [] if points is None else list(points)
+        while len(self._nodes) < len(places):
+            self._nodes.append(self._add())
+        for i, node in enumerate(self._nodes):
+            node.visible = i < len(places)
+            if node.visible:
+                node.position = places[i]
+
+
+class Trail:
+    """The tips of one hand over the last seconds, in the coordinates of a figure's world.
+
+    Args:
+        path: Name of the node.
+        colour: Colour of the lines.
+    """
+
+    def __init__(self, server: viser.ViserServer, path: str, colour: Colour) -> None:
+        # Times [s], tips (n, 3) and the hand's centre (3,) [m], oldest first.
+        self._points: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
+        self._lines = _add_lines(server, path, 1, colour, 2.0)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget the trail."""
+        self._points.clear()
+        self._lines.visible = False
+
+    def add(self, time: float, tips: np.ndarray, centre: np.ndarray, *, is_pinned: bool) -> None:
+        """Add where the tips are, and draw the trail.
+
+        It starts again where time goes backwards or leaps.
+
+        Args:
+            time: Time of the sample [s].
+            tips: Tips [m], shape (n, 3).
+            centre: Centre of the hand [m], shape (3,).
+            is_pinned: Whether the view keeps the centre in place: the trail then shows the tips'
+                motion relative to it.
+        """
+        points = self._points
+        if points and not (
+            0.0 <= time - points[-1][0] < TRAIL_LENGTH and tips.shape == points[-1][1].shape
+        ):
+            points.clear()
+        if len(points) > 1 and time - points[-2][0] < _TRAIL_PERIOD:
+            # Let the last point follow the hand until the next one is due.
+            points.pop()
+        points.append((time, tips, centre))
+        while time - points[0][0] > TRAIL_LENGTH:
+            points.popleft()
+        places = np.array([tips - is_pinned * (then - centre) for _, tips, then in points])
+        self._lines.visible = len(places) > 1
+        if len(places) > 1:
+            steps = np.stack([places[:-1], places[1:]], axis=2)
+            self._lines.points = steps.reshape(-1, 2, 3).astype(np.float32)
+
+
+class LandmarkFigure(Figure):
+    """The landmarks as the tracker gave them, with bones between; hidden at first."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        super().__init__(server, "landmarks", LANDMARK_COLOUR)
+        self.is_shown = False
+        self.name("landmarks")
+        self._points = Spheres(server, "/landmarks/points", _LANDMARK_RADIUS, LANDMARK_COLOUR)
+        self._bones = _add_lines(server, "/landmarks/bones", len(BONES), LANDMARK_COLOUR, 3.0)
+
+    def centre_of(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the mean of the landmarks."""
+        points = _known(sample.landmarks)
+        return None if points is None else points.mean(axis=0)
+
+    def corners_of(self, sample: ViewSample) -> np.ndarray:
+        """Return the landmarks."""
+        return np.asarray(sample.landmarks)
+
+    def tips(self, sample: ViewSample) -> None:
+        """Leave no trail: the human hand has the same one."""
+
+    def draw(self, sample: ViewSample) -> None:
+        """Show the landmarks; hide those that are not known."""
+        points = _known(sample.landmarks)
+        self._points.move(points)
+        self._bones.visible = points is not None
+        if points is not None:
+            self._bones.points = points[BONES].astype(np.float32)
+
+
+class HandFigure(Figure):
+    """A hand with its shapes.
+
+    Args:
+        node: Name of its node.
+        hand: The hand.
+        colour: Colour of its points and its trail.
+        variant: Index of the variant whose samples it shows.
+
+    Attributes:
+        hand: The hand.
+        radius: About half its size [m], for the sizes of spheres.
+    """
+
+    point_size = 0.1
+    """Radius of the reference points, relative to the hand's size: about that of fingertips."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        node: str,
+        hand: Hand,
+        colour: Colour = ROBOT_COLOUR,
+        variant: int = 0,
+    ) -> None:
+        super().__init__(server, node, colour, variant)
+        self.hand = hand
+        # Its fingertips, or its own points where no finger has a name.
+        self._tips = hand.with_points(list(finger_tips(hand).values()) or None)
+        self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
+        self._links: dict[str, Any] = {}
+        self._corners: dict[str, np.ndarray] = {}
+        is_on_arm = hand.has_moving_wrist and not hand.is_floating
+        for link, meshes in link_meshes(hand).items():
+            path = f"/{node}/body/{link}"
+            self._links[link] = server.scene.add_frame(path, show_axes=False)
+            for i, mesh in enumerate(meshes):
+                server.scene.add_mesh_trimesh(f"{path}/{i}", mesh)
+            if not is_on_arm:
+                # On an arm, fit the view to the hand; parts of the arm may lie outside.
+                bounds = np.array([mesh.bounds for mesh in meshes])
+                low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+                size = high - low + 2.0 * _PADDING
+                self._corners[link] = low - _PADDING + _UNIT_BOX * size
+        to_wrist = inverse_pose(hand.frame_pose("wrist", hand.rest))
+        if is_on_arm:
+            points = transform_points(to_wrist, hand.points(hand.rest))
+            self._focus = 0.5 * points.mean(axis=0)
+            self.radius = float(np.linalg.norm(points, axis=1).max())
+        else:
+            corners = self.corners(hand.rest, inverse_pose(to_wrist))
+            corners = transform_points(to_wrist, corners)
+            low, high = corners.min(axis=0), corners.max(axis=0)
+            self._focus = 0.5 * (low + high)
+            self.radius = 0.4 * float(np.linalg.norm(high - low))
+        self._points = Spheres(server, f"/{node}/points", self.point_size * self.radius, colour)
+
+    def seen(self, sample: ViewSample) -> Seen:
+        """Return joint angles, wrist pose and reference points at a sample, where known."""
+        return sample.robot_q, sample.robot_wrist, sample.robot_points
+
+    def centre_of(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the hand's centre, or that of its points."""
+        q, wrist, points = self.seen(sample)
+        if q is not None and wrist is not None:
+            return self.centre(wrist)
+        return None if points is None else points.mean(axis=0)
+
+    def corners_of(self, sample: ViewSample) -> np.ndarray:
+        """Return the hand's corners, or its points."""
+        q, wrist, points = self.seen(sample)
+        if q is not None and wrist is not None:
+            return self.corners(q, wrist)
+        return np.asarray(points)
+
+    def tips(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the tips of the posture."""
+        q, wrist, _ = self.seen(sample)
+        if q is None or wrist is None:
+            return None
+        return self._tips.points(q, self._pose(wrist))
+
+    def draw(self, sample: ViewSample) -> None:
+        """Draw the hand and its points; hide a hand of unknown posture."""
+        q, wrist, points = self.seen(sample)
+        self._body.visible = q is not None
+        if q is not None and wrist is not None:
+            self.show(q, wrist)
+        self._points.move(points)
+
+    def centre(self, wrist: np.ndarray) -> np.ndarray:
+        """Return the hand's centre for a wrist pose (4, 4), in its world [m], shape (3,)."""
+        return transform_points(wrist, self._focus[None])[0]
+
+    def corners(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
+        """Return the corners of the boxes around its links, in its world [m], shape (n, 3).
+
+        Args:
+            q: Joint angles [rad], shape (n_joints,).
+            wrist: Wrist pose, shape (4, 4).
+        """
+        pose = self._pose(wrist)
+        if not self._corners:
+            points = np.vstack([self.hand.points(q, pose), wrist[None, :3, 3]])
+            return np.vstack([points - 2.0 * _PADDING, points + 2.0 * _PADDING])
+        poses = self.hand.link_poses(list(self._corners), q, pose)
+        return np.vstack(list(map(transform_points, poses, self._corners.values())))
+
+    def show(self, q: np.ndarray, wrist: np.ndarray) -> None:
+        """Show a posture.
+
+        Args:
+            q: Joint angles [rad], shape (n_joints,).
+            wrist: Wrist pose, shape (4, 4).
+        """
+        # Links are placed relative to the first one: those that do not move in the hand are sent
+        # once.
+        if not self._links:
+            return
+        poses = self.hand.link_poses(list(self._links), q, self._pose(wrist))
+        placed = np.concatenate([poses[:1], inverse_pose(poses[0]) @ poses])
+        quats = Rotation.from_matrix(placed[:, :3, :3]).as_quat(scalar_first=True)
+        nodes = (self._body, *self._links.values())
+        for node, quat, position in zip(nodes, quats, placed[:, :3, 3], strict=True):
+            node.wxyz, node.position = quat, position
+
+    def _pose(self, wrist: np.ndarray) -> np.ndarray | None:
+        """Return the wrist pose as the hand's kinematics take it."""
+        return wrist if self.hand.is_floating else None
+
+
+class HumanFigure(HandFigure):
+    """The human hand, and what T_def makes of a ball of the size of its points.
+
+    Args:
+        hand: The human hand.
+        points: Its reference points at the first sample [m], shape (n_h, 3); None if not known.
+
+    Attributes:
+        shape: How T_def is shown.
+    """
+
+    point_size = 0.08
+
+    def __init__(self, server: viser.ViserServer, hand: Hand, points: np.ndarray | None) -> None:
+        super().__init__(server, "human", hand, HUMAN_COLOUR)
+        self.shape: Shape = "ellipsoid"
+        self.name("human")
+        spread = np.zeros((1, 3)) if points is None else points - points.mean(axis=0)
+        self._size = float(np.sqrt((spread**2).sum(axis=1).mean()))
+
+        def ball(name: str, colour: tuple[int, int, int], **look: Any) -> Any:
+            path = f"/human/{name}"
+            return server.scene.add_icosphere(path, self._size, colour, cast_shadow=False, **look)
+
+        self._ellipsoid = ball(
+            "ellipsoid", as_bytes(DEFORMATION_COLOUR), subdivisions=4, opacity=0.2
+        )
+        self._ball = ball("ball", (150, 150, 160), subdivisions=2, wireframe=True, opacity=0.15)
+        self._cube = _add_lines(server, "/human/cube", len(_EDGES), DEFORMATION_COLOUR, 2.5)
+
+    def seen(self, sample: ViewSample) -> Seen:
+        """Return joint angles, wrist pose and reference points at a sample, where known."""
+        return sample.human_q, sample.human_wrist, sample.human_points
+
+    def tips(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the tracked tips, or else those of the posture."""
+        if sample.landmarks is not None:
+            return _known(sample.landmarks[TIPS])
+        return super().tips(sample)
+
+    def draw(self, sample: ViewSample) -> None:
+        """Draw the hand, its points and the deformation."""
+        super().draw(sample)
+        linear, pivot = sample.deformation, sample.pivot
+        shape = "off" if linear is None else self.shape
+        self._ball.visible = self._ellipsoid.visible = shape == "ellipsoid"
+        self._cube.visible = shape == "cube"
+        if linear is None or pivot is None:
+            return
+        self._ball.position = self._ellipsoid.position = self._cube.position = pivot
+        if shape == "ellipsoid":
+            # A rotation leaves the ball unchanged, so the rotation that T_def contains with
+            # rigid_from="wrist" is not drawn.
+            factors = polar(linear)
+            x, y, z = map(float, np.maximum(np.abs(factors.stretches), 1e-3))
+            self._ellipsoid.scale = x, y, z
+            axes = factors.axes * (1.0, 1.0, np.sign(np.linalg.det(factors.axes)))
+            self._ellipsoid.wxyz = quat_wxyz_from_rotation(axes)
+        elif shape == "cube":
+            corners = (self._size / np.sqrt(3.0) * (2.0 * _UNIT_BOX - 1.0)) @ linear.T
+            self._cube.points = corners[_EDGES].astype(np.float32)
+
+
+class RobotFigure(HandFigure):
+    """A robot hand, with the targets of its reference points.
+
+    Args:
+        hand: The robot hand.
+        variant: Index of the variant whose samples it shows.
+
+    Attributes:
+        label: Name of what moves it.
+    """
+
+    def __init__(self, server: viser.ViserServer, hand: Hand, variant: int) -> None:
+        node = f"robot_{variant + 1}" if variant else "robot"
+        super().__init__(server, node, hand, ROBOT_COLOUR, variant)
+        self.label = ""
+        # Larger than the points, so that one that has arrived does not hide its target.
+        radius = 1.15 * self.point_size * self.radius
+        self._targets = Spheres(server, f"/{node}/targets", radius, TARGET_COLOUR, 0.5)
+
+    def draw(self, sample: ViewSample) -> None:
+        """Draw the hand, its points and targets, and write its name and state."""
+        super().draw(sample)
+        self._targets.move(sample.targets)
+        self.name("\n".join(filter(None, (self.hand.name, self.label, state_text(sample)))))
+
+
+def state_text(sample: ViewSample) -> str:
+    """Return why the robot does not follow the human at a sample; empty if it does."""
+    if sample.is_seen:
+        return sample.status if sample.status in ("released", "gliding") else ""
+    return sample.status if ":" in sample.status else "hand not seen, robot held"
+
+
+def link_meshes(hand: Hand) -> dict[str, list[Any]]:
+    """Read the visual shapes of each link with any, in the link's frame.
+
+    Shapes of a link are merged into one mesh, so that a page has few objects to receive and to
+    draw; only those with textures stay apart.
+
+    Args:
+        hand: The hand.
+
+    Returns:
+        Meshes of trimesh by the link's name.
+    """
+    from yourdfpy import URDF
+
+    robot = parse_urdf(hand.urdf_text)
+    # yourdfpy names the nodes of links and of shapes alike, and a shape with a link's name would
+    # replace the link: rename all shapes.
+    for link in robot.iterfind("link"):
+        for i, visual in enumerate(link.iterfind("visual")):
+            visual.set("name", f"{link.get('name')}_shape_{i}")
+    text = io.BytesIO(ET.tostring(robot))
+    urdf = URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
+    graph, shapes = urdf.scene.graph, defaultdict(list)
+    for node in graph.nodes_geometry:
+        link = graph.transforms.parents[node]
+        pose, name = graph.get(node, link)
+        shapes[link].append(urdf.scene.geometry[name].copy().apply_transform(pose))
+    return {link: _merged(meshes) for link, meshes in shapes.items()}
+
+
+def _merged(meshes: list[Any]) -> list[Any]:
+    """Return one mesh of those without textures, each face in its colour, and the others."""
+    from trimesh.util import concatenate
+    from trimesh.visual import ColorVisuals
+
+    plain = [mesh for mesh in meshes if mesh.visual.kind != "texture"]
+    if len(plain) < 2:
+        return meshes
+    for mesh in plain:
+        mesh.visual = ColorVisuals(mesh, face_colors=mesh.visual.face_colors)
+    merged = concatenate(plain)
+    return [merged, *(mesh for mesh in meshes if mesh.visual.kind == "texture")]
+
+
+def _add_lines(
+    server: viser.ViserServer, path: str, count: int, colour: Colour, thickness: float
+) -> Any:
+    """Add line segments [px], whose points are set later."""
+    return server.scene.add_line_segments(
+        path,
+        np.zeros((count, 2, 3), dtype=np.float32),
+        as_bytes(colour),
+        thickness=thickness,
+        thickness_units="screen",
+    )
+
+
+def _known(points: np.ndarray | None) -> np.ndarray | None:
+    """Return points if all of them are known."""
+    return points if points is not None and np.isfinite(points).all() else None
+
+
+def _extended(box: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return a box (2, 3) that holds another one too, with a margin where it has to grow."""
+    if not len(box):
+        return other
+    low = np.where(other[0] < box[0], other[0] - _MARGIN, box[0])
+    return np.array([low, np.where(other[1] > box[1], other[1] + _MARGIN, box[1])])

@@ -1,0 +1,219 @@
+"""A running mapping in the browser: `LiveViewer` shows and steers a `ServiceSession`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from handmap_qp.apps.viewer.controls import (
+    DisplayControls,
+    ExportControls,
+    SteeringControls,
+    add_panels,
+)
+from handmap_qp.apps.viewer.gauges import Gauges, gauge_row
+from handmap_qp.apps.viewer.page import make_page
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
+from handmap_qp.apps.viewer.scene import HandScene
+from handmap_qp.apps.viewer.serving import GAUGES_PERIOD, run_frames
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.mapping.options_file import options_text
+from handmap_qp.mapping.presets import possible_presets
+
+if TYPE_CHECKING:
+    import viser
+
+    from handmap_qp.apps.viewer.remote import ServiceSession
+
+# Length of the plots' time axis [s].
+_SPAN = 10.0
+# The view reports that no sample arrives after this time [s].
+_SILENCE = 1.0
+# Number of samples that the rate is measured over.
+_RATE_SAMPLES = 60
+
+
+class LiveViewer:
+    """Show a mapping that runs elsewhere.
+
+    Args:
+        source: What to show; a thread reads it from here on.
+        patience: How long to wait for the first sample [s].
+
+    Attributes:
+        scene: The hands.
+        gauges: Numbers, plots and joint bars.
+        sample: The newest one.
+        recent: The samples of the last 10 s, each with its `gauge_row`.
+        status_text: The sample rate, or that no sample arrives.
+        stop: Button of the emergency stop.
+        clear: Button that ends the stop in force; shown while there is one, for a source that can
+            be steered.
+        steering: Clutch and options; None if the source cannot be steered.
+        display: What the scene shows.
+        exports: Buttons that download files; the page is of the last 10 s.
+
+    Raises:
+        InvalidInputError: If no sample arrives within `patience`.
+        HandmapError: Any error of the source.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, source: ServiceSession, *, patience: float = 10.0
+    ) -> None:
+        self._source = source
+        self.recent: deque[tuple[ViewSample, tuple[float, ...]]] = deque()
+        self.sample: ViewSample
+        self._has_sample, self._has_ended = threading.Event(), threading.Event()
+        self._error: HandmapError | None = None
+        self._last_arrival = 0.0
+        self._thread = threading.Thread(
+            target=self._read, name="handmap view: live source", daemon=True
+        )
+        self._thread.start()
+        try:
+            self._wait(patience)
+        except BaseException:
+            self.close()
+            raise
+        self._start = source.choice
+        variant = self._variant()
+        self._shown = self._start
+        self.scene = HandScene(server, source.human, [variant])
+        control, show, save = add_panels(server)
+        self.gauges = Gauges(server, [variant])
+        with control:
+            self.status_text = server.gui.add_markdown("")
+            self.stop = server.gui.add_button(
+                "Stop the robot",
+                color="red",
+                hint="Emergency stop: the robot holds until the stop is cleared",
+            )
+            self.clear = server.gui.add_button(
+                "Clear the stop",
+                hint="End the emergency stop; the robot stays where it is until Clutch is pressed",
+                visible=False,
+            )
+            self.stop.on_click(lambda _: source.request("stop"))
+            self._stop_number = 0
+            # The number that was shown, so that a later stop is not cleared unseen.
+            self.clear.on_click(lambda _: source.request("clear", self._stop_number))
+            self.steering = None
+            if source.is_shared:
+                presets = possible_presets(source.human, source.robot)
+                self.steering = SteeringControls(server, self._start, presets)
+        with show:
+            self.display = DisplayControls(server)
+        with save:
+            self.exports = ExportControls(server, lambda: options_text(source.choice), self._page)
+        self._gauges_due = 0.0
+
+    def tick(self) -> None:
+        """Pass on the user's requests, and draw the newest sample.
+
+        Raises:
+            HandmapError: Any error of the source.
+        """
+        if self._error is not None:
+            raise self._error
+        if self.steering is not None:
+            self._steer(self.steering)
+        # The copy is one operation, so the thread that reads needs no lock.
+        sample, rows = self.sample, [row for _, row in tuple(self.recent)]
+        if self._source.choice != self._shown:
+            # Another preset or options, whichever client chose them.
+            self._shown = self._source.choice
+            self.scene.set_variants([self._variant()])
+            self.gauges.set_variants([self._variant()])
+        self._stop_number = self._source.stop_number
+        self.clear.visible = self._stop_number != 0 and self._source.is_shared
+        self.display.apply_to(self.scene)
+        self.scene.make_room([sample])
+        self.scene.draw([sample])
+        self.scene.cameras.update()
+        if (now := time.monotonic()) >= self._gauges_due:
+            self._gauges_due = now + GAUGES_PERIOD
+            self.gauges.set_rows(rows, latest=_SPAN)
+            self.gauges.draw([sample], len(rows) - 1)
+        if self._has_ended.is_set():
+            self.status_text.content = "**The source has ended.**"
+        elif now - self._last_arrival > _SILENCE:
+            self.status_text.content = "**No sample arrives.**"
+        else:
+            span = rows[-1][0] - rows[-_RATE_SAMPLES:][0][0]
+            rate = min(len(rows) - 1, _RATE_SAMPLES - 1) / max(span, 1e-6)
+            self.status_text.content = f"{rate:.0f} samples per second"
+
+    def run(self) -> None:
+        """Draw frames until interrupted, until the source fails, or until its hands change."""
+        run_frames(lambda _: self.tick(), lambda: self._source.is_outdated)
+
+    def close(self) -> None:
+        """Stop reading the source."""
+        self._source.close()
+        self._thread.join(timeout=2.0)
+
+    def _steer(self, steering: SteeringControls) -> None:
+        source = self._source
+        steering.show_error(source.last_error)
+        steering.show_released(source.is_released)
+        # While requests are pending, the controls keep the requested values.
+        if source.is_busy:
+            return
+        in_force, preset = source.choice, steering.take_lists().get("preset")
+        if preset is None:
+            steering.show_choice(in_force)
+        # Send only what was changed here: other clients may have changed other options.
+        changes = steering.options.take_changes()
+        if preset not in (None, in_force.preset):
+            changes = {"preset": preset}
+        for request in steering.take_requests():
+            if request == "release":
+                source.request("release")
+            elif request == "clutch" or source.is_released:
+                source.request("clutch")
+            if request == "reset":
+                changes = in_force.changes_to(self._start)
+        if changes:
+            source.configure(changes)
+
+    def _variant(self) -> Variant:
+        """Return the robot as it is moved now."""
+        source, choice = self._source, self._source.choice
+        return Variant(choice.preset, source.robot, choice, [self.sample])
+
+    def _page(self) -> bytes:
+        """Return the last 10 s as a page."""
+        variant, source = self._variant(), self._source
+        title = f"{source.robot.name}, {variant.label}"
+        samples = [sample for sample, _ in tuple(self.recent)]
+        return make_page(title, source.human, [replace(variant, samples=samples)])
+
+    def _read(self) -> None:
+        try:
+            for sample in self._source:
+                self.sample = sample
+                self.recent.append((sample, gauge_row(sample)))
+                while not 0.0 <= sample.time - self.recent[0][0].time <= _SPAN:
+                    self.recent.popleft()
+                self._last_arrival = time.monotonic()
+                self._has_sample.set()
+        except HandmapError as error:
+            self._error = error
+        finally:
+            self._has_ended.set()
+
+    def _wait(self, patience: float) -> None:
+        """Wait for the first sample, an error, or the end of the source."""
+        end = time.monotonic() + patience
+        while not self._has_sample.wait(0.02):
+            if self._error is not None:
+                raise self._error
+            if self._has_ended.is_set() or time.monotonic() > end:
+                raise InvalidInputError(
+                    f"no sample arrived within {patience:g} s",
+                    advice="check that a client sends samples to this session",
+                )

@@ -1,0 +1,166 @@
+"""Hands as an HTML file that plays without a server: `make_page`."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.apps.viewer.gauges import (
+    SCENE_LEGEND,
+    InstantGauges,
+    bin_starts,
+    error_entries,
+    gauge_row,
+    legend,
+    round_up,
+)
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
+from handmap_qp.apps.viewer.scene import HandScene, Solid
+from handmap_qp.apps.viewer.serving import serving
+from handmap_qp.hands.hand import Hand
+
+# Most samples per second in a page, and most gauges [1/s].
+_RATE, _GAUGES_RATE = 30.0, 10.0
+# Points of a line of the plot: two for each pixel.
+_MOST_POINTS = 456
+
+
+def make_page(
+    title: str,
+    human: Hand | None,
+    variants: Sequence[Variant],
+    *,
+    solid: Solid | None = None,
+    contact_gap: float | None = None,
+) -> bytes:
+    """Return one HTML file that plays samples in real time, without a server or the network.
+
+    The page has the title, the hands, the gauges and the options.
+
+    Args:
+        title: Title of the page.
+        human: The human hand; None for robots alone.
+        variants: The robots, one or two, with as many samples as each other at the same times; at
+            most 30 samples of each second are written.
+        solid: An object that moves with `ViewSample.object_pose` of the first robot's samples.
+        contact_gap: What the tracker measures between two tips where the skin touches [m].
+
+    Returns:
+        The file's content.
+    """
+    instants = list(zip(*(variant.samples for variant in variants), strict=True))
+    with serving() as server:
+        scene = HandScene(server, human, variants, solid)
+        scene.draw(instants[0])
+        serializer = server.get_scene_serializer()
+        shown = instants[0][0].time
+        for samples in _at_rate(instants, _RATE)[1:]:
+            serializer.insert_sleep(samples[0].time - shown)
+            scene.draw(samples)
+            shown = samples[0].time
+        page, view = serializer.as_html(), scene.cameras.view
+    body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), contact_gap)
+    head = _part("page_head.html").replace("__VIEW__", json.dumps(view))
+    page = page.replace("<title>Viser</title>", f"<title>{escape(title)} - handmap view</title>", 1)
+    page = page.replace("</head>", head + "</head>", 1)
+    start = page.index(">", page.index("<body")) + 1
+    return (page[:start] + body + page[start:]).encode()
+
+
+def _body(
+    title: str,
+    variants: Sequence[Variant],
+    instants: Sequence[tuple[ViewSample, ...]],
+    contact_gap: float | None,
+) -> str:
+    """Return title, gauges and options."""
+    gauges = InstantGauges(variants, contact_gap)
+    start, end = instants[0][0].time, instants[-1][0].time
+    count = len(variants[0].samples)
+    rate = f", {(count - 1) / (end - start):.0f} per second" if end > start else ""
+    shown = {
+        "time": [round(samples[0].time - start, 3) for samples in instants],
+        "table": [gauges.table(samples) for samples in instants],
+        "bars": [gauges.bars(samples) for samples in instants],
+        "plot": _error_plot(variants),
+    }
+    parts = {
+        "__TITLE__": escape(title),
+        "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
+        "__LEGEND__": SCENE_LEGEND,
+        "__ERRORS__": legend(error_entries(variants)),
+        "__OPTIONS__": "".join(_option_table(variant) for variant in variants),
+        # Instants are much alike, so they are small when compressed.
+        "__GAUGES__": base64.b64encode(gzip.compress(json.dumps(shown).encode())).decode(),
+    }
+    body = _part("page_body.html")
+    for name, text in parts.items():
+        body = body.replace(name, text, 1)
+    return body
+
+
+def _option_table(variant: Variant) -> str:
+    """Return the options of a robot's method as HTML; those that are no defaults are marked."""
+    parts = (variant.choice.method, variant.choice.ik)
+    rows = "".join(
+        f"<tr{' class=changed' if name in type(part)().changes_to(part) else ''}>"
+        f"<td>{escape(name.replace('_', ' '))}</td><td>{escape(_text(value))}</td></tr>"
+        for part in parts
+        for name, value in part.values.items()
+    )
+    return (
+        f"<details open><summary>options: {escape(variant.label)}</summary>"
+        f'<table class="options">{rows}</table></details>'
+    )
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, float) else str(value or "none")
+
+
+def _error_plot(variants: Sequence[Variant]) -> dict[str, Any]:
+    """Return the mean point error of each robot over time, and the first one's largest [mm].
+
+    Each bin of samples gives its largest. `top` is the end of the axis; 0 without any error.
+    """
+    rows = [np.array([gauge_row(sample) for sample in variant.samples]).T for variant in variants]
+    time, errors = rows[0][0] - rows[0][0][0], [*rows[0][1:3], *(row[1] for row in rows[1:])]
+    starts = bin_starts(len(time), _MOST_POINTS)
+    binned = np.fmax.reduceat(errors, starts, axis=1)
+    top = np.nanmax(binned) if np.isfinite(binned).any() else 0.0
+    return {
+        "time": time[starts].tolist(),
+        "span": max(float(time[-1]), 1e-3),
+        "top": top and round_up(max(top, 1e-3), (1.0, 2.0, 4.0, 6.0, 8.0)),
+        "lines": [
+            [colour, [None if np.isnan(value) else value for value in error.round(3).tolist()]]
+            for error, (_, colour) in zip(binned, error_entries(variants), strict=True)
+        ],
+    }
+
+
+def _at_rate(
+    instants: Sequence[tuple[ViewSample, ...]], rate: float
+) -> list[tuple[ViewSample, ...]]:
+    """Return the first instant, the last one, and at most `rate` a second between them."""
+    chosen = [instants[0]]
+    for samples in instants[1:]:
+        # Tolerance of half a millisecond: the jitter of a 30 Hz recording must not drop every other
+        # sample.
+        is_due = samples[0].time - chosen[-1][0].time >= 1.0 / rate - 5e-4
+        if is_due or samples is instants[-1]:
+            chosen.append(samples)
+    return chosen
+
+
+def _part(name: str) -> str:
+    return files("handmap_qp.apps.viewer").joinpath(name).read_text(encoding="utf-8")

@@ -1,0 +1,326 @@
+"""A session of the mapping service, shown and steered from here: `ServiceSession`."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from handmap_qp.apps.addresses import service_address
+from handmap_qp.apps.viewer.sample import ViewSample
+from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import HumanLengths
+from handmap_qp.hands.library import hand_files, load_hand
+from handmap_qp.human.fit import LandmarkFitter
+from handmap_qp.human.landmarks import human_name
+from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
+from handmap_qp.se3 import rigid_fit
+
+try:
+    import zmq
+
+    from handmap_qp.client import Client, Command, ServiceError, ServiceTimeoutError
+    from handmap_qp.client.messages import Pose
+except ModuleNotFoundError as missing:
+    raise MissingExtraError(str(missing.name), "service") from missing
+
+_FAILURES = (
+    ServiceError,
+    ServiceTimeoutError,
+    zmq.ZMQError,
+    msgspec.MsgspecError,
+    OSError,
+    ValueError,
+    TypeError,
+)
+_TIMEOUT = 1.0
+# Timeout of the first replies, longer because the service may still be starting [s].
+_FIRST_TIMEOUT = 3.0
+# Period of status requests [s].
+_STATUS_PERIOD = 1.0
+# Longest wait for a command, and so the longest delay of a request [s].
+_WAIT = 0.02
+# Session properties that determine the view's hands and whether it can steer.
+_HANDS = ("robot", "side", "input", "lengths", "human_points", "robot_points", "mount", "is_shared")
+_T = TypeVar("_T")
+
+
+class ServiceSession:
+    """One session of a mapping service.
+
+    Args:
+        host: `HOST` or `HOST:PORT` of the service's requests.
+        session: Public name of the session; the only open session if omitted.
+        robot: Path of the robot's hand.yaml, if its name is not known on this machine.
+        keys: Files `NAME.key_secret` and `server.key` of an encrypted service; None for a plain
+            one.
+        patience: How long to wait for the session, and for its human hand to be measured [s].
+
+    Attributes:
+        name: Public name of the session.
+        human: The human hand, with the lengths that the service has measured.
+        robot: The robot hand, with the reference points that the method in force moves.
+        choice: Preset and options in force at the last status request.
+        is_shared: Whether it can be steered from here.
+        is_released: Whether the robot is released, by its client or by a view.
+        stop_number: Number of the emergency stop in force; 0 for none.
+        is_outdated: Whether the session has changed to other hands.
+        last_error: Why the last request failed; None if it succeeded.
+
+    Raises:
+        InvalidInputError: If the service cannot be reached, or the session cannot be shown.
+        HandError: If the robot hand is not known on this machine.
+        MissingExtraError: If the service's packages are not installed.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        *,
+        session: str | None = None,
+        robot: str | Path | None = None,
+        keys: tuple[Path, Path] | None = None,
+        patience: float = 10.0,
+    ) -> None:
+        self._host = host
+        self._is_closed, self._is_read = threading.Event(), False
+        self._start: float | None = None
+        self._detail: dict[str, Any] = {}
+        self._requests: deque[Callable[[], Any]] = deque()
+        self.is_outdated, self.is_released, self.stop_number = False, False, 0
+        self.last_error: HandmapError | None = None
+        address = service_address("--live", host)
+        self._client = self._try(Client, address, timeout=_FIRST_TIMEOUT, keys=keys)
+        try:
+            about = self._find_session(session, time.monotonic() + patience)
+            self.is_shared: bool = about["is_shared"]
+            if not (about["has_detail"] or self.is_shared):
+                raise self._error(
+                    "the session does not send enough detail to be shown",
+                    "open it with has_detail=True or is_shared=True",
+                )
+            self._about = {name: about[name] for name in _HANDS}
+            self.choice = _choice(about)
+            lengths = None
+            if about["lengths"] is not None:
+                lengths = HumanLengths(**{k: np.array(v) for k, v in about["lengths"].items()})
+            self.human = load_hand(
+                human_name(about["side"]), points=about["human_points"], lengths=lengths
+            )
+            self._given_robot = self._load_robot(robot or about["robot"], about)
+            self.robot = self._with_method_points()
+            # Landmarks are mapped as they are; joint angles are fitted for drawing only.
+            is_tracked = about["input"] == "landmarks"
+            self._fitter = LandmarkFitter(about["side"], lengths) if is_tracked else None
+        except BaseException:
+            self._client.close()
+            raise
+        self._client.timeout = _TIMEOUT
+        self._rest_points = self.human.points(self.human.rest, np.eye(4))
+
+    def __iter__(self) -> Iterator[ViewSample]:
+        """Yield a sample per command until `close`, or until the session changes to other hands.
+
+        Carries out requests in between.
+
+        Raises:
+            InvalidInputError: If the session's robot is not `robot`.
+        """
+        self._is_read, next_status = True, -np.inf
+        with self._client as client:
+            while not self._is_closed.is_set():
+                self._carry_out_requests()
+                if time.monotonic() >= next_status:
+                    self._update_status()
+                    next_status = time.monotonic() + _STATUS_PERIOD
+                try:
+                    command = client.latest(_WAIT)
+                except ServiceError:
+                    # The service refused a sample of its client; the client gets the error.
+                    continue
+                if command is None:
+                    continue
+                if not self._is_as_before(command):
+                    self._update_status()
+                    if not self.is_outdated and command.joint_names != self.robot.joint_names:
+                        raise InvalidInputError(
+                            argument="--robot",
+                            problem=f"session {self.name} is of another hand than "
+                            f"{self.robot.name}, with the joints {', '.join(command.joint_names)}",
+                            value=self.robot.name,
+                        )
+                if self.is_outdated:
+                    return
+                if (sample := self._sample(command)) is not None:
+                    yield sample
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether requests are pending."""
+        return bool(self._requests)
+
+    def close(self) -> None:
+        """Stop reading."""
+        self._is_closed.set()
+        if not self._is_read:
+            self._client.close()
+
+    def request(self, name: str, *values: Any) -> None:
+        """Request what a method of `Client` does: `release`, `clutch`, `stop` or `clear`.
+
+        A stop works also where nothing else can be steered. After `clear`, the robot is released.
+        """
+        self._requests.append(partial(getattr(self._client, name), *values))
+
+    def configure(self, changes: dict[str, Any]) -> None:
+        """Request another preset or other values of some options, as of `Choice`."""
+        rest = dict(changes)
+        preset = rest.pop("preset", None)
+        ik = {name: rest.pop(name) for name in rest.keys() & IK_NAMES}
+        self._requests.append(lambda: self._client.configure(preset=preset, options=rest, ik=ik))
+
+    def _carry_out_requests(self) -> None:
+        """Carry out pending requests and record their outcome."""
+        while self._requests:
+            try:
+                self._try(self._requests[0])
+                self.last_error = None
+            except InvalidInputError as error:
+                self.last_error = error
+            self._update_status()
+            # Remove it only now, so that `is_busy` holds until the outcome is known.
+            self._requests.popleft()
+
+    def _update_status(self) -> None:
+        """Read the session's status if the service answers; its client may have reopened it."""
+        try:
+            state = self._client.status()
+            about = state.about or {}
+            if self.is_shared and about["is_shared"] and not about["has_detail"]:
+                self._client.configure(has_detail=True)
+            self.is_outdated = {name: about[name] for name in _HANDS} != self._about
+            before, self.choice = self.choice, _choice(about)
+            if type(before.method) is not type(self.choice.method):
+                self.robot = self._with_method_points()
+        except (*_FAILURES, LookupError):
+            return
+        self.is_released, self.stop_number = state.is_released, state.stop
+
+    def _find_session(self, session: str | None, end: float) -> dict[str, Any]:
+        """Wait until a session is open and its human hand is measured; return its properties."""
+        while True:
+            names = () if session else self._try(self._client.status).names
+            if len(names) > 1:
+                raise self._error(
+                    "several sessions are open", f"choose one with --session: {', '.join(names)}"
+                )
+            self.name = session or "".join(names)
+            problem, advice = "no session is open there", "start a client that opens one"
+            if self.name:
+                state = self._try(self._client.watch, self.name)
+                self.is_released = state.is_released
+                about = state.about or {}
+                if about["lengths"] is not None or about["input"] != "landmarks":
+                    return about
+                problem = "the human hand has not been measured yet"
+                advice = "check that its client sends landmarks"
+            if time.monotonic() > end:
+                raise self._error(problem, advice)
+            time.sleep(0.1)
+
+    def _load_robot(self, robot: str | Path, about: dict[str, Any]) -> Hand:
+        """Load the robot hand from a name or file of this machine."""
+        if robot == about["robot"] and robot not in hand_files():
+            raise self._error(
+                f"the session's hand {robot!r} is not known on this machine",
+                "give its description with --robot hand.yaml",
+            )
+        return load_hand(robot, points=about["robot_points"], mount=about["mount"])
+
+    def _with_method_points(self) -> Hand:
+        """Return the robot hand with the reference points that the method in force moves."""
+        return self.choice.method.bind(self.human, self._given_robot).robot
+
+    def _is_as_before(self, command: Command) -> bool:
+        """Return whether a command fits the session properties read last."""
+        if command.detail is None and command.point_error and self.is_shared:
+            # The client reopened the session, which lost the request for details.
+            return False
+        points = () if command.detail is None else command.detail["human_points"]
+        return (
+            command.joint_names == self.robot.joint_names
+            and len(points) in (0, len(self.human.reference_points))
+            and len(command.point_error) in (0, len(self.robot.reference_points))
+        )
+
+    def _sample(self, command: Command) -> ViewSample | None:
+        """Convert a command to a sample; None if it has nothing to show."""
+        self.is_released = "released" in command.flags
+        # Commands of a held robot have no detail: keep the last one.
+        self._detail = detail = command.detail or self._detail
+        if not detail or command.wrist is None:
+            return None
+        if self._start is None:
+            self._start = command.server_time
+        q, wrist = np.array(command.q), command.wrist.matrix
+        targets, landmarks = np.array(detail["targets"]), detail["landmarks"]
+        human_q, human_wrist = self._human_posture(detail)
+        # The last detail of a held robot may be of another method.
+        has_targets = len(targets) == len(self.robot.reference_points) and not self.is_released
+        return ViewSample(
+            time=command.server_time - self._start,
+            human_q=human_q,
+            human_wrist=human_wrist,
+            human_points=np.array(detail["human_points"]),
+            landmarks=None if landmarks is None else np.array(landmarks),
+            robot_q=q,
+            robot_wrist=wrist,
+            robot_points=self.robot.points(q, wrist if self.robot.is_floating else None),
+            targets=targets if has_targets else None,
+            deformation=np.array(detail["motion_deformation"])[:3, :3],
+            pivot=np.array(detail["pivot"]),
+            is_limited=np.isin(self.robot.joint_names, command.at_limit),
+            status=f"{command.status}: {command.rule}" if command.rule else command.status,
+            duration=command.solve_time,
+            is_seen=command.detail is not None,
+        )
+
+    def _human_posture(self, detail: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray]:
+        """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
+        q, wrist, landmarks = (detail[name] for name in ("human_q", "human_wrist", "landmarks"))
+        if landmarks is not None and self._fitter is not None:
+            with suppress(InvalidInputError):
+                return self._fitter.fit(np.array(landmarks))[:2]
+        if wrist is None:
+            # Estimate it by a rigid fit of the hand at rest.
+            pose = rigid_fit(self._rest_points, np.array(detail["human_points"]))
+        else:
+            pose = msgspec.convert(wrist, Pose).matrix
+        return None if q is None else np.array(q), pose
+
+    def _try(self, call: Callable[..., _T], *values: Any, **settings: Any) -> _T:
+        """Return the result of a call; a failure of the service is one of `--live`."""
+        try:
+            return call(*values, **settings)
+        except _FAILURES as error:
+            raise self._error(str(error)) from error
+
+    def _error(self, problem: str, advice: str = "") -> InvalidInputError:
+        return InvalidInputError(
+            argument="--live", problem=f"{self._host}: {problem}", value=self._host, advice=advice
+        )
+
+
+def _choice(about: dict[str, Any]) -> Choice:
+    choice = preset_choice(about["preset"])
+    options = about.get("options") or about["mapping"] or about["teleoperation"]
+    return choice.with_changes({**options, **about["ik"]})

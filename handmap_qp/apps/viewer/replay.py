@@ -1,0 +1,343 @@
+"""A recording, mapped by one method or two (`Replay`), and in the browser (`ReplayViewer`)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from handmap_qp.apps.viewer.controls import (
+    KEPT,
+    NOTHING,
+    DisplayControls,
+    ExportControls,
+    PlayBar,
+    SteeringControls,
+    add_panels,
+)
+from handmap_qp.apps.viewer.gauges import Gauges, gauge_row
+from handmap_qp.apps.viewer.page import make_page
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
+from handmap_qp.apps.viewer.scene import HandScene
+from handmap_qp.apps.viewer.serving import GAUGES_PERIOD
+from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
+from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.options_file import options_text
+from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
+from handmap_qp.mapping.step import MapStep
+from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.smoothing import Smoothing
+
+if TYPE_CHECKING:
+    import viser
+
+
+class Replay:
+    """A recording, mapped as a whole and again whenever options change.
+
+    Landmarks are mapped as they were measured. Joint angles are fitted for drawing only.
+
+    Args:
+        recording: The recording.
+        motion: Joint angles and wrist poses fitted to it (`fit_recording`).
+        human: The human hand, scaled to the person, with the reference points to use.
+        robot: The robot hand.
+        choice: Preset and options.
+        smoothing: How samples are smoothed; not at all if omitted.
+        contact_gap: The measured contact gap [m], for other presets than the one chosen.
+
+    Attributes:
+        human: The human hand.
+        time: Time since the first instant [s], shape (T,).
+        choice: Preset and options of `variant`.
+        switches: Sample indices at which the user released (True) or clutched (False).
+        variant: The robot as `choice` moves it.
+        other: The robot as another method moves it; None if nothing is compared.
+
+    Raises:
+        InvalidInputError: If no sample of the motion is valid.
+        HandmapError: If the options do not fit the hands.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        motion: HumanMotion,
+        human: Hand,
+        robot: Hand,
+        choice: Choice,
+        *,
+        smoothing: Smoothing | None = None,
+        contact_gap: float | None = None,
+    ) -> None:
+        if not motion.valid.any():
+            raise InvalidInputError(
+                argument="motion", problem="no sample is valid, there is nothing to show"
+            )
+        self.human = human
+        self.time = motion.time - motion.time[0]
+        self.switches: dict[int, bool] = {}
+        self._recording, self._motion, self._given_robot = recording, motion, robot
+        self._smoothing, self.contact_gap = smoothing, contact_gap
+        self.other: Variant | None = None
+        self.remap(choice)
+
+    @property
+    def robot(self) -> Hand:
+        """The robot hand, with the reference points that the method moves."""
+        return self.variant.robot
+
+    @property
+    def samples(self) -> Sequence[ViewSample]:
+        """The samples of `variant`, one per instant."""
+        return self.variant.samples
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """The robots to show: `variant`, and `other` if there is one."""
+        return (self.variant,) if self.other is None else (self.variant, self.other)
+
+    @property
+    def presets(self) -> tuple[str, ...]:
+        """The presets that these hands can be mapped with."""
+        return possible_presets(self.human, self._given_robot)
+
+    def preset(self, name: str) -> Choice:
+        """Return a preset with its own options and the measured contact gap."""
+        return preset_choice(name, self.contact_gap)
+
+    def options_text(self) -> str:
+        """Return the text of a file with the options in force."""
+        return options_text(self.choice, self.preset(self.choice.preset))
+
+    def page(self) -> bytes:
+        """Return a page of the recording, with the mapping that it is compared with."""
+        methods = " against ".join(variant.label for variant in self.variants)
+        title = f"{self._recording.name} on {self.robot.name}, {methods}"
+        return make_page(title, self.human, self.variants, contact_gap=self.contact_gap)
+
+    def remap(self, choice: Choice) -> None:
+        """Map the whole recording with another preset or other options.
+
+        Args:
+            choice: Preset and options.
+
+        Raises:
+            HandmapError: If the options cannot be used; the replay is then unchanged.
+        """
+        is_changed = bool(self.preset(choice.preset).changes_to(choice))
+        label = f"{choice.preset}, changed" if is_changed else choice.preset
+        variant, other = self._map(choice, label), self.other
+        if other is not None and self._other_switches != self.switches:
+            # Both robots are released and clutched at the same samples.
+            other = self._map(other.choice, other.label)
+        self.variant, self.choice, self.other = variant, choice, other
+        self._other_switches = dict(self.switches)
+
+    def compare(self, choice: Choice | None, label: str = "") -> None:
+        """Map the recording by another method too.
+
+        Args:
+            choice: Preset and options; None to end the comparison.
+            label: Its name; that of the preset if omitted.
+
+        Raises:
+            HandmapError: If it cannot be used; the replay is then unchanged.
+        """
+        self.other = None if choice is None else self._map(choice, label or choice.preset)
+        self._other_switches = dict(self.switches)
+
+    def switch(self, request: str, index: int) -> None:
+        """Note a `release` or `clutch` at a sample; `reset` forgets all of them."""
+        if request == "reset":
+            self.switches.clear()
+        elif request in ("release", "clutch"):
+            self.switches[index] = request == "release"
+
+    def is_released(self, index: int) -> bool:
+        """Return whether the robot is released at a sample."""
+        earlier = [i for i in self.switches if i <= index]
+        return bool(earlier) and self.switches[max(earlier)]
+
+    def _map(self, choice: Choice, label: str) -> Variant:
+        mapper = HandMapper(
+            self.human,
+            self._given_robot,
+            choice.method,
+            ik=choice.ik,
+        )
+        follower = Follower(mapper, smoothing=self._smoothing)
+        steps = []
+        for i, sample in enumerate(recording_samples(self._recording)):
+            if i in self.switches:
+                (mapper.release if self.switches[i] else mapper.clutch)()
+            steps.append(follower.map_sample(sample))
+        # Until the hand is first seen, show the reference.
+        followed = [not step.is_held for step in steps]
+        first = followed.index(True) if any(followed) else 0
+        steps[:first] = [steps[first]] * first
+        samples = tuple(self._sample(i, step, followed[i]) for i, step in enumerate(steps))
+        return Variant(label, mapper.robot, choice, samples)
+
+    def _sample(self, i: int, step: MapStep, is_seen: bool) -> ViewSample:
+        """Return what the view shows of one step of a mapper."""
+        results, is_released, recording = (
+            step.diagnostics,
+            step.status == "released",
+            self._recording,
+        )
+        has_motion = "motion" in results
+        return ViewSample(
+            time=float(self.time[i]),
+            robot_q=step.command.q,
+            robot_wrist=step.command.wrist,
+            robot_points=step.points,
+            targets=None if is_released else step.targets,
+            wrist_target=None if is_released else step.wrist_target,
+            human_q=self._motion.q[i],
+            human_wrist=self._motion.wrist[i],
+            human_points=step.human_points,
+            landmarks=recording.landmarks[i] if recording.valid[i] else None,
+            deformation=results["motion_deformation"][:3, :3] if has_motion else None,
+            pivot=results["pivot_image"] if has_motion else None,
+            is_limited=step.at_bound,
+            status=f"{step.status}: {step.rule}" if step.rule else step.status,
+            duration=step.duration,
+            is_seen=is_seen,
+        )
+
+
+class ReplayViewer:
+    """Show a recording, and map it again whenever the preset or an option changes.
+
+    Args:
+        replay: The recording.
+
+    Attributes:
+        replay: The recording.
+        scene: The hands.
+        gauges: Numbers, plots and joint bars.
+        play_bar: Play, pause, scrub.
+        steering: Preset, comparison, clutch and options.
+        display: What the scene shows.
+        exports: Buttons that download files.
+    """
+
+    def __init__(self, server: viser.ViserServer, replay: Replay) -> None:
+        self.server, self.replay = server, replay
+        self.scene = HandScene(server, replay.human, replay.variants)
+        control, show, save = add_panels(server)
+        self.gauges = Gauges(server, replay.variants, replay.contact_gap)
+        # Options count from `_base`: the initial ones, or those of a preset chosen later.
+        self._start = self._base = replay.choice
+        self._changes: dict[str, Any] = {}
+        self._compared = NOTHING if replay.other is None else replay.other.label
+        self._pending: list[Callable[[], None]] = []
+        with control:
+            self.play_bar = PlayBar(server, float(replay.time[-1]))
+            self.steering = SteeringControls(server, self._start, replay.presets, self._compared)
+        with show:
+            self.display = DisplayControls(server)
+        with save:
+            self.exports = ExportControls(server, replay.options_text, replay.page)
+        self._drawn: tuple[object, ...] = ()
+        self._gauges_drawn: tuple[object, ...] = ()
+        self._gauges_due = 0.0
+        self._plot()
+        self.tick(0.0)
+
+    @property
+    def index(self) -> int:
+        """Index of the sample that is shown."""
+        last = int(np.searchsorted(self.replay.time, self.play_bar.time + 0.005, side="right")) - 1
+        return min(max(last, 0), len(self.replay.samples) - 1)
+
+    @property
+    def sample(self) -> ViewSample:
+        """The sample of the first robot that is shown."""
+        return self.replay.samples[self.index]
+
+    def tick(self, elapsed: float) -> None:
+        """Carry out the user's requests, advance time, and draw.
+
+        Args:
+            elapsed: Time since the last call [s]; 0 also updates the gauges at once.
+        """
+        self.play_bar.advance(elapsed)
+        self._take_requests()
+        self._map_pending()
+        self.display.apply_to(self.scene)
+        self.scene.cameras.update()
+        samples = tuple(variant.samples[self.index] for variant in self.replay.variants)
+        state = (samples, self.display.state)
+        if state != self._drawn:
+            self.scene.draw(samples)
+            self.steering.show_released(self.replay.is_released(self.index))
+            self._drawn = state
+        now = time.monotonic()
+        if samples != self._gauges_drawn and (elapsed == 0.0 or now >= self._gauges_due):
+            self.gauges.draw(samples, self.index)
+            self._gauges_drawn, self._gauges_due = samples, now + GAUGES_PERIOD
+
+    def _take_requests(self) -> None:
+        """Note what the user has requested; a preset or Reset overrides changed options.
+
+        A slider moved during the mapping takes effect with its value after the mapping.
+        """
+        steering, replay = self.steering, self.replay
+        chosen, changes = steering.take_lists(), steering.options.take_changes()
+        requests = steering.take_requests()
+        if "preset" in chosen or "reset" in requests:
+            self._base = self._start if "reset" in requests else replay.preset(chosen["preset"])
+            self._changes, changes = {}, {}
+            steering.show_choice(self._base)
+        for request in requests:
+            replay.switch(request, self.index)
+        self._changes |= changes
+        if "preset" in chosen or changes or set(requests) - {"keep"}:
+            self._pending.append(self._remap)
+        if "keep" in requests:
+            steering.show_compared(KEPT)
+            chosen["compare"] = KEPT
+        if "compare" in chosen:
+            self._pending.append(partial(self._compare, chosen["compare"]))
+
+    def _map_pending(self) -> None:
+        """Map as requested, and show why if that is not possible."""
+        while self._pending:
+            self.steering.show_message("mapping …")
+            # The request stays pending if this fails (`skip_wakeup_race`).
+            self.server.flush()
+            try:
+                self._pending.pop(0)()
+            except HandmapError as error:
+                self.steering.show_error(error)
+            else:
+                self.steering.show_error(None)
+                self._show_variants()
+            self.steering.show_compared(self._compared)
+
+    def _remap(self) -> None:
+        self.replay.remap(self._base.with_changes(self._changes))
+
+    def _compare(self, name: str) -> None:
+        replay = self.replay
+        if name == KEPT:
+            replay.compare(replay.choice, f"{replay.variant.label}, kept")
+        else:
+            replay.compare(None if name == NOTHING else replay.preset(name))
+        self._compared = name
+
+    def _show_variants(self) -> None:
+        self.scene.set_variants(self.replay.variants)
+        self.gauges.set_variants(self.replay.variants)
+        self._plot()
+
+    def _plot(self) -> None:
+        rows = ([gauge_row(s) for s in variant.samples] for variant in self.replay.variants)
+        self.gauges.set_rows(*rows)

@@ -1,0 +1,283 @@
+"""A human hand and robot hands side by side in a viser scene: `HandScene.draw` shows one instant.
+
+The scene's axes are those of the human's palm at the first sample: +y is distal and up, +z is
+dorsal. Each robot's world is rotated by its mapping's alignment, so that equal motions look equal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from handmap_qp.apps.viewer.figure import Figure, HumanFigure, LandmarkFigure, RobotFigure, Shape
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
+from handmap_qp.hands.hand import Hand
+from handmap_qp.se3 import quat_wxyz_from_rotation
+
+if TYPE_CHECKING:
+    import viser
+
+Follow = Literal["hands", "world"]
+
+# Between two figures [m].
+_GAP = 0.035
+# Samples for which room is reserved; a hand hardly moves between them.
+_RESERVED = 60
+_FIELD_OF_VIEW = float(np.radians(30.0))
+# From the palm side, slightly from above.
+_DIRECTION = np.array([0.0, 0.25, -1.0]) / np.linalg.norm([0.0, 0.25, -1.0])
+# Window assumed before the client reports one: a written page on a portrait screen [px].
+_DEFAULT_WINDOW = (600, 800)
+# Room for the names below the figures, and for a margin on every side [px].
+_NAMES, _MARGIN = 64, 14
+# Where the area of the hands is narrower than this, the gauges' panel is folded away [px].
+_NARROW = 480
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """An object in the world of the first robot.
+
+    Attributes:
+        vertices: Vertices in the object's frame [m], shape (n, 3).
+        faces: Indices of the vertices of each triangle, shape (m, 3).
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+class HandScene:
+    """A row of figures: landmarks, human hand, robot hands.
+
+    Args:
+        human: The human hand; None for robots alone.
+        variants: The robots from left to right, at least one. The first sample of the first one
+            gives the scene's axes.
+        solid: An object beside the first robot, placed by `ViewSample.object_pose`.
+
+    Attributes:
+        follow: `hands` keeps each hand in place; `world` shows how it travels.
+        deformation_shape: How T_def is shown.
+        has_landmarks: Whether the landmarks stand beside the human hand.
+        has_trails: Whether the fingertips leave trails.
+        cameras: The browsers' cameras; call `cameras.update()` at every frame.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        human: Hand | None,
+        variants: Sequence[Variant],
+        solid: Solid | None = None,
+    ) -> None:
+        self.server = server
+        self.follow: Follow = "hands"
+        self.deformation_shape: Shape = "ellipsoid"
+        self.has_landmarks = self.has_trails = False
+        set_up_stage(server, floor=-0.22)
+        self.cameras = BrowserCameras(server)
+        self._landmarks = self._human = None
+        if human is not None:
+            self._landmarks = LandmarkFigure(server)
+            self._human = HumanFigure(server, human, variants[0].samples[0].human_points)
+        self._robots: list[RobotFigure] = []
+        self._solid: Any = solid and server.scene.add_mesh_simple(
+            "/robot/object", solid.vertices, solid.faces, color=(226, 178, 76)
+        )
+        self.set_variants(variants)
+
+    def set_variants(self, variants: Sequence[Variant]) -> None:
+        """Show these robots, with room for all their samples.
+
+        Both worlds are rotated so that the human's first palm is upright.
+
+        Args:
+            variants: The robots, all of the hand of the first.
+        """
+        for i in range(len(self._robots), len(variants)):
+            self._robots.append(RobotFigure(self.server, variants[i].robot, i))
+        upright = None
+        wrist = variants[0].samples[0].human_wrist
+        if self._human is not None and self._landmarks is not None and wrist is not None:
+            upright = (wrist @ self._human.hand.wrist_to_palm)[:3, :3].T
+            self._human.turn(upright)
+            self._landmarks.turn(upright)
+        for robot, variant in zip(self._robots, variants, strict=False):
+            robot.turn(_robot_axes(robot.hand, variant, upright))
+            robot.label = variant.label
+        for robot in self._robots:
+            robot.is_shown = robot.variant < len(variants)
+        self.clear_trails()
+        for figure in self._figures:
+            if figure.variant < len(variants):
+                samples = variants[figure.variant].samples
+                figure.fit(samples[:: max(len(samples) // _RESERVED, 1)])
+
+    def clear_trails(self) -> None:
+        """Forget where the fingertips have been."""
+        for figure in self._figures:
+            figure.trail.clear()
+
+    def draw(self, samples: Sequence[ViewSample]) -> None:
+        """Show one instant.
+
+        Args:
+            samples: One sample for each variant; the human hand is that of the first.
+        """
+        if self._human is not None and self._landmarks is not None:
+            self._landmarks.is_shown = self.has_landmarks
+            self._human.shape = self.deformation_shape
+        row = [figure for figure in self._figures if figure.is_shown and len(figure.extent)]
+        with self.server.atomic():
+            low = self._lay_out(row)
+            for figure in row:
+                self._draw_figure(figure, samples[figure.variant], low)
+            if self._solid is not None and samples[0].object_pose is not None:
+                pose = samples[0].object_pose
+                self._solid.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
+                self._solid.position = pose[:3, 3]
+
+    def _draw_figure(self, figure: Figure, sample: ViewSample, low: float) -> None:
+        """Draw a figure at its place, with its trail; its name is at a height `low` [m]."""
+        figure.draw(sample)
+        if (centre := figure.centre_of(sample)) is None:
+            return
+        is_pinned = self.follow == "hands"
+        figure.place(figure.axes @ centre if is_pinned else figure.travel.mean(axis=0), low)
+        tips = figure.tips(sample) if self.has_trails else None
+        if tips is not None:
+            figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
+
+    def make_room(self, samples: Sequence[ViewSample]) -> None:
+        """Make room for one more instant, of samples that are not known beforehand."""
+        for figure in self._figures:
+            if figure.variant < len(samples):
+                figure.include(samples[figure.variant])
+
+    @property
+    def _figures(self) -> list[Figure]:
+        """All figures from left to right."""
+        first = (self._landmarks, self._human)
+        return [*(figure for figure in first if figure is not None), *self._robots]
+
+    def _lay_out(self, row: Sequence[Figure]) -> float:
+        """Place the figures side by side, fit the cameras, and return the height of the names."""
+        is_travelling = self.follow == "world"
+        sizes = [figure.size + is_travelling * np.ptp(figure.travel, axis=0) for figure in row]
+        _, height, depth = np.max(sizes, axis=0)
+        width = sum(size[0] for size in sizes) + _GAP * (len(row) - 1)
+        # Seen from the palm side, +x points left.
+        left = 0.5 * width
+        for figure, size in zip(row, sizes, strict=True):
+            cell = np.array([left - 0.5 * size[0], 0.0, 0.0])
+            figure.anchor = cell - figure.extent.mean(axis=0)
+            left -= size[0] + _GAP
+        self.cameras.fit(width, height, depth)
+        return -0.5 * float(height)
+
+
+class BrowserCameras:
+    """The cameras of all connected browsers: they keep the figures in view in every window."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self._server = server
+        self._size = np.zeros(3)
+        self._views: dict[int, tuple[float, float]] = {}
+        self._folded: set[int] = set()
+        server.initial_camera.look_at = np.zeros(3)
+        server.initial_camera.fov = _FIELD_OF_VIEW
+
+    def fit(self, width: float, height: float, depth: float) -> None:
+        """Fit the view to a box of this size around the scene's origin [m]."""
+        # Looking down, the box's depth adds to its height.
+        size = np.array([width, height + depth * abs(_DIRECTION[1]), depth])
+        if (size != self._size).any():
+            self._size = size
+            distance, low = self._view(*_DEFAULT_WINDOW)
+            middle = np.array([0.0, low, 0.0])
+            self._server.initial_camera.look_at = middle
+            self._server.initial_camera.position = distance * _DIRECTION + middle
+
+    @property
+    def view(self) -> dict[str, Any]:
+        """What a page needs to fit the view to its window, as `_view` does."""
+        return {
+            **dict(zip(("width", "height", "depth"), self._size.tolist(), strict=True)),
+            "names": _NAMES,
+            "margin": _MARGIN,
+            "fov": _FIELD_OF_VIEW,
+            "direction": _DIRECTION.tolist(),
+        }
+
+    def update(self) -> None:
+        """Move a camera if its browser is new or if its window or the box has changed.
+
+        Browsers report the size of the area between the panels once these are in place. A view
+        that the user has rotated keeps its direction.
+        """
+        views = {}
+        for name, client in self._server.get_clients().items():
+            camera, is_new = client.camera, name not in self._views
+            columns, rows = camera.image_width, max(camera.image_height, 1)
+            if columns < _NARROW and name not in self._folded:
+                # The main panel holds the gauges; the controls have one of their own.
+                client.gui.main_panel.minimize()
+                self._folded.add(name)
+            views[name] = distance, low = self._view(columns, rows)
+            if views[name] != self._views.get(name):
+                offset = camera.position - camera.look_at
+                direction = _DIRECTION if is_new else offset / np.linalg.norm(offset)
+                middle = np.array([0.0, low, 0.0])
+                # Setting the position moves `look_at` too, so set both.
+                camera.position, camera.look_at = middle + distance * direction, middle
+        self._views = views
+
+    def _view(self, columns: int, rows: int) -> tuple[float, float]:
+        """Return where the camera has to be for the box to fill a window of this size [px].
+
+        Returns:
+            Distance from the point that it looks at [m], and the height of that point [m].
+        """
+        width, height, depth = self._size
+        free = max(columns - 2 * _MARGIN, 50), max(rows - _NAMES - 2 * _MARGIN, 50)
+        pixel = max(width / free[0], height / free[1])
+        distance = 0.5 * pixel * rows / np.tan(0.5 * _FIELD_OF_VIEW) + 0.25 * depth
+        return float(distance), float(-0.5 * _NAMES * pixel)
+
+
+def _robot_axes(robot: Hand, variant: Variant, upright: np.ndarray | None) -> np.ndarray:
+    """Return the rotation from V to the scene's axes, shape (3, 3).
+
+    Args:
+        robot: The robot hand.
+        variant: What moves it.
+        upright: The rotation from W to the scene's axes, shape (3, 3); None without a human hand,
+            and the robot's first palm is upright then.
+    """
+    alignment = variant.choice.method.values.get("alignment", "world")
+    if upright is None or (isinstance(alignment, str) and alignment == "palm"):
+        return (variant.samples[0].robot_wrist @ robot.wrist_to_palm)[:3, :3].T
+    return upright if isinstance(alignment, str) else upright @ np.array(alignment).T
+
+
+def set_up_stage(server: viser.ViserServer, floor: float) -> None:
+    """Turn +y up, and draw the floor at a height [m]."""
+    server.scene.set_up_direction("+y")
+    server.scene.world_axes.visible = False
+    server.scene.add_grid(
+        "/floor",
+        plane="xz",
+        infinite_grid=True,
+        cell_size=0.05,
+        section_size=0.25,
+        cell_color=(225, 228, 232),
+        section_color=(205, 210, 216),
+        cell_thickness=0.6,
+        section_thickness=0.8,
+        fade_distance=3.0,
+        position=(0.0, floor, 0.0),
+    )

@@ -1,1 +1,0 @@
-"""Hands described in MuJoCo's MJCF, converted to URDF."""
