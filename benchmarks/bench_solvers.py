@@ -180,7 +180,8 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
-    for axes, (name, rows) in zip(figure.subplots(1, 2, sharey=True), results.items(), strict=True):
+    panels = figure.subplots(1, len(results), sharey=True, squeeze=False)[0]
+    for axes, (name, rows) in zip(panels, results.items(), strict=True):
         names, times = [row["solver"] for row in rows], [row["median_us"] for row in rows]
         axes.barh(
             names,

@@ -143,8 +143,8 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
         (ik.gate, "bounds", "limits"),
         (ik.gate, "admit", "gate"),
         (ik.configuration, "stacked_jacobian", "Jacobians"),
-        (ik, "_linearise", "assembly"),
-        (ik._solver, "solve", "solve"),
+        (handmap_qp.ik.qp, "direct_cost", "assembly"),
+        (ik, "_solver", "solve"),
         (ik.configuration, "place_with_jacobians", "integrate and place"),
         (ik, "solve", "iteration and result"),
     ]

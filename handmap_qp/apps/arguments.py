@@ -195,7 +195,9 @@ def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
             for preset, item in reversed(said.values())
         ]
         kind = reduce(or_, [item.plain for _, item in said.values()]) | None
-        settings = tyro.conf.arg(help=" ".join(texts), help_behavior_hint="")
+        # tyro would show a list's type in braces.
+        metavar = "NAME ..." if kind == tuple[str, ...] | None else None
+        settings = tyro.conf.arg(help=" ".join(texts), help_behavior_hint="", metavar=metavar)
         items.append((option, Annotated[kind, settings], field(default=None)))
     # The module lets copies of it be pickled.
     own = {"__doc__": about, "__module__": __name__}

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handmap_qp import cli, doctor, load_hand, tables
+from handmap_qp import cli, load_hand
+from handmap_qp.apps import doctor, tables
 
 KEYS = {
     "samples",

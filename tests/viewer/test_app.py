@@ -287,7 +287,7 @@ def test_every_control_reaches_its_option(server: Any, preset: str) -> None:
         elif isinstance(value, bool):
             handle.value = not value
         elif isinstance(value, str):
-            handle.value = "0.0, 0.5, 0.0"
+            handle.value = "proxqp" if name == "solver" else "0.0, 0.5, 0.0"
         else:
             handle.value = (
                 value + handle.step if value + handle.step <= handle.max else value - handle.step

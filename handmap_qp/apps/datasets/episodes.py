@@ -191,8 +191,8 @@ def map_episode(
         trajectory = map_both_ways(human, robot, choice.method, choice.ik, recording)
         return recording, trajectory, person
     smoothing = options.arguments.smoothing
-    mapper = HandMapper(human, robot, choice.method, ik=choice.ik, smoothing=smoothing)
-    return recording, map_recording(mapper, recording), person
+    mapper = HandMapper(human, robot, choice.method, ik=choice.ik)
+    return recording, map_recording(mapper, recording, smoothing=smoothing), person
 
 
 @lru_cache(maxsize=8)
