@@ -24,7 +24,8 @@ class Metadata(MetadataHookInterface):
     def update(self, metadata: dict[str, Any]) -> None:
         """Set both from README.md and the environment."""
         server, repository = (
-            os.environ.get(f"GITHUB_{name}", "") for name in ("SERVER_URL", "REPOSITORY")
+            os.environ.get(f"GITHUB_{name}", "")
+            for name in ("SERVER_URL", "REPOSITORY")
         )
         address = f"{server}/{repository}" if server and repository else ""
         readme = (Path(self.root) / "README.md").read_text(encoding="utf-8")

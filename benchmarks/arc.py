@@ -122,7 +122,9 @@ def soft_synergy(synergy: int, physics: Physics) -> np.ndarray:
     return matrix @ matrix.T / physics.joint_stiffness
 
 
-def holding_forces(grasp: Grasp, load: npt.ArrayLike, normal_force: float) -> np.ndarray:
+def holding_forces(
+    grasp: Grasp, load: npt.ArrayLike, normal_force: float
+) -> np.ndarray:
     """Find contact forces that balance a load and press on the object.
 
     The forces minimise `sum_c (f_n - f_0)^2 + 4 |f_t|^2` subject to `G f + w = 0`.
@@ -144,12 +146,16 @@ def holding_forces(grasp: Grasp, load: npt.ArrayLike, normal_force: float) -> np
     count = len(normals)
     if not _is_firm(grasp):
         raise InvalidInputError(
-            argument="grasp", expected="three contacts that are not on one line", got=f"{count}"
+            argument="grasp",
+            expected="three contacts that are not on one line",
+            got=f"{count}",
         )
     weight = np.zeros((3 * count, 3 * count))
     for c, normal in enumerate(normals):
         along = np.outer(normal, normal)
-        weight[3 * c : 3 * c + 3, 3 * c : 3 * c + 3] = along + _TANGENTIAL * (np.eye(3) - along)
+        weight[3 * c : 3 * c + 3, 3 * c : 3 * c + 3] = along + _TANGENTIAL * (
+            np.eye(3) - along
+        )
     system = np.block([[weight, G.T], [G, np.zeros((6, 6))]])
     right = np.concatenate([force * normals.ravel(), -wrench])
     return np.linalg.solve(system, right)[: 3 * count].reshape(-1, 3)
@@ -243,7 +249,9 @@ def _slip(
     places = grasp.points
 
     def on_links(angles: np.ndarray, base: np.ndarray) -> np.ndarray:
-        return grasp.hand.link_poses(links, angles, base if grasp.hand.is_floating else None)
+        return grasp.hand.link_poses(
+            links, angles, base if grasp.hand.is_floating else None
+        )
 
     before, after = on_links(q, wrist), on_links(simulator.q, simulator.wrist)
     carried = [
@@ -282,7 +290,9 @@ def planned_scene(
     """
     chosen = []
     for hand in (load_hand("human"), robot):
-        planned = plan_grasps(hand, shape, samples=samples, seed=seed, progress=progress)
+        planned = plan_grasps(
+            hand, shape, samples=samples, seed=seed, progress=progress
+        )
         firm = [one.grasp for one in planned if _is_firm(one.grasp)]
         if len(firm) <= rank:
             raise InvalidInputError(
@@ -296,4 +306,6 @@ def planned_scene(
 
 def _is_firm(grasp: Grasp) -> bool:
     """Return whether a grasp can balance every load."""
-    return len(grasp.contacts) >= 3 and np.linalg.matrix_rank(grasp.matrix, tol=1e-6) == 6
+    return (
+        len(grasp.contacts) >= 3 and np.linalg.matrix_rank(grasp.matrix, tol=1e-6) == 6
+    )

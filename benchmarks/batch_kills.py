@@ -57,22 +57,35 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    usual = Path(os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings")
-    parser.add_argument("--recordings", type=Path, default=usual, help="real recordings")
+    usual = Path(
+        os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings"
+    )
+    parser.add_argument(
+        "--recordings", type=Path, default=usual, help="real recordings"
+    )
     parser.add_argument("--count", type=int, default=1000, help="recordings to make")
     parser.add_argument("--frames", type=int, default=90, help="mean number of samples")
-    parser.add_argument("--every", type=float, default=8.0, help="mean time between kills [s]")
-    parser.add_argument("--starts", type=int, default=12, help="starts that are attacked")
+    parser.add_argument(
+        "--every", type=float, default=8.0, help="mean time between kills [s]"
+    )
+    parser.add_argument(
+        "--starts", type=int, default=12, help="starts that are attacked"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--ray", action="store_true", help="map them under Ray too")
-    parser.add_argument("--folder", type=Path, help="folder to keep (default: a temporary one)")
+    parser.add_argument(
+        "--folder", type=Path, help="folder to keep (default: a temporary one)"
+    )
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = given.folder or Path(temporary)
         inputs = folder / "in"
         if not inputs.exists():
             make_recordings(
-                find_recordings(given.recordings), inputs, given.count, frames=given.frames
+                find_recordings(given.recordings),
+                inputs,
+                given.count,
+                frames=given.frames,
             )
         ok = run(inputs, folder, given)
     sys.exit(0 if ok else 1)
@@ -82,7 +95,9 @@ def run(inputs: Path, folder: Path, given: argparse.Namespace) -> bool:
     """Map in all ways, and compare."""
     count = len(list(inputs.iterdir()))
     result, seconds = mapped(inputs, folder / "serial", "--workers", "0")
-    say(f"serial: {result['done']} episodes, {result['frames']} samples, {seconds:.0f} s")
+    say(
+        f"serial: {result['done']} episodes, {result['frames']} samples, {seconds:.0f} s"
+    )
     attack = attacked(
         inputs, folder / "killed", random.Random(given.seed), given.every, given.starts
     )
@@ -91,10 +106,14 @@ def run(inputs: Path, folder: Path, given: argparse.Namespace) -> bool:
         f"{attack.damaged} episodes damaged, {attack.starts} starts, {attack.orphans} orphans"
     )
     for useful, everything in attack.cpu:
-        say(f"  a run that ended by itself: {useful:.1f} of {everything:.1f} s CPU in the jobs")
+        say(
+            f"  a run that ended by itself: {useful:.1f} of {everything:.1f} s CPU in the jobs"
+        )
     same = compare(folder / "serial", folder / "killed", count)
     if given.ray:
-        result, seconds = mapped(inputs, folder / "ray", "--engine", "ray", "--workers", "2")
+        result, seconds = mapped(
+            inputs, folder / "ray", "--engine", "ray", "--workers", "2"
+        )
         say(f"ray: {result['done']} episodes, {seconds:.0f} s")
         same &= compare(folder / "serial", folder / "ray", count)
     return same and attack.orphans == 0
@@ -111,7 +130,9 @@ def mapped(inputs: Path, out: Path, *words: str) -> tuple[dict, float]:
     return json.loads(done.stdout.splitlines()[-1]), time.monotonic() - started
 
 
-def attacked(inputs: Path, out: Path, rng: random.Random, every: float, starts: int) -> Attack:
+def attacked(
+    inputs: Path, out: Path, rng: random.Random, every: float, starts: int
+) -> Attack:
     """Run a batch with two workers until it has nothing to do, and kill in the first starts."""
     attack = Attack()
     while True:
@@ -168,7 +189,9 @@ def compare(serial: Path, other: Path, count: int) -> bool:
     lines = read_manifests(other)
     failed = [line.key for line in lines.values() if line.status != "done"]
     differ = sorted(
-        name for name in ours.keys() | theirs.keys() if ours.get(name) != theirs.get(name)
+        name
+        for name in ours.keys() | theirs.keys()
+        if ours.get(name) != theirs.get(name)
     )
     ok = not differ and not failed and len(ours) == len(lines) == count
     left = list(other.rglob(".*.part"))
@@ -196,7 +219,10 @@ def digests(out: Path) -> dict[str, str]:
 def children(pid: int) -> list[int]:
     """Return the processes that a process has started."""
     listing = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+        ["ps", "-o", "pid=", "--ppid", str(pid)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return [int(word) for word in listing.stdout.split()]
 

@@ -26,14 +26,20 @@ from handmap_qp.apps.datasets.episodes import JobOptions, run_job
 def main() -> None:
     """Map, and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    usual = Path(os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings")
-    parser.add_argument("--recordings", type=Path, default=usual, help="real recordings")
+    usual = Path(
+        os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings"
+    )
+    parser.add_argument(
+        "--recordings", type=Path, default=usual, help="real recordings"
+    )
     parser.add_argument("--count", type=int, default=10_000, help="recordings to map")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
         different = min(given.count, 100)
-        make_recordings(find_recordings(given.recordings), folder / "in", different, frames=44)
+        make_recordings(
+            find_recordings(given.recordings), folder / "in", different, frames=44
+        )
         options = JobOptions({"left": "allegro_left", "right": "allegro_right"})
         jobs = plan_batch([folder / "in"], folder / "out", options).jobs
         rows, sizes = [], []
@@ -42,7 +48,9 @@ def main() -> None:
             if (i + 1) % (given.count // 10) == 0:
                 gc.collect()
                 sizes.append((i + 1, resident()))
-                rows.append({"recordings": i + 1, "resident [MB]": sizes[-1][1] / 2**20})
+                rows.append(
+                    {"recordings": i + 1, "resident [MB]": sizes[-1][1] / 2**20}
+                )
     print_table("Resident memory of one process", rows)
     counts, bytes_ = np.array(sizes[1:], dtype=float).T
     growth = float(np.polyfit(counts, bytes_, 1)[0])

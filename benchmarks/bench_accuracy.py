@@ -60,9 +60,15 @@ class Case:
 
     def changed(self, changes: dict[str, Any]) -> Case:
         """Return the case with some options changed, of the mapping, of the IK or of the points."""
-        mapping = {name: changes[name] for name in changes.keys() & self.mapping.values.keys()}
+        mapping = {
+            name: changes[name] for name in changes.keys() & self.mapping.values.keys()
+        }
         ik = {name: changes[name] for name in changes.keys() & self.ik.values.keys()}
-        points = {name: value for name, value in changes.items() if name not in (*mapping, *ik)}
+        points = {
+            name: value
+            for name, value in changes.items()
+            if name not in (*mapping, *ik)
+        }
         return replace(
             self,
             mapping=self.mapping.replaced(**mapping),
@@ -166,7 +172,10 @@ def measure(case: Case, family: str, scenes: list[Scene]) -> dict[str, Any]:
     for scene in scenes:
         human = scene.motion.human.with_points(case.human_points)
         mapper = WatchedMapper(
-            human, robot_for(family, scene.side, case.robot_points), case.mapping, ik=case.ik
+            human,
+            robot_for(family, scene.side, case.robot_points),
+            case.mapping,
+            ik=case.ik,
         )
         trajectory = map_motion(mapper, scene.motion)
         qualities.append(assess_quality(scene.motion, trajectory))
@@ -190,26 +199,38 @@ def measure(case: Case, family: str, scenes: list[Scene]) -> dict[str, Any]:
         "jerk_rad_s3_rms": mean("jerk"),
         # Geometric mean: recordings differ tenfold in rate and noise.
         "jerk_over_human": float(
-            np.exp(np.mean([np.log(quality.jerk / quality.human_jerk) for quality in qualities]))
+            np.exp(
+                np.mean(
+                    [np.log(quality.jerk / quality.human_jerk) for quality in qualities]
+                )
+            )
         ),
-        "jerk_over_human_max": max(quality.jerk / quality.human_jerk for quality in qualities),
+        "jerk_over_human_max": max(
+            quality.jerk / quality.human_jerk for quality in qualities
+        ),
         **_follow(matches),
         "fingers": {
             finger: _follow([match for match in matches if match.finger == finger])
             for finger in _fingers(matches)
         },
         "recordings": {
-            scene.name: asdict(quality) for scene, quality in zip(scenes, qualities, strict=True)
+            scene.name: asdict(quality)
+            for scene, quality in zip(scenes, qualities, strict=True)
         },
     }
 
 
 def _fingers(matches: list[FingerMatch]) -> list[str]:
-    return [finger for finger in FINGERS if any(match.finger == finger for match in matches)]
+    return [
+        finger for finger in FINGERS if any(match.finger == finger for match in matches)
+    ]
 
 
 def _follow(matches: list[FingerMatch]) -> dict[str, float]:
-    return {"correlation": mean_correlation(matches), "range_ratio": total_range_ratio(matches)}
+    return {
+        "correlation": mean_correlation(matches),
+        "range_ratio": total_range_ratio(matches),
+    }
 
 
 _scenes: list[Scene] = []
@@ -234,7 +255,9 @@ def measure_all(
             prepare()
             return [_advanced(advance, _work(job)) for job in jobs]
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(arguments.jobs, mp_context=context, initializer=prepare) as pool:
+        with ProcessPoolExecutor(
+            arguments.jobs, mp_context=context, initializer=prepare
+        ) as pool:
             return [_advanced(advance, result) for result in pool.map(_work, jobs)]
 
 
@@ -252,8 +275,11 @@ def table_rows(
         for variant, value, case in factor.cases():
             for family in ROBOTS:
                 row = {
-                    "setting": f"{factor.name} {value}" + (" *" if case == Case() else ""),
-                    "with": ", ".join(f"{name} {word}" for name, word in variant.items())
+                    "setting": f"{factor.name} {value}"
+                    + (" *" if case == Case() else ""),
+                    "with": ", ".join(
+                        f"{name} {word}" for name, word in variant.items()
+                    )
                     if variant is not PAPER
                     else "the paper",
                     "robot": family,
@@ -275,7 +301,10 @@ def _cells(result: dict[str, Any]) -> dict[str, str]:
         "speed": f"{result['speed_rad_s_rms']:.2f}",
         "jerk": f"{result['jerk_rad_s3_rms']:.0f}",
         "x human": f"{result['jerk_over_human']:.2f}",
-        **{finger: "" if pair is None else _pair(pair) for finger, pair in pairs.items()},
+        **{
+            finger: "" if pair is None else _pair(pair)
+            for finger, pair in pairs.items()
+        },
         "fingers": _pair(result),
     }
 
@@ -298,7 +327,9 @@ Values outside the range are drawn as triangles at its edge.
 """
 
 
-def draw(factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, Any]]) -> Figure:
+def draw(
+    factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, Any]]
+) -> Figure:
     """Draw a grid: a column per factor, a row per metric, with the default marked."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
@@ -331,7 +362,13 @@ def draw(factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, 
             handlelength=2.6,
         )
     robots = [
-        Line2D([], [], color=common.COLOURS[family], marker="o", label=family.replace("_", "-"))
+        Line2D(
+            [],
+            [],
+            color=common.COLOURS[family],
+            marker="o",
+            label=family.replace("_", "-"),
+        )
         for family in ROBOTS
     ]
     mark = Line2D(
@@ -344,7 +381,9 @@ def draw(factors: tuple[Factor, ...], results: dict[tuple[Case, str], dict[str, 
         linestyle="",
         label="default",
     )
-    figure.legend(handles=[*robots, mark], loc="outside upper left", ncols=3, fontsize=10)
+    figure.legend(
+        handles=[*robots, mark], loc="outside upper left", ncols=3, fontsize=10
+    )
     return figure
 
 
@@ -389,7 +428,11 @@ def _draw_panel(
 
 
 def _short(value: Any) -> str:
-    return str(value).replace("fingertips_middle", "tips, middle").replace("fingertips", "tips")
+    return (
+        str(value)
+        .replace("fingertips_middle", "tips, middle")
+        .replace("fingertips", "tips")
+    )
 
 
 def _words(variant: dict[str, Any]) -> str:
@@ -406,15 +449,22 @@ def main(words: Sequence[str] | None = None) -> None:
         metavar="N",
         help="map every N-th sample only (default: all)",
     )
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (default: 2)")
+    parser.add_argument(
+        "--jobs", type=int, default=2, metavar="N", help="processes (default: 2)"
+    )
     arguments = common.parse_arguments(parser, words)
-    files = common.find_recordings(arguments.recordings)[: 2 if arguments.quick else None]
+    files = common.find_recordings(arguments.recordings)[
+        : 2 if arguments.quick else None
+    ]
     arguments.jobs = 1 if arguments.quick else max(1, arguments.jobs)
     factors = QUICK_FACTORS if arguments.quick else FACTORS
     # Measure each case once, also if it belongs to several factors.
     jobs = list(
         dict.fromkeys(
-            (case, family) for factor in factors for *_, case in factor.cases() for family in ROBOTS
+            (case, family)
+            for factor in factors
+            for *_, case in factor.cases()
+            for family in ROBOTS
         )
     )
     results = dict(zip(jobs, measure_all(jobs, files, arguments), strict=True))

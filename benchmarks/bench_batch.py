@@ -80,10 +80,14 @@ def main() -> None:
             results[name] = result
             rows.append(row_of(name, result))
         pool = pool_run(folder / "long", folder / "pool", given)
-    print_table("CPU time of a recording of one hand, by stage [ms]", stage_rows(results))
+    print_table(
+        "CPU time of a recording of one hand, by stage [ms]", stage_rows(results)
+    )
     print_table("Cost, and EgoDex's two hands by extrapolation", rows)
     print_table("Two workers", [pool])
-    write_json(given.json, "batch", {"results": results, "pool": pool, "facts": facts()})
+    write_json(
+        given.json, "batch", {"results": results, "pool": pool, "facts": facts()}
+    )
     save_picture(given.picture, lambda: draw(results))
 
 
@@ -104,7 +108,9 @@ def at_rate(recording: Recording, frames: int, seed: int) -> Recording:
     phase = np.arange(frames) / RATE + 0.37 * seed
     # Back and forth, so that a short recording is long enough.
     instants = time[0] + span * np.abs((phase / span + 1.0) % 2.0 - 1.0)
-    points = np.stack([np.interp(instants, time, column) for column in landmarks.T], axis=1)
+    points = np.stack(
+        [np.interp(instants, time, column) for column in landmarks.T], axis=1
+    )
     return Recording(
         name=recording.name,
         time=np.arange(frames) / RATE,
@@ -143,9 +149,13 @@ def stage_times(jobs: tuple[Job, ...]) -> dict[str, float]:
             line = run_job(job)
         if line.status != "done":
             raise SystemExit(line.error)
-        times.append(dict(clock) | {"other": thread_time() - started - sum(clock.values())})
+        times.append(
+            dict(clock) | {"other": thread_time() - started - sum(clock.values())}
+        )
     names = [*STAGES, "other"]
-    return {name: float(np.median([row.get(name, 0.0) for row in times])) for name in names}
+    return {
+        name: float(np.median([row.get(name, 0.0) for row in times])) for name in names
+    }
 
 
 @contextmanager
@@ -204,7 +214,10 @@ def row_of(name: str, result: dict[str, Any]) -> dict[str, Any]:
 def stage_rows(results: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the stages as rows."""
     return [
-        {"mapping": name, **{stage: 1e3 * value for stage, value in result["stages"].items()}}
+        {
+            "mapping": name,
+            **{stage: 1e3 * value for stage, value in result["stages"].items()},
+        }
         for name, result in results.items()
     ]
 
@@ -242,8 +255,16 @@ def draw(results: dict[str, dict[str, Any]]) -> Any:
     axes = figure.subplots()
     left = np.zeros(len(results))
     for k, stage in enumerate((*STAGES, "other")):
-        widths = np.array([1e3 * result["stages"][stage] for result in results.values()])
-        axes.barh(list(results), widths, left=left, color=PALETTE[k % len(PALETTE)], label=stage)
+        widths = np.array(
+            [1e3 * result["stages"][stage] for result in results.values()]
+        )
+        axes.barh(
+            list(results),
+            widths,
+            left=left,
+            color=PALETTE[k % len(PALETTE)],
+            label=stage,
+        )
         left += widths
     axes.set_xlabel("CPU time of a recording of one hand [ms]")
     axes.legend(fontsize=7, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.35))

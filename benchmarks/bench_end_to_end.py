@@ -54,7 +54,13 @@ _RECORDING = "quest3_webxr_right"
 
 
 def measure(
-    robot: str, file: Path, samples: int, rounds: int, *, other: Path | None, has_peers: bool
+    robot: str,
+    file: Path,
+    samples: int,
+    rounds: int,
+    *,
+    other: Path | None,
+    has_peers: bool,
 ) -> list[dict[str, Any]]:
     """Time all programs on one robot.
 
@@ -76,7 +82,9 @@ def measure(
         if other is not None:
             commands[f"{preset}, other"] = (command, other)
     if other is not None:
-        command = interleaved.tree_command(file, robot, "teleoperation:shifted", "map_landmarks")
+        command = interleaved.tree_command(
+            file, robot, "teleoperation:shifted", "map_landmarks"
+        )
         commands[_SHIFTED] = (command, other)
     for peer, method in PEERS if has_peers else ():
         command = interleaved.peer_command(file, peer, method, ROBOTS[robot])
@@ -113,8 +121,12 @@ def _row(worker: Worker, working: Sequence[Worker]) -> dict[str, Any]:
         before = other.numbers() if other else None
         row["of other"] = numbers["median_us"] / before["median_us"] if before else ""
         row["of other p99"] = numbers["p99_us"] / before["p99_us"] if before else ""
-        row["of other least"] = numbers["least_us"] / before["least_us"] if before else ""
-        row["difference"] = interleaved.largest_difference(worker, other) if other else ""
+        row["of other least"] = (
+            numbers["least_us"] / before["least_us"] if before else ""
+        )
+        row["difference"] = (
+            interleaved.largest_difference(worker, other) if other else ""
+        )
     return row
 
 
@@ -126,9 +138,14 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
     panels = figure.subplots(1, len(results), squeeze=False)[0]
     for axes, (robot, rows) in zip(panels, results.items(), strict=True):
         names = [row["program"] for row in rows][::-1]
-        axes.barh(names, [row["p99_us"] for row in rows][::-1], color="#cfd6df", label="p99")
         axes.barh(
-            names, [row["median_us"] for row in rows][::-1], color=common.PALETTE[1], label="median"
+            names, [row["p99_us"] for row in rows][::-1], color="#cfd6df", label="p99"
+        )
+        axes.barh(
+            names,
+            [row["median_us"] for row in rows][::-1],
+            color=common.PALETTE[1],
+            label="median",
         )
         axes.set(title=robot, xlabel="CPU time of a sample [us]", xscale="log")
         axes.grid(axis="y", visible=False)
@@ -138,25 +155,42 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser("Landmarks in, robot command out: CPU time of a sample.")
+    parser = common.make_parser(
+        "Landmarks in, robot command out: CPU time of a sample."
+    )
     parser.add_argument(
-        "--compare", metavar="CHECKOUT", type=Path, help="another checkout, which takes turns"
+        "--compare",
+        metavar="CHECKOUT",
+        type=Path,
+        help="another checkout, which takes turns",
     )
     parser.add_argument("--no-peers", action="store_true", help="run no peers")
-    parser.add_argument("--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS))
-    parser.add_argument("--recording", default=_RECORDING, help="name (default: %(default)s)")
+    parser.add_argument(
+        "--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS)
+    )
+    parser.add_argument(
+        "--recording", default=_RECORDING, help="name (default: %(default)s)"
+    )
     arguments = common.parse_arguments(parser, words)
-    other = None if arguments.compare is None else interleaved.check_tree(arguments.compare)
+    other = (
+        None if arguments.compare is None else interleaved.check_tree(arguments.compare)
+    )
     missing = [] if arguments.no_peers else build.missing_peers()
     if missing:
-        print(f"without {', '.join(missing)}: not built, run make peers", file=sys.stderr)
+        print(
+            f"without {', '.join(missing)}: not built, run make peers", file=sys.stderr
+        )
     known = [name for name in arguments.robots if name not in shared_hands.NAMES]
     if shared_hands.shared_hands_folder() is None and known != arguments.robots:
-        print("without LEAP and SVH: set HANDMAP_HANDS to their folder", file=sys.stderr)
+        print(
+            "without LEAP and SVH: set HANDMAP_HANDS to their folder", file=sys.stderr
+        )
         arguments.robots = known
     files = {file.stem: file for file in common.find_recordings(arguments.recordings)}
     if arguments.recording not in files:
-        common.stop(f"--recording {arguments.recording}: expected one of {', '.join(files)}")
+        common.stop(
+            f"--recording {arguments.recording}: expected one of {', '.join(files)}"
+        )
     recording = files[arguments.recording]
     results: dict[str, list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as folder:

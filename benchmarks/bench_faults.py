@@ -99,7 +99,9 @@ class Course:
         self.states.append(step.status)
 
 
-def arrivals(samples: Sequence[HumanSample], fault: str) -> Iterator[tuple[float, HumanSample]]:
+def arrivals(
+    samples: Sequence[HumanSample], fault: str
+) -> Iterator[tuple[float, HumanSample]]:
     """Yield samples with a fault, and the time at which each of them arrives [s]."""
     now = [0.0]
 
@@ -113,7 +115,9 @@ def arrivals(samples: Sequence[HumanSample], fault: str) -> Iterator[tuple[float
         yield now[0], sample
 
 
-def run_guarded(follower: Follower, samples: Sequence[HumanSample], fault: str) -> Course:
+def run_guarded(
+    follower: Follower, samples: Sequence[HumanSample], fault: str
+) -> Course:
     """Map a stream as live input is mapped."""
     course = Course()
     for time, sample in arrivals(samples, fault):
@@ -121,7 +125,9 @@ def run_guarded(follower: Follower, samples: Sequence[HumanSample], fault: str) 
     return course
 
 
-def run_followed(mapper: HandMapper, samples: Sequence[HumanSample], fault: str) -> Course:
+def run_followed(
+    mapper: HandMapper, samples: Sequence[HumanSample], fault: str
+) -> Course:
     """Map every sample that is valid and can be mapped, whatever it shows."""
     course, stamp, step = Course(), None, None
     for time, sample in arrivals(samples, fault):
@@ -129,13 +135,17 @@ def run_followed(mapper: HandMapper, samples: Sequence[HumanSample], fault: str)
         stamp = sample.time
         if sample.valid:
             with suppress(HandmapError):
-                step = mapper.map_landmarks(sample.landmarks, dt=min(max(dt, 1e-3), 0.1))
+                step = mapper.map_landmarks(
+                    sample.landmarks, dt=min(max(dt, 1e-3), 0.1)
+                )
         if step is not None:
             course.add(time, step)
     return course
 
 
-def largest(course: Course, start: float, end: float, period: float) -> dict[str, float]:
+def largest(
+    course: Course, start: float, end: float, period: float
+) -> dict[str, float]:
     """Return the largest speeds and accelerations of the commands in some time."""
     time, q, wrist = np.array(course.time), np.array(course.q), np.array(course.wrist)
     dt = np.minimum(np.diff(time), 3.0 * period)
@@ -172,7 +182,9 @@ class Stage:
 
     def mapper(self) -> HandMapper:
         """Return a fresh mapper."""
-        return HandMapper(self._human, self._robot, self._choice.method, ik=self._choice.ik)
+        return HandMapper(
+            self._human, self._robot, self._choice.method, ik=self._choice.ik
+        )
 
     def follower(self, rejoin: RejoinKind) -> Follower:
         """Return a fresh follower."""
@@ -184,7 +196,9 @@ class Stage:
         return [s for s in self.samples if begin <= s.time - first <= end]
 
 
-def measure(stage: Stage, fault: str, at: float, rejoin: RejoinKind) -> dict[str, Any] | None:
+def measure(
+    stage: Stage, fault: str, at: float, rejoin: RejoinKind
+) -> dict[str, Any] | None:
     """Put a fault into a recording at a time, and compare the three runs.
 
     Args:
@@ -262,14 +276,18 @@ def by_fault(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def printed(table: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the table for reading: clean / guarded / followed in one cell."""
-    labels = {name: f"{name.replace('_', ' ')} [{unit}]" for name, unit in MEASURES.items()}
+    labels = {
+        name: f"{name.replace('_', ' ')} [{unit}]" for name, unit in MEASURES.items()
+    }
     rows = []
     for entry in table:
         row = {key: entry[key] for key in ("fault", "events", "found_%", "rules")}
         row["found after [ms]"] = f"{entry['after_ms']:.0f}"
         row["back [s]"] = f"{entry['back_s']:.2f}"
         for name, label in labels.items():
-            row[label] = " / ".join(f"{entry[f'{name}_{run}']:.4g}" for run in (*RUNS, "excess"))
+            row[label] = " / ".join(
+                f"{entry[f'{name}_{run}']:.4g}" for run in (*RUNS, "excess")
+            )
         rows.append(row)
     return rows
 
@@ -281,7 +299,9 @@ def clean_rows(stages: Sequence[Stage]) -> list[dict[str, Any]]:
         course = run_guarded(stage.follower("glide"), stage.samples, "")
         begins = [
             f"{rule} {time - course.time[0]:.2f} s"
-            for i, (time, rule) in enumerate(zip(course.time, course.rules, strict=True))
+            for i, (time, rule) in enumerate(
+                zip(course.time, course.rules, strict=True)
+            )
             if rule and (i == 0 or not course.rules[i - 1])
         ]
         rows.append(
@@ -305,7 +325,9 @@ def draw(table: Sequence[dict[str, Any]]) -> Any:
     for axis, (name, unit) in zip(axes, MEASURES.items(), strict=True):
         for k, run in enumerate(RUNS):
             values = [entry[f"{name}_{run}"] for entry in table]
-            axis.barh(places + 0.27 * (k - 1), values, 0.25, label=run, color=colours[run])
+            axis.barh(
+                places + 0.27 * (k - 1), values, 0.25, label=run, color=colours[run]
+            )
         axis.set_title(f"{name.replace('_', ' ')} [{unit}]")
         axis.grid(axis="y", visible=False)
     axes[0].set_yticks(places, [entry["fault"] for entry in table])
@@ -317,7 +339,9 @@ def draw(table: Sequence[dict[str, Any]]) -> Any:
 
 def main() -> None:
     """Run the benchmark."""
-    parser = common.make_parser("Detection of tracker faults, and the robot's motion across them.")
+    parser = common.make_parser(
+        "Detection of tracker faults, and the robot's motion across them."
+    )
     parser.add_argument("--rejoin", choices=("glide", "clutch"), default="glide")
     arguments = common.parse_arguments(parser)
     files = common.find_recordings(arguments.recordings)
@@ -343,7 +367,9 @@ def main() -> None:
         caption="clean: the recording without the fault in the same time; guarded: map_sample; "
         "followed: every valid sample is followed; excess: guarded over clean in one event.",
     )
-    common.write_json(arguments.json, "faults", {"clean": found, "table": table, "rows": rows})
+    common.write_json(
+        arguments.json, "faults", {"clean": found, "table": table, "rows": rows}
+    )
     common.save_picture(arguments.picture, lambda: draw(table))
 
 

@@ -61,7 +61,10 @@ def own_angles(file: Path, side: str) -> dict[str, np.ndarray]:
     towards_thumb = 1.0 if side == "right" else -1.0
     angles = {}
     for ours, theirs in _FINGERS.items():
-        bones = [f"{theirs}-finger-phalanx-{b}" for b in ("proximal", "intermediate", "distal")]
+        bones = [
+            f"{theirs}-finger-phalanx-{b}"
+            for b in ("proximal", "intermediate", "distal")
+        ]
         knuckle = (turned("wrist").inv() * turned(bones[0])).as_euler("YXZ")
         angles[f"{ours}_MCP_abduction"] = towards_thumb * knuckle[:, 0]
         angles[f"{ours}_MCP_flexion"] = -knuckle[:, 1]
@@ -69,7 +72,9 @@ def own_angles(file: Path, side: str) -> dict[str, np.ndarray]:
         angles[f"{ours}_DIP_flexion"] = flexion(bones[1], bones[2])
     # On the model's thumb, positive angles extend.
     angles["thumb_MCP_flexion"] = -flexion("thumb-metacarpal", "thumb-phalanx-proximal")
-    angles["thumb_IP_flexion"] = -flexion("thumb-phalanx-proximal", "thumb-phalanx-distal")
+    angles["thumb_IP_flexion"] = -flexion(
+        "thumb-phalanx-proximal", "thumb-phalanx-distal"
+    )
     return angles
 
 
@@ -87,7 +92,9 @@ def jacobian_time(fitter: LandmarkFitter) -> float:
     return common.mean_cpu_time(call, 2000)
 
 
-def optimum_of(fitter: LandmarkFitter, q: np.ndarray, landmarks: np.ndarray) -> tuple[float, bool]:
+def optimum_of(
+    fitter: LandmarkFitter, q: np.ndarray, landmarks: np.ndarray
+) -> tuple[float, bool]:
     """Return how far further steps turn a joint [deg], and whether no other start ends better."""
     targets = local_targets(fitter, landmarks)
     start = q[fitter._order].reshape(5, 4)
@@ -179,7 +186,9 @@ def pooled(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Pool joints: all, flexion of the fingers, abduction of the fingers, thumb."""
     kinds: dict[str, Callable[[str], bool]] = {
         "fingers": lambda joint: "thumb" not in joint,
-        "flexion of the fingers": lambda joint: "flexion" in joint and "thumb" not in joint,
+        "flexion of the fingers": lambda joint: (
+            "flexion" in joint and "thumb" not in joint
+        ),
         "abduction of the fingers": lambda joint: "abduction" in joint,
         "thumb MCP and IP (see above)": lambda joint: "thumb" in joint,
     }
@@ -187,7 +196,11 @@ def pooled(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
         {
             "joints": kind,
             "RMS [deg]": float(
-                np.sqrt(np.mean([row["RMS [deg]"] ** 2 for row in rows if belongs(row["joint"])]))
+                np.sqrt(
+                    np.mean(
+                        [row["RMS [deg]"] ** 2 for row in rows if belongs(row["joint"])]
+                    )
+                )
             ),
         }
         for kind, belongs in kinds.items()
@@ -198,10 +211,18 @@ def draw(rows: list[dict[str, Any]]) -> Any:
     """Draw the RMS difference of every joint."""
     import matplotlib.pyplot as plt
 
-    joints = [name for name in load_hand("human").joint_names if name in {r["joint"] for r in rows}]
+    joints = [
+        name
+        for name in load_hand("human").joint_names
+        if name in {r["joint"] for r in rows}
+    ]
     figure, axis = plt.subplots(figsize=(8, 4))
     for k, recording in enumerate(dict.fromkeys(row["recording"] for row in rows)):
-        values = {row["joint"]: row["RMS [deg]"] for row in rows if row["recording"] == recording}
+        values = {
+            row["joint"]: row["RMS [deg]"]
+            for row in rows
+            if row["recording"] == recording
+        }
         places = np.arange(len(joints)) + 0.4 * (k - 0.5)
         axis.bar(places, [values[j] for j in joints], 0.38, label=recording)
     axis.axhline(5.0, color="#222831", linewidth=0.8)
@@ -214,7 +235,9 @@ def draw(rows: list[dict[str, Any]]) -> Any:
 
 def main() -> None:
     """Run the benchmark."""
-    parser = common.make_parser("Time and accuracy of the fit of joint angles to landmarks.")
+    parser = common.make_parser(
+        "Time and accuracy of the fit of joint angles to landmarks."
+    )
     arguments = common.parse_arguments(parser)
     files = common.find_recordings(arguments.recordings)
     count = 60 if arguments.quick else None
@@ -229,7 +252,9 @@ def main() -> None:
     common.print_table("Fit of one sample, CPU time", times, to_stderr=to_stderr)
     summary = pooled(angles) if angles else []
     if angles:
-        common.print_table("Fitted angles against the tracker's own", angles, to_stderr=to_stderr)
+        common.print_table(
+            "Fitted angles against the tracker's own", angles, to_stderr=to_stderr
+        )
         common.print_table("Pooled", summary, to_stderr=to_stderr)
     results = {"times": times, "angles": angles, "pooled": summary}
     common.write_json(arguments.json, "fit", results)

@@ -22,7 +22,13 @@ import numpy as np
 import shared_hands
 
 from handmap_qp import load_hand
-from handmap_qp.apps.offline.comparison import Run, Take, compare_methods, own_method, prepare_take
+from handmap_qp.apps.offline.comparison import (
+    Run,
+    Take,
+    compare_methods,
+    own_method,
+    prepare_take,
+)
 from handmap_qp.apps.offline.metrics import METRICS, Metric
 from handmap_qp.apps.onboarding.measure import measure_pinches
 from handmap_qp.errors import HandmapError
@@ -48,10 +54,16 @@ _BEGIN, _END = "<!-- table: benchmarks/bench_hands.py -->", "<!-- end of the tab
 
 def main(words: Sequence[str] | None = None) -> list[dict[str, Any]]:
     """Run the benchmark, and return the rows of the table."""
-    parser = common.make_parser("The hands of the package, by the gestures that they show.")
-    parser.add_argument("--page", type=Path, help="Markdown page whose table is to be replaced")
+    parser = common.make_parser(
+        "The hands of the package, by the gestures that they show."
+    )
+    parser.add_argument(
+        "--page", type=Path, help="Markdown page whose table is to be replaced"
+    )
     arguments = common.parse_arguments(parser, words)
-    files = common.find_recordings(arguments.recordings)[: 1 if arguments.quick else None]
+    files = common.find_recordings(arguments.recordings)[
+        : 1 if arguments.quick else None
+    ]
     recordings = [read_recording(file) for file in files]
     if arguments.quick:
         recordings = [_shortened(recording) for recording in recordings]
@@ -61,11 +73,15 @@ def main(words: Sequence[str] | None = None) -> list[dict[str, Any]]:
     with common.progress("mapping", len(hands)) as advance:
         for hand in hands:
             if hand.side not in takes:
-                takes[hand.side] = [prepare_take(one, hand.spec.side) for one in recordings]
+                takes[hand.side] = [
+                    prepare_take(one, hand.spec.side) for one in recordings
+                ]
             rows.append(measure(hand, takes[hand.side]))
             advance()
     title = f"{len(rows)} hands, means over {len(recordings)} recordings"
-    common.print_table(title, rows, to_stderr=arguments.json == "-", caption="\n".join(notes))
+    common.print_table(
+        title, rows, to_stderr=arguments.json == "-", caption="\n".join(notes)
+    )
     common.write_json(arguments.json, "bench_hands", {"hands": rows, "notes": notes})
     common.save_picture(arguments.picture, lambda: draw(rows))
     if arguments.page is not None:
@@ -145,7 +161,9 @@ def draw(rows: list[dict[str, Any]]) -> Any:
     from matplotlib.figure import Figure
 
     heading = _heading(_metrics()[0])
-    values = [float(row[heading]) if row[heading] not in ("-", "") else 0.0 for row in rows]
+    values = [
+        float(row[heading]) if row[heading] not in ("-", "") else 0.0 for row in rows
+    ]
     figure = Figure(figsize=(7, 0.3 * len(rows) + 1.2), layout="constrained")
     axes = figure.subplots()
     axes.barh([row["hand"] for row in rows], values, color="0.4")
@@ -160,7 +178,11 @@ def write_page(page: Path, rows: list[dict[str, Any]], recordings: list[str]) ->
     text = page.read_text(encoding="utf-8")
     before, _, rest = text.partition(_BEGIN)
     _, _, after = rest.partition(_END)
-    columns = [column for column in rows[0] if column != "problem" or any(r[column] for r in rows)]
+    columns = [
+        column
+        for column in rows[0]
+        if column != "problem" or any(r[column] for r in rows)
+    ]
     lines = [
         f"Means over {len(recordings)} recordings: {', '.join(recordings)}.",
         "",
@@ -168,7 +190,9 @@ def write_page(page: Path, rows: list[dict[str, Any]], recordings: list[str]) ->
         f"|{'---|' * len(columns)}",
         *(f"| {' | '.join(str(row[column]) for column in columns)} |" for row in rows),
     ]
-    page.write_text(f"{before}{_BEGIN}\n" + "\n".join(lines) + f"\n{_END}{after}", encoding="utf-8")
+    page.write_text(
+        f"{before}{_BEGIN}\n" + "\n".join(lines) + f"\n{_END}{after}", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

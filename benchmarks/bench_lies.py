@@ -72,7 +72,9 @@ def windows(take: lies.Take, every: float) -> list[lies.Take]:
 def judge(take: lies.Take) -> str:
     """Return the kind of mistake that the check reports within a window; empty for none."""
     check = InputCheck(take.side)
-    for time, landmarks, wrist in zip(take.time, take.landmarks, take.wrist, strict=True):
+    for time, landmarks, wrist in zip(
+        take.time, take.landmarks, take.wrist, strict=True
+    ):
         if finding := check.update(time, landmarks, wrist):
             return finding.kind
     finding = check.finish()
@@ -91,7 +93,9 @@ def measure(
         found = named = total = 0
         for name, own in parts.items():
             told = [judge(lie.tell(part)) for part in own if lies.is_visible(lie, part)]
-            row[name] = 100.0 * np.mean([bool(kind) for kind in told]) if told else float("nan")
+            row[name] = (
+                100.0 * np.mean([bool(kind) for kind in told]) if told else float("nan")
+            )
             found += sum(bool(kind) for kind in told)
             named += sum(kind == lie.kind for kind in told)
             total += len(told)
@@ -106,11 +110,17 @@ def run_guard(take: lies.Take, arrival: np.ndarray, of: lies.Take) -> list[Verdi
     """Judge a take as a live stream, for the person of another one."""
     valid = np.ones(len(of.time), dtype=bool)
     lengths = measure_hand(Recording(of.name, of.time, of.landmarks, valid, of.side))
-    guard = StreamGuard(load_hand(human_name(of.side), points="landmarks", lengths=lengths))
+    guard = StreamGuard(
+        load_hand(human_name(of.side), points="landmarks", lengths=lengths)
+    )
     return [
         guard.check(HumanSample(time, take.side, landmarks, wrist), arrival=now)
         for time, landmarks, wrist, now in zip(
-            take.time.tolist(), take.landmarks, take.wrist, arrival.tolist(), strict=True
+            take.time.tolist(),
+            take.landmarks,
+            take.wrist,
+            arrival.tolist(),
+            strict=True,
         )
     ]
 
@@ -126,7 +136,9 @@ def measure_live(takes: Sequence[lies.Take]) -> list[dict[str, Any]]:
         delays, before, slow, held = [], [], [], []
         for take in takes:
             verdicts = run_guard(lie.tell(take), take.time, take)
-            found = [i for i, verdict in enumerate(verdicts) if verdict.finding is not None]
+            found = [
+                i for i, verdict in enumerate(verdicts) if verdict.finding is not None
+            ]
             first = found[0] if found else len(verdicts)
             delays += [take.time[first] - take.time[0]] if found else []
             follows = np.array([not verdict.is_held for verdict in verdicts])
@@ -149,7 +161,9 @@ def measure_live(takes: Sequence[lies.Take]) -> list[dict[str, Any]]:
     return rows
 
 
-def measure_false_alarms(groups: dict[str, Sequence[lies.Take]]) -> list[dict[str, Any]]:
+def measure_false_alarms(
+    groups: dict[str, Sequence[lies.Take]],
+) -> list[dict[str, Any]]:
     """Return how often takes as they are are held or refused, by the rules of mistakes."""
     rows = []
     for name, takes in groups.items():
@@ -174,7 +188,10 @@ def measure_left_out(people: dict[str, Sequence[lies.Take]]) -> list[dict[str, A
     Today's limits lie at some distance from the extreme of all people. For each person, a limit is
     set at that distance from the extreme of all others, in batches of 16 samples.
     """
-    limits = {"bends back": -plausibility._BACKWARDS, "other side": plausibility._SURE_SIDE}
+    limits = {
+        "bends back": -plausibility._BACKWARDS,
+        "other side": plausibility._SURE_SIDE,
+    }
     limits["size"] = np.log(plausibility._RESIZED)
     found: dict[str, dict[str, np.ndarray]] = {}
     for name, takes in people.items():
@@ -235,26 +252,42 @@ def measure_rates(takes: Sequence[lies.Take]) -> list[dict[str, Any]]:
         axes = lies.palm_axes(take.landmarks, 1.0 if take.side == "right" else -1.0)
         tips = (take.landmarks[:, 4::4] - take.landmarks[:, :1]) @ axes
         grid = np.arange(take.time[0], take.time[-1], 1.0 / 30.0)
-        even = np.array([np.interp(grid, take.time, own) for own in tips.reshape(-1, 15).T]).T
+        even = np.array(
+            [np.interp(grid, take.time, own) for own in tips.reshape(-1, 15).T]
+        ).T
         even = (even[:-2] + even[1:-1] + even[2:]) / 3.0
         speeds, found = 30.0 * np.diff(even, axis=0), []
         for start in range(0, len(speeds) - 90, 30):
             part = speeds[start : start + 90]
             changes = 30.0 * np.diff(part, axis=0)
-            found.append(np.sqrt(np.square(changes).mean() / np.square(part).mean()) / 2.0 / np.pi)
+            found.append(
+                np.sqrt(np.square(changes).mean() / np.square(part).mean())
+                / 2.0
+                / np.pi
+            )
         if found:
-            row = {"least": min(found), "median": float(np.median(found)), "most": max(found)}
+            row = {
+                "least": min(found),
+                "median": float(np.median(found)),
+                "most": max(found),
+            }
             rows.append({"take": take.name, **row})
     return rows
 
 
-def people_of(takes: Sequence[lies.Take], poses: Path) -> dict[str, Sequence[lies.Take]]:
+def people_of(
+    takes: Sequence[lies.Take], poses: Path
+) -> dict[str, Sequence[lies.Take]]:
     """Return the takes of recordings and poses by person; both hands of a headset are of one."""
     people: dict[str, list[lies.Take]] = {}
     for take in takes:
         name = take.name.removesuffix("_left").removesuffix("_right")
         people.setdefault(name, []).append(take)
-    apart = {name: own for name, own in other_takes(poses).items() if name.startswith("poses")}
+    apart = {
+        name: own
+        for name, own in other_takes(poses).items()
+        if name.startswith("poses")
+    }
     return people | apart
 
 
@@ -270,7 +303,9 @@ def other_takes(poses: Path) -> dict[str, Sequence[lies.Take]]:
         for angle in (10, 20, 30)
     }
     if (poses / "xrblocks.npz").is_file():
-        groups["poses handy_right"] = [lies.pose_take(poses / "handy_right.npz", "right")]
+        groups["poses handy_right"] = [
+            lies.pose_take(poses / "handy_right.npz", "right")
+        ]
         groups["poses xrblocks"] = [
             lies.pose_take(poses / "xrblocks.npz", side, [f"{side.upper()}_HAND"])
             for side in ("right", "left")
@@ -287,7 +322,10 @@ def measure_angles(files: Sequence[Path], every: float) -> list[dict[str, Any]]:
         "radians for degrees": ("own in degrees", lambda q: q),
         "flexion with the other sign": ("angles20", lambda q: -q),
     }
-    layouts = {"angles20": load_layout("angles20"), "own in degrees": lies.angles_in_degrees()}
+    layouts = {
+        "angles20": load_layout("angles20"),
+        "own in degrees": lies.angles_in_degrees(),
+    }
     rows = []
     for mistake, (name, tell) in mistakes.items():
         refused = total = 0
@@ -307,11 +345,17 @@ def measure_angles(files: Sequence[Path], every: float) -> list[dict[str, Any]]:
                     continue
                 total += 1
                 try:
-                    layouts[name].record("window", time[inside], tell(q[inside]), "right")
+                    layouts[name].record(
+                        "window", time[inside], tell(q[inside]), "right"
+                    )
                 except InvalidInputError:
                     refused += 1
         rows.append(
-            {"angles": mistake, "windows": total, "refused %": 100.0 * refused / max(total, 1)}
+            {
+                "angles": mistake,
+                "windows": total,
+                "refused %": 100.0 * refused / max(total, 1),
+            }
         )
     return rows
 
@@ -335,7 +379,9 @@ def cost(take: lies.Take) -> float:
     """Return the CPU time of the check per sample, over a whole take [us]."""
     check = InputCheck(take.side)
     samples = list(zip(take.time, take.landmarks, take.wrist, strict=True))
-    return 1e6 * float(common.cpu_times(lambda i: check.update(*samples[i]), len(samples)).mean())
+    return 1e6 * float(
+        common.cpu_times(lambda i: check.update(*samples[i]), len(samples)).mean()
+    )
 
 
 def draw(rows: Sequence[dict[str, Any]], takes: Sequence[lies.Take]) -> Any:
@@ -343,7 +389,9 @@ def draw(rows: Sequence[dict[str, Any]], takes: Sequence[lies.Take]) -> Any:
     from matplotlib.figure import Figure
 
     shares = np.array([[row[take.name] for take in takes] for row in rows])
-    figure = Figure(figsize=(1.6 + 0.85 * len(takes), 1.2 + 0.3 * len(rows)), layout="constrained")
+    figure = Figure(
+        figsize=(1.6 + 0.85 * len(takes), 1.2 + 0.3 * len(rows)), layout="constrained"
+    )
     axes = figure.subplots()
     axes.imshow(shares, cmap="Greens", vmin=0.0, vmax=220.0, aspect="auto")
     axes.set_yticks(range(len(rows)), [row["mistake"] for row in rows])
@@ -354,7 +402,11 @@ def draw(rows: Sequence[dict[str, Any]], takes: Sequence[lies.Take]) -> Any:
     axes.grid(visible=False)
     for (i, k), share in np.ndenumerate(shares):
         text = (
-            "" if np.isnan(share) else f"{share:.0f}" if share in (0.0, 100.0) else f"{share:.1f}"
+            ""
+            if np.isnan(share)
+            else f"{share:.0f}"
+            if share in (0.0, 100.0)
+            else f"{share:.1f}"
         )
         axes.text(k, i, text, ha="center", va="center", fontsize=7)
     axes.set_title("share of one-second windows in which a mistake is found [%]")
@@ -363,20 +415,34 @@ def draw(rows: Sequence[dict[str, Any]], takes: Sequence[lies.Take]) -> Any:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser("Which mistakes in recordings are found within a second.")
+    parser = common.make_parser(
+        "Which mistakes in recordings are found within a second."
+    )
     arguments = common.parse_arguments(parser, words)
-    files = common.find_recordings(arguments.recordings)[: 1 if arguments.quick else None]
-    takes = [*read_takes(files), *lies.synthetic_takes()[: 1 if arguments.quick else None]]
+    files = common.find_recordings(arguments.recordings)[
+        : 1 if arguments.quick else None
+    ]
+    takes = [
+        *read_takes(files),
+        *lies.synthetic_takes()[: 1 if arguments.quick else None],
+    ]
     every = 8.0 * EVERY if arguments.quick else EVERY
-    with common.progress("mistakes", (1 + len(lies.all_lies())) * len(takes)) as advance:
+    with common.progress(
+        "mistakes", (1 + len(lies.all_lies())) * len(takes)
+    ) as advance:
         rows = measure(takes, every, advance)
     angles = measure_angles(files, every)
     noises = measure_noise(takes)
     long = [take for take in takes if take.time[-1] - take.time[0] > 8.0] or takes
     live = measure_live(long[:1] if arguments.quick else long)
-    seen = {f"recording {take.name}": [lies.with_our_axes(take)] for take in takes[: len(files)]}
+    seen = {
+        f"recording {take.name}": [lies.with_our_axes(take)]
+        for take in takes[: len(files)]
+    }
     poses = files[0].parents[1] / "poses"
-    alarms = measure_false_alarms(seen | ({} if arguments.quick else other_takes(poses)))
+    alarms = measure_false_alarms(
+        seen | ({} if arguments.quick else other_takes(poses))
+    )
     left_out = measure_left_out(people_of(takes[: len(files)], poses))
     rates = measure_rates(takes)
     costs = [{"take": take.name, "us per sample": cost(take)} for take in takes]
@@ -384,15 +450,21 @@ def main(words: Sequence[str] | None = None) -> None:
     caption = f"windows of {WINDOW:g} s, one every {every:g} s; shares in %"
     common.print_table("Mistakes found", rows, to_stderr=to_stderr, caption=caption)
     caption = f"{len(long)} takes of more than 8 s; a frozen finger and a growing hand begin later"
-    common.print_table("Mistakes in streams", live, to_stderr=to_stderr, caption=caption)
+    common.print_table(
+        "Mistakes in streams", live, to_stderr=to_stderr, caption=caption
+    )
     caption = "as they are, with intervals at 95 %"
     common.print_table("False alarms", alarms, to_stderr=to_stderr, caption=caption)
     caption = "limits set without the person; worst batch and limit; intervals at 95 %"
-    common.print_table("People left out", left_out, to_stderr=to_stderr, caption=caption)
+    common.print_table(
+        "People left out", left_out, to_stderr=to_stderr, caption=caption
+    )
     common.print_table("Frequency of fingertips [Hz]", rates, to_stderr=to_stderr)
     common.print_table("Mistakes in joint angles", angles, to_stderr=to_stderr)
     common.print_table(
-        "False alarms over whole recordings, with noise [% of samples]", noises, to_stderr=to_stderr
+        "False alarms over whole recordings, with noise [% of samples]",
+        noises,
+        to_stderr=to_stderr,
     )
     common.print_table("CPU time of the check", costs, to_stderr=to_stderr)
     results = {"rows": rows, "angles": angles, "noise": noises, "costs": costs}

@@ -27,7 +27,9 @@ from handmap_qp.ik.qp import PointIk
 WAYS: dict[str, Callable[[Hand, IkOptions], Any]] = {
     "QP": PointIk,
     "eq. (8), no limits": PseudoinverseIk,
-    "eq. (8), clipped": lambda hand, options: PseudoinverseIk(hand, options, limits="clip"),
+    "eq. (8), clipped": lambda hand, options: PseudoinverseIk(
+        hand, options, limits="clip"
+    ),
     "damped, clipped": lambda hand, options: PseudoinverseIk(
         hand, options, limits="clip", damping=1.0
     ),
@@ -91,7 +93,10 @@ def split_by_saturation(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]
     """
     robot = trajectory.robot
     moves = (
-        robot.configuration().support[: 3 * len(robot.reference_points) : 3, robot.v_indices] > 0.0
+        robot.configuration().support[
+            : 3 * len(robot.reference_points) : 3, robot.v_indices
+        ]
+        > 0.0
     )
     is_saturated = (trajectory.at_limit @ moves.T) & trajectory.valid[:, None]
     is_mixed = is_saturated.any(axis=1) & ~is_saturated.all(axis=1)
@@ -125,7 +130,9 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
                 color=[common.PALETTE[0], *[common.PALETTE[1]] * (len(rows) - 1)],
             )
             for i, entry in enumerate(rows):
-                axes.annotate(f" {entry[key]:.3g}", (entry[key], i), va="center", size=7.5)
+                axes.annotate(
+                    f" {entry[key]:.3g}", (entry[key], i), va="center", size=7.5
+                )
             axes.set_title(title, size=8.5)
             if key == "rms_jerk":
                 axes.set_xscale("log")
@@ -144,11 +151,17 @@ def main(words: Sequence[str] | None = None) -> None:
         "Limit handling: the QP, and eq. (8) without limits, clipped, and damped with clipping."
     )
     arguments = common.parse_arguments(parser, words)
-    files = common.find_recordings(arguments.recordings)[: 1 if arguments.quick else None]
+    files = common.find_recordings(arguments.recordings)[
+        : 1 if arguments.quick else None
+    ]
     with common.progress("reading recordings", len(files)) as advance:
-        found = scenes.load_scenes(files, samples=40 if arguments.quick else None, done=advance)
+        found = scenes.load_scenes(
+            files, samples=40 if arguments.quick else None, done=advance
+        )
     results: dict[str, list[dict[str, Any]]] = {}
-    with common.progress("mapping", len(scenes.ROBOTS) * len(WAYS) * len(found)) as advance:
+    with common.progress(
+        "mapping", len(scenes.ROBOTS) * len(WAYS) * len(found)
+    ) as advance:
         for family in scenes.ROBOTS:
             results[family] = []
             for way, make in WAYS.items():
@@ -159,7 +172,9 @@ def main(words: Sequence[str] | None = None) -> None:
                         scenes.robot_for(family, scene.side),
                         MappingOptions(),
                     )
-                    mapper._plan = replace(mapper._plan, ik=make(mapper.robot, IkOptions()))
+                    mapper._plan = replace(
+                        mapper._plan, ik=make(mapper.robot, IkOptions())
+                    )
                     trajectories.append(map_motion(mapper, scene.motion))
                     advance()
                 results[family].append({"way": way, **measure(trajectories)})

@@ -116,7 +116,11 @@ EXAMPLES = (
     Truth("ability right", "alex_description/urdf/alex_psyonic_hands.urdf", "-z", "-y", "right",
           root="RightPsyonicAbilityBaseLink"),
 )  # fmt: skip
-_MS, _DEXMATE, _ICUB = "**/mani_skill/assets/robots", "**/dexmate_urdf/robots", "**/iCub/robots"
+_MS, _DEXMATE, _ICUB = (
+    "**/mani_skill/assets/robots",
+    "**/dexmate_urdf/robots",
+    "**/iCub/robots",
+)
 WHEELS = (
     Truth("ability left (ms)", f"{_MS}/ability_hand/ability_hand_left.urdf", "-z", "-y", "left"),
     Truth("ability right (ms)", f"{_MS}/ability_hand/ability_hand_right.urdf", "-z", "-y", "right"),
@@ -144,18 +148,28 @@ WHEELS = (
 
 def main(words: Sequence[str] | None = None) -> list[Score]:
     """Run the benchmark, and return all scores."""
-    parser = common.make_parser("The detection of hands in URDFs, on hands with known truth.")
+    parser = common.make_parser(
+        "The detection of hands in URDFs, on hands with known truth."
+    )
     parser.add_argument("--made", type=int, default=200, help="hands made at random")
-    parser.add_argument("--odd", type=int, default=20, help="hands made of each odd kind")
-    parser.add_argument("--seed", type=int, default=0, help="of the hands made at random")
-    parser.add_argument("--wheels", type=Path, help="folder of unpacked packages with hands")
+    parser.add_argument(
+        "--odd", type=int, default=20, help="hands made of each odd kind"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="of the hands made at random"
+    )
+    parser.add_argument(
+        "--wheels", type=Path, help="folder of unpacked packages with hands"
+    )
     arguments = common.parse_arguments(parser, words)
     real = list(score_real_hands(arguments.wheels, only=2 if arguments.quick else None))
     made = score_made_hands(8 if arguments.quick else arguments.made, arguments.seed)
     odd = score_odd_hands(1 if arguments.quick else arguments.odd, arguments.seed)
     groups, odd_groups = _grouped(made), _grouped(odd)
     to_stderr = arguments.json == "-"
-    common.print_table("Hands with known truth", [_row(one) for one in real], to_stderr=to_stderr)
+    common.print_table(
+        "Hands with known truth", [_row(one) for one in real], to_stderr=to_stderr
+    )
     common.print_table(
         f"{len(made)} hands made at random",
         [{"group": name, **_summary(group)} for name, group in sorted(groups.items())],
@@ -189,13 +203,18 @@ def draw(real: list[Score], groups: dict[str, list[Score]]) -> Any:
     figure = Figure(figsize=(9, 4), layout="constrained")
     axes = figure.subplots(1, 2, sharey=True)
     for one, key, title in zip(
-        axes, ("palm_deg", "distal_deg"), ("palm's normal", "fingers' direction"), strict=True
+        axes,
+        ("palm_deg", "distal_deg"),
+        ("palm's normal", "fingers' direction"),
+        strict=True,
     ):
         for k, scores in enumerate(columns.values()):
             values = sorted(getattr(score, key) for score in scores)
             places = k + np.linspace(-0.3, 0.3, len(values))
             one.plot(places, values, ".", markersize=4)
-        one.set_xticks(range(len(columns)), [name.replace(", ", ",\n") for name in columns])
+        one.set_xticks(
+            range(len(columns)), [name.replace(", ", ",\n") for name in columns]
+        )
         one.tick_params(axis="x", labelsize=8)
         one.set_yscale("symlog", linthresh=1.0)
         one.set_title(title)
@@ -203,7 +222,9 @@ def draw(real: list[Score], groups: dict[str, list[Score]]) -> Any:
     return figure
 
 
-def score_real_hands(wheels: Path | None = None, only: int | None = None) -> Iterator[Score]:
+def score_real_hands(
+    wheels: Path | None = None, only: int | None = None
+) -> Iterator[Score]:
     """Score the hands whose URDFs are here, or the first few of each source."""
     shared = shared_hands_folder()
     if shared is not None:
@@ -250,7 +271,9 @@ def score_made_hands(count: int, seed: int = 0) -> list[Score]:
 def score_odd_hands(count: int, seed: int = 0) -> list[Score]:
     """Score some hands of each kind of `ODDITIES`."""
     return [
-        _score_made(f"{i} {kind}", make_odd_hand(np.random.default_rng([seed, i, k]), kind))
+        _score_made(
+            f"{i} {kind}", make_odd_hand(np.random.default_rng([seed, i, k]), kind)
+        )
         for k, kind in enumerate(ODDITIES)
         for i in range(count)
     ]
@@ -301,7 +324,9 @@ def _score(
         "thumb": fingers.get("thumb", False),
         "fingers": all(fingers.values()),
     }
-    certain = [c.what for c in found.clues if c.what in right and c.certainty == "certain"]
+    certain = [
+        c.what for c in found.clues if c.what in right and c.certainty == "certain"
+    ]
     return Score(
         name,
         palm_deg,
@@ -343,7 +368,9 @@ def _summary(scores: list[Score]) -> dict[str, object]:
         "palm < 20 deg": share([s.palm_deg < 20.0 for s in scores]),
         "median palm [deg]": round(float(np.median([s.palm_deg for s in scores])), 1),
         "distal < 20 deg": share([s.distal_deg < 20.0 for s in scores]),
-        "median distal [deg]": round(float(np.median([s.distal_deg for s in scores])), 1),
+        "median distal [deg]": round(
+            float(np.median([s.distal_deg for s in scores])), 1
+        ),
         "thumb": share([s.thumb for s in scores]),
         "side": share([s.side for s in scores]),
         "fingers": share([s.fingers for s in scores]),

@@ -44,7 +44,12 @@ def one_client(
         bare.connect(echo)
         client.open(robot, max_dt=max(1e-3, 2.0 / rate))
         payload = msgspec.msgpack.encode(
-            {"type": "step", "q": [0.0] * 20, "wrist": [[0.0] * 3, [0.0] * 4], "session": "s" * 32}
+            {
+                "type": "step",
+                "q": [0.0] * 20,
+                "wrist": [[0.0] * 3, [0.0] * 4],
+                "session": "s" * 32,
+            }
         )
         before, started = service.cpu(), time.monotonic()
         for i, now in enumerate(pace(rate, duration)):
@@ -68,7 +73,12 @@ def one_client(
 
 
 def many_clients(
-    service: ServiceProcess, echo: str, robot: str, count: int, rate: float, duration: float
+    service: ServiceProcess,
+    echo: str,
+    robot: str,
+    count: int,
+    rate: float,
+    duration: float,
 ) -> dict[str, Any]:
     """Run independent clients, several per process."""
     parts = [
@@ -80,15 +90,24 @@ def many_clients(
     with context.Pool(len(parts)) as pool:
         found = pool.starmap(
             _some_clients,
-            [(service.address, echo, robot, list(part), rate, duration) for part in parts],
+            [
+                (service.address, echo, robot, list(part), rate, duration)
+                for part in parts
+            ],
         )
     elapsed, cpu = time.monotonic() - started, service.cpu() - before
-    steps, echoes = (np.concatenate([part[key] for part in found]) for key in ("steps", "echoes"))
+    steps, echoes = (
+        np.concatenate([part[key] for part in found]) for key in ("steps", "echoes")
+    )
     counted = sum(part["counted"] for part in found)
     skipped = sum(part["skipped"] for part in found)
     lost = round(rate * duration) * count - skipped - counted
     return row(
-        f"{count} clients, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / duration
+        f"{count} clients, {rate:g} Hz",
+        steps,
+        echoes,
+        lost=lost,
+        rate=len(steps) / duration,
     ) | {
         "skipped": skipped,
         "late_ms": 1e3 * max(part["late"] for part in found),
@@ -156,7 +175,9 @@ def over_websocket(
     motion, steps, echoes, late = HumanMotion(), [], [], 0.0
     head = {"protocol": 1, "session": "a-secret-of-the-benchmark"}
     with (
-        connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None) as connection,
+        connect(
+            f"ws://127.0.0.1:{service.ports['web']}", compression=None
+        ) as connection,
         connect(f"ws://127.0.0.1:{echo}", compression=None) as bare,
     ):
 
@@ -189,7 +210,9 @@ def over_websocket(
         counted = ask({"type": "status", "seq": len(steps) + 2})["counts"]["steps"]
         ask({"type": "close", "seq": len(steps) + 3})
     lost = round(rate * duration) - counted
-    return row(f"WebSocket, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / elapsed) | {
+    return row(
+        f"WebSocket, {rate:g} Hz", steps, echoes, lost=lost, rate=len(steps) / elapsed
+    ) | {
         "skipped": 0,
         "late_ms": 1e3 * late,
         "server_%": 100.0 * cpu / elapsed,
@@ -219,7 +242,9 @@ def row(
         "steps": len(step),
         "lost": lost,
         "rate": rate,
-        **{f"{name}_us": float(np.percentile(step, q)) for name, q in quantiles.items()},
+        **{
+            f"{name}_us": float(np.percentile(step, q)) for name, q in quantiles.items()
+        },
         "max_us": float(step.max()),
         **{
             f"echo_{name}_us": float(np.percentile(echo, q))
@@ -241,7 +266,13 @@ def draw(rows: list[dict[str, Any]]) -> Any:
             (-0.18, "", common.PALETTE[0]),
         ):
             low, high = entry[f"{prefix}p50_us"] / 1e3, entry[f"{prefix}p99_us"] / 1e3
-            axes.plot([low, high], [i + offset] * 2, color=colour, lw=2.5, solid_capstyle="butt")
+            axes.plot(
+                [low, high],
+                [i + offset] * 2,
+                color=colour,
+                lw=2.5,
+                solid_capstyle="butt",
+            )
             axes.plot(low, i + offset, "o", color=colour, ms=6)
             axes.plot(high, i + offset, "|", color=colour, ms=12, mew=2.5)
             axes.annotate(
@@ -258,7 +289,9 @@ def draw(rows: list[dict[str, Any]]) -> Any:
     axes.set_ylim(-0.6, len(rows) - 0.4)
     axes.set_xlim(
         left=0.0,
-        right=1.2 * max(max(entry["p99_us"], entry["echo_p99_us"]) for entry in rows) / 1e3,
+        right=1.2
+        * max(max(entry["p99_us"], entry["echo_p99_us"]) for entry in rows)
+        / 1e3,
     )
     axes.set_xlabel("round trip [ms]")
     axes.set_title("The mapping service beside a bare echo")
@@ -280,13 +313,19 @@ def main(words: Sequence[str] | None = None) -> None:
         help="time of each load [s]; 60 by default",
     )
     parser.add_argument(
-        "--clients", type=int, default=30, metavar="N", help="clients at 60 Hz; 30 by default"
+        "--clients",
+        type=int,
+        default=30,
+        metavar="N",
+        help="clients at 60 Hz; 30 by default",
     )
     parser.add_argument(
         "--robot", default="three_finger", help="robot hand; three_finger by default"
     )
     arguments = common.parse_arguments(parser, words)
-    duration, clients = (0.5, 4) if arguments.quick else (arguments.duration, arguments.clients)
+    duration, clients = (
+        (0.5, 4) if arguments.quick else (arguments.duration, arguments.clients)
+    )
     with (
         serving(web=True, web_port=0) as service,
         echoing() as echo,
@@ -296,9 +335,13 @@ def main(words: Sequence[str] | None = None) -> None:
         rows = [one_client(service, bare, arguments.robot, 1000.0, duration)]
         advance()
         memory = service.memory()
-        rows.append(many_clients(service, bare, arguments.robot, clients, 60.0, duration))
+        rows.append(
+            many_clients(service, bare, arguments.robot, clients, 60.0, duration)
+        )
         advance()
-        rows.append(over_websocket(service, echo["web"], arguments.robot, 200.0, duration / 2.0))
+        rows.append(
+            over_websocket(service, echo["web"], arguments.robot, 200.0, duration / 2.0)
+        )
         advance()
         growth = service.memory() - memory
     caption = (
@@ -308,9 +351,14 @@ def main(words: Sequence[str] | None = None) -> None:
         f"Resident memory grew by {growth:.1f} MB after the first load."
     )
     common.print_table(
-        "The mapping service under load", rows, to_stderr=arguments.json == "-", caption=caption
+        "The mapping service under load",
+        rows,
+        to_stderr=arguments.json == "-",
+        caption=caption,
     )
-    common.write_json(arguments.json, "service", {"rows": rows, "memory_growth_MB": growth})
+    common.write_json(
+        arguments.json, "service", {"rows": rows, "memory_growth_MB": growth}
+    )
     common.save_picture(arguments.picture, lambda: draw(rows))
 
 

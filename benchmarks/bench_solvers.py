@@ -74,7 +74,9 @@ def hard_problems(count: int, seed: int = 0) -> list[Problem]:
     """Generate hard random problems, for two hands in turn."""
     rng = np.random.default_rng(seed)
     iks = [PointIk(load_hand(name), IkOptions()) for name in _ROBOTS]
-    return [_hard_problem(iks[i % len(iks)], i // len(iks) % 4, rng) for i in range(count)]
+    return [
+        _hard_problem(iks[i % len(iks)], i // len(iks) % 4, rng) for i in range(count)
+    ]
 
 
 def _hard_problem(ik: PointIk, kind: int, rng: np.random.Generator) -> Problem:
@@ -158,7 +160,9 @@ def measure(
             failures += 1
             continue
         distances.append(np.abs(x - answer).max())
-        violations.append(max(0.0, (problem.lower - x).max(), (x - problem.upper).max()))
+        violations.append(
+            max(0.0, (problem.lower - x).max(), (x - problem.upper).max())
+        )
     return {
         "median_us": float(np.median(times)),
         "p99_us": float(np.percentile(times, 99)),
@@ -172,7 +176,10 @@ def solvers() -> dict[str, QpSolver]:
     """Return each installed solver by its name."""
     import qpsolvers
 
-    return {name: make_solver(name) for name in sorted({"daqp", *qpsolvers.available_solvers})}
+    return {
+        name: make_solver(name)
+        for name in sorted({"daqp", *qpsolvers.available_solvers})
+    }
 
 
 def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
@@ -182,7 +189,10 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     panels = figure.subplots(1, len(results), sharey=True, squeeze=False)[0]
     for axes, (name, rows) in zip(panels, results.items(), strict=True):
-        names, times = [row["solver"] for row in rows], [row["median_us"] for row in rows]
+        names, times = (
+            [row["solver"] for row in rows],
+            [row["median_us"] for row in rows],
+        )
         axes.barh(
             names,
             times,
@@ -199,7 +209,10 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
                 size=7.5,
             )
         axes.set(
-            title=f"{name} problems", xscale="log", xlabel="median CPU time [us]", xlim=(1.0, 3e4)
+            title=f"{name} problems",
+            xscale="log",
+            xlabel="median CPU time [us]",
+            xlim=(1.0, 3e4),
         )
         axes.grid(axis="y", visible=False)
     figure.axes[0].invert_yaxis()
@@ -209,12 +222,17 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     parser = common.make_parser("Compare QP solvers on recorded and on hard problems.")
-    parser.add_argument("--hard", type=int, default=_HARD, help="number of hard problems")
+    parser.add_argument(
+        "--hard", type=int, default=_HARD, help="number of hard problems"
+    )
     arguments = common.parse_arguments(parser, words)
     motion = synthetic.motion_or_synergies(arguments.recordings, "quest3_webxr_right")
     if arguments.quick:
         motion, arguments.hard = synthetic.shortened(motion, 20), 20
-    sets = {"recorded": recorded_problems(motion), "hard": hard_problems(arguments.hard)}
+    sets = {
+        "recorded": recorded_problems(motion),
+        "hard": hard_problems(arguments.hard),
+    }
     results: dict[str, list[dict[str, Any]]] = {}
     for name, problems in sets.items():
         answers = [exact_answer(problem) for problem in problems]

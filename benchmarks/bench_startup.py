@@ -75,7 +75,8 @@ PROGRAMS = {
     "memory of that import, MB": (
         "start = memory()\nfrom handmap_qp import HandMapper, load_hand\nresult = memory() - start"
     ),
-    "memory of a session, teleoperation, MB": _HANDS + "result = memory_of('teleoperation')",
+    "memory of a session, teleoperation, MB": _HANDS
+    + "result = memory_of('teleoperation')",
     "memory of a session, object, MB": _HANDS + "result = memory_of('object')",
     "measuring a person, per sample, us": (
         "from copy import copy\n"
@@ -98,7 +99,8 @@ PROGRAMS = {
         "result = (cpu() - start) / (count // 2)"
     ),
     "the first hands and mapper of a process, ms": (
-        _HANDS + "start = cpu()\nsession(load_hand('allegro_right'))\nresult = cpu() - start"
+        _HANDS
+        + "start = cpu()\nsession(load_hand('allegro_right'))\nresult = cpu() - start"
     ),
     "matching person and robot, ms": (
         _HANDS + "robot = load_hand('allegro_right')\n"
@@ -131,7 +133,8 @@ def measure(tree: Path, compiled: Path, *programs: str, count: int = 20) -> list
         # Python's own pools would hide what its objects take.
         environment["PYTHONMALLOC"] = "malloc"
     code = "".join(
-        f"{_CLOCK}\ncount = {count}\n{program}\nprint(json.dumps(result))\n" for program in programs
+        f"{_CLOCK}\ncount = {count}\n{program}\nprint(json.dumps(result))\n"
+        for program in programs
     )
     done = subprocess.run(
         [sys.executable, "-c", code],
@@ -195,7 +198,11 @@ def draw(rows: list[dict[str, Any]]) -> Any:
 
     figure = Figure(figsize=(8.0, 0.4 * len(rows) + 1.0), layout="constrained")
     axes = figure.subplots()
-    axes.barh([row["what"] for row in rows], [row["this"] for row in rows], color=common.PALETTE[1])
+    axes.barh(
+        [row["what"] for row in rows],
+        [row["this"] for row in rows],
+        color=common.PALETTE[1],
+    )
     axes.set(title="Paid once", xlabel="in the unit of each row")
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
@@ -206,14 +213,19 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     parser = common.make_parser("CPU time and memory that are paid once.")
     parser.add_argument(
-        "--compare", metavar="CHECKOUT", type=Path, help="another checkout, which takes turns"
+        "--compare",
+        metavar="CHECKOUT",
+        type=Path,
+        help="another checkout, which takes turns",
     )
     arguments = common.parse_arguments(parser, words)
     trees = {"this": common.ROOT}
     if arguments.compare is not None:
         trees["other"] = interleaved.check_tree(arguments.compare)
     file = arguments.recordings / f"{_RECORDING}.npz"
-    rows = measure_all(trees, file if file.is_file() else None, 0 if arguments.quick else 3)
+    rows = measure_all(
+        trees, file if file.is_file() else None, 0 if arguments.quick else 3
+    )
     common.print_table(
         "Paid once: the least of fresh processes",
         rows,

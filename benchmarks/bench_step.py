@@ -71,7 +71,9 @@ ROBOTS = (
 """Hands in the table of ratios; the first is the one that is measured by part."""
 
 
-def measure_step(mapper: HandMapper, motion: HumanMotion, rounds: int) -> dict[str, Any]:
+def measure_step(
+    mapper: HandMapper, motion: HumanMotion, rounds: int
+) -> dict[str, Any]:
     """Time whole steps over a motion, interleaved with batches of the robot's Jacobian.
 
     Args:
@@ -83,7 +85,10 @@ def measure_step(mapper: HandMapper, motion: HumanMotion, rounds: int) -> dict[s
         Median and 99th percentile [us], and their ratios to one `pin.computeJointJacobians`.
     """
     jacobian, steps = [], []
-    data, q = mapper.robot.model.createData(), mapper.robot.configuration_vector(mapper.robot.rest)
+    data, q = (
+        mapper.robot.model.createData(),
+        mapper.robot.configuration_vector(mapper.robot.rest),
+    )
     jacobi = partial(pin.computeJointJacobians, mapper.robot.model, data, q)
     for _ in range(rounds):
         mapper.reset()
@@ -151,7 +156,9 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     originals = [(owner, name, getattr(owner, name)) for owner, name, _ in wrapped]
     calls = dict.fromkeys((part for _, _, part in wrapped), 0)
     for owner, name, part in wrapped:
-        setattr(owner, name, _counted(calls, part, watches.wrap(part, getattr(owner, name))))
+        setattr(
+            owner, name, _counted(calls, part, watches.wrap(part, getattr(owner, name)))
+        )
     whole = watches.wrap("the rest", mapper.map_step)
     try:
         for i in range(len(motion.time)):
@@ -170,7 +177,9 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     }
 
 
-def _counted(calls: dict[str, int], part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+def _counted(
+    calls: dict[str, int], part: str, function: Callable[..., Any]
+) -> Callable[..., Any]:
     def counted(*arguments: Any, **keywords: Any) -> Any:
         calls[part] += 1
         return function(*arguments, **keywords)
@@ -193,7 +202,9 @@ def measure_growth(
     """
     rows = []
     for size, robot in hands:
-        result = measure_step(HandMapper(motion.human, robot, MappingOptions()), motion, 1)
+        result = measure_step(
+            HandMapper(motion.human, robot, MappingOptions()), motion, 1
+        )
         rows.append({what: size, "variables": robot.model.nv, **result})
     return rows
 
@@ -212,7 +223,9 @@ def measure_pairs(motion: HumanMotion, counts: Sequence[int]) -> list[dict[str, 
     return rows
 
 
-def measure_contacts(motion: HumanMotion, counts: Sequence[int]) -> list[dict[str, float]]:
+def measure_contacts(
+    motion: HumanMotion, counts: Sequence[int]
+) -> list[dict[str, float]]:
     """Median IK of a step with a growing number of pairs of shapes that are kept apart.
 
     The fingertips are sent to one place, so that pairs are near and rows hold.
@@ -302,7 +315,9 @@ def _is_there(name: str) -> bool:
 
 
 def draw(
-    step: dict[str, Any], parts: dict[str, float], growth: dict[str, list[dict[str, float]]]
+    step: dict[str, Any],
+    parts: dict[str, float],
+    growth: dict[str, list[dict[str, float]]],
 ) -> Any:
     """Draw the parts as bars and the growth as curves."""
     from matplotlib.figure import Figure
@@ -317,7 +332,9 @@ def draw(
         xlabel="mean CPU time [us]",
     )
     bars.grid(axis="y", visible=False)
-    for axes, (what, rows) in zip(list(panels.values())[1:], growth.items(), strict=True):
+    for axes, (what, rows) in zip(
+        list(panels.values())[1:], growth.items(), strict=True
+    ):
         times = [row.get("step_us", row.get("ik_us", 0.0)) for row in rows]
         axes.plot([row[what] for row in rows], times, "o-", color=common.PALETTE[0])
         axes.set(
@@ -331,12 +348,19 @@ def draw(
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser("CPU time of one map_step: per hand, by part, and its growth.")
+    parser = common.make_parser(
+        "CPU time of one map_step: per hand, by part, and its growth."
+    )
     parser.add_argument(
-        "--compare", metavar="CHECKOUT", type=Path, help="another checkout, which takes turns"
+        "--compare",
+        metavar="CHECKOUT",
+        type=Path,
+        help="another checkout, which takes turns",
     )
     arguments = common.parse_arguments(parser, words)
-    other = None if arguments.compare is None else interleaved.check_tree(arguments.compare)
+    other = (
+        None if arguments.compare is None else interleaved.check_tree(arguments.compare)
+    )
     motion = synthetic.motion_or_synergies(arguments.recordings, RECORDING)
     quick = arguments.quick
     if quick:
@@ -346,7 +370,9 @@ def main(words: Sequence[str] | None = None) -> None:
         interleaved.write_motion(motion, file)
         names = ROBOTS[: 2 if quick else None]
         robots = measure_robots(names, file, len(motion.time), 1 if quick else 3, other)
-    caption = f"load {os.getloadavg()[0]:.1f}; a prototype in C++ took 0.13 of this step"
+    caption = (
+        f"load {os.getloadavg()[0]:.1f}; a prototype in C++ took 0.13 of this step"
+    )
     is_json = arguments.json == "-"
     common.print_table(
         "Per hand: map_step over one pin.computeJointJacobians",
@@ -368,17 +394,26 @@ def main(words: Sequence[str] | None = None) -> None:
     synergies = synthetic.synergy_motion(60 if quick else 300)
     growth = {
         "points": measure_growth(
-            motion, [(n, synthetic.allegro_with_points(n)) for n in POINT_COUNTS[few]], "points"
+            motion,
+            [(n, synthetic.allegro_with_points(n)) for n in POINT_COUNTS[few]],
+            "points",
         ),
         "joints": measure_growth(
-            synergies, [(4 * n, synthetic.comb_hand(n)) for n in FINGER_COUNTS[few]], "joints"
+            synergies,
+            [(4 * n, synthetic.comb_hand(n)) for n in FINGER_COUNTS[few]],
+            "joints",
         ),
         "pinch pairs": measure_pairs(motion, PAIR_COUNTS[few]),
         "contact pairs": measure_contacts(synergies, CONTACT_COUNTS[few]),
     }
     for what, table in growth.items():
         common.print_table(f"Growth with {what}", table, to_stderr=is_json)
-    results = {"allegro": step, "parts_cpu_us": parts, "robots": robots, "growth": growth}
+    results = {
+        "allegro": step,
+        "parts_cpu_us": parts,
+        "robots": robots,
+        "growth": growth,
+    }
     common.write_json(arguments.json, "bench_step", results)
     common.save_picture(arguments.picture, lambda: draw(step, parts, growth))
 

@@ -32,7 +32,14 @@ import common
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.experiments.paper import GAMMAS, PLANS, SEED, SYNERGIES, Row, write_csv
+from handmap_qp.apps.experiments.paper import (
+    GAMMAS,
+    PLANS,
+    SEED,
+    SYNERGIES,
+    Row,
+    write_csv,
+)
 from handmap_qp.apps.experiments.section_four import (
     FingerMode,
     Pivot,
@@ -87,7 +94,9 @@ def limits() -> Iterator[Row]:
     q = base.robot.q
     for margin in MARGINS:
         room = np.radians(max(margin, 1e-4))
-        scene = replace(base, robot_points=limited_hand(base.robot_points, q, q - room, q + room))
+        scene = replace(
+            base, robot_points=limited_hand(base.robot_points, q, q - room, q + room)
+        )
         for synergy, way in product(SYNERGIES, WAYS):
             case = {"margin_deg": margin, "fingers": way, "synergy": synergy}
             yield measured(case, scene, synergy=synergy, steps=STEPS, fingers=way)
@@ -99,7 +108,9 @@ def own_limits() -> Iterator[Row]:
     # The grasp may start slightly outside; widen the limits to include it.
     q = ours.robot.q
     lower, upper = np.minimum(0.0, q), np.maximum(0.5 * np.pi, q)
-    toolbox = replace(ours, robot_points=limited_hand(ours.robot_points, q, lower, upper))
+    toolbox = replace(
+        ours, robot_points=limited_hand(ours.robot_points, q, lower, upper)
+    )
     for (name, scene), way, synergy in product(
         (("toolbox", toolbox), ("ours", ours)), WAYS, SYNERGIES
     ):
@@ -109,19 +120,32 @@ def own_limits() -> Iterator[Row]:
 
 def points() -> Iterator[Row]:
     """Compare errors of points and object with moving and with frozen fingers."""
-    for gamma, way, synergy in product(GAMMAS, ("pseudoinverse", "qp", "frozen"), SYNERGIES):
+    for gamma, way, synergy in product(
+        GAMMAS, ("pseudoinverse", "qp", "frozen"), SYNERGIES
+    ):
         case = {"gamma": gamma, "fingers": way, "synergy": synergy}
-        yield measured(case, paper_scene("ours"), synergy=synergy, gamma=gamma, fingers=way)
+        yield measured(
+            case, paper_scene("ours"), synergy=synergy, gamma=gamma, fingers=way
+        )
 
 
 def subsets() -> Iterator[Row]:
     """Use each subset of three or more of the seven human contacts as reference points."""
     base = paper_scene("ours")
-    chosen = (one for n in COUNTS for one in combinations(base.human_points.reference_points, n))
+    chosen = (
+        one
+        for n in COUNTS
+        for one in combinations(base.human_points.reference_points, n)
+    )
     for some, ridge, synergy in product(chosen, (0.0, RIDGE), SYNERGIES):
         scene = replace(base, human_points=base.human.hand.with_points(some))
         names = " ".join(point.name.removeprefix("contact_") for point in some)
-        case = {"points": len(some), "ridge": ridge, "contacts": names, "synergy": synergy}
+        case = {
+            "points": len(some),
+            "ridge": ridge,
+            "contacts": names,
+            "synergy": synergy,
+        }
         # Without a ridge, three points or four in a plane do not determine T.
         try:
             yield measured(case, scene, synergy=synergy, steps=STEPS, ridge=ridge)
@@ -149,7 +173,9 @@ def start() -> Iterator[Row]:
     n-th, so pairs are random.
     """
     pools = [
-        sorted((one for one in plan(name) if one.quality > 0.0), key=lambda one: one.trial)
+        sorted(
+            (one for one in plan(name) if one.quality > 0.0), key=lambda one: one.trial
+        )
         for name in REFERENCE_HANDS
     ]
     for human, robot in list(zip(*pools, strict=False))[:PAIRS]:
@@ -157,18 +183,27 @@ def start() -> Iterator[Row]:
         for way, synergy in product(("pseudoinverse", "qp"), SYNERGIES):
             case = {"fingers": way, "synergy": synergy}
             case |= {"human_trial": human.trial, "robot_trial": robot.trial}
-            yield measured(case, scene, synergy=synergy, steps=STEPS, ridge=RIDGE, fingers=way)
+            yield measured(
+                case, scene, synergy=synergy, steps=STEPS, ridge=RIDGE, fingers=way
+            )
 
 
 def allegro() -> Iterator[Row]:
     """Compare the Allegro hand with the three-fingered one."""
     ours = paper_scene("ours")
     best = plan("allegro_right")[0].grasp
-    scenes = {"three_finger": ours, "allegro_right": Scene.at_contacts(ours.human, best)}
+    scenes = {
+        "three_finger": ours,
+        "allegro_right": Scene.at_contacts(ours.human, best),
+    }
     ways: tuple[FingerMode, ...] = ("pseudoinverse", "qp", "frozen")
-    for (robot, scene), way, gamma, synergy in product(scenes.items(), ways, GAMMAS, SYNERGIES):
+    for (robot, scene), way, gamma, synergy in product(
+        scenes.items(), ways, GAMMAS, SYNERGIES
+    ):
         case = {"robot": robot, "fingers": way, "gamma": gamma, "synergy": synergy}
-        yield measured(case, scene, synergy=synergy, gamma=gamma, steps=STEPS, fingers=way)
+        yield measured(
+            case, scene, synergy=synergy, gamma=gamma, steps=STEPS, fingers=way
+        )
 
 
 def origin() -> Iterator[Row]:
@@ -177,7 +212,11 @@ def origin() -> Iterator[Row]:
     14 directions for the pivot `origin`; three for the other pivots, which must not depend on it.
     Along x also 0.1 mm farther.
     """
-    axes = [*np.eye(3), *-np.eye(3), *np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0)]
+    axes = [
+        *np.eye(3),
+        *-np.eye(3),
+        *np.array(list(product((-1.0, 1.0), repeat=3))) / np.sqrt(3.0),
+    ]
     pivots: tuple[Pivot, ...] = ("centroid", "palm", "origin")
     for distance, (number, direction) in product((*DISTANCES, 1.0001), enumerate(axes)):
         if distance not in DISTANCES and number:
@@ -198,7 +237,12 @@ def contacts() -> Iterator[Row]:
         for source, counts in sources.items():
             for number, grasps in counts.items():
                 share = 100.0 * grasps / sum(counts.values())
-                yield {"hand": hand, "source": source, "contacts": number, "share_percent": share}
+                yield {
+                    "hand": hand,
+                    "source": source,
+                    "contacts": number,
+                    "share_percent": share,
+                }
 
 
 class Study(NamedTuple):
@@ -230,9 +274,13 @@ STUDIES = {
 
 def main() -> None:
     """Run the studies, print their tables and write their files."""
-    parser = common.make_parser("Runs of the paper's experiment beyond the paper.", draws=False)
+    parser = common.make_parser(
+        "Runs of the paper's experiment beyond the paper.", draws=False
+    )
     parser.add_argument("--studies", nargs="+", default=list(STUDIES), choices=STUDIES)
-    parser.add_argument("--out", type=Path, metavar="FOLDER", help="write CSV files and pictures")
+    parser.add_argument(
+        "--out", type=Path, metavar="FOLDER", help="write CSV files and pictures"
+    )
     arguments = common.parse_arguments(parser)
     if arguments.out is not None:
         arguments.out.mkdir(parents=True, exist_ok=True)
@@ -245,7 +293,9 @@ def main() -> None:
             if arguments.out is not None:
                 write_csv(arguments.out / f"{name}.csv", rows)
                 file = arguments.out / f"{name}.png"
-                common.save_picture(file, lambda name=name: draw(tables[name], STUDIES[name]))
+                common.save_picture(
+                    file, lambda name=name: draw(tables[name], STUDIES[name])
+                )
             advance()
     for name, table in tables.items():
         common.print_table(name, table, to_stderr=arguments.json == "-")
@@ -275,7 +325,9 @@ def draw(table: list[Row], study: Study) -> Any:
     grid = figure.subplots(1, len(study.values), sharey=True, squeeze=False)
     places = np.arange(len(table))
     for axes, value in zip(grid[0], study.values, strict=True):
-        medians, most = ([row[key] for row in table] for key in (value, f"{value} most"))
+        medians, most = (
+            [row[key] for row in table] for key in (value, f"{value} most")
+        )
         axes.barh(places, medians, color=common.PALETTE[1])
         axes.hlines(places, medians, most, color=common.PALETTE[0])
         axes.set_title(value)
@@ -298,11 +350,18 @@ def plan(name: str) -> list[PlannedGrasp]:
         opened[joint] = hand.upper_limits[joint]
         preshape = replace(preshape, start=opened, clearance=0.0)
     return plan_grasps(
-        hand, cube.shape, samples=PLANS, seed=SEED, object_pose=cube.object_pose, preshape=preshape
+        hand,
+        cube.shape,
+        samples=PLANS,
+        seed=SEED,
+        object_pose=cube.object_pose,
+        preshape=preshape,
     )
 
 
-def limited_hand(hand: Hand, rest: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Hand:
+def limited_hand(
+    hand: Hand, rest: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> Hand:
     """Return a hand with other joint limits and another rest posture.
 
     Args:
@@ -314,7 +373,10 @@ def limited_hand(hand: Hand, rest: np.ndarray, lower: np.ndarray, upper: np.ndar
     Returns:
         The hand.
     """
-    robot, index = parse_urdf(hand.urdf_text), {name: i for i, name in enumerate(hand.joint_names)}
+    robot, index = (
+        parse_urdf(hand.urdf_text),
+        {name: i for i, name in enumerate(hand.joint_names)},
+    )
     for joint in robot.iterfind("joint"):
         limit = joint.find("limit")
         if limit is not None and joint.get("name") in index:

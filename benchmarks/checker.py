@@ -50,7 +50,12 @@ class Checker:
 
     def start(self, q: np.ndarray) -> None:
         """Begin at a Pinocchio configuration, at rest."""
-        self._q, self._last, self._dt, self._force = q.copy(), np.zeros(len(self._speed)), 1.0, 0.0
+        self._q, self._last, self._dt, self._force = (
+            q.copy(),
+            np.zeros(len(self._speed)),
+            1.0,
+            0.0,
+        )
 
     def take(self, q: np.ndarray, dt: float, limit: float | None = None) -> None:
         """Judge the command of a configuration, its time [s], and the limit configured [rad/s^2].
@@ -79,11 +84,19 @@ class Checker:
         self._note("acceleration", float(np.fmax.reduce(change)), 1.0 + _SHARE)
         if self._meter is not None and moved.any():
             count = int(np.abs(moved).max() / _STEP) + 2
-            parts = [pin.interpolate(hand.model, before, q, i / count) for i in range(1, count)]
+            parts = [
+                pin.interpolate(hand.model, before, q, i / count)
+                for i in range(1, count)
+            ]
             self._note("overlap", max(map(self._meter.depth, (*parts, q))), OVERLAP)
         if (np.abs(moved) <= self._rounding).all():
             self._force = 0.0
-        self._q, self._last, self._dt, self.commands = q.copy(), velocity, dt, self.commands + 1
+        self._q, self._last, self._dt, self.commands = (
+            q.copy(),
+            velocity,
+            dt,
+            self.commands + 1,
+        )
 
     def _note(self, what: str, value: float, most: float) -> None:
         self.worst[what] = max(self.worst.get(what, -np.inf), value)

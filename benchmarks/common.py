@@ -28,7 +28,13 @@ from typing import Any, NoReturn
 import msgspec
 import numpy as np
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -91,7 +97,9 @@ def make_parser(description: str, draws: bool = True) -> argparse.ArgumentParser
     """
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument(
-        "--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -"
+        "--json",
+        metavar="FILE",
+        help="write all numbers as JSON to FILE, or to stdout with -",
     )
     if draws:
         parser.add_argument(
@@ -104,7 +112,10 @@ def make_parser(description: str, draws: bool = True) -> argparse.ArgumentParser
         "--recordings",
         metavar="DIR",
         type=Path,
-        default=Path(os.environ.get("HANDMAP_RECORDINGS") or ROOT.parent / "shared" / "recordings"),
+        default=Path(
+            os.environ.get("HANDMAP_RECORDINGS")
+            or ROOT.parent / "shared" / "recordings"
+        ),
         help="folder of recordings of human hands "
         "(default: $HANDMAP_RECORDINGS, else ../shared/recordings)",
     )
@@ -140,7 +151,9 @@ def find_recordings(folder: Path) -> list[Path]:
     """Return the recordings of a folder, sorted by name; exit with code 2 if there are none."""
     files = sorted(folder.glob("*.npz"))
     if not files:
-        stop(f"no recordings (*.npz) in {folder}: give --recordings DIR or HANDMAP_RECORDINGS")
+        stop(
+            f"no recordings (*.npz) in {folder}: give --recordings DIR or HANDMAP_RECORDINGS"
+        )
     return files
 
 
@@ -192,10 +205,14 @@ def print_table(
         caption: Text below the table.
     """
     columns = list(next(row for row in rows if row))
-    table = Table(title=title, title_justify="left", caption=caption, caption_justify="left")
+    table = Table(
+        title=title, title_justify="left", caption=caption, caption_justify="left"
+    )
     for column in columns:
         is_text = any(
-            isinstance(row[column], str) and row[column][:1].isalpha() for row in rows if row
+            isinstance(row[column], str) and row[column][:1].isalpha()
+            for row in rows
+            if row
         )
         table.add_column(column, justify="left" if is_text else "right", no_wrap=True)
     for row in rows:
@@ -219,7 +236,9 @@ def write_json(target: str | None, name: str, results: dict[str, Any]) -> None:
     if target is None:
         return
     text = json.dumps(
-        _plain({"benchmark": name, "facts": facts(), **results}), indent=1, allow_nan=False
+        _plain({"benchmark": name, "facts": facts(), **results}),
+        indent=1,
+        allow_nan=False,
     )
     if target == "-":
         print(text)
@@ -296,7 +315,9 @@ def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         return next(
-            line.partition(":")[2].strip() for line in lines if line.startswith("model name")
+            line.partition(":")[2].strip()
+            for line in lines
+            if line.startswith("model name")
         )
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()

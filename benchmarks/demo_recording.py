@@ -54,7 +54,11 @@ class Gesture(NamedTuple):
 
 
 _THUMB_OPEN, _THUMB_REST = (0.75, 0.25, 0.05, 0.05), (0.5, 0.6, 0.35, -0.25)
-_STRAIGHT = ((0.06, 0.05, 0.05, 0.02), (0.0, 0.03, 0.05, 0.02), (-0.05, 0.05, 0.05, 0.02))
+_STRAIGHT = (
+    (0.06, 0.05, 0.05, 0.02),
+    (0.0, 0.03, 0.05, 0.02),
+    (-0.05, 0.05, 0.05, 0.02),
+)
 _OPEN = (_THUMB_OPEN, *_STRAIGHT, (-0.14, 0.08, 0.06, 0.02))
 _SPREAD = (
     (1.25, 0.15, 0.0, 0.0),
@@ -63,7 +67,11 @@ _SPREAD = (
     (-0.26, 0.0, 0.03, 0.0),
     (-0.55, 0.02, 0.03, 0.0),
 )
-_CURLED = ((0.0, 1.45, 1.60, 0.95), (-0.02, 1.48, 1.62, 0.95), (-0.05, 1.48, 1.60, 0.95))
+_CURLED = (
+    (0.0, 1.45, 1.60, 0.95),
+    (-0.02, 1.48, 1.62, 0.95),
+    (-0.05, 1.48, 1.60, 0.95),
+)
 # The thumb lies on the middle finger.
 _FIST_THUMB = (-0.76, 0.32, 1.1, 0.97)
 _FIST = (_FIST_THUMB, (0.02, 1.40, 1.55, 0.90), *_CURLED)
@@ -74,7 +82,9 @@ _REST = (_THUMB_REST, *_LOOSE, _LITTLE)
 
 # Thumb and finger 13 mm apart at their tips, which is skin on skin: found once by least squares,
 # with the other fingers loose.
-_PINCHES: dict[int, tuple[tuple[float, float, float, float], tuple[float, float, float, float]]] = {
+_PINCHES: dict[
+    int, tuple[tuple[float, float, float, float], tuple[float, float, float, float]]
+] = {
     1: ((0.10, 0.69, 0.30, 0.00), (0.05, 0.88, 1.00, 0.50)),
     2: ((-0.13, 0.75, 0.31, -0.01), (0.00, 0.96, 1.00, 0.50)),
     3: ((-0.43, 0.74, 0.31, -0.02), (-0.05, 1.04, 0.94, 0.49)),
@@ -101,7 +111,9 @@ GESTURES: tuple[Gesture, ...] = (
     Gesture("pinch ring", _pinch(3), turn=(0.7, 0.0, 0.0), shift=(-0.06, 0.0, 0.06)),
     Gesture("open", _OPEN, turn=(0.3, -0.2, -0.2), shift=(-0.06, 0.05, 0.04)),
     Gesture("pinch little", _pinch(4), turn=(0.6, 0.0, 0.0), shift=(-0.04, 0.04, 0.02)),
-    Gesture("thumb across", ((-0.9, 0.55, 0.75, 0.5), *_OPEN[1:]), turn=(0.4, 0.0, 0.0)),
+    Gesture(
+        "thumb across", ((-0.9, 0.55, 0.75, 0.5), *_OPEN[1:]), turn=(0.4, 0.0, 0.0)
+    ),
     Gesture("wrist up", _OPEN, turn=(0.0, 0.6, 0.0), shift=(0.0, 0.02, 0.05)),
     Gesture("wrist down", _OPEN, turn=(0.0, -0.6, 0.0), shift=(0.0, 0.04, 0.0)),
     Gesture("palm up", _REST, turn=(1.4, 0.0, 0.0), shift=(-0.05, 0.0, 0.0)),
@@ -157,7 +169,9 @@ def _hand_arrays(
         landmarks[i] = human.points(q[i], wrist[i])
     landmarks += _noise(time, rng)
     tremble = rng.normal(0.0, 0.004, (len(time), 3))
-    poses = np.array([_seven(pose, angles) for pose, angles in zip(wrist, tremble, strict=True)])
+    poses = np.array(
+        [_seven(pose, angles) for pose, angles in zip(wrist, tremble, strict=True)]
+    )
     confidence = np.clip(0.95 - np.abs(rng.normal(0.0, 0.05, len(time))), 0.0, 1.0)
     valid = np.ones(len(time), dtype=bool)
     if side == "left":
@@ -174,7 +188,9 @@ def _hand_arrays(
     }
 
 
-def _motion(time: np.ndarray, gestures: list[Gesture]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _motion(
+    time: np.ndarray, gestures: list[Gesture]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return joint angles (T, 20), turns (T, 3) and shifts (T, 3): minimum jerk between holds."""
     step = _REACH + _HOLD
     index = np.minimum((time / step).astype(int), len(gestures) - 1)

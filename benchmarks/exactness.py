@@ -74,7 +74,9 @@ def memory_growth(samples: np.ndarray) -> dict[str, float]:
     """
     settled = samples[samples[:, 0] >= 0.1 * samples[-1, 0]]
     slope = (
-        float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0]) if len(settled) > 1 else float("nan")
+        float(np.polyfit(settled[:, 0], settled[:, 1], 1)[0])
+        if len(settled) > 1
+        else float("nan")
     )
     return {
         "memory_first_mb": samples[0, 1] / 1e6,
@@ -101,15 +103,25 @@ def main(words: Sequence[str] | None = None) -> int:
         description="A million random steps over every hand: limits, numbers, exceptions, memory."
     )
     parser.add_argument(
-        "--steps", type=int, default=1_000_000, help="number of steps (default: %(default)s)"
+        "--steps",
+        type=int,
+        default=1_000_000,
+        help="number of steps (default: %(default)s)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="seed of the random numbers (default: %(default)s)"
+        "--seed",
+        type=int,
+        default=0,
+        help="seed of the random numbers (default: %(default)s)",
     )
     parser.add_argument(
-        "--json", metavar="FILE", help="write all numbers as JSON to FILE, or to stdout with -"
+        "--json",
+        metavar="FILE",
+        help="write all numbers as JSON to FILE, or to stdout with -",
     )
-    parser.add_argument("--quick", action="store_true", help="20,000 steps: to test the script")
+    parser.add_argument(
+        "--quick", action="store_true", help="20,000 steps: to test the script"
+    )
     parser.set_defaults(picture=None)
     arguments = common.parse_arguments(parser, words)
     if arguments.steps < 1:
@@ -122,9 +134,13 @@ def main(words: Sequence[str] | None = None) -> int:
     ]
     caption = "position beyond its limit [rad]; speed and acceleration over theirs"
     common.print_table("Limits", rows, to_stderr=is_json, caption=caption)
-    counts = {name: results[name] for name in ("steps", "steps_per_second", "not_finite")}
+    counts = {
+        name: results[name] for name in ("steps", "steps_per_second", "not_finite")
+    }
     common.print_table(
-        "Steps", [{**counts, "undocumented": len(results["undocumented"])}], to_stderr=is_json
+        "Steps",
+        [{**counts, "undocumented": len(results["undocumented"])}],
+        to_stderr=is_json,
     )
     for name in ("statuses", "refused"):
         if results[name]:

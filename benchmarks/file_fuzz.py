@@ -61,7 +61,9 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
 def _bytes(data: bytearray, rng: np.random.Generator) -> bytearray:
     """Change single bytes; most often one bit."""
     for place in rng.integers(0, len(data), size=int(rng.choice([1, 2, 16]))):
-        flip = 1 << int(rng.integers(8)) if rng.random() < 0.7 else int(rng.integers(256))
+        flip = (
+            1 << int(rng.integers(8)) if rng.random() < 0.7 else int(rng.integers(256))
+        )
         data[place] ^= flip
     return data
 
@@ -86,14 +88,22 @@ def _word(data: bytearray, rng: np.random.Generator) -> bytearray:
     """Replace a word between separators, or insert one."""
     start = int(rng.integers(0, len(data)))
     end = start
-    while end < len(data) and end - start < 40 and data[end : end + 1] not in b" \t\n\"'<>,:[]{}=/":
+    while (
+        end < len(data)
+        and end - start < 40
+        and data[end : end + 1] not in b" \t\n\"'<>,:[]{}=/"
+    ):
         end += 1
     return data[:start] + _WORDS[rng.integers(len(_WORDS))] + data[end:]
 
 
 def _zip_record(data: bytearray, rng: np.random.Generator) -> bytearray:
     """Change a field of a local header or of the central directory."""
-    marks = [i for mark in (b"PK\x01\x02", b"PK\x03\x04", b"PK\x05\x06") for i in _all(data, mark)]
+    marks = [
+        i
+        for mark in (b"PK\x01\x02", b"PK\x03\x04", b"PK\x05\x06")
+        for i in _all(data, mark)
+    ]
     if not marks:
         return data
     start = marks[rng.integers(len(marks))]
@@ -105,7 +115,9 @@ def _zip_record(data: bytearray, rng: np.random.Generator) -> bytearray:
         value = rng.choice([1, 8, 9, 12, 14, 93, 99, 0x41, 0xFFFF])
         replacement = struct.pack("<H", int(value))
     else:
-        value = rng.choice([0, 1, 0x7FFFFFFF, 0xFFFFFFFE, 0xFFFFFFFF, int(rng.integers(2**32))])
+        value = rng.choice(
+            [0, 1, 0x7FFFFFFF, 0xFFFFFFFE, 0xFFFFFFFF, int(rng.integers(2**32))]
+        )
         replacement = struct.pack("<I", int(value))
     place = start + offset
     if place + len(replacement) <= len(data):
@@ -142,7 +154,9 @@ def fuzz(kind: Kind, count: int, seed: int, keep: Path | None) -> dict[str, Any]
             report = Path(folder) / "report.json"
             child = os.fork()
             if child == 0:
-                _read_many(kind, Path(folder), range(seed + done, seed + count), shared, report)
+                _read_many(
+                    kind, Path(folder), range(seed + done, seed + count), shared, report
+                )
             status = os.waitpid(child, 0)[1]
             reached, results["read"], results["refused"] = _PROGRESS.unpack(shared)
             reached -= seed
@@ -153,14 +167,18 @@ def fuzz(kind: Kind, count: int, seed: int, keep: Path | None) -> dict[str, Any]
                 examples += found["examples"]
                 report.unlink()
             if status:
-                ended = "too slow" if os.WTERMSIG(status) == signal.SIGALRM else "crashed"
+                ended = (
+                    "too slow" if os.WTERMSIG(status) == signal.SIGALRM else "crashed"
+                )
                 results[ended] += 1
                 examples.append(f"seed {seed + reached}: {ended} with status {status}")
             done = reached + 1
             if keep is not None and status:
                 kept = keep / f"{kind.name}-{seed + reached}"
                 shutil.copytree(Path(folder) / "altered", kept, dirs_exist_ok=True)
-    failures = sum(number for name, number in results.items() if name not in ("read", "refused"))
+    failures = sum(
+        number for name, number in results.items() if name not in ("read", "refused")
+    )
     return {
         "files": kind.name,
         "read": results["read"],
@@ -171,7 +189,9 @@ def fuzz(kind: Kind, count: int, seed: int, keep: Path | None) -> dict[str, Any]
     }
 
 
-def _read_many(kind: Kind, folder: Path, seeds: range, shared: mmap.mmap, report: Path) -> None:
+def _read_many(
+    kind: Kind, folder: Path, seeds: range, shared: mmap.mmap, report: Path
+) -> None:
     """Read files until one fails hard; ends the process."""
     warnings.simplefilter("ignore")
     logging.disable(logging.CRITICAL)
@@ -183,7 +203,9 @@ def _read_many(kind: Kind, folder: Path, seeds: range, shared: mmap.mmap, report
     results, examples, slowest = Counter[str](), [], 0.0
 
     def write() -> None:
-        text = json.dumps({"results": results, "examples": examples, "slowest": slowest})
+        text = json.dumps(
+            {"results": results, "examples": examples, "slowest": slowest}
+        )
         report.write_text(text, encoding="utf-8")
 
     _, *counts = _PROGRESS.unpack(shared)
@@ -225,7 +247,11 @@ def _read(kind: Kind, folder: Path) -> str:
     try:
         kind.read(folder)
     except HandmapError as error:
-        return "refused" if "\n" not in str(error) and str(error) else f"lines: {str(error)!r}"
+        return (
+            "refused"
+            if "\n" not in str(error) and str(error)
+            else f"lines: {str(error)!r}"
+        )
     except MemoryError:
         return "memory"
     except BaseException as error:
@@ -235,12 +261,18 @@ def _read(kind: Kind, folder: Path) -> str:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Fuzz all kinds, print the table."""
-    parser = common.make_parser("Damaged files of every kind that the package reads.", draws=False)
+    parser = common.make_parser(
+        "Damaged files of every kind that the package reads.", draws=False
+    )
     names = [kind.name for kind in KINDS]
-    parser.add_argument("--only", nargs="+", choices=names, default=names, help="kinds to read")
+    parser.add_argument(
+        "--only", nargs="+", choices=names, default=names, help="kinds to read"
+    )
     parser.add_argument("--count", type=int, default=10_000, help="files of each kind")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="keep files that crashed")
+    parser.add_argument(
+        "--keep", type=Path, metavar="FOLDER", help="keep files that crashed"
+    )
     arguments = common.parse_arguments(parser, words)
     count = 50 if arguments.quick else arguments.count
     rows: list[dict[str, Any]] = []

@@ -16,7 +16,12 @@ from handmap_qp import load_hand
 from handmap_qp.apps.datasets.manifest import Line, open_manifest, read_manifests
 from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.apps.onboarding.migrate import read_dex_configuration
-from handmap_qp.apps.service.keys import ClientKeys, make_keys, read_server_keys, read_token
+from handmap_qp.apps.service.keys import (
+    ClientKeys,
+    make_keys,
+    read_server_keys,
+    read_token,
+)
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.mjcf import convert_mjcf
@@ -86,10 +91,16 @@ def _recording(name: str, file: str) -> Kind:
         folder.mkdir()
         format_to_write(Path(file), name).write([_demo()], folder / file)
 
-    return Kind(name, write, lambda folder: [each.read() for each in list_sources(folder / file)])
+    return Kind(
+        name,
+        write,
+        lambda folder: [each.read() for each in list_sources(folder / file)],
+    )
 
 
-def _text(name: str, file: str, text: Callable[[], str], read: Callable[[Path], object]) -> Kind:
+def _text(
+    name: str, file: str, text: Callable[[], str], read: Callable[[Path], object]
+) -> Kind:
     """Return the kind of a text file."""
 
     def write(folder: Path) -> None:
@@ -144,8 +155,13 @@ def _mesh(suffix: str) -> Kind:
         _write_hand(folder)
         trimesh.creation.icosphere(1, 0.01).export(folder / f"tip.{suffix}")
         urdf = folder / "hand.urdf"
-        text, shape = urdf.read_text(encoding="utf-8"), f'<mesh filename="tip.{suffix}"/>'
-        urdf.write_text(_COLLISION.sub(rf"\1{shape}\2", text, count=1), encoding="utf-8")
+        text, shape = (
+            urdf.read_text(encoding="utf-8"),
+            f'<mesh filename="tip.{suffix}"/>',
+        )
+        urdf.write_text(
+            _COLLISION.sub(rf"\1{shape}\2", text, count=1), encoding="utf-8"
+        )
 
     def read(folder: Path) -> None:
         read_collision_shapes(load_hand(folder / "hand.yaml"))
@@ -160,7 +176,11 @@ def _write_manifest(folder: Path) -> None:
     folder.mkdir()
     with open_manifest(folder) as append:
         for i in range(5):
-            append(Line(f"key-{i}", "done", f"{i}.npz", 100, i, "digest", metrics={"a": 1.0}))
+            append(
+                Line(
+                    f"key-{i}", "done", f"{i}.npz", 100, i, "digest", metrics={"a": 1.0}
+                )
+            )
 
 
 _DEX = """retargeting:
@@ -183,13 +203,22 @@ KINDS = (
     _text(
         "URDF alone",
         "hand.urdf",
-        lambda: (urdf_directory() / "three_finger" / "hand.urdf").read_text(encoding="utf-8"),
+        lambda: (urdf_directory() / "three_finger" / "hand.urdf").read_text(
+            encoding="utf-8"
+        ),
         detect,
     ),
     _text("MJCF", "hand.xml", lambda: _MJCF, convert_mjcf),
-    _text("person", "person.yaml", lambda: person_text(measure_person(_demo())), read_person),
+    _text(
+        "person",
+        "person.yaml",
+        lambda: person_text(measure_person(_demo())),
+        read_person,
+    ),
     _text("options", "options.yaml", _options, read_options),
-    _text("layout", "layout.yaml", lambda: table_text(next(iter(LAYOUTS))), load_layout),
+    _text(
+        "layout", "layout.yaml", lambda: table_text(next(iter(LAYOUTS))), load_layout
+    ),
     _text("token", "token", lambda: "a-token-of-the-tests-0123456789\n", read_token),
     Kind("keys", _write_keys, _read_keys),
     Kind("state", _write_state, _read_state),

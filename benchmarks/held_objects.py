@@ -41,15 +41,21 @@ def splits(trials: Sequence[dict[str, Any]]) -> list[tuple[str, str, np.ndarray]
             continue
         order = np.argsort(values, kind="stable")
         for part in np.array_split(order, min(_PARTS, len(np.unique(values)))):
-            found.append((name, f"{values[part[0]]:.3g} - {values[part[-1]]:.3g}", part))
+            found.append(
+                (name, f"{values[part[0]]:.3g} - {values[part[-1]]:.3g}", part)
+            )
     shapes = np.array([trial["shape"] for trial in trials])
     names = np.unique(shapes)
     if len(names) > 1:
-        found += [("shape", str(name), np.flatnonzero(shapes == name)) for name in names]
+        found += [
+            ("shape", str(name), np.flatnonzero(shapes == name)) for name in names
+        ]
     return found
 
 
-def draw(path: Path, title: str, parts: list, names: list[str], held: np.ndarray) -> None:
+def draw(
+    path: Path, title: str, parts: list, names: list[str], held: np.ndarray
+) -> None:
     """Draw the success of each mapping over each quantity, with 95 % intervals."""
     quantities = list(dict.fromkeys(quantity for quantity, _, _ in parts))
     rows = math.ceil(max(1, len(quantities)) / _COLUMNS)
@@ -65,13 +71,17 @@ def draw(path: Path, title: str, parts: list, names: list[str], held: np.ndarray
             rates = 100.0 * np.array([success_rate(int(w.sum()), len(w)) for w in won])
             places = np.arange(len(own)) + 0.5 * (k + 0.5) / len(names) - 0.25
             errors = np.abs(rates[:, 1:] - rates[:, :1]).T
-            panel.errorbar(places, rates[:, 0], errors, fmt="o", ms=4, lw=1.2, label=name)
+            panel.errorbar(
+                places, rates[:, 0], errors, fmt="o", ms=4, lw=1.2, label=name
+            )
         panel.set_xticks(range(len(own)), [values for values, _ in own], fontsize=8)
         panel.set(xlabel=quantity, ylim=(0.0, 103.0))
         panel.grid(axis="y", alpha=0.3)
     for panel in axes[::_COLUMNS]:
         panel.set_ylabel("held [%]")
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4
+    )
     figure.savefig(path)
 
 
@@ -80,7 +90,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
-    parser.add_argument("trials", type=Path, help="output of handmap simulate --trials --json")
+    parser.add_argument(
+        "trials", type=Path, help="output of handmap simulate --trials --json"
+    )
     parser.add_argument("--picture", type=Path, help="picture to write, .png")
     given = parser.parse_args()
     found = json.loads(given.trials.read_text(encoding="utf-8"))
@@ -88,7 +100,10 @@ def main() -> None:
     held = np.array([[name in trial["held"] for name in names] for trial in trials])
     parts, rows = splits(trials), []
     for quantity, values, part in parts:
-        row: dict[str, Any] = {"of the object": f"{quantity} {values}", "trials": len(part)}
+        row: dict[str, Any] = {
+            "of the object": f"{quantity} {values}",
+            "trials": len(part),
+        }
         for k, name in enumerate(names):
             row[f"{name}, held %"] = round(100.0 * float(held[part, k].mean()))
         rows.append(row)

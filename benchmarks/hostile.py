@@ -132,7 +132,10 @@ class IkRun:
             return
         tally.statuses[result.status] += 1
         tally.check_finite(
-            ik.configuration.q, ik.configuration.wrist.homogeneous, result.points, result.errors
+            ik.configuration.q,
+            ik.configuration.wrist.homogeneous,
+            result.points,
+            result.errors,
         )
         self.checker.take(ik.configuration.q, dt, ik.options.max_acceleration)
 
@@ -145,7 +148,9 @@ class IkRun:
         elif kind == 2:
             q = np.zeros(len(q))
         elif kind == 3:
-            q = rng.uniform(hand.lower_limits - MOST_OUTSIDE, hand.upper_limits + MOST_OUTSIDE)
+            q = rng.uniform(
+                hand.lower_limits - MOST_OUTSIDE, hand.upper_limits + MOST_OUTSIDE
+            )
         self._ik.place(
             hand.configuration_vector(
                 q, _pose(rng, 10.0 ** rng.uniform(-2, 3)) if hand.is_floating else None
@@ -162,7 +167,9 @@ class IkRun:
             return np.tile(points.mean(axis=0), (len(points), 1))
         if kind == 2:
             return 2.0 * points.mean(axis=0) - points
-        size = 10.0 ** (rng.uniform(1, np.log10(FARTHEST)) if kind == 3 else rng.uniform(-4, 0))
+        size = 10.0 ** (
+            rng.uniform(1, np.log10(FARTHEST)) if kind == 3 else rng.uniform(-4, 0)
+        )
         return points + size * rng.normal(size=points.shape)
 
     def _wrist_target(self) -> np.ndarray | None:
@@ -177,7 +184,10 @@ class IkRun:
             return wrist @ np.diag([*rng.permutation([1.0, -1.0, -1.0]), 1.0])
         if kind == 3:
             return _pose(rng, 10.0 ** rng.uniform(0, 6))
-        return wrist @ pin.exp6(10.0 ** rng.uniform(-9, 0) * rng.normal(size=6)).homogeneous
+        return (
+            wrist
+            @ pin.exp6(10.0 ** rng.uniform(-9, 0) * rng.normal(size=6)).homogeneous
+        )
 
 
 class MapperRun:
@@ -190,8 +200,12 @@ class MapperRun:
         seed: Seed of the random numbers.
     """
 
-    def __init__(self, human: Hand, robot: Hand, mapping: dict[str, Any], seed: int) -> None:
-        self.name = f"{human.name} to {robot.name}, {robot.mount}, {mapping}, seed {seed}"
+    def __init__(
+        self, human: Hand, robot: Hand, mapping: dict[str, Any], seed: int
+    ) -> None:
+        self.name = (
+            f"{human.name} to {robot.name}, {robot.mount}, {mapping}, seed {seed}"
+        )
         self._rng = np.random.default_rng(seed)
         self._mapper = HandMapper(human, robot, MappingOptions(**mapping))
         self.checker = Checker(robot)
@@ -206,7 +220,9 @@ class MapperRun:
             if rng.random() < 0.03:
                 self._interrupt()
             # One sample in a hundred is invalid.
-            step = self._map_invalid(dt) if rng.random() < 0.01 else self._map_random(dt)
+            step = (
+                self._map_invalid(dt) if rng.random() < 0.01 else self._map_random(dt)
+            )
         except HandmapError as error:
             tally.refused[type(error).__name__] += 1
             # Only a rejected reference may have placed the hand.
@@ -229,7 +245,9 @@ class MapperRun:
             step.targets,
             step.points,
         )
-        tally.check_finite(step.residual_norms, step.stretches, step.point_error, step.wrist_target)
+        tally.check_finite(
+            step.residual_norms, step.stretches, step.point_error, step.wrist_target
+        )
         robot = mapper.robot
         now = robot.configuration_vector(
             step.command.q, step.command.wrist if robot.is_floating else None
@@ -254,7 +272,11 @@ class MapperRun:
             mapper.configure(ik=mapper.ik.replaced(max_acceleration=limit))
         elif kind == 2:
             self._last = None
-            mapper.reset(robot_q=rng.uniform(mapper.robot.lower_limits, mapper.robot.upper_limits))
+            mapper.reset(
+                robot_q=rng.uniform(
+                    mapper.robot.lower_limits, mapper.robot.upper_limits
+                )
+            )
         else:
             self._last = None
             mapper.reset(self._q, self._wrist)
@@ -275,18 +297,26 @@ class MapperRun:
             self._wrist[:3, :3] = nearest_rotation(self._wrist[:3, :3])
         if rng.random() < 0.8:
             return mapper.map_step(self._q, self._wrist, dt=dt)
-        points = human.points(np.clip(self._q, human.lower_limits, human.upper_limits), self._wrist)
+        points = human.points(
+            np.clip(self._q, human.lower_limits, human.upper_limits), self._wrist
+        )
         kind = rng.integers(4)
         if kind == 0:
             points = points + 0.01 * rng.normal(size=points.shape)
         elif kind == 1:
             points[:] = points[0]
         elif kind == 2:
-            points = points[0] + np.outer(rng.normal(size=len(points)), rng.normal(size=3))
+            points = points[0] + np.outer(
+                rng.normal(size=len(points)), rng.normal(size=3)
+            )
         return mapper.map_points(points, self._wrist, dt=dt)
 
     def _map_invalid(self, dt: float) -> MapStep:
-        invalid = (self._map_invalid_joints, self._map_invalid_wrist, self._map_invalid_points)
+        invalid = (
+            self._map_invalid_joints,
+            self._map_invalid_wrist,
+            self._map_invalid_points,
+        )
         return invalid[self._rng.integers(len(invalid))](dt)
 
     def _map_invalid_joints(self, dt: float) -> MapStep:
@@ -306,7 +336,9 @@ class MapperRun:
         rng, wrist = self._rng, self._wrist.copy()
         kind = rng.integers(3)
         if kind == 0:
-            wrist[rng.integers(4), rng.integers(4)] = rng.choice([np.nan, np.inf, FARTHEST])
+            wrist[rng.integers(4), rng.integers(4)] = rng.choice(
+                [np.nan, np.inf, FARTHEST]
+            )
         elif kind == 1:
             wrist[:3, :3] *= rng.choice([-1.0, 0.0, 1.01])
         else:
@@ -338,7 +370,9 @@ def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
             mapping = dict(MAPPINGS[seed % len(MAPPINGS)])
             if not robot.is_floating:
                 mapping["rigid_from"] = "none"
-            human = _hand("human_left" if robot.side == "left" else "human", "floating", "joints")
+            human = _hand(
+                "human_left" if robot.side == "left" else "human", "floating", "joints"
+            )
             yield MapperRun(human, robot, mapping, seed)
             seed += 1
 
@@ -376,7 +410,9 @@ def _available_hands() -> tuple[tuple[str, Mount], ...]:
             continue
         # A hand on an arm has a fixed base.
         found.extend(
-            ((name, "floating"), (name, "fixed")) if hand.is_floating else ((name, "fixed"),)
+            ((name, "floating"), (name, "fixed"))
+            if hand.is_floating
+            else ((name, "fixed"),)
         )
     return tuple(found)
 
@@ -395,7 +431,9 @@ def _note(tally: Tally, name: str, error: Exception) -> None:
 
 def _time(rng: np.random.Generator) -> float:
     """Random time between samples [s]: mostly 1 to 100 ms, sometimes absurd."""
-    return float(10.0 ** (rng.uniform(-9, 2) if rng.random() < 0.05 else rng.uniform(-3, -1)))
+    return float(
+        10.0 ** (rng.uniform(-9, 2) if rng.random() < 0.05 else rng.uniform(-3, -1))
+    )
 
 
 def _pose(rng: np.random.Generator, distance: float) -> np.ndarray:

@@ -93,8 +93,14 @@ class Worker:
             if line.startswith("{"):
                 return json.loads(line)
         self.process.wait()
-        said = self.process.stderr.read().strip().splitlines() if self.process.stderr else []
-        raise WorkerError(f"{self.name}: {said[-1] if said else 'ended without a word'}")
+        said = (
+            self.process.stderr.read().strip().splitlines()
+            if self.process.stderr
+            else []
+        )
+        raise WorkerError(
+            f"{self.name}: {said[-1] if said else 'ended without a word'}"
+        )
 
     def numbers(self) -> dict[str, float]:
         """Return median and 99th percentile [us], and their ratios to one Jacobian if known.
@@ -109,12 +115,18 @@ class Worker:
         row = {"median_us": 1e6 * median, "p99_us": 1e6 * p99, "least_us": 1e6 * least}
         if "jacobian_ns" in self.extra:
             one = 1e-9 * float(np.median(self.extra["jacobian_ns"]))
-            row |= {"jacobian_us": 1e6 * one, "ratio": median / one, "ratio_p99": p99 / one}
+            row |= {
+                "jacobian_us": 1e6 * one,
+                "ratio": median / one,
+                "ratio_p99": p99 / one,
+            }
             row["iterations"] = float(np.mean(self.extra["iterations"]))
         return row
 
 
-def write_inputs(recording: Path, robot: str, file: Path, *, points: str, quick: bool) -> int:
+def write_inputs(
+    recording: Path, robot: str, file: Path, *, points: str, quick: bool
+) -> int:
     """Write what all workers map: the valid samples of a recording, the person and the posture.
 
     Args:
@@ -189,7 +201,9 @@ def peer_command(file: Path, peer: str, method: str, robot: str) -> list[str]:
 
 
 @contextmanager
-def workers(commands: dict[str, tuple[list[str], Path | None]]) -> Iterator[list[Worker]]:
+def workers(
+    commands: dict[str, tuple[list[str], Path | None]],
+) -> Iterator[list[Worker]]:
     """Start workers, wait until all are ready, and end them at the exit.
 
     Args:
@@ -202,7 +216,9 @@ def workers(commands: dict[str, tuple[list[str], Path | None]]) -> Iterator[list
     with ExitStack() as stack:
         started = []
         for name, (command, tree) in commands.items():
-            environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
+            environment = {
+                key: value for key, value in os.environ.items() if key != "PYTHONPATH"
+            }
             environment |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
             folder = shared_hands.shared_hands_folder()
             if folder is not None:
@@ -225,7 +241,10 @@ def workers(commands: dict[str, tuple[list[str], Path | None]]) -> Iterator[list
 
 
 def take_turns(
-    working: Sequence[Worker], samples: int, rounds: int, done: Callable[[], None] = lambda: None
+    working: Sequence[Worker],
+    samples: int,
+    rounds: int,
+    done: Callable[[], None] = lambda: None,
 ) -> None:
     """Let all workers map all samples, in turns; the first round warms up and does not count.
 
@@ -259,7 +278,9 @@ def largest_difference(one: Worker, other: Worker) -> float:
 def check_tree(folder: Path) -> Path:
     """Return another checkout's folder; stop the program if it is none."""
     if not (folder / "handmap_qp" / "__init__.py").is_file():
-        common.stop(f"--compare {folder}: expected a checkout, with a folder handmap_qp")
+        common.stop(
+            f"--compare {folder}: expected a checkout, with a folder handmap_qp"
+        )
     return folder.resolve()
 
 

@@ -28,10 +28,16 @@ from handmap_qp.stream.measurement import measure_person
 def main(words: Sequence[str] | None = None) -> float:
     """Run the benchmark, and return the largest difference."""
     parser = common.make_parser("Joints of all recordings on all hands.", draws=False)
-    parser.add_argument("--save", type=Path, help="write the joints into this .npz file")
-    parser.add_argument("--against", type=Path, help="compare with the joints in this file")
+    parser.add_argument(
+        "--save", type=Path, help="write the joints into this .npz file"
+    )
+    parser.add_argument(
+        "--against", type=Path, help="compare with the joints in this file"
+    )
     arguments = common.parse_arguments(parser, words)
-    files = common.find_recordings(arguments.recordings)[: 1 if arguments.quick else None]
+    files = common.find_recordings(arguments.recordings)[
+        : 1 if arguments.quick else None
+    ]
     hands, notes = load_hands(2 if arguments.quick else None)
     found: dict[str, np.ndarray] = {}
     with common.progress("mapping", len(files) * len(hands)) as advance:
@@ -62,8 +68,12 @@ def main(words: Sequence[str] | None = None) -> float:
     title = f"{len(found)} motions; largest difference {worst:.2g}"
     order = sorted(apart, key=lambda key: -apart[key])
     rows = [{"motion": key, "largest difference": apart[key]} for key in order]
-    common.print_table(title, rows[:20], to_stderr=arguments.json == "-", caption="\n".join(notes))
-    common.write_json(arguments.json, "joints", {"largest": worst, "motions": rows, "notes": notes})
+    common.print_table(
+        title, rows[:20], to_stderr=arguments.json == "-", caption="\n".join(notes)
+    )
+    common.write_json(
+        arguments.json, "joints", {"largest": worst, "motions": rows, "notes": notes}
+    )
     return worst
 
 

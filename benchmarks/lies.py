@@ -51,7 +51,9 @@ class Take(NamedTuple):
         """Return the samples of some time [s]."""
         inside = (self.time >= start) & (self.time < start + duration)
         return self._replace(
-            time=self.time[inside], landmarks=self.landmarks[inside], wrist=self.wrist[inside]
+            time=self.time[inside],
+            landmarks=self.landmarks[inside],
+            wrist=self.wrist[inside],
         )
 
 
@@ -100,7 +102,9 @@ def all_lies() -> list[Lie]:
         Lie("fingers reversed", "order", _ordered(_finger_order(0, 4, 3, 2, 1))),
         Lie("index and middle", "order", _ordered(_finger_order(0, 2, 1, 3, 4))),
         Lie("ring and little", "order", _ordered(_finger_order(0, 1, 2, 4, 3))),
-        Lie("random order", "order", _ordered(np.random.default_rng(3).permutation(21))),
+        Lie(
+            "random order", "order", _ordered(np.random.default_rng(3).permutation(21))
+        ),
     ]
 
 
@@ -109,7 +113,10 @@ def live_lies() -> list[Lie]:
     return [
         Lie("inverse wrist", "wrist", _inverse),
         Lie("identity wrist", "wrist", _identity),
-        *(Lie(f"rotated world {k}", "wrist", partial(_rotated_world, seed=k)) for k in range(4)),
+        *(
+            Lie(f"rotated world {k}", "wrist", partial(_rotated_world, seed=k))
+            for k in range(4)
+        ),
         Lie("size x 0.5", "unit", lambda take: _scaled(take, 0.5)),
         Lie("size to x 1.5", "size", _growing),
         *(
@@ -150,7 +157,9 @@ def _frozen(take: Take, base: int) -> Take:
     landmarks = take.landmarks.copy()
     palms = palm_axes(landmarks, 1.0 if take.side == "right" else -1.0)
     first = int(np.searchsorted(take.time, take.time[0] + 1.0))
-    finger = (landmarks[first, base + 1 : base + 4] - landmarks[first, base]) @ palms[first]
+    finger = (landmarks[first, base + 1 : base + 4] - landmarks[first, base]) @ palms[
+        first
+    ]
     moved = finger @ palms[first:].transpose(0, 2, 1)
     landmarks[first:, base + 1 : base + 4] = landmarks[first:, base : base + 1] + moved
     return take._replace(landmarks=landmarks)
@@ -194,7 +203,9 @@ def angles_in_degrees() -> AngleLayout:
     """Return the layout of the human model's joints, in degrees."""
     layout = load_layout("angles20")
     assert isinstance(layout, AngleLayout)
-    return AngleLayout(msgspec.structs.replace(layout.table, name="own in degrees", unit="deg"))
+    return AngleLayout(
+        msgspec.structs.replace(layout.table, name="own in degrees", unit="deg")
+    )
 
 
 def is_visible(lie: Lie, take: Take) -> bool:
@@ -207,9 +218,13 @@ def is_visible(lie: Lie, take: Take) -> bool:
     told = lie.tell(take)
     if lie.kind == "wrist":
         turns = told.wrist[:, :3, :3] @ take.wrist[:, :3, :3].transpose(0, 2, 1)
-        return bool(np.median(Rotation.from_matrix(turns).magnitude()) > np.radians(20.0))
+        return bool(
+            np.median(Rotation.from_matrix(turns).magnitude()) > np.radians(20.0)
+        )
     if lie.kind == "flexion":
-        moved = np.linalg.norm(told.landmarks - take.landmarks, axis=2)[:, 8::4].mean(axis=1)
+        moved = np.linalg.norm(told.landmarks - take.landmarks, axis=2)[:, 8::4].mean(
+            axis=1
+        )
         bones = np.diff(take.landmarks[:, 5:].reshape(-1, 4, 4, 3), axis=2)
         bones /= np.linalg.norm(bones, axis=3, keepdims=True)
         cosines = np.einsum("tfi,tfi->tf", bones[:, :, 0], bones[:, :, 1])
@@ -220,7 +235,9 @@ def is_visible(lie: Lie, take: Take) -> bool:
 
 def synthetic_takes() -> list[Take]:
     """Return motions of the human model through gestures, of both hands and several sizes."""
-    return [model_take(side, length, seed) for seed, (side, length) in enumerate(_HANDS)]
+    return [
+        model_take(side, length, seed) for seed, (side, length) in enumerate(_HANDS)
+    ]
 
 
 def model_take(
@@ -242,11 +259,16 @@ def model_take(
         noise: Standard deviation of every coordinate [m].
         hyperextension: Bend of the MCP joints to the back, of fingers that are not bent [rad].
     """
-    lengths = None if hand_length is None else HumanLengths.from_hand_length(hand_length)
+    lengths = (
+        None if hand_length is None else HumanLengths.from_hand_length(hand_length)
+    )
     hand = load_hand(human_name(side), points="landmarks", lengths=lengths)
     rng = np.random.default_rng(seed)
     names = hand.joint_names
-    keys = [_gesture(rng, hand.rest, names, hyperextension) for _ in range(int(duration) + 2)]
+    keys = [
+        _gesture(rng, hand.rest, names, hyperextension)
+        for _ in range(int(duration) + 2)
+    ]
     time = np.arange(int(duration * _RATE)) / _RATE
     turns = Rotation.from_rotvec(rng.normal(0.0, 0.8, (int(duration) + 2, 3)))
     start = Rotation.from_quat(rng.normal(size=4))
@@ -256,7 +278,9 @@ def model_take(
         blend = np.clip(2.0 * share - 0.5, 0.0, 1.0)  # half of the time at rest
         blend = blend**2 * (3.0 - 2.0 * blend)
         q = np.clip(
-            (1.0 - blend) * keys[k] + blend * keys[k + 1], hand.lower_limits, hand.upper_limits
+            (1.0 - blend) * keys[k] + blend * keys[k + 1],
+            hand.lower_limits,
+            hand.upper_limits,
         )
         turn = Rotation.from_rotvec(
             (1.0 - share) * turns[k].as_rotvec() + share * turns[k + 1].as_rotvec()
@@ -268,14 +292,19 @@ def model_take(
         points = hand.points(q) @ pose[:3, :3].T + pose[:3, 3]
         landmarks.append(points + rng.normal(0.0, noise, points.shape))
         wrists.append(pose)
-    name = f"model {side} " + ("own" if hand_length is None else f"{1e3 * hand_length:.0f} mm")
+    name = f"model {side} " + (
+        "own" if hand_length is None else f"{1e3 * hand_length:.0f} mm"
+    )
     if hyperextension:
         name += f", MCPs {-np.degrees(hyperextension):.0f} deg"
     return Take(name, time, np.array(landmarks), np.array(wrists), side)
 
 
 def _gesture(
-    rng: np.random.Generator, rest: np.ndarray, names: tuple[str, ...], hyperextension: float
+    rng: np.random.Generator,
+    rest: np.ndarray,
+    names: tuple[str, ...],
+    hyperextension: float,
 ) -> np.ndarray:
     """Return a posture: each finger straight, half bent or curled; the thumb near its rest."""
     q = rest.copy()

@@ -123,7 +123,11 @@ def make_hand(generator: np.random.Generator, kind: str = "") -> MadeHand:
     named = side if kind != "wrong names" else "left" if side == "right" else "right"
     prefix = f"{named}_" if has_names else ""
     writer = _Writer(generator, turn, prefix, has_names, is_one_sided, kind)
-    order = generator.permutation(len(fingers)) if kind == "shuffled" else range(len(fingers))
+    order = (
+        generator.permutation(len(fingers))
+        if kind == "shuffled"
+        else range(len(fingers))
+    )
     for i in order:
         writer.add(fingers[i])
     return MadeHand(
@@ -140,7 +144,9 @@ def make_hand(generator: np.random.Generator, kind: str = "") -> MadeHand:
 
 def _thumb(generator: np.random.Generator, radial: float, size: float) -> _Finger:
     """A thumb at the radial side, that points radially and distally, and opposes."""
-    direction = np.array([radial * generator.uniform(0.6, 1.0), generator.uniform(0.5, 0.9), -0.2])
+    direction = np.array(
+        [radial * generator.uniform(0.6, 1.0), generator.uniform(0.5, 0.9), -0.2]
+    )
     direction /= np.linalg.norm(direction)
     # It bends across the palm and towards the palmar side.
     towards = np.array([-radial, 0.2, -0.8])
@@ -185,10 +191,17 @@ class _Writer:
         lateral = np.cross(finger.direction, finger.axis)
         # Each phalanx of a curved finger is bent about the flexion axis.
         curve = _CURVE if self._kind == "curved" else 0.0
-        ways = [_bent(finger.direction, finger.axis, k * curve) for k in range(len(finger.lengths))]
+        ways = [
+            _bent(finger.direction, finger.axis, k * curve)
+            for k in range(len(finger.lengths))
+        ]
         steps = [length * way for length, way in zip(finger.lengths, ways, strict=True)]
-        joints: list[tuple[np.ndarray, str]] = [(finger.axis, "flex")] * len(finger.lengths)
-        places = [finger.base + np.sum(steps[:k], axis=0) for k in range(len(finger.lengths))]
+        joints: list[tuple[np.ndarray, str]] = [(finger.axis, "flex")] * len(
+            finger.lengths
+        )
+        places = [
+            finger.base + np.sum(steps[:k], axis=0) for k in range(len(finger.lengths))
+        ]
         tip = finger.base + np.sum(steps, axis=0)
         if finger.opposes:
             joints.insert(0, (finger.direction * 0.3 + lateral * 0.95, "oppose"))
@@ -196,7 +209,9 @@ class _Writer:
         if finger.abducts != "none":
             at = 0 if finger.abducts == "before" else 1
             joints.insert(at, (lateral, "abduct"))
-            places.insert(at, finger.base + (0.15 * finger.lengths[0] * finger.direction) * at)
+            places.insert(
+                at, finger.base + (0.15 * finger.lengths[0] * finger.direction) * at
+            )
         if self._kind == "slides":
             joints.insert(0, (finger.direction, "slide"))
             places.insert(0, finger.base)
@@ -207,7 +222,15 @@ class _Writer:
             # The origin of a joint is anywhere on its axis.
             place = place + self._generator.uniform(-0.01, 0.01) * axis
             parent, frame, origin = self._joint(
-                finger.name, k, kind, axis, place, parent, frame, origin, len(finger.lengths)
+                finger.name,
+                k,
+                kind,
+                axis,
+                place,
+                parent,
+                frame,
+                origin,
+                len(finger.lengths),
             )
         if self._kind == "no tips":
             self.tips[finger.name] = parent

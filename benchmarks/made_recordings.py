@@ -53,10 +53,16 @@ def _made(real: Recording, rng: Generator, frames: int, *, has_gap: bool) -> Rec
         if valid.sum() > count // 2:
             break
     steps = real.steps[part] * rng.uniform(0.7, 1.4)
-    warp = 1.0 + 0.3 * np.sin(np.linspace(0.0, rng.uniform(2.0, 9.0), count) + rng.uniform(0, 6))
+    warp = 1.0 + 0.3 * np.sin(
+        np.linspace(0.0, rng.uniform(2.0, 9.0), count) + rng.uniform(0, 6)
+    )
     angle = rng.uniform(-np.pi, np.pi)
     turn = np.array(
-        [[np.cos(angle), 0.0, np.sin(angle)], [0.0, 1.0, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
+        [
+            [np.cos(angle), 0.0, np.sin(angle)],
+            [0.0, 1.0, 0.0],
+            [-np.sin(angle), 0.0, np.cos(angle)],
+        ]
     )
     landmarks = real.landmarks[part] @ turn.T + rng.normal(0.0, 5e-4, (count, 21, 3))
     return replace(

@@ -41,14 +41,20 @@ def map_grasp(
         HandmapError: If the method cannot map this robot.
     """
     count, still = round(duration * _RATE), round(_SETTLING * _RATE)
-    places = np.concatenate([np.zeros(still), np.linspace(0.0, len(human.q) - 1.0, count + 1)])
+    places = np.concatenate(
+        [np.zeros(still), np.linspace(0.0, len(human.q) - 1.0, count + 1)]
+    )
     q, wrist = _resampled(human, places)
     model = load_hand("human", points="landmarks")
-    landmarks = np.array([model.points(*sample) for sample in zip(q, wrist, strict=True)])
+    landmarks = np.array(
+        [model.points(*sample) for sample in zip(q, wrist, strict=True)]
+    )
     time = np.arange(len(places)) / _RATE
     valid = np.ones(len(places), dtype=bool)
     grasp, hand = scene.robot, scene.robot_points
-    take = prepare_take(Recording("grasp", time, landmarks, valid, "right"), hand.spec.side)
+    take = prepare_take(
+        Recording("grasp", time, landmarks, valid, "right"), hand.spec.side
+    )
     mapped = map_commands(method, take, grasp.hand)
     change = mapped.q[still:] - mapped.q[still]
     angles = np.clip(grasp.q + change, hand.lower_limits, hand.upper_limits)
@@ -57,7 +63,9 @@ def map_grasp(
     turns = mapped.wrist[still:, :3, :3] @ mapped.wrist[still, :3, :3].T
     moved[:, :3, :3] = turns @ start[:3, :3]
     moved[:, :3, 3] += mapped.wrist[still:, :3, 3] - mapped.wrist[still, :3, 3]
-    points = np.array([hand.points(*sample) for sample in zip(angles, moved, strict=True)])
+    points = np.array(
+        [hand.points(*sample) for sample in zip(angles, moved, strict=True)]
+    )
     return HandMotion(angles, moved, points)
 
 

@@ -56,7 +56,9 @@ def make_mapper(inputs: Any, robot: Any, preset: str) -> Any:
     return HandMapper(human, robot, choice.method, ik=choice.ik)
 
 
-def arguments_of(call: str, inputs: Any, human: Any, preset: str) -> list[tuple[Any, ...]]:
+def arguments_of(
+    call: str, inputs: Any, human: Any, preset: str
+) -> list[tuple[Any, ...]]:
     """Return the positional arguments of every call."""
     if call == "map_landmarks":
         shift = _SHIFT if preset.endswith(":shifted") else 0.0
@@ -67,7 +69,9 @@ def arguments_of(call: str, inputs: Any, human: Any, preset: str) -> list[tuple[
     return postures
 
 
-def serve(mapper: Any, call: str, samples: list[tuple[Any, ...]], steps: list[float]) -> None:
+def serve(
+    mapper: Any, call: str, samples: list[tuple[Any, ...]], steps: list[float]
+) -> None:
     """Answer requests until the input ends."""
     model, q = mapper.robot.model, mapper.robot.configuration_vector(mapper.robot.rest)
     jacobian = partial(pin.computeJointJacobians, model, model.createData(), q)

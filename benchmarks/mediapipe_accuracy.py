@@ -36,8 +36,30 @@ _RADII = np.array(
 )
 """Half the thickness of a hand at its landmarks [mm]."""
 _BONES = [
-    *((0, 1), (1, 2), (2, 3), (3, 4), (0, 5), (5, 6), (6, 7), (7, 8), (0, 9), (9, 10), (10, 11)),
-    *((11, 12), (0, 13), (13, 14), (14, 15), (15, 16), (0, 17), (17, 18), (18, 19), (19, 20)),
+    *(
+        (0, 1),
+        (1, 2),
+        (2, 3),
+        (3, 4),
+        (0, 5),
+        (5, 6),
+        (6, 7),
+        (7, 8),
+        (0, 9),
+        (9, 10),
+        (10, 11),
+    ),
+    *(
+        (11, 12),
+        (0, 13),
+        (13, 14),
+        (14, 15),
+        (15, 16),
+        (0, 17),
+        (17, 18),
+        (18, 19),
+        (19, 20),
+    ),
     *((5, 9), (9, 13), (13, 17), (2, 5), (1, 5), (1, 9)),
 ]
 _FOCAL = 0.5 * SIZE[1] / np.tan(np.radians(0.5 * FOV))
@@ -120,7 +142,8 @@ def _spheres(landmarks: np.ndarray) -> list[tuple[np.ndarray, float]]:
     arm = landmarks[0] - 0.5 * (landmarks[9] + landmarks[13])
     arm /= np.linalg.norm(arm)
     found += [
-        (landmarks[0] + share * arm, 0.024 + 0.04 * share) for share in np.linspace(0, 0.22, 120)
+        (landmarks[0] + share * arm, 0.024 + 0.04 * share)
+        for share in np.linspace(0, 0.22, 120)
     ]
     return found
 
@@ -155,9 +178,14 @@ def measure(count: int, side: Side, folder: Path) -> dict[str, float]:
     errors = []
     for one, other in zip(found, known, strict=True):
         fit = rigid_fit(one, other)
-        errors.append(np.linalg.norm(one @ fit[:3, :3].T + fit[:3, 3] - other, axis=1).mean())
+        errors.append(
+            np.linalg.norm(one @ fit[:3, :3].T + fit[:3, 3] - other, axis=1).mean()
+        )
     tips, knuckles = [8, 12, 16, 20], [5, 9, 13, 17]
-    reach = [np.linalg.norm(each[:, tips] - each[:, knuckles], axis=2) for each in (found, known)]
+    reach = [
+        np.linalg.norm(each[:, tips] - each[:, knuckles], axis=2)
+        for each in (found, known)
+    ]
     correlations = [np.corrcoef(reach[0][:, k], reach[1][:, k])[0, 1] for k in range(4)]
     return {
         "seen": len(seen) / count,
@@ -170,7 +198,9 @@ def measure(count: int, side: Side, folder: Path) -> dict[str, float]:
 def main() -> None:
     """Print the figures of both hands."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pictures", type=int, default=240, help="pictures for each hand")
+    parser.add_argument(
+        "--pictures", type=int, default=240, help="pictures for each hand"
+    )
     count = parser.parse_args().pictures
     try:
         environment_python()
@@ -180,7 +210,13 @@ def main() -> None:
         sides: tuple[Side, Side] = ("right", "left")
         for side in sides:
             print(
-                json.dumps({"side": side, "pictures": count, **measure(count, side, Path(folder))})
+                json.dumps(
+                    {
+                        "side": side,
+                        "pictures": count,
+                        **measure(count, side, Path(folder)),
+                    }
+                )
             )
 
 

@@ -22,7 +22,9 @@ from handmap_qp.hands.sources import is_mjcf
 def models(paths: list[str]) -> Iterator[Path]:
     """Yield all MJCF files among files and below folders."""
     for path in map(Path, paths):
-        yield from filter(is_mjcf, sorted(path.rglob("*.xml")) if path.is_dir() else [path])
+        yield from filter(
+            is_mjcf, sorted(path.rglob("*.xml")) if path.is_dir() else [path]
+        )
 
 
 def main(paths: list[str]) -> None:

@@ -45,7 +45,11 @@ class FingerMatch:
     @property
     def range_ratio(self) -> float:
         """Robot's range over human's range; NaN if the human's finger is at rest."""
-        return self.robot_range / self.human_range if self.human_range > _STILL else float("nan")
+        return (
+            self.robot_range / self.human_range
+            if self.human_range > _STILL
+            else float("nan")
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,10 +106,12 @@ def assess_quality(motion: HumanMotion, trajectory: Trajectory) -> MotionQuality
         )
     human, robot, seen = motion.human, trajectory.robot, motion.valid
     fingers = match_fingers(
-        finger_extensions(human, motion.q[seen]), finger_extensions(robot, trajectory.q[seen])
+        finger_extensions(human, motion.q[seen]),
+        finger_extensions(robot, trajectory.q[seen]),
     )
     distance, angle = palm_deviation(
-        motion.wrist[seen] @ human.wrist_to_palm, trajectory.wrist[seen] @ robot.wrist_to_palm
+        motion.wrist[seen] @ human.wrist_to_palm,
+        trajectory.wrist[seen] @ robot.wrist_to_palm,
     )
     points = trajectory.point_error[seen]
     return MotionQuality(
@@ -154,7 +160,9 @@ def match_fingers(
         One match per finger, in the human's order.
     """
     return tuple(
-        _match(finger, human[finger], robot[finger]) for finger in human if finger in robot
+        _match(finger, human[finger], robot[finger])
+        for finger in human
+        if finger in robot
     )
 
 
@@ -171,10 +179,16 @@ def mean_correlation(fingers: Sequence[FingerMatch]) -> float:
 def total_range_ratio(fingers: Sequence[FingerMatch]) -> float:
     """Sum of the robot's ranges over the sum of the human's; NaN if no finger moved."""
     human = sum(match.human_range for match in fingers)
-    return sum(match.robot_range for match in fingers) / human if human > 0.0 else float("nan")
+    return (
+        sum(match.robot_range for match in fingers) / human
+        if human > 0.0
+        else float("nan")
+    )
 
 
-def palm_deviation(human_palm: np.ndarray, robot_palm: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def palm_deviation(
+    human_palm: np.ndarray, robot_palm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Difference between the palms' displacements since the first sample.
 
     Each displacement is expressed in the palm's own axes at the first sample, so it does not depend
@@ -197,19 +211,23 @@ def palm_deviation(human_palm: np.ndarray, robot_palm: np.ndarray) -> tuple[np.n
 
 
 def _match(finger: str, human: np.ndarray, robot: np.ndarray) -> FingerMatch:
-    spread = [float(np.diff(np.percentile(values, _RANGE))[0]) for values in (human, robot)]
+    spread = [
+        float(np.diff(np.percentile(values, _RANGE))[0]) for values in (human, robot)
+    ]
     # np.corrcoef of a constant is NaN and warns; count it as no correlation.
     is_still = min(np.ptp(human), np.ptp(robot)) <= _STILL
-    return FingerMatch(finger, 0.0 if is_still else float(np.corrcoef(human, robot)[0, 1]), *spread)
+    return FingerMatch(
+        finger, 0.0 if is_still else float(np.corrcoef(human, robot)[0, 1]), *spread
+    )
 
 
 def _tip_distances(hand: Hand, points: tuple[str, ...], q: np.ndarray) -> np.ndarray:
     """Distance from named points to the origin of the palm frame [m], shape (T, k)."""
     placed = hand.with_points(points)
     palm = hand.wrist_to_palm[:3, 3]
-    return np.array([np.linalg.norm(placed.points(angles) - palm, axis=1) for angles in q]).reshape(
-        len(q), len(points)
-    )
+    return np.array(
+        [np.linalg.norm(placed.points(angles) - palm, axis=1) for angles in q]
+    ).reshape(len(q), len(points))
 
 
 def _rms(values: np.ndarray) -> float:

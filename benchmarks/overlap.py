@@ -39,7 +39,9 @@ class OverlapMeter:
         self._data, self._placed = hand.model.createData(), shapes.geometry.createData()
         for request in self._placed.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = 1e-9
-        self._shapes = [_Support(shape.geometry) for shape in self._geometry.geometryObjects]
+        self._shapes = [
+            _Support(shape.geometry) for shape in self._geometry.geometryObjects
+        ]
         self.disputed = 0
 
     def depth(self, q: np.ndarray, *, checks_all: bool = False) -> float:
@@ -49,7 +51,9 @@ class OverlapMeter:
             q: Pinocchio configuration, shape (nq,).
             checks_all: Whether pairs that coal finds apart are checked too.
         """
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._placed, q)
+        pin.updateGeometryPlacements(
+            self._model, self._data, self._geometry, self._placed, q
+        )
         pin.computeDistances(self._geometry, self._placed)
         worst = 0.0
         for k, result in enumerate(self._placed.distanceResults):
@@ -105,7 +109,9 @@ class _Support:
             else:
                 self._disc = geometry.radius
         elif isinstance(geometry, coal.ConvexBase):
-            self._points = np.array([geometry.point(i) for i in range(geometry.num_points)])
+            self._points = np.array(
+                [geometry.point(i) for i in range(geometry.num_points)]
+            )
         else:
             raise TypeError(f"no support function for {type(geometry).__name__}")
 

@@ -45,7 +45,10 @@ def draw(functions: list[dict[str, Any]]) -> Any:
         [row["own_us"] for row in functions],
         color=common.PALETTE[1],
     )
-    axes.set(title="Own time of functions in a step, slowed by the profiler", xlabel="us per step")
+    axes.set(
+        title="Own time of functions in a step, slowed by the profiler",
+        xlabel="us per step",
+    )
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     return figure
@@ -55,7 +58,9 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run the profiler and print its result."""
     parser = common.make_parser("Profile map_step over a recording.")
     parser.add_argument(
-        "--robot", default="allegro_right", help="robot hand: a name or the path of a hand.yaml"
+        "--robot",
+        default="allegro_right",
+        help="robot hand: a name or the path of a hand.yaml",
     )
     parser.add_argument(
         "--sort",
@@ -78,11 +83,15 @@ def main(words: Sequence[str] | None = None) -> None:
     for i in range(len(motion.time)):
         mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
     profile.disable()
-    statistics = pstats.Stats(profile, stream=sys.stderr if arguments.json == "-" else sys.stdout)
+    statistics = pstats.Stats(
+        profile, stream=sys.stderr if arguments.json == "-" else sys.stdout
+    )
     statistics.strip_dirs().sort_stats(arguments.sort).print_stats(arguments.lines)
     functions = costliest(statistics, len(motion.time), arguments.lines)
     common.write_json(
-        arguments.json, "profile_step", {"steps": len(motion.time), "functions": functions}
+        arguments.json,
+        "profile_step",
+        {"steps": len(motion.time), "functions": functions},
     )
     common.save_picture(arguments.picture, lambda: draw(functions))
     if arguments.save:

@@ -26,7 +26,15 @@ from handmap_qp.apps.service.opening import HandCache, Hands, prepare_hands
 from handmap_qp.apps.service.samples import to_matrix
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.store import PostureStore, Record
-from handmap_qp.client.messages import PROTOCOL, Command, Configure, Open, Pose, Reset, Step
+from handmap_qp.client.messages import (
+    PROTOCOL,
+    Command,
+    Configure,
+    Open,
+    Pose,
+    Reset,
+    Step,
+)
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs, named_pairs
 from handmap_qp.human.recording import Recording, mirrored
@@ -53,7 +61,12 @@ class Run:
     cache = HandCache()
 
     def __init__(
-        self, robot: str, recording: Recording, limit: float | None, start: float, **choices: Any
+        self,
+        robot: str,
+        recording: Recording,
+        limit: float | None,
+        start: float,
+        **choices: Any,
     ) -> None:
         self._recording, self._time, self._shift = recording, start, 0.0
         self.limit = self._first_limit = limit
@@ -86,7 +99,9 @@ class Run:
             self._seq += 1
             times = self._recording.time - self._recording.time[0]
             valid = np.flatnonzero(self._recording.valid)
-            i = valid[np.argmin(np.abs(times[valid] - (self._time + self._shift) % times[-1]))]
+            i = valid[
+                np.argmin(np.abs(times[valid] - (self._time + self._shift) % times[-1]))
+            ]
             rows = tuple(map(tuple, self._recording.landmarks[i].tolist()))
             sample = Step(
                 protocol=PROTOCOL,
@@ -147,7 +162,9 @@ def _reconnect(run: Run) -> None:
 
 
 def _configure(run: Run, **changes: Any) -> None:
-    run.session.configure(Configure(protocol=PROTOCOL, seq=1, session=_SECRET, **changes))
+    run.session.configure(
+        Configure(protocol=PROTOCOL, seq=1, session=_SECRET, **changes)
+    )
 
 
 def _release_and_clutch(run: Run) -> None:
@@ -227,10 +244,14 @@ class Judge:
         run.limits.clear()
 
     def _vector(self, q: np.ndarray, wrist: np.ndarray | None) -> np.ndarray:
-        return self._hand.configuration_vector(q, wrist if self._hand.is_floating else None)
+        return self._hand.configuration_vector(
+            q, wrist if self._hand.is_floating else None
+        )
 
 
-def measure(robot: str, recording: Recording, limit: float | None, places: int) -> list[Any]:
+def measure(
+    robot: str, recording: Recording, limit: float | None, places: int
+) -> list[Any]:
     """Measure all events with one robot and limit; return rows of the table."""
     rows, hand = [], Run.cache.robot(robot, None, None)
     for name, cause in EVENTS.items():
@@ -270,7 +291,9 @@ def _jerk(commands: Sequence[Command]) -> float:
     return float(np.abs(np.diff(acceleration, axis=0) / dt[2:]).max())
 
 
-def drive_randomly(robot: str, recording: Recording, count: int, seed: int) -> dict[str, Any]:
+def drive_randomly(
+    robot: str, recording: Recording, count: int, seed: int
+) -> dict[str, Any]:
     """Drive a robot with random events and limits; return a row of the table."""
     rng, started = np.random.default_rng(seed), time.process_time()
     run = Run(robot, recording, 20.0, 0.5, robot_wrist=_HERE)
@@ -349,8 +372,12 @@ RANDOM_EVENTS: tuple[Callable[[Run, np.random.Generator], None], ...] = (
 def main(words: Sequence[str] | None = None) -> None:
     """Run all events, print the table."""
     parser = common.make_parser("Commands of a session at re-engagement.", draws=False)
-    parser.add_argument("--robots", nargs="+", default=["allegro_right", "three_finger"])
-    parser.add_argument("--random", type=int, default=0, help="commands under random events in sum")
+    parser.add_argument(
+        "--robots", nargs="+", default=["allegro_right", "three_finger"]
+    )
+    parser.add_argument(
+        "--random", type=int, default=0, help="commands under random events in sum"
+    )
     parser.add_argument("--seed", type=int, default=0, help="seed of the random events")
     arguments = common.parse_arguments(parser, words)
     file = arguments.recordings / "leap_hmd_right.npz"

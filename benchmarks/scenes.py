@@ -52,11 +52,17 @@ def load_scene(file: Path, every: int = 1, samples: int | None = None) -> Scene:
     recording = read_recording(file)
     if samples is not None:
         kept = slice(
-            int(np.argmax(recording.valid)), int(np.argmax(recording.valid)) + samples * every
+            int(np.argmax(recording.valid)),
+            int(np.argmax(recording.valid)) + samples * every,
         )
-        columns = {name: getattr(recording, name)[kept] for name in ("time", "landmarks", "valid")}
+        columns = {
+            name: getattr(recording, name)[kept]
+            for name in ("time", "landmarks", "valid")
+        }
         recording = replace(recording, **columns, wrist=None, confidence=None)
-    return Scene(recording.name, recording.side, thinned(fit_recording(recording), every))
+    return Scene(
+        recording.name, recording.side, thinned(fit_recording(recording), every)
+    )
 
 
 def load_scenes(
@@ -111,7 +117,9 @@ def robot_for(family: str, side: Side, points: str | None = None) -> Hand:
 def _other_side(spec: HandSpec) -> HandSpec:
     """Return the three-fingered hand for the other side: swap index and middle finger."""
     points = tuple(
-        msgspec.structs.replace(point, finger=_swap(point.finger), partner=_swap(point.partner))
+        msgspec.structs.replace(
+            point, finger=_swap(point.finger), partner=_swap(point.partner)
+        )
         for point in spec.points
     )
     return msgspec.structs.replace(spec, side="left", points=points)

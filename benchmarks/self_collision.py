@@ -89,7 +89,9 @@ def wild(hand: Hand, shapes: ShapePairs, steps: int, seed: int) -> Tally:
     targets, rest = ik.configuration.points.copy(), hand.rest
     for _ in range(steps):
         if rng.random() < 0.01:
-            q = hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
+            q = hand.configuration_vector(
+                rng.uniform(hand.lower_limits, hand.upper_limits)
+            )
             if meter.depth(q) == 0.0:
                 ik.place(q)
                 tally.checker.start(q)
@@ -101,7 +103,9 @@ def wild(hand: Hand, shapes: ShapePairs, steps: int, seed: int) -> Tally:
             elsewhere.place_frames(hand.configuration_vector(q))
             targets = elsewhere.points.copy()
             if rng.random() < 0.5:
-                targets[:] = targets.mean(axis=0) + 0.01 * rng.normal(size=targets.shape)
+                targets[:] = targets.mean(axis=0) + 0.01 * rng.normal(
+                    size=targets.shape
+                )
             rest = rng.uniform(hand.lower_limits, hand.upper_limits)
         dt, started = _wild_time(rng), time.process_time()
         ik.solve(targets, None, dt, rest=rest)
@@ -132,7 +136,9 @@ def _wild_time(rng: np.random.Generator) -> float:
     return float(10.0 ** rng.uniform(-4, 1))
 
 
-def mapped(hand: Hand, shapes: ShapePairs, recording: Recording, most: float | None) -> Tally:
+def mapped(
+    hand: Hand, shapes: ShapePairs, recording: Recording, most: float | None
+) -> Tally:
     """Map a recording by teleoperation with an acceleration limit."""
     if recording.side != hand.side:
         recording = mirrored(recording)
@@ -140,7 +146,9 @@ def mapped(hand: Hand, shapes: ShapePairs, recording: Recording, most: float | N
         human_name(recording.side), points="landmarks", lengths=measure_hand(recording)
     )
     preset, tally = get_preset("teleoperation"), Tally(hand, shapes)
-    mapper = HandMapper(human, hand, preset.method, ik=preset.ik.replaced(max_acceleration=most))
+    mapper = HandMapper(
+        human, hand, preset.method, ik=preset.ik.replaced(max_acceleration=most)
+    )
     is_first = True
     for landmarks, is_valid, dt in zip(
         recording.landmarks, recording.valid, recording.steps, strict=True
@@ -168,9 +176,13 @@ def load(name: str) -> Hand:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run both, print the table."""
-    parser = common.make_parser("Overlaps of links under self-collision avoidance.", draws=False)
+    parser = common.make_parser(
+        "Overlaps of links under self-collision avoidance.", draws=False
+    )
     parser.add_argument("--hands", nargs="+", choices=HANDS, default=list(HANDS))
-    parser.add_argument("--steps", type=int, default=100_000, help="wild steps in total")
+    parser.add_argument(
+        "--steps", type=int, default=100_000, help="wild steps in total"
+    )
     parser.add_argument("--seed", type=int, default=0)
     arguments = common.parse_arguments(parser, words)
     files = common.find_recordings(arguments.recordings)
@@ -185,7 +197,9 @@ def main(words: Sequence[str] | None = None) -> None:
     with common.progress("hands", len(runs)) as advance:
         for i, (hand, kind, shapes) in enumerate(runs):
             tally = wild(hand, shapes, steps // len(runs), arguments.seed + i)
-            rows.append(tally.row(hand=hand.name, pairs=kind, motion="wild", limit="mixed"))
+            rows.append(
+                tally.row(hand=hand.name, pairs=kind, motion="wild", limit="mixed")
+            )
             for file in files if kind == "all" else ():
                 for most in (None, 20.0, 100.0):
                     tally = mapped(hand, shapes, read_recording(file), most)

@@ -13,7 +13,13 @@ from checker import Checker
 from service_process import ServiceProcess
 
 from handmap_qp import load_hand
-from handmap_qp.client import Client, Command, KeyFiles, ServiceError, ServiceTimeoutError
+from handmap_qp.client import (
+    Client,
+    Command,
+    KeyFiles,
+    ServiceError,
+    ServiceTimeoutError,
+)
 
 TIMEOUT = 1.0
 _OPENING = 20.0
@@ -36,14 +42,25 @@ class HumanMotion:
         self._rest = human.rest
         self._span = 0.25 * (human.upper_limits - human.lower_limits)
         self._middle = 0.5 * (human.upper_limits + human.lower_limits)
-        self._frequency, self._phase = generator.uniform(0.2, 1.0), generator.uniform(0.0, 6.28)
+        self._frequency, self._phase = (
+            generator.uniform(0.2, 1.0),
+            generator.uniform(0.0, 6.28),
+        )
 
     def __call__(self, time: float) -> dict[str, Any]:
         """Return the sample at a time [s]: `q` and `wrist`."""
         phase = 2.0 * np.pi * self._frequency * time + self._phase
         q = 0.5 * (self._rest + self._middle) + self._span * np.sin(phase)
         wrist = np.array(
-            [0.1 * np.sin(0.5 * phase), 0.05 * np.cos(0.3 * phase), 0.2, 0.0, 0.0, 0.0, 1.0]
+            [
+                0.1 * np.sin(0.5 * phase),
+                0.05 * np.cos(0.3 * phase),
+                0.2,
+                0.0,
+                0.0,
+                0.0,
+                1.0,
+            ]
         )
         return {"q": q, "wrist": wrist}
 
@@ -91,7 +108,11 @@ class Driver:
 
 
 def open_driver(
-    client: Client, robot: str = "three_finger", *, hears_all: bool = False, **choices: Any
+    client: Client,
+    robot: str = "three_finger",
+    *,
+    hears_all: bool = False,
+    **choices: Any,
 ) -> Driver:
     """Open a session, and return a driver for its robot."""
     client.open(robot, **choices)
@@ -145,7 +166,10 @@ class Honest(threading.Thread):
         self.client = Client(service.address, timeout=_OPENING, keys=keys)
         choices = {"name": f"honest-{seed}", "max_dt": _MAX_DT, "is_shared": is_shared}
         self.driver: Driver = open_driver(
-            self.client, "three_finger", hears_all=not streams and not is_shared, **choices
+            self.client,
+            "three_finger",
+            hears_all=not streams and not is_shared,
+            **choices,
         )
         self.client.timeout = TIMEOUT
         self._listener = Client(service.address, timeout=TIMEOUT, keys=keys)
@@ -176,7 +200,9 @@ class Honest(threading.Thread):
                 if command is not None:
                     self.driver.take(command)
                     self.is_disobeyed |= (
-                        self._has_released and self.last is not None and command.q != self.last.q
+                        self._has_released
+                        and self.last is not None
+                        and command.q != self.last.q
                     )
                     self.last = command
                     self.answered += 1
@@ -201,7 +227,11 @@ class Honest(threading.Thread):
     def _look_where_it_starts(self) -> None:
         """Compare the assumed posture of a reopened session with the last command."""
         opened = self.client.opened
-        if self.client.reopened != self._reopened and opened is not None and self.last is not None:
+        if (
+            self.client.reopened != self._reopened
+            and opened is not None
+            and self.last is not None
+        ):
             offset = np.abs(np.subtract(opened.q, self.last.q)) / (
                 self.driver.speed * 3.0 * _MAX_DT
             )
@@ -214,7 +244,9 @@ class Honest(threading.Thread):
         stamp = (
             now
             if not self._jumps
-            else float(self._generator.choice([now, -1e9, 1e9, 1e15, 0.0, now - 3600.0]))
+            else float(
+                self._generator.choice([now, -1e9, 1e9, 1e15, 0.0, now - 3600.0])
+            )
         )
         if self._releases and now > 1.0 and not self._has_released:
             self.client.release()
@@ -254,13 +286,20 @@ def summary(clients: Sequence[Honest], **more: Any) -> dict[str, Any]:
         "timeouts": sum(client.timeouts for client in clients),
         "refused": sum(len(client.refusals) for client in clients),
         "longest_call_s": max(client.longest for client in clients),
-        "fastest_joint": max(client.driver.checker.worst["speed"] for client in clients),
-        "violations": sum(client.driver.checker.violations.total() for client in clients),
+        "fastest_joint": max(
+            client.driver.checker.worst["speed"] for client in clients
+        ),
+        "violations": sum(
+            client.driver.checker.violations.total() for client in clients
+        ),
         "epochs": sum(client.driver.epochs for client in clients),
         **more,
     }
     wrong = []
-    if any(client.is_alive() for client in clients) or found["longest_call_s"] > TIMEOUT + _GRACE:
+    if (
+        any(client.is_alive() for client in clients)
+        or found["longest_call_s"] > TIMEOUT + _GRACE
+    ):
         wrong.append("a call hung")
     if found["violations"]:
         wrong.append("a robot jumped")

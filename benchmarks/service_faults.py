@@ -55,7 +55,10 @@ def restarts(duration: float) -> dict[str, Any]:
     Three clients wait for each answer. Two only send, with drivers of their own that listen. One
     has released its robot.
     """
-    with tempfile.TemporaryDirectory() as folder, serving(state=Path(folder) / "state") as service:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        serving(state=Path(folder) / "state") as service,
+    ):
         restored, outages, end = 0, [], time.monotonic() + duration
         with (
             honest(service, 3) as asking,
@@ -66,7 +69,10 @@ def restarts(duration: float) -> dict[str, Any]:
             while time.monotonic() < end:
                 time.sleep(3.0)
                 service.kill()
-                killed, counts = time.monotonic(), [client.answered for client in clients]
+                killed, counts = (
+                    time.monotonic(),
+                    [client.answered for client in clients],
+                )
                 service.start()
                 while any(
                     client.answered == before
@@ -117,7 +123,11 @@ def vanishing(duration: float) -> dict[str, Any]:
             _GREETING + _READY + b"\x00\xc8" + b"x" * 50,
         ],
         "stream": [_GREETING, _GREETING + _READY[:9]],
-        "web": [b"GET / HTTP/1.1\r\nHost:", b"GET / HTTP/1.1\r\n\r\n", b"\x16\x03\x01\x02\x00"],
+        "web": [
+            b"GET / HTTP/1.1\r\nHost:",
+            b"GET / HTTP/1.1\r\n\r\n",
+            b"\x16\x03\x01\x02\x00",
+        ],
         "health": [b"GET /metr", b"\x00" * 100],
     }
     with (
@@ -125,12 +135,18 @@ def vanishing(duration: float) -> dict[str, Any]:
         honest(service) as clients,
         MemoryWatch(service) as memory,
     ):
-        files, vanished, killed, end = service.files(), 0, 0, time.monotonic() + duration
+        files, vanished, killed, end = (
+            service.files(),
+            0,
+            0,
+            time.monotonic() + duration,
+        )
         while time.monotonic() < end:
             vanished += _touch(service, halves)
             if killed < duration / 5.0:
                 process = subprocess.Popen(
-                    [sys.executable, "-c", code, service.address], stdout=subprocess.PIPE
+                    [sys.executable, "-c", code, service.address],
+                    stdout=subprocess.PIPE,
                 )
                 if process.stdout is not None and process.stdout.readline():
                     process.send_signal(signal.SIGKILL)
@@ -162,7 +178,9 @@ def _touch(service: ServiceProcess, halves: dict[str, list[bytes]]) -> int:
             ):
                 # Reset the connection when it closes (linger of zero).
                 connection.setsockopt(
-                    socket.SOL_SOCKET, socket.SO_LINGER, b"\x01\x00\x00\x00\x00\x00\x00\x00"
+                    socket.SOL_SOCKET,
+                    socket.SO_LINGER,
+                    b"\x01\x00\x00\x00\x00\x00\x00\x00",
                 )
                 connection.sendall(payload)
             count += 1
@@ -202,7 +220,9 @@ def resets(duration: float) -> dict[str, Any]:
 
 def ask_and_reset(port: int, number: int) -> bool:
     """Ask several times, read nothing, and reset; return whether the handshake was accepted."""
-    status = msgspec.msgpack.encode({"type": "status", "protocol": 1, "seq": 1, "session": ""})
+    status = msgspec.msgpack.encode(
+        {"type": "status", "protocol": 1, "seq": 1, "session": ""}
+    )
     frame = bytes([0x82, 0x80 | len(status)]) + bytes(4) + status
     with socket.create_connection(("127.0.0.1", port), timeout=5.0) as connection:
         connection.sendall(_HANDSHAKE)
@@ -210,7 +230,9 @@ def ask_and_reset(port: int, number: int) -> bool:
         with suppress(OSError):
             connection.sendall(frame * (1 + number % 20))
         # Reset the connection when it closes (linger of zero).
-        connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        connection.setsockopt(
+            socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0)
+        )
     return is_accepted
 
 
@@ -230,7 +252,9 @@ def slow_readers(duration: float) -> dict[str, Any]:
         MemoryWatch(service) as memory,
         zmq.Context() as context,
     ):
-        step = msgspec.msgpack.encode({"type": "status", "protocol": 1, "seq": 1, "session": ""})
+        step = msgspec.msgpack.encode(
+            {"type": "status", "protocol": 1, "seq": 1, "session": ""}
+        )
         deaf, webs = [], []
         for _ in range(20):
             listener = context.socket(zmq.SUB)
@@ -269,7 +293,11 @@ def slow_readers(duration: float) -> dict[str, Any]:
         for web in webs:
             web.socket.close()
     return summary(
-        clients, **memory.found(), failures=len(service.failures), readers=60, unread=asked
+        clients,
+        **memory.found(),
+        failures=len(service.failures),
+        readers=60,
+        unread=asked,
     )
 
 
@@ -303,7 +331,9 @@ def wrong_keys(duration: float) -> dict[str, Any]:
             attempts, admitted_count, end = 0, 0, time.monotonic() + duration
             while time.monotonic() < end:
                 for keys in (None, stranger, elsewhere):
-                    with Client(service.address, timeout=0.3, attempts=1, keys=keys) as client:
+                    with Client(
+                        service.address, timeout=0.3, attempts=1, keys=keys
+                    ) as client:
                         attempts += 1
                         with suppress(ServiceTimeoutError):
                             client.status()
@@ -322,19 +352,30 @@ def wrong_keys(duration: float) -> dict[str, Any]:
 
 def sessions_come_and_go(duration: float) -> dict[str, Any]:
     """Open, use and close sessions: their memory must be freed."""
-    with serving() as service, honest(service) as clients, MemoryWatch(service) as memory:
+    with (
+        serving() as service,
+        honest(service) as clients,
+        MemoryWatch(service) as memory,
+    ):
         opened, end = 0, time.monotonic() + duration
         motion = HumanMotion()
         while time.monotonic() < end:
-            with Client(service.address, timeout=TIMEOUT) as client, suppress(ServiceTimeoutError):
+            with (
+                Client(service.address, timeout=TIMEOUT) as client,
+                suppress(ServiceTimeoutError),
+            ):
                 try:
-                    client.open("three_finger", hand_length=0.15 + 0.0001 * (opened % 1000))
+                    client.open(
+                        "three_finger", hand_length=0.15 + 0.0001 * (opened % 1000)
+                    )
                     client.step(**motion(0.0))
                     opened += 1
                 except ServiceError:
                     # The server limits openings per second.
                     time.sleep(0.05)
-    return summary(clients, **memory.found(), failures=len(service.failures), opened=opened)
+    return summary(
+        clients, **memory.found(), failures=len(service.failures), opened=opened
+    )
 
 
 # Each value is valid, and so is every combination.
@@ -377,7 +418,9 @@ def steering(duration: float) -> dict[str, Any]:
         started = time.monotonic()
         with ThreadPoolExecutor(4) as pool:
             answers = sum(
-                pool.map(lambda seed: _steer(service, seed, started + duration), range(4)),
+                pool.map(
+                    lambda seed: _steer(service, seed, started + duration), range(4)
+                ),
                 Counter[str](),
             )
         most = Settings().configures * (time.monotonic() - started + 0.25) + 1.0
@@ -389,7 +432,12 @@ def steering(duration: float) -> dict[str, Any]:
     )
     if not answers["configure: rate"] or answers["configure: done"] > most:
         found["wrong"].append("changes of options were not capped")
-    if not set(answers) <= {"release: done", "clutch: done", "configure: done", "configure: rate"}:
+    if not set(answers) <= {
+        "release: done",
+        "clutch: done",
+        "configure: done",
+        "configure: rate",
+    }:
         found["wrong"].append("a valid request was refused, or not answered")
     return found
 
@@ -404,7 +452,11 @@ def _steer(service: ServiceProcess, seed: int, end: float) -> Counter[str]:
     with Client(service.address, timeout=TIMEOUT) as client:
         client.watch(f"honest-{seed % 2}")
         while time.monotonic() < end:
-            kind = str(generator.choice(["release", "clutch", "configure"], p=[0.01, 0.02, 0.97]))
+            kind = str(
+                generator.choice(
+                    ["release", "clutch", "configure"], p=[0.01, 0.02, 0.97]
+                )
+            )
             changes = _wild_changes(generator) if kind == "configure" else {}
             try:
                 getattr(client, kind)(**changes)
@@ -419,12 +471,16 @@ def _steer(service: ServiceProcess, seed: int, end: float) -> Counter[str]:
 def _wild_changes(generator: np.random.Generator) -> dict[str, Any]:
     """Draw a preset and about a third of its options, each with any of its values."""
     preset = str(generator.choice(["teleoperation", "object", "paper"]))
-    changes: dict[str, Any] = {"has_detail": bool(generator.integers(2)), "preset": preset}
+    changes: dict[str, Any] = {
+        "has_detail": bool(generator.integers(2)),
+        "preset": preset,
+    }
     own = "teleoperation" if preset == "teleoperation" else "mapping"
     for field, options in ((field, _WILD[field]) for field in (own, "ik")):
         drawn = [name for name in options if generator.random() < 1.0 / 3.0]
         changes[field] = {
-            name: options[name][int(generator.integers(len(options[name])))] for name in drawn
+            name: options[name][int(generator.integers(len(options[name])))]
+            for name in drawn
         }
     return changes
 
@@ -447,14 +503,22 @@ def subscriptions(duration: float) -> dict[str, Any]:
         quiet = _longest_gap(service, clients, min(10.0, duration))
         before = service.cpu()
         flood = subprocess.Popen(
-            [*_ELSEWHERE, sys.executable, "-c", code, f"tcp://127.0.0.1:{service.ports['stream']}"]
+            [
+                *_ELSEWHERE,
+                sys.executable,
+                "-c",
+                code,
+                f"tcp://127.0.0.1:{service.ports['stream']}",
+            ]
         )
         during = _longest_gap(service, clients, duration)
         share = (service.cpu() - before) / duration
         flood.kill()
         flood.wait()
     return _judge_gaps(
-        summary(clients, **memory.found(), failures=len(service.failures), cpu_share=share),
+        summary(
+            clients, **memory.found(), failures=len(service.failures), cpu_share=share
+        ),
         quiet,
         during,
     )
@@ -462,7 +526,14 @@ def subscriptions(duration: float) -> dict[str, Any]:
 
 def openings(duration: float) -> dict[str, Any]:
     """Open sessions with expensive hands and self-collision as fast as the caps allow."""
-    hands = ("allegro_right", "hey5", "ur5_allegro", "tiago_arm", "g1_right", "romeo_left")
+    hands = (
+        "allegro_right",
+        "hey5",
+        "ur5_allegro",
+        "tiago_arm",
+        "g1_right",
+        "romeo_left",
+    )
     # Memory is not judged here: the caches of hands fill.
     with serving() as service, honest(service) as clients:
         quiet = _longest_gap(service, clients, min(10.0, duration))
@@ -487,7 +558,9 @@ def openings(duration: float) -> dict[str, Any]:
         for opener in openers:
             opener.kill()
         answers = Counter(
-            line.split()[0] for opener in openers for line in opener.communicate()[0].splitlines()
+            line.split()[0]
+            for opener in openers
+            for line in opener.communicate()[0].splitlines()
         )
     found = summary(clients, failures=len(service.failures), opened=dict(answers))
     return _judge_gaps(found, quiet, during)
@@ -571,7 +644,9 @@ def _raw(flood: str, *opening: bytes) -> str:
 
 
 _FRAMES = {
-    "fragments": _raw(r"b'\x02\x80' + bytes(4) + (b'\0\x80' + bytes(4)) * 200_000", _HANDSHAKE),
+    "fragments": _raw(
+        r"b'\x02\x80' + bytes(4) + (b'\0\x80' + bytes(4)) * 200_000", _HANDSHAKE
+    ),
     "pings": _raw(r"(b'\x89\x80' + bytes(4)) * 200_000", _HANDSHAKE),
     "empty_messages": _raw(r"(b'\x82\x80' + bytes(4)) * 200_000", _HANDSHAKE),
     "idle_connections": _IDLE,
@@ -579,7 +654,9 @@ _FRAMES = {
 _PARTS = {
     "hundred_parts": _raw(r"(b'\1\0' * 99 + b'\0\0') * 10_000", _GREETING, _READY),
     "parts_of_10_kB": _raw(
-        r"(b'\3' + (10**4).to_bytes(8) + bytes(10**4)) * 1000 + b'\0\0'", _GREETING, _READY
+        r"(b'\3' + (10**4).to_bytes(8) + bytes(10**4)) * 1000 + b'\0\0'",
+        _GREETING,
+        _READY,
     ),
     "million_parts": _raw(r"b'\1\0' * 10**6 + b'\0\0'", _GREETING, _READY),
 }
@@ -608,7 +685,9 @@ def shapes(duration: float) -> dict[str, Any]:
             attacks |= _PARTS_WITH_KEYS if ours else {**_FRAMES, **_PARTS}
             with ExitStack() as attackers:
                 with (
-                    serving(web=True, web_port=0, keys=Path(folder) if ours else None) as service,
+                    serving(
+                        web=True, web_port=0, keys=Path(folder) if ours else None
+                    ) as service,
                     honest(service, keys=ours) as clients,
                     MemoryWatch(service) as memory,
                 ):
@@ -637,7 +716,9 @@ def shapes(duration: float) -> dict[str, Any]:
 def _attack(code: str, *words: object) -> Iterator[None]:
     """Run a program that floods the service, from its first flood to the end of the block."""
     command = ["chrt", "--other", "0", sys.executable, "-c", code, *map(str, words)]
-    attack = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    attack = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL
+    )
     try:
         assert attack.stdout is not None
         attack.stdout.readline()
@@ -647,19 +728,25 @@ def _attack(code: str, *words: object) -> Iterator[None]:
         attack.communicate()
 
 
-def _stops(service: ServiceProcess, keys: KeyFiles | None, duration: float) -> list[float]:
+def _stops(
+    service: ServiceProcess, keys: KeyFiles | None, duration: float
+) -> list[float]:
     """Return how long stops take, over ZeroMQ and over a new WebSocket in turn [s]."""
     from websockets.sync.client import connect
 
     times, end = [], time.monotonic() + duration
-    stop = msgspec.msgpack.encode({"type": "stop", "protocol": 2, "seq": 1, "name": "lab"})
+    stop = msgspec.msgpack.encode(
+        {"type": "stop", "protocol": 2, "seq": 1, "name": "lab"}
+    )
     with Client(service.address, timeout=20.0, keys=keys) as client:
         client.open("three_finger", name="lab", restore=True, robot_q=np.zeros(8))
         while time.monotonic() < end:
             started = time.monotonic()
             client.stop("lab")
             times.append(time.monotonic() - started)
-            with connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None) as page:
+            with connect(
+                f"ws://127.0.0.1:{service.ports['web']}", compression=None
+            ) as page:
                 # The time of the handshake is not counted: a page is connected before.
                 started = time.monotonic()
                 page.send(stop)
@@ -706,7 +793,9 @@ def _run(name: str, duration: float) -> dict[str, Any]:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the scenarios."""
-    parser = common.make_parser("Faults of and around the mapping service.", draws=False)
+    parser = common.make_parser(
+        "Faults of and around the mapping service.", draws=False
+    )
     parser.add_argument(
         "--duration",
         type=float,
@@ -731,7 +820,9 @@ def main(words: Sequence[str] | None = None) -> None:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
         except PermissionError:
-            parser.error("argument --realtime: expected the right to use SCHED_FIFO: run as root")
+            parser.error(
+                "argument --realtime: expected the right to use SCHED_FIFO: run as root"
+            )
     results = {}
     with common.progress("scenarios", len(arguments.only)) as advance:
         for name in arguments.only:
@@ -741,7 +832,9 @@ def main(words: Sequence[str] | None = None) -> None:
         wrong = found.pop("wrong")
         rows = [{"what": key, "value": value} for key, value in _flat(found)]
         common.print_table(
-            f"{name}: {', '.join(wrong) or 'all well'}", rows, to_stderr=arguments.json == "-"
+            f"{name}: {', '.join(wrong) or 'all well'}",
+            rows,
+            to_stderr=arguments.json == "-",
         )
         found["wrong"] = wrong
     common.write_json(arguments.json, "service_faults", {"scenarios": results})

@@ -20,8 +20,18 @@ from handmap_qp.client import Command
 
 _SESSIONS: tuple[dict[str, Any], ...] = (
     {"robot": "three_finger"},
-    {"robot": "three_finger", "input": "landmarks", "hand_length": 0.19, "has_detail": True},
-    {"robot": "three_finger", "preset": "paper", "input": "landmarks", "hand_length": 0.19},
+    {
+        "robot": "three_finger",
+        "input": "landmarks",
+        "hand_length": 0.19,
+        "has_detail": True,
+    },
+    {
+        "robot": "three_finger",
+        "preset": "paper",
+        "input": "landmarks",
+        "hand_length": 0.19,
+    },
     {
         "robot": "three_finger",
         "input": "points",
@@ -51,11 +61,18 @@ def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
         honest(service) as clients,
         MemoryWatch(service) as memory,
     ):
-        codes, routes, broken, commands = Counter[str](), Counter[str](), Counter[str](), 0
+        codes, routes, broken, commands = (
+            Counter[str](),
+            Counter[str](),
+            Counter[str](),
+            0,
+        )
         started = time.monotonic()
         for number in range(count // _TO_ONE):
             # Every other session over WebSocket, and every kind of session on every transport.
-            with _ROUTES[(number + number // len(_SESSIONS)) % len(_ROUTES)](service) as route:
+            with _ROUTES[(number + number // len(_SESSIONS)) % len(_ROUTES)](
+                service
+            ) as route:
                 driver = _disturb(service, route, number, codes)
                 routes[route.name] += _TO_ONE
             broken += driver.checker.violations
@@ -68,7 +85,9 @@ def fuzz(duration: float, count: int = 1_000_000) -> dict[str, Any]:
         "through": dict(routes),
         "answers": dict(codes.most_common()),
     }
-    found = summary(clients, **memory.found(), failures=len(service.failures), **numbers)
+    found = summary(
+        clients, **memory.found(), failures=len(service.failures), **numbers
+    )
     if broken:
         found["wrong"].append("a robot jumped")
     return found | {
@@ -100,12 +119,20 @@ class Route(AbstractContextManager["Route"]):
     def ask(self, **message: Any) -> None:
         """Send a valid message."""
         payload = {"protocol": 1, **message}
-        self.send(msgspec.json.encode(payload) if self.is_json else msgspec.msgpack.encode(payload))
+        self.send(
+            msgspec.json.encode(payload)
+            if self.is_json
+            else msgspec.msgpack.encode(payload)
+        )
 
     def answer(self) -> dict[str, Any]:
         """Wait for the next answer, and decode it."""
         payload = self.receive()
-        return msgspec.json.decode(payload) if self.is_json else msgspec.msgpack.decode(payload)
+        return (
+            msgspec.json.decode(payload)
+            if self.is_json
+            else msgspec.msgpack.decode(payload)
+        )
 
 
 class ZeroMQRoute(Route):
@@ -136,7 +163,9 @@ class WebSocketRoute(Route):
 
         self.name, self.is_json = ("web, JSON" if is_json else "web, msgpack"), is_json
         self._connection = connect(
-            f"ws://127.0.0.1:{service.ports['web']}", compression=None, ping_interval=None
+            f"ws://127.0.0.1:{service.ports['web']}",
+            compression=None,
+            ping_interval=None,
         )
 
     def send(self, payload: bytes) -> None:
@@ -163,7 +192,9 @@ _ROUTES: tuple[Callable[[ServiceProcess], Route], ...] = (
 )
 
 
-def _disturb(service: ServiceProcess, route: Route, number: int, codes: Counter[str]) -> Driver:
+def _disturb(
+    service: ServiceProcess, route: Route, number: int, codes: Counter[str]
+) -> Driver:
     """Open a session, send invalid messages to it, close it; return the driver of its robot."""
     # The number is in the secret twice, so that one altered byte never makes another's secret.
     secret, name = f"a-secret-{number}-that-got-about-{number}", f"disturbed-{number}"
@@ -176,7 +207,9 @@ def _disturb(service: ServiceProcess, route: Route, number: int, codes: Counter[
         opened: dict[str, Any] = {"type": "error"}
         while opened["type"] == "error":
             # Altered messages open sessions too, by chance, up to the caps.
-            route.ask(type="open", seq=1, session=secret, name=name, is_shared=True, **choices)
+            route.ask(
+                type="open", seq=1, session=secret, name=name, is_shared=True, **choices
+            )
             opened = route.answer()
             if opened["type"] == "error":
                 if opened["code"] not in ("busy", "rate"):

@@ -50,7 +50,9 @@ class InvalidMessages:
         is_json: Whether messages are JSON; msgpack otherwise.
     """
 
-    def __init__(self, secret: str, name: str, seed: int = 0, *, is_json: bool = False) -> None:
+    def __init__(
+        self, secret: str, name: str, seed: int = 0, *, is_json: bool = False
+    ) -> None:
         self._generator = np.random.default_rng(seed)
         # Always six digits in JSON and five bytes in msgpack.
         self._seq = 100_000
@@ -78,7 +80,9 @@ class InvalidMessages:
         if draw < 0.9:
             number = payload.index(self._before_seq) + len(self._before_seq)
             kept = payload[number : number + self._seq_length]
-            for place in self._generator.integers(0, len(payload), size=1 + self._pick(6)):
+            for place in self._generator.integers(
+                0, len(payload), size=1 + self._pick(6)
+            ):
                 payload[place] = self._pick(256)
             if self._pick(_RARELY):
                 payload[number : number + self._seq_length] = kept

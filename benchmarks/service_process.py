@@ -55,18 +55,25 @@ class ServiceProcess:
             "health": "health_port",
             "web": "web_port",
         }
-        choices = self._choices | {kept[name]: port for name, port in self.ports.items()}
+        choices = self._choices | {
+            kept[name]: port for name, port in self.ports.items()
+        }
         code = (
             "from pathlib import Path, PosixPath\nfrom handmap_qp.apps.service.cli import Serve\n"
             f"Serve(**{choices!r}).run()"
         )
         with self.log.open("a") as log:
             self.process = subprocess.Popen(
-                [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=log, text=True
+                [sys.executable, "-c", code],
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
             )
         ready = self.process.stdout.readline() if self.process.stdout else ""
         if not ready:
-            raise RuntimeError(f"the service did not start: {self.log.read_text()[-2000:]}")
+            raise RuntimeError(
+                f"the service did not start: {self.log.read_text()[-2000:]}"
+            )
         self.ports = json.loads(ready)["ports"]
 
     @property
@@ -89,7 +96,9 @@ class ServiceProcess:
             self.kill()
         self.stop_times.append(time.monotonic() - asked)
         self.failures = [
-            line for line in self.log.read_text().splitlines() if '"event": "failed"' in line
+            line
+            for line in self.log.read_text().splitlines()
+            if '"event": "failed"' in line
         ]
         self.log.unlink()
 
@@ -118,7 +127,12 @@ class ServiceProcess:
 
     def cpu(self) -> float:
         """CPU time so far [s]."""
-        fields = Path(f"/proc/{self.process.pid}/stat").read_text().rpartition(")")[2].split()
+        fields = (
+            Path(f"/proc/{self.process.pid}/stat")
+            .read_text()
+            .rpartition(")")[2]
+            .split()
+        )
         return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
@@ -175,7 +189,9 @@ class MemoryWatch(threading.Thread):
 @contextmanager
 def echoing() -> Iterator[dict[str, int]]:
     """Run a bare echo of both transports in a separate process; yield its ports."""
-    process = subprocess.Popen([sys.executable, __file__], stdout=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, __file__], stdout=subprocess.PIPE, text=True
+    )
     try:
         yield json.loads(process.stdout.readline() if process.stdout else "")
     finally:
@@ -196,7 +212,9 @@ async def _echo() -> None:
     port = router.bind_to_random_port("tcp://127.0.0.1")
     async with serve(answer, "127.0.0.1", 0, compression=None) as web:
         print(
-            json.dumps({"requests": port, "web": next(iter(web.sockets)).getsockname()[1]}),
+            json.dumps(
+                {"requests": port, "web": next(iter(web.sockets)).getsockname()[1]}
+            ),
             flush=True,
         )
         while True:

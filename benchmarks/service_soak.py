@@ -51,7 +51,13 @@ class Disturber(threading.Thread):
 
     def run(self) -> None:
         """Work until `end`."""
-        works = (self._session, self._vanish, self._send_invalid, self._subscribe, self._emergency)
+        works = (
+            self._session,
+            self._vanish,
+            self._send_invalid,
+            self._subscribe,
+            self._emergency,
+        )
         for number in range(10**9):
             if self._ended.wait(0.1):
                 return
@@ -152,7 +158,9 @@ def soak(duration: float) -> tuple[dict[str, Any], Course]:
         clients,
         memory_start_MB=memory[0],
         memory_end_MB=memory[-1],
-        memory_growth_MB=max(0.0, float(np.median(later[-10:]) - np.median(later[:10]))),
+        memory_growth_MB=max(
+            0.0, float(np.median(later[-10:]) - np.median(later[:10]))
+        ),
         memory_slope_MB_per_h=slope,
         files_growth=max(opened[-10:]) - max(opened[quarter : quarter + 10]),
         failures=len(service.failures),
@@ -199,15 +207,22 @@ def draw(course: Course) -> Any:
 def main(words: Sequence[str] | None = None) -> None:
     """Soak, print the table."""
     parser = common.make_parser("An hour of everything at once.")
-    parser.add_argument("--duration", type=float, default=3600.0, metavar="S", help="time [s]")
+    parser.add_argument(
+        "--duration", type=float, default=3600.0, metavar="S", help="time [s]"
+    )
     arguments = common.parse_arguments(parser, words)
     found, course = soak(20.0 if arguments.quick else arguments.duration)
     rows = [
-        {"what": key, "value": ", ".join(map(str, value)) if isinstance(value, list) else value}
+        {
+            "what": key,
+            "value": ", ".join(map(str, value)) if isinstance(value, list) else value,
+        }
         for key, value in found.items()
         if not isinstance(value, dict)
     ]
-    rows += [{"what": f"did: {k}", "value": v} for k, v in found["disturbances"].items()]
+    rows += [
+        {"what": f"did: {k}", "value": v} for k, v in found["disturbances"].items()
+    ]
     title = ", ".join(found["wrong"]) or "all well"
     common.print_table(f"soak, {TIMEOUT:g} s timeout: {title}", rows)
     common.write_json(arguments.json, "service_soak", found)

@@ -69,7 +69,9 @@ class Case(NamedTuple):
         return self.outcome.human.is_lost or self.outcome.robot.is_lost
 
 
-def predicted_force(grasp: Grasp, motion: HandMotion, start: float, stiffness: Stiffness) -> float:
+def predicted_force(
+    grasp: Grasp, motion: HandMotion, start: float, stiffness: Stiffness
+) -> float:
     """Predict the sum of the normal forces at the end of a motion by the statics.
 
     Args:
@@ -103,19 +105,28 @@ def simulate(
     options: ArcOptions,
 ) -> list[Case]:
     """Simulate the human once, and the robot with every mapping."""
-    soft = soft_synergy(setting.synergy, physics) if physics.actuators == "torque" else None
+    soft = (
+        soft_synergy(setting.synergy, physics)
+        if physics.actuators == "torque"
+        else None
+    )
     cases, human = [], None
     for name, method in mappings.items():
         fingers = name if name in FINGERS else "frozen"
         run = run_experiment(scene, replace(setting, fingers=fingers))
         if method is not None:
-            run = run._replace(robot=map_grasp(method, scene, run.human, options.duration))
+            run = run._replace(
+                robot=map_grasp(method, scene, run.human, options.duration)
+            )
         human = human or carry(scene.human, run.human, MASS, physics, options, soft)
         robot = carry(scene.robot, run.robot, MASS, physics, options)
         hands = ((human, scene.human, run.human), (robot, scene.robot, run.robot))
         wanted = [
             predicted_force(
-                grasp, motion, float(carried.episode.at.normal_force[0]), carried.stiffness
+                grasp,
+                motion,
+                float(carried.episode.at.normal_force[0]),
+                carried.stiffness,
             )
             for carried, grasp, motion in hands
         ]
@@ -137,10 +148,16 @@ def row(case: Case) -> dict[str, Any]:
     hands = (("human", outcome.human), ("robot", outcome.robot))
     for (name, carried), wanted in zip(hands, case.wanted, strict=True):
         force = carried.episode.at.normal_force
-        found[f"{name} slip mm"] = "lost" if carried.is_lost else f"{1e3 * carried.slip.max():.1f}"
+        found[f"{name} slip mm"] = (
+            "lost" if carried.is_lost else f"{1e3 * carried.slip.max():.1f}"
+        )
         found[f"{name} force N"] = f"{force[0]:.1f} -> {force[-1]:.1f} ({wanted:.1f})"
-    found["differs mm"] = "-" if case.is_lost else f"{1e3 * outcome.translation_gap:.1f}"
-    found["differs deg"] = "-" if case.is_lost else f"{np.degrees(outcome.rotation_gap):.1f}"
+    found["differs mm"] = (
+        "-" if case.is_lost else f"{1e3 * outcome.translation_gap:.1f}"
+    )
+    found["differs deg"] = (
+        "-" if case.is_lost else f"{np.degrees(outcome.rotation_gap):.1f}"
+    )
     return found
 
 
@@ -167,8 +184,12 @@ def summary(name: str, cases: list[Case], frozen: dict[tuple, Case]) -> dict[str
         "robot slip mm": _spread([1e3 * robot.slip.max() for robot in held]),
         "force off statics N": _spread(errors),
         "differs mm": _spread([1e3 * case.outcome.translation_gap for case in both]),
-        "differs deg": _spread([np.degrees(case.outcome.rotation_gap) for case in both]),
-        "nearer than frozen": f"{sum(nearer)} of {len(nearer)}" if name != "frozen" else "-",
+        "differs deg": _spread(
+            [np.degrees(case.outcome.rotation_gap) for case in both]
+        ),
+        "nearer than frozen": f"{sum(nearer)} of {len(nearer)}"
+        if name != "frozen"
+        else "-",
     }
 
 
@@ -176,7 +197,10 @@ def human_summary(cases: list[Case]) -> dict[str, Any]:
     """Describe the human's own object over all motions."""
     motions = {_key(case): case for case in cases}.values()
     held = [case for case in motions if not case.outcome.human.is_lost]
-    errors = [abs(case.outcome.human.episode.at.normal_force[-1] - case.wanted[0]) for case in held]
+    errors = [
+        abs(case.outcome.human.episode.at.normal_force[-1] - case.wanted[0])
+        for case in held
+    ]
     return {
         "motions": len(motions),
         "lost": len(motions) - len(held),
@@ -196,21 +220,39 @@ def _spread(values: list[Any]) -> str:
 def main() -> None:
     """Run all combinations and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--grasps", type=int, default=1, help="best grasps of each hand")
-    parser.add_argument("--samples", type=int, default=60, help="palm poses tried for each hand")
+    parser.add_argument(
+        "--grasps", type=int, default=1, help="best grasps of each hand"
+    )
+    parser.add_argument(
+        "--samples", type=int, default=60, help="palm poses tried for each hand"
+    )
     parser.add_argument("--synergies", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--gammas", type=float, nargs="+", default=[-0.3, 0.3])
-    parser.add_argument("--steps", type=int, nargs="+", default=[50], help="steps of the mapping")
-    parser.add_argument("--mappings", nargs="+", default=["pseudoinverse", "qp", "frozen"])
-    parser.add_argument("--peers", type=Path, help="folder of outside methods, benchmarks/peers")
-    parser.add_argument("--actuators", choices=["position", "torque"], default="position")
-    parser.add_argument("--squeeze", type=float, default=4.0, help="force at every contact [N]")
+    parser.add_argument(
+        "--steps", type=int, nargs="+", default=[50], help="steps of the mapping"
+    )
+    parser.add_argument(
+        "--mappings", nargs="+", default=["pseudoinverse", "qp", "frozen"]
+    )
+    parser.add_argument(
+        "--peers", type=Path, help="folder of outside methods, benchmarks/peers"
+    )
+    parser.add_argument(
+        "--actuators", choices=["position", "torque"], default="position"
+    )
+    parser.add_argument(
+        "--squeeze", type=float, default=4.0, help="force at every contact [N]"
+    )
     parser.add_argument("--robot", default="three_finger")
-    parser.add_argument("--summary", action="store_true", help="one row for each mapping")
+    parser.add_argument(
+        "--summary", action="store_true", help="one row for each mapping"
+    )
     arguments = parser.parse_args()
     robot = load_hand(arguments.robot)
     others = tuple(name for name in arguments.mappings if name not in FINGERS)
-    methods = {m.name: m for m in chosen_methods(others, arguments.peers, arguments.robot)}
+    methods = {
+        m.name: m for m in chosen_methods(others, arguments.peers, arguments.robot)
+    }
     mappings = {name: methods.get(name) for name in arguments.mappings}
     settings = [
         Setting(synergy=synergy, gamma=gamma, steps=steps, ridge=0.1)
@@ -235,7 +277,9 @@ def main() -> None:
         return
     frozen = {_key(case): case for case in cases if case.mapping == "frozen"}
     of = {name: [case for case in cases if case.mapping == name] for name in mappings}
-    print_rows(f"{title}; median / worst", [summary(name, of[name], frozen) for name in of])
+    print_rows(
+        f"{title}; median / worst", [summary(name, of[name], frozen) for name in of]
+    )
     print_rows("The human's own object; median / worst", [human_summary(cases)])
 
 

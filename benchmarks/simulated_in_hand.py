@@ -39,27 +39,35 @@ CUBE, MASS, STEPS, DURATION = Box((0.05, 0.05, 0.05)), 0.1, 60, 2.0
 MOTIONS = {"shift": 0.006, "turn": float(np.radians(10.0))}
 
 
-def mapped_by_contacts(scene: Scene, motions: list[np.ndarray], ridge: float) -> HandMotion:
+def mapped_by_contacts(
+    scene: Scene, motions: list[np.ndarray], ridge: float
+) -> HandMotion:
     """Map the human's contacts, moved by rigid motions, to the robot's joints."""
     human, robot = scene.human, scene.robot
     assert human.wrist_pose is not None
     assert robot.wrist_pose is not None
     options = MappingOptions(rigid_from="wrist", pivot="centroid", ridge=ridge)
     ik = IkOptions(
-        wrist_position_weight=10.0, wrist_orientation_weight=10.0, has_velocity_limits=False
+        wrist_position_weight=10.0,
+        wrist_orientation_weight=10.0,
+        has_velocity_limits=False,
     )
     mapper = HandMapper(scene.human_points, scene.robot_points, options, ik=ik, dt=0.02)
     mapper.reset(robot_q=robot.q, robot_wrist=robot.wrist_pose)
     q, wrist, points = [], [], []
     for motion in motions:
-        step = mapper.map_points(transform_points(motion, human.points), human.wrist_pose)
+        step = mapper.map_points(
+            transform_points(motion, human.points), human.wrist_pose
+        )
         q.append(step.command.q.copy())
         wrist.append(step.command.wrist.copy())
         points.append(step.points.copy())
     return HandMotion(np.array(q), np.array(wrist), np.array(points))
 
 
-def asked_motions(centre: np.ndarray, shift: np.ndarray, turn: np.ndarray) -> list[np.ndarray]:
+def asked_motions(
+    centre: np.ndarray, shift: np.ndarray, turn: np.ndarray
+) -> list[np.ndarray]:
     """Rigid motions from none to a shift and a turn about the object's centre."""
     to_centre = affine(np.eye(3), centre)
     back = affine(np.eye(3), -centre)
@@ -90,7 +98,9 @@ def human_joints(scene: Scene, motions: list[np.ndarray]) -> HandMotion:
     return HandMotion(np.array(joints), wrist, points)
 
 
-def row(name: str, carried: Carried, shift: np.ndarray, turn: np.ndarray) -> dict[str, Any]:
+def row(
+    name: str, carried: Carried, shift: np.ndarray, turn: np.ndarray
+) -> dict[str, Any]:
     """Describe one motion: the share that arrives, and what else the object did."""
     rotation = Rotation.from_matrix(carried.rotation).as_rotvec()
     is_shift = bool(shift.any())
@@ -111,9 +121,14 @@ def summary(method: str, rows: list[dict[str, Any]]) -> dict[str, Any]:
     found: dict[str, Any] = {"mapping": method}
     for kind in ("shift", "turn"):
         for axis in "xyz":
-            pair = [row for row in rows if row["motion"] in (f"{kind} +{axis}", f"{kind} -{axis}")]
+            pair = [
+                row
+                for row in rows
+                if row["motion"] in (f"{kind} +{axis}", f"{kind} -{axis}")
+            ]
             found[f"{kind} {axis} %"] = " / ".join(
-                "lost" if row["is_lost"] else f"{100.0 * row['share']:.0f}" for row in pair
+                "lost" if row["is_lost"] else f"{100.0 * row['share']:.0f}"
+                for row in pair
             )
     held = [row for row in rows if not row["is_lost"]]
     for name in ("besides mm", "besides deg", "slip mm"):
@@ -128,9 +143,15 @@ def main() -> None:
     parser.add_argument(
         "--methods", nargs="+", default=["T"], help="T, human, or of handmap compare"
     )
-    parser.add_argument("--peers", type=Path, help="folder of outside methods, benchmarks/peers")
-    parser.add_argument("--samples", type=int, default=60, help="palm poses tried for each hand")
-    parser.add_argument("--squeeze", type=float, default=4.0, help="force at every contact [N]")
+    parser.add_argument(
+        "--peers", type=Path, help="folder of outside methods, benchmarks/peers"
+    )
+    parser.add_argument(
+        "--samples", type=int, default=60, help="palm poses tried for each hand"
+    )
+    parser.add_argument(
+        "--squeeze", type=float, default=4.0, help="force at every contact [N]"
+    )
     parser.add_argument("--ridge", type=float, default=0.01)
     parser.add_argument("--stiffness", type=float, default=3.0)
     arguments = parser.parse_args()
@@ -139,8 +160,15 @@ def main() -> None:
     physics = Physics(joint_stiffness=arguments.stiffness)
     options = ArcOptions(normal_force=arguments.squeeze, duration=DURATION)
     others = tuple(name for name in arguments.methods if name not in OWN)
-    methods = {m.name: m for m in chosen_methods(others, arguments.peers, arguments.robot)}
-    moves = [(kind, axis, sign) for kind in MOTIONS for axis in range(3) for sign in (1.0, -1.0)]
+    methods = {
+        m.name: m for m in chosen_methods(others, arguments.peers, arguments.robot)
+    }
+    moves = [
+        (kind, axis, sign)
+        for kind in MOTIONS
+        for axis in range(3)
+        for sign in (1.0, -1.0)
+    ]
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in arguments.methods}
     misses = []
     with progress("moving the object", len(moves) * len(found)) as advance:
@@ -164,8 +192,13 @@ def main() -> None:
                 found[name].append(row(name_of, carried, shift, turn))
                 advance(done * len(found) + k + 1)
     rows = [summary(name, moved) for name, moved in found.items()]
-    print_rows(f"{arguments.robot}: 6 mm or 10 deg of in-hand motion; what arrives (+ / -)", rows)
-    print(f"the human's joints leave his contacts at most {1e3 * max(misses):.1f} mm off")
+    print_rows(
+        f"{arguments.robot}: 6 mm or 10 deg of in-hand motion; what arrives (+ / -)",
+        rows,
+    )
+    print(
+        f"the human's joints leave his contacts at most {1e3 * max(misses):.1f} mm off"
+    )
 
 
 if __name__ == "__main__":

@@ -65,7 +65,11 @@ class Slews:
         guard = CommandedRobot(hand, self._clear())
         guard.obey(PointIk(hand, IkOptions(max_acceleration=most), contacts=contacts))
         goal = hand.rest if to_rest else self._clear()
-        is_there, checker, found = False, self.checker, self.checker.violations["overlap"]
+        is_there, checker, found = (
+            False,
+            self.checker,
+            self.checker.violations["overlap"],
+        )
         checker.start(guard.motion.q)
         for _ in range(_MOST_SAMPLES):
             before, dt, started = guard.q, rng.uniform(0.002, 0.033), time.thread_time()
@@ -114,7 +118,9 @@ def main(words: Sequence[str] | None = None) -> None:
     """Take all ways, print the table."""
     parser = common.make_parser("Overlaps on ways that no mapper leads.", draws=False)
     parser.add_argument("--hands", nargs="+", choices=HANDS, default=list(HANDS))
-    parser.add_argument("--slews", type=int, default=100, help="ways of each hand and kind")
+    parser.add_argument(
+        "--slews", type=int, default=100, help="ways of each hand and kind"
+    )
     parser.add_argument("--seed", type=int, default=0)
     arguments = common.parse_arguments(parser, words)
     count = 8 if arguments.quick else arguments.slews

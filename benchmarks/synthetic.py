@@ -21,13 +21,24 @@ def synergy_motion(samples: int) -> HumanMotion:
     human, synergies = load_hand("human"), load_synergies()
     time = np.arange(samples) / _RATE
     z = 0.6 * np.sin(2.0 * np.pi * np.outer(time, (0.5, 0.35, 0.2)))
-    q = np.clip([synergies.posture(row) for row in z], human.lower_limits, human.upper_limits)
+    q = np.clip(
+        [synergies.posture(row) for row in z], human.lower_limits, human.upper_limits
+    )
     wrist = np.array(
-        [affine(np.eye(3), np.array([0.2 * np.sin(t), 0.0, 0.1 * np.cos(t)])) for t in time]
+        [
+            affine(np.eye(3), np.array([0.2 * np.sin(t), 0.0, 0.1 * np.cos(t)]))
+            for t in time
+        ]
     )
     error = np.zeros((samples, len(human.reference_points)))
     return HumanMotion(
-        human, time, np.full(samples, 1.0 / _RATE), q, wrist, np.ones(samples, dtype=bool), error
+        human,
+        time,
+        np.full(samples, 1.0 / _RATE),
+        q,
+        wrist,
+        np.ones(samples, dtype=bool),
+        error,
     )
 
 
@@ -51,7 +62,9 @@ def motion_or_synergies(folder: Path, name: str) -> HumanMotion:
 
 def shortened(motion: HumanMotion, samples: int) -> HumanMotion:
     """Return the first samples of a motion."""
-    return replace(motion, **{key: getattr(motion, key)[:samples] for key in _columns()})
+    return replace(
+        motion, **{key: getattr(motion, key)[:samples] for key in _columns()}
+    )
 
 
 def allegro_with_points(count: int) -> Hand:
@@ -59,7 +72,9 @@ def allegro_with_points(count: int) -> Hand:
     links = [f"link_{i}.0" for i in range(16)]
     rng = np.random.default_rng(count)
     points = [
-        PointSpec(f"p{i}", links[-1 - i % 16], tuple(rng.uniform(0.0, 0.03, 3).tolist()))
+        PointSpec(
+            f"p{i}", links[-1 - i % 16], tuple(rng.uniform(0.0, 0.03, 3).tolist())
+        )
         for i in range(count)
     ]
     return load_hand("allegro_right", points=tuple(points))
@@ -76,7 +91,11 @@ def comb_hand(fingers: int) -> Hand:
     """
     parts = ['<robot name="comb"><link name="palm"/>']
     for finger in range(fingers):
-        parent, origin, axis = "palm", f"{0.02 * (finger - fingers / 2):.3f} 0.08 0", "0 0 1"
+        parent, origin, axis = (
+            "palm",
+            f"{0.02 * (finger - fingers / 2):.3f} 0.08 0",
+            "0 0 1",
+        )
         for joint in range(4):
             child = f"f{finger}_{joint}"
             parts.append(
@@ -86,9 +105,12 @@ def comb_hand(fingers: int) -> Hand:
                 '<limit lower="-0.5" upper="1.6" velocity="8" effort="1"/></joint>'
             )
             parent, origin, axis = child, "0 0.03 0" if joint else "0 0 0", "-1 0 0"
-    joints = tuple(f"f{finger}_{joint}" for finger in range(fingers) for joint in range(4))
+    joints = tuple(
+        f"f{finger}_{joint}" for finger in range(fingers) for joint in range(4)
+    )
     points = tuple(
-        PointSpec(f"tip{finger}", f"f{finger}_3", (0.0, 0.03, 0.0)) for finger in range(fingers)
+        PointSpec(f"tip{finger}", f"f{finger}_3", (0.0, 0.03, 0.0))
+        for finger in range(fingers)
     )
     spec = HandSpec(
         name=f"comb{fingers}",

@@ -27,7 +27,10 @@ def main(file: Path, out: Path) -> None:
     recording = read_recording(file)
     human = scaled_human(recording)
     robots = [load_hand(name) for name in ROBOTS]
-    motions = [map_recording(HandMapper(human, robot), recording).columns["q"] for robot in robots]
+    motions = [
+        map_recording(HandMapper(human, robot), recording).columns["q"]
+        for robot in robots
+    ]
     since = recording.time - recording.time[0]
     frames = np.searchsorted(since, np.arange(START, START + SECONDS, 1.0 / RATE))
     frames = [i for i in frames if i < len(recording) and recording.valid[i]]
@@ -36,7 +39,10 @@ def main(file: Path, out: Path) -> None:
     pictures = pose_pictures(columns, rows, side=recording.side)[:, :, FRONT]
     # Columns side by side: (frames, height, columns x width, 3).
     pictures = np.concatenate(np.moveaxis(pictures, 1, 0), axis=2)
-    images = [Image.fromarray((255.0 * picture).round().astype(np.uint8)) for picture in pictures]
+    images = [
+        Image.fromarray((255.0 * picture).round().astype(np.uint8))
+        for picture in pictures
+    ]
     images[0].save(
         out,
         save_all=True,

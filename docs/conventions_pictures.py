@@ -25,7 +25,9 @@ def mistakes(landmarks: np.ndarray) -> list[np.ndarray]:
     # Little finger first, as some data sets have it.
     order = [0, *(k for first in (17, 13, 9, 5, 1) for k in range(first, first + 4))]
     mirrored = landmarks * (-1.0, 1.0, 1.0)
-    other_end = landmarks[[0, *(k for f in range(5) for k in range(4 * f + 4, 4 * f, -1))]]
+    other_end = landmarks[
+        [0, *(k for f in range(5) for k in range(4 * f + 4, 4 * f, -1))]
+    ]
     return [landmarks, landmarks[order], other_end, mirrored]
 
 

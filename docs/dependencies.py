@@ -36,8 +36,13 @@ def licence(name: str) -> str:
 
 def main() -> None:
     """Write the page."""
-    project = tomllib.loads((DOCS.parent / "pyproject.toml").read_text("utf-8"))["project"]
-    groups = {"the package": project["dependencies"], **project["optional-dependencies"]}
+    project = tomllib.loads((DOCS.parent / "pyproject.toml").read_text("utf-8"))[
+        "project"
+    ]
+    groups = {
+        "the package": project["dependencies"],
+        **project["optional-dependencies"],
+    }
     rows = []
     for group, requirements in groups.items():
         for requirement in requirements:
@@ -50,7 +55,9 @@ def main() -> None:
                 rows.append(f"| {name} | {group} | `{bounds}` | {licence(name)} |")
             except metadata.PackageNotFoundError:
                 rows.append(f"| {name} | {group} | `{bounds}` | not installed here |")
-    (DOCS / "dependencies.md").write_text(HEAD + "\n".join(rows) + "\n", encoding="utf-8")
+    (DOCS / "dependencies.md").write_text(
+        HEAD + "\n".join(rows) + "\n", encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":

@@ -14,7 +14,13 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from handmap_qp import Hand, HandMapper, MissingExtraError, MissingPackageError, load_hand
+from handmap_qp import (
+    Hand,
+    HandMapper,
+    MissingExtraError,
+    MissingPackageError,
+    load_hand,
+)
 from handmap_qp.apps.drawing.contact_sheet import pose_pictures, sheet_rows
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.trajectory import map_recording
@@ -32,7 +38,9 @@ THREE_QUARTER = 1  # the second view of `pose_pictures`
 
 def files() -> dict[str, Path]:
     """Return the description of every robot hand of the package by its name."""
-    return {name: file for name, file in hand_files().items() if name not in HUMAN_HANDS}
+    return {
+        name: file for name, file in hand_files().items() if name not in HUMAN_HANDS
+    }
 
 
 def pictures(robot: Hand) -> tuple[str, np.ndarray]:
@@ -45,7 +53,9 @@ def pictures(robot: Hand) -> tuple[str, np.ndarray]:
     human = scaled_human(recording)
     preset = default_preset(human, robot)
     choice = preset_choice(preset)
-    q = map_recording(HandMapper(human, robot, choice.method, ik=choice.ik), recording).columns["q"]
+    q = map_recording(
+        HandMapper(human, robot, choice.method, ik=choice.ik), recording
+    ).columns["q"]
     poses = {name: i for name, i in find_poses(recording).items() if name in GESTURES}
     rows = sheet_rows(recording, poses, [q])
     drawn = pose_pictures([(robot.name, robot)], rows, side=recording.side)[:, 1]
@@ -146,7 +156,8 @@ def page(name: str, file: Path, robot: Hand, preset: str) -> str:
 def gallery(names: list[str]) -> str:
     """Return the pictures of all hands that have a page, as links to the pages."""
     cells = [
-        f"[![{name}](images/hands/{name}_open.webp)<br>{name}](hands/{name}.md)" for name in names
+        f"[![{name}](images/hands/{name}_open.webp)<br>{name}](hands/{name}.md)"
+        for name in names
     ]
     inner = "\n".join(cells)
     return f'{BEGIN}\n<div class="gallery" markdown>\n\n{inner}\n\n</div>\n{END}'
@@ -164,7 +175,9 @@ def main(names: list[str]) -> None:
         preset, drawn = pictures(robot)
         # Gestures side by side, the views below each other.
         gestures, views, height, width, _ = drawn.shape
-        sheet = drawn.transpose(1, 2, 0, 3, 4).reshape(views * height, gestures * width, 3)
+        sheet = drawn.transpose(1, 2, 0, 3, 4).reshape(
+            views * height, gestures * width, 3
+        )
         save(DOCS / "images" / "hands" / f"{name}.webp", sheet)
         save(DOCS / "images" / "hands" / f"{name}_open.webp", drawn[0, THREE_QUARTER])
         target = DOCS / "hands" / f"{name}.md"

@@ -34,7 +34,9 @@ def page(layout: Layout) -> str:
     table = layout.table
     lines = [f"# {layout.name}", "", f"{table.title}.", READ.format(name=layout.name)]
     lines += [f"![{layout.name}](../images/layout_{layout.name}.png)", ""]
-    lines += ["Blue dots are landmarks, grey ones are not read. Arrows are the axes of the wrist's"]
+    lines += [
+        "Blue dots are landmarks, grey ones are not read. Arrows are the axes of the wrist's"
+    ]
     lines += [
         "pose: x red, y green, z blue. Numbers of angles stand at the joints that they turn.",
         "",
@@ -49,7 +51,12 @@ def page(layout: Layout) -> str:
         facts["handedness"] = f"left-handed; {table.mirror} is negated"
     facts["wrist pose"] = _wrist(layout)
     facts["does not have"] = "; ".join(table.missing) or "-"
-    lines += ["| | |", "|---|---|", *(f"| {name} | {text} |" for name, text in facts.items()), ""]
+    lines += [
+        "| | |",
+        "|---|---|",
+        *(f"| {name} | {text} |" for name, text in facts.items()),
+        "",
+    ]
     lines += ["| index | there | here |", "|---|---|---|"]
     lines += [f"| {a} | {b} | {c} |" for a, b, c in _order(layout)]
     sources = ", ".join(_link(source) for source in table.sources)
@@ -71,15 +78,24 @@ def overview(text: str) -> str:
 
 def pages() -> dict[Path, str]:
     """Return the text of every page by its file."""
-    found = {DOCS / "trackers" / f"{layout.name}.md": page(layout) for layout in LAYOUTS.values()}
+    found = {
+        DOCS / "trackers" / f"{layout.name}.md": page(layout)
+        for layout in LAYOUTS.values()
+    }
     return {OVERVIEW: overview(OVERVIEW.read_text(encoding="utf-8")), **found}
 
 
 def _wrist(layout: Layout) -> str:
     table = layout.wrist_table
     if table is None:
-        return "fitted" if layout.has_wrist else "none; the palm is fitted to the landmarks"
-    where = f"in the values (`{table.joint}`)" if layout.has_wrist else "beside the values"
+        return (
+            "fitted"
+            if layout.has_wrist
+            else "none; the palm is fitted to the landmarks"
+        )
+    where = (
+        f"in the values (`{table.joint}`)" if layout.has_wrist else "beside the values"
+    )
     axes = f"fingers along {table.right.distal}, back of the hand along {table.right.dorsal}"
     if table.left is not None:
         axes += f"; of a left hand {table.left.distal} and {table.left.dorsal}"
@@ -119,9 +135,9 @@ def main(words: Sequence[str]) -> None:
         file = PICTURES / f"layout_{layout.name}.png"
         save_layout_picture(layout, file)
         # A palette takes a third of the space.
-        Image.open(file).convert("RGB").quantize(128, method=Image.Quantize.MAXCOVERAGE).save(
-            file, optimize=True
-        )
+        Image.open(file).convert("RGB").quantize(
+            128, method=Image.Quantize.MAXCOVERAGE
+        ).save(file, optimize=True)
         print(f"wrote {file}")
 
 

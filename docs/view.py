@@ -26,7 +26,8 @@ from handmap_qp.apps.viewer.serving import serving  # noqa: E402
 ROBOT, RECORDING = "allegro_right", Path("demo")
 FRAME = 1.0 / 30.0
 CLOSE_NOTES = (
-    "[...document.querySelectorAll('.mantine-Notification-closeButton')].forEach(e => e.click())"
+    "[...document.querySelectorAll('.mantine-Notification-closeButton')]"
+    ".forEach(e => e.click())"
 )
 
 
@@ -96,10 +97,14 @@ def shoot(browser: Browser, name: str, size: tuple[int, int]) -> None:
         if len(pictures) > 12:
             break
     image = (
-        Image.open(BytesIO(pictures[-1])).convert("RGB").quantize(256, Image.Quantize.FASTOCTREE)
+        Image.open(BytesIO(pictures[-1]))
+        .convert("RGB")
+        .quantize(256, Image.Quantize.FASTOCTREE)
     )
     image.save(DOCS / "images" / name, optimize=True)
-    print(f"wrote docs/images/{name}: {(DOCS / 'images' / name).stat().st_size / 1e3:.0f} kB")
+    print(
+        f"wrote docs/images/{name}: {(DOCS / 'images' / name).stat().st_size / 1e3:.0f} kB"
+    )
 
 
 if __name__ == "__main__":

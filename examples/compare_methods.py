@@ -19,7 +19,9 @@ def closing(preset: str) -> float:
     for share in np.linspace(0.0, 1.0, 60):
         step = mapper.map_step(human.rest + share * (fist - human.rest), np.eye(4))
         palm = step.command.wrist[:3, 3]
-        tips = robot.with_points("fingertips").points(step.command.q, step.command.wrist)
+        tips = robot.with_points("fingertips").points(
+            step.command.q, step.command.wrist
+        )
         distances.append(np.linalg.norm(tips - palm, axis=1).mean())
     return distances[-1] - distances[0]
 

@@ -22,7 +22,9 @@ def landmarks_now(seconds: float) -> np.ndarray:
 
 def main(duration: float) -> None:
     """Map for a while, and print how long a step takes."""
-    mapper = HandMapper(load_hand("human", points="landmarks"), load_hand("allegro_right"))
+    mapper = HandMapper(
+        load_hand("human", points="landmarks"), load_hand("allegro_right")
+    )
     start = before = time.monotonic()
     steps = []
     while before - start < duration:

@@ -18,7 +18,9 @@ def main() -> None:
     wrist = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (61, 1, 1))
     wrist[:, 2, 3] = np.interp(time, [0.4, 1.0], [0.0, 0.1])
     commands = Commands(load_hand("panda_gripper"), time, q, wrist)
-    scene = PinchScene(commands, PinchWindow(0, 10, 60), Physics(joint_stiffness=2000.0))
+    scene = PinchScene(
+        commands, PinchWindow(0, 10, 60), Physics(joint_stiffness=2000.0)
+    )
     outcome = scene.run(PinchTrial(mass=0.1))
     lifted = np.ptp(outcome.episode.at.object_pose[:, 2, 3])
     print("held" if outcome.is_held else "lost", end=", ")

@@ -59,9 +59,13 @@ class BoundOpenAndClose:
     def targets(self, sample: HumanPose) -> Targets:
         """Return the reference points of the robot at a posture between open and shut."""
         assert sample.wrist is not None
-        share = 1.0 - np.clip(tip_distance(sample.points, sample.wrist) / self.span, 0.0, 1.0)
+        share = 1.0 - np.clip(
+            tip_distance(sample.points, sample.wrist) / self.span, 0.0, 1.0
+        )
         q = self.open + share * (self.shut - self.open)
-        return Targets(self.robot.points(q, sample.wrist), sample.wrist, {"share": np.array(share)})
+        return Targets(
+            self.robot.points(q, sample.wrist), sample.wrist, {"share": np.array(share)}
+        )
 
 
 def tip_distance(points: np.ndarray, wrist: np.ndarray) -> float:
@@ -73,10 +77,14 @@ def main() -> None:
     """Map a closing hand by the method."""
     human = load_hand("human", points="fingertips")
     mapper = HandMapper(human, load_hand("allegro_right"), OpenAndClose(), dt=1 / 60)
-    postures = human.rest + np.linspace(0.0, 0.8, 60)[:, None] * (human.upper_limits - human.rest)
+    postures = human.rest + np.linspace(0.0, 0.8, 60)[:, None] * (
+        human.upper_limits - human.rest
+    )
     step = [mapper.map_step(q, np.eye(4)) for q in postures][-1]
     moved = np.abs(step.command.q - mapper.robot.rest).max()
-    print(f"closed by {100 * step.diagnostics['share']:.0f} %, a joint moved by {moved:.2f} rad")
+    print(
+        f"closed by {100 * step.diagnostics['share']:.0f} %, a joint moved by {moved:.2f} rad"
+    )
 
 
 if __name__ == "__main__":

@@ -28,7 +28,9 @@ def lowest_point(tasks: list) -> float:
     """Return the height of the lowest point when the human makes a fist."""
     human, robot = load_hand("human"), load_hand("allegro_right")
     mapper = HandMapper(human, robot, tasks=tasks, dt=1 / 60)
-    postures = human.rest + np.linspace(0.0, 0.8, 60)[:, None] * (human.upper_limits - human.rest)
+    postures = human.rest + np.linspace(0.0, 0.8, 60)[:, None] * (
+        human.upper_limits - human.rest
+    )
     step = [mapper.map_step(q, np.eye(4)) for q in postures][-1]
     return step.points[:, 2].min()
 

@@ -39,7 +39,9 @@ def talk(address: str) -> None:
         tracker.open("three_finger", name="lab")
         driver.watch("lab")
         shares = np.linspace(0.0, 0.5, 30)
-        answers = [tracker.step(q=np.full(20, share), wrist=np.eye(4)) for share in shares]
+        answers = [
+            tracker.step(q=np.full(20, share), wrist=np.eye(4)) for share in shares
+        ]
         print(f"the tracker's last sample was answered: {answers[-1].status}")
         received = driver.latest(timeout=2.0)
         assert received is not None

@@ -32,13 +32,22 @@ if TYPE_CHECKING:
     from handmap_qp.human.sample import HumanSample
     from handmap_qp.ik.options import IkOptions
     from handmap_qp.ik.tasks import AttachedPoints, PointDistances, Task, TaskRows
-    from handmap_qp.mapping.decomposition import Decomposition, Primitives, decompose, primitives
+    from handmap_qp.mapping.decomposition import (
+        Decomposition,
+        Primitives,
+        decompose,
+        primitives,
+    )
     from handmap_qp.mapping.estimation import MotionEstimate, estimate_motion
     from handmap_qp.mapping.mapper import HandMapper
     from handmap_qp.mapping.method import Method
     from handmap_qp.mapping.methods.by_name import METHODS
     from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
-    from handmap_qp.mapping.methods.homogeneous import TELEMANIPULATION, Homogeneous, MappingOptions
+    from handmap_qp.mapping.methods.homogeneous import (
+        TELEMANIPULATION,
+        Homogeneous,
+        MappingOptions,
+    )
     from handmap_qp.mapping.methods.joint_to_joint import JointToJoint
     from handmap_qp.mapping.methods.teleoperation import Teleoperation
     from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid

@@ -46,7 +46,9 @@ class _Place(NamedTuple):
 
     def load(self) -> Any:
         """Import the class."""
-        return getattr(importlib.import_module(f"handmap_qp.apps.{self.module}"), self.name)
+        return getattr(
+            importlib.import_module(f"handmap_qp.apps.{self.module}"), self.name
+        )
 
 
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
@@ -56,14 +58,22 @@ COMMANDS: dict[str, _Place] = {
         "Demo",
         "Map a human hand's motion to a robot hand; needs no data of your own.",
     ),
-    "map": _Place("offline.cli", "Map", "Map a recording of a human hand to a robot hand."),
+    "map": _Place(
+        "offline.cli", "Map", "Map a recording of a human hand to a robot hand."
+    ),
     "calibrate": _Place(
-        "offline.cli", "Calibrate", "Measure a person's hand in recordings, and keep it in a file."
+        "offline.cli",
+        "Calibrate",
+        "Measure a person's hand in recordings, and keep it in a file.",
     ),
     "convert": _Place(
-        "datasets.cli", "Convert", "Convert recordings of human hands between file formats."
+        "datasets.cli",
+        "Convert",
+        "Convert recordings of human hands between file formats.",
     ),
-    "batch": _Place("datasets.cli", "Batch", "Map whole data sets of human hands to robot hands."),
+    "batch": _Place(
+        "datasets.cli", "Batch", "Map whole data sets of human hands to robot hands."
+    ),
     "report": _Place(
         "datasets.cli",
         "Report",
@@ -79,9 +89,13 @@ COMMANDS: dict[str, _Place] = {
         "View",
         "Show a mapping in the browser, and change its preset and options while it plays.",
     ),
-    "hands list": _Place("onboarding.cli", "HandsList", "List the hands of the package."),
+    "hands list": _Place(
+        "onboarding.cli", "HandsList", "List the hands of the package."
+    ),
     "hands show": _Place(
-        "onboarding.cli", "HandsShow", "Describe a hand: joints, limits and reference points."
+        "onboarding.cli",
+        "HandsShow",
+        "Describe a hand: joints, limits and reference points.",
     ),
     "hands init": _Place(
         "onboarding.cli",
@@ -119,7 +133,9 @@ COMMANDS: dict[str, _Place] = {
         "Simulate a mapped hand that holds an object, with contacts, friction and gravity.",
     ),
     "serve": _Place(
-        "service.cli", "Serve", "Serve the mapper to trackers and robots over ZeroMQ and WebSocket."
+        "service.cli",
+        "Serve",
+        "Serve the mapper to trackers and robots over ZeroMQ and WebSocket.",
     ),
     "keys": _Place(
         "service.cli",
@@ -127,7 +143,9 @@ COMMANDS: dict[str, _Place] = {
         "Make the keys that `handmap serve --keys` needs; existing keys stay.",
     ),
     "track replay": _Place(
-        "live.cli", "TrackReplay", "Play a recording as if it were live, with faults if wanted."
+        "live.cli",
+        "TrackReplay",
+        "Play a recording as if it were live, with faults if wanted.",
     ),
     "track mediapipe": _Place(
         "live.cli",
@@ -135,10 +153,14 @@ COMMANDS: dict[str, _Place] = {
         "Track a hand in a camera's picture or a video file with MediaPipe.",
     ),
     "track record": _Place(
-        "live.cli", "TrackRecord", "Record the human samples that lead a session of the service."
+        "live.cli",
+        "TrackRecord",
+        "Record the human samples that lead a session of the service.",
     ),
     "doctor": _Place(
-        "doctor", "Doctor", "Report versions, extras, solvers, recordings and rendering."
+        "doctor",
+        "Doctor",
+        "Report versions, extras, solvers, recordings and rendering.",
     ),
 }
 """All commands by name, in the order of the list that `handmap --help` prints."""
@@ -195,7 +217,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not (library := _missing_library(error)):
             raise
         print(
-            f"handmap: the system library {library} is missing{_advice(library)}", file=sys.stderr
+            f"handmap: the system library {library} is missing{_advice(library)}",
+            file=sys.stderr,
         )
         return 2
     except BrokenPipeError:
@@ -222,7 +245,11 @@ def in_words_of_the_command_line(
     if len(given) != 1:
         return error
     return InvalidOptionsError(
-        error.problem, option=given[0], expected=error.expected, got=error.got, advice=error.advice
+        error.problem,
+        option=given[0],
+        expected=error.expected,
+        got=error.got,
+        advice=error.advice,
     )
 
 
@@ -234,7 +261,11 @@ def _missing_library(error: ImportError) -> str:
 
 
 def _advice(library: str) -> str:
-    packages = [package for name, package in _SYSTEM_PACKAGES.items() if library.startswith(name)]
+    packages = [
+        package
+        for name, package in _SYSTEM_PACKAGES.items()
+        if library.startswith(name)
+    ]
     return f": apt-get install {packages[0]}" if packages else ""
 
 
@@ -259,12 +290,16 @@ def parse(arguments: Sequence[str]) -> Command:
         _answer_without_command(words)
     command = COMMANDS[name].load()
     # Options of a method had the name of one in front, before methods could be added.
-    rest = [re.sub(r"^--teleoperation\.", "--", word) for word in words[len(name.split()) :]]
+    rest = [
+        re.sub(r"^--teleoperation\.", "--", word) for word in words[len(name.split()) :]
+    ]
     about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0]
     page, message = _Page(sys.stdout), _Page(sys.stderr)
     try:
         with contextlib.redirect_stdout(page), contextlib.redirect_stderr(message):
-            return _tyro().cli(command, prog=f"handmap {name}", description=about, args=rest)
+            return _tyro().cli(
+                command, prog=f"handmap {name}", description=about, args=rest
+            )
     except SystemExit as end:
         if (cause := _cause(end)) is not None:
             raise cause from None
@@ -284,7 +319,9 @@ def _tyro() -> Any:
 
 def command_name(words: Sequence[str]) -> str | None:
     """Return the command that a line begins with; None if there is none."""
-    return next((key for key in (" ".join(words[:2]), *words[:1]) if key in COMMANDS), None)
+    return next(
+        (key for key in (" ".join(words[:2]), *words[:1]) if key in COMMANDS), None
+    )
 
 
 def _answer_without_command(words: list[str]) -> NoReturn:
@@ -300,14 +337,18 @@ def _answer_without_command(words: list[str]) -> NoReturn:
 
             print(f"handmap {version('handmap-qp')}")
         case ["--help" | "-h"]:
-            print(f"usage: handmap [-h] COMMAND ...\n\n{_ABOUT}\n{_list_of('')}", end="")
+            print(
+                f"usage: handmap [-h] COMMAND ...\n\n{_ABOUT}\n{_list_of('')}", end=""
+            )
         case [group] | [group, "--help" | "-h"] if group in _GROUPS:
             usage = f"usage: handmap {group} COMMAND ..."
             print(f"{usage}\n\n{_GROUPS[group]}\n\n{_list_of(f'{group} ')}", end="")
         case ["--completion", shell]:
             _print_completion(shell)
         case ["--completion"]:
-            raise InvalidInputError(argument="--completion", expected="bash, zsh or tcsh")
+            raise InvalidInputError(
+                argument="--completion", expected="bash, zsh or tcsh"
+            )
         case []:
             raise InvalidInputError(problem="expected a command (see handmap --help)")
         case [group, word, *_] if group in _GROUPS:
@@ -318,7 +359,9 @@ def _answer_without_command(words: list[str]) -> NoReturn:
             raise InvalidInputError(problem=f"no command '{group} {word}': {hint}")
         case [word, *_]:
             known = {key.split()[0] for key in COMMANDS}
-            kind, known = ("option", _OPTIONS) if word.startswith("-") else ("command", known)
+            kind, known = (
+                ("option", _OPTIONS) if word.startswith("-") else ("command", known)
+            )
             hint = did_you_mean(word, known) or "see handmap --help"
             raise InvalidInputError(problem=f"no {kind} {word!r}: {hint}")
     raise SystemExit(0)
@@ -327,7 +370,11 @@ def _answer_without_command(words: list[str]) -> NoReturn:
 def _members(group: str) -> dict[str, _Place]:
     """Return the commands of a group by their second words."""
     words = {name: name.split() for name in COMMANDS}
-    return {words[name][1]: COMMANDS[name] for name in COMMANDS if words[name][:-1] == [group]}
+    return {
+        words[name][1]: COMMANDS[name]
+        for name in COMMANDS
+        if words[name][:-1] == [group]
+    }
 
 
 def _list_of(prefix: str) -> str:
@@ -355,7 +402,9 @@ def _print_completion(shell: str) -> None:
     words, page = ["--tyro-print-completion", shell], _Page(sys.stdout)
     with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
         _tyro().cli(_any_command(), prog="handmap", args=words)
-    script = re.sub(r"^COMPLETION_SPEC = .*", _on_one_line, page.getvalue(), flags=re.MULTILINE)
+    script = re.sub(
+        r"^COMPLETION_SPEC = .*", _on_one_line, page.getvalue(), flags=re.MULTILINE
+    )
     _print_page(script, sys.stdout)
 
 
@@ -375,17 +424,22 @@ def _any_command() -> Any:
             (
                 Annotated[
                     place.load(),  # ty: ignore[invalid-type-form]
-                    tyro.conf.subcommand(word, description=place.about, prefix_name=False),
+                    tyro.conf.subcommand(
+                        word, description=place.about, prefix_name=False
+                    ),
                 ]
                 for word, place in places.items()
             ),
         )
 
     single = {name: place for name, place in COMMANDS.items() if " " not in name}
-    groups = (
-        Annotated[union(_members(group)), tyro.conf.subcommand(group, prefix_name=False)]  # ty: ignore[invalid-type-form]
-        for group in _GROUPS
-    )
+    groups: list[Any] = []
+    for group in _GROUPS:
+        members, named = (
+            union(_members(group)),
+            tyro.conf.subcommand(group, prefix_name=False),
+        )
+        groups.append(Annotated[members, named])
     return reduce(or_, groups, union(single))
 
 
@@ -431,7 +485,9 @@ def _wrapped(page: str) -> str:
     width = max(40, shutil.get_terminal_size().columns)
     blocks = []
     for block in page.split("\n\n"):
-        is_prose = not any(line.startswith((" ", "│", "╭", "╰")) for line in block.splitlines())
+        is_prose = not any(
+            line.startswith((" ", "│", "╭", "╰")) for line in block.splitlines()
+        )
         is_long = any(len(line) > width for line in block.splitlines())
         if is_prose and is_long:
             block = textwrap.fill(" ".join(block.split()), width)

@@ -126,7 +126,12 @@ class HandError(HandmapError, ValueError):
     """
 
     def __init__(
-        self, problem: str, *, file: Path | None = None, key: str | None = None, value: Any = None
+        self,
+        problem: str,
+        *,
+        file: Path | None = None,
+        key: str | None = None,
+        value: Any = None,
     ) -> None:
         super().__init__(problem)
         self.problem = problem
@@ -162,7 +167,9 @@ class RecordingError(HandmapError, ValueError):
     def __str__(self) -> str:
         """Compose `file: line: array: problem` in one line."""
         line = "" if self.line is None else f"line {self.line}"
-        text = ": ".join(part for part in (str(self.file), line, self.array, self.problem) if part)
+        text = ": ".join(
+            part for part in (str(self.file), line, self.array, self.problem) if part
+        )
         # Names inside a damaged file may have line breaks.
         return " ".join(text.split())
 
@@ -206,7 +213,9 @@ class MissingExtraError(HandmapError, ImportError):
     """
 
     def __init__(self, package: str, extra: str) -> None:
-        super().__init__(f"{package} is not installed: pip install 'handmap-qp[{extra}]'")
+        super().__init__(
+            f"{package} is not installed: pip install 'handmap-qp[{extra}]'"
+        )
         self.package = package
         self.extra = extra
 
@@ -261,17 +270,23 @@ def describe_value(value: Any) -> str:
     Returns:
         The text.
     """
-    if isinstance(value, np.ndarray) and (value.size > 4 or value.dtype.kind not in "biuf"):
+    if isinstance(value, np.ndarray) and (
+        value.size > 4 or value.dtype.kind not in "biuf"
+    ):
         return f"an array of {value.dtype} of shape {value.shape}"
     try:
-        text = repr(value.tolist() if isinstance(value, np.ndarray | np.generic) else value)
+        text = repr(
+            value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+        )
     except Exception:  # an object's own __repr__ may raise anything
         text = f"<{type(value).__name__}>"
     text = " ".join(text.split())
     return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 3]}..."
 
 
-def _rebuilt(kind: type[HandmapError], args: tuple[Any, ...], state: dict[str, Any]) -> Exception:
+def _rebuilt(
+    kind: type[HandmapError], args: tuple[Any, ...], state: dict[str, Any]
+) -> Exception:
     """Unpickle an error: its arguments as `Exception` holds them, and its attributes."""
     error = kind.__new__(kind, *args)
     error.__dict__.update(state)

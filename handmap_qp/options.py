@@ -35,7 +35,9 @@ LARGEST = float(np.finfo(float).max)
 """Bound of numbers that need only be finite."""
 
 
-def number(about: str, low: float = 0.0, high: float = LARGEST, *, above: bool = False) -> Meta:
+def number(
+    about: str, low: float = 0.0, high: float = LARGEST, *, above: bool = False
+) -> Meta:
     """Describe a number and its range.
 
     Args:
@@ -156,7 +158,11 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     def changes_to(self, other: Self) -> dict[str, Any]:
         """Return the values of another one that differ from these, by name."""
-        return {name: value for name, value in other.values.items() if value != self.values[name]}
+        return {
+            name: value
+            for name, value in other.values.items()
+            if value != self.values[name]
+        }
 
 
 @cache
@@ -204,7 +210,9 @@ def _bare(kind: Any) -> Any:
 
 def _meta(kind: Any) -> Meta:
     """Return the description of a type."""
-    return next((m for m in getattr(kind, "__metadata__", ()) if isinstance(m, Meta)), Meta())
+    return next(
+        (m for m in getattr(kind, "__metadata__", ()) if isinstance(m, Meta)), Meta()
+    )
 
 
 def _parts(kind: Any) -> tuple[Any, ...]:
@@ -230,7 +238,11 @@ def _in_words(kind: Any) -> str:
     if get_origin(bare) is tuple:
         row = get_args(_bare(get_args(bare)[0]))
         count = len(get_args(bare))
-        return f"a matrix of shape ({count}, {len(row)})" if row else f"{count} finite numbers"
+        return (
+            f"a matrix of shape ({count}, {len(row)})"
+            if row
+            else f"{count} finite numbers"
+        )
     if bare not in (int, float):
         return {bool: "true or false", str: "a name"}.get(bare, "none")
     noun = "an integer" if bare is int else "a number"

@@ -36,14 +36,20 @@ def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
     """
     if path.suffix not in suffixes:
         raise InvalidInputError(
-            argument=argument, expected=f"a file that ends in {suffixes[0]}", value=str(path)
+            argument=argument,
+            expected=f"a file that ends in {suffixes[0]}",
+            value=str(path),
         )
     if not path.parent.is_dir():
         raise InvalidInputError(
-            argument=argument, problem=f"there is no folder {path.parent}", value=str(path)
+            argument=argument,
+            problem=f"there is no folder {path.parent}",
+            value=str(path),
         )
     if path.is_dir():
-        raise InvalidInputError(argument=argument, problem=f"{path} is a folder", value=str(path))
+        raise InvalidInputError(
+            argument=argument, problem=f"{path} is a folder", value=str(path)
+        )
     return path
 
 
@@ -134,7 +140,9 @@ def make_folder(path: Path, argument: str) -> None:
 
 
 @contextmanager
-def replaced_path(path: Path, argument: str, *, is_synced: bool = True) -> Iterator[Path]:
+def replaced_path(
+    path: Path, argument: str, *, is_synced: bool = True
+) -> Iterator[Path]:
     """Name a file that takes the place of `path` when the block has succeeded.
 
     If the block fails, an earlier file stays as it was. If the process is killed, a hidden file is
@@ -169,7 +177,12 @@ def replaced_path(path: Path, argument: str, *, is_synced: bool = True) -> Itera
 
 
 @contextmanager
-def replaced_file(path: Path, argument: str, *, is_synced: bool = True) -> Iterator[IO[bytes]]:
+def replaced_file(
+    path: Path, argument: str, *, is_synced: bool = True
+) -> Iterator[IO[bytes]]:
     """Open a file that takes the place of `path` when the block has succeeded: `replaced_path`."""
-    with replaced_path(path, argument, is_synced=is_synced) as file, file.open("wb") as stream:
+    with (
+        replaced_path(path, argument, is_synced=is_synced) as file,
+        file.open("wb") as stream,
+    ):
         yield stream

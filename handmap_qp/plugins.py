@@ -75,5 +75,7 @@ class Plugins(Mapping[str, T]):
             found = point.load()
             self._check(found)
         except Exception as error:
-            raise PluginError(f"{self._group}: {point.name} ({point.value}): {error}") from error
+            raise PluginError(
+                f"{self._group}: {point.name} ({point.value}): {error}"
+            ) from error
         return found

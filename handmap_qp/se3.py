@@ -72,7 +72,11 @@ def affine(linear: np.ndarray, translation: npt.ArrayLike) -> np.ndarray:
         Motion, shape (..., 4, 4); a new array.
     """
     motion = np.zeros((*linear.shape[:-2], 4, 4))
-    motion[..., :3, :3], motion[..., :3, 3], motion[..., 3, 3] = linear, translation, 1.0
+    motion[..., :3, :3], motion[..., :3, 3], motion[..., 3, 3] = (
+        linear,
+        translation,
+        1.0,
+    )
     return motion
 
 
@@ -115,7 +119,11 @@ def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     found, shape = _WORKSPACE.svd, matrix.shape
     found.compute(matrix.reshape(3, 3))
     right = found.matrixV().T.reshape(shape)
-    return found.matrixU().reshape(shape), found.singularValues().reshape(shape[:-1]), right
+    return (
+        found.matrixU().reshape(shape),
+        found.singularValues().reshape(shape[:-1]),
+        right,
+    )
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
@@ -156,7 +164,9 @@ def rigid_fit(
     share = share / share.sum()
     centre, centre_onto = share @ points, share @ onto
     weighted = share[:, None] * (onto - centre_onto[..., None, :])
-    rotation = nearest_rotation(weighted.swapaxes(-1, -2) @ (points - centre[..., None, :]))
+    rotation = nearest_rotation(
+        weighted.swapaxes(-1, -2) @ (points - centre[..., None, :])
+    )
     return affine(rotation, centre_onto - (rotation @ centre[..., None])[..., 0])
 
 
@@ -179,7 +189,9 @@ def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
     return np.array([math.atan2(zy, zz), pitch, math.atan2(yx, xx)])
 
 
-def rotation_from_quat_wxyz(quat_wxyz: npt.ArrayLike, name: str = "quat_wxyz") -> np.ndarray:
+def rotation_from_quat_wxyz(
+    quat_wxyz: npt.ArrayLike, name: str = "quat_wxyz"
+) -> np.ndarray:
     """Compose rotations from quaternions, which are normalised first.
 
     Args:
@@ -195,7 +207,9 @@ def rotation_from_quat_wxyz(quat_wxyz: npt.ArrayLike, name: str = "quat_wxyz") -
     quats = as_floats(quat_wxyz, name)
     expected = "quaternions of 4 finite numbers, not all zero"
     if quats.shape[-1:] != (4,):
-        raise InvalidInputError(argument=name, expected=expected, got=f"shape {quats.shape}")
+        raise InvalidInputError(
+            argument=name, expected=expected, got=f"shape {quats.shape}"
+        )
     # Divided first, so that squares of large numbers do not overflow.
     largest = np.abs(quats).max(axis=-1, keepdims=True)
     is_turn = np.isfinite(largest) & (largest > 1e-6)
@@ -204,7 +218,9 @@ def rotation_from_quat_wxyz(quat_wxyz: npt.ArrayLike, name: str = "quat_wxyz") -
         got = f"{quats.reshape(-1, 4)[row].tolist()} in row {row}"
         raise InvalidInputError(argument=name, expected=expected, value=quats, got=got)
     quats = quats / largest
-    w, x, y, z = np.moveaxis(quats / np.linalg.norm(quats, axis=-1, keepdims=True), -1, 0)
+    w, x, y, z = np.moveaxis(
+        quats / np.linalg.norm(quats, axis=-1, keepdims=True), -1, 0
+    )
     rows = (
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
         (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
@@ -224,7 +240,9 @@ def quat_wxyz_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:
     return math.copysign(1.0, w) * np.array([w, x, y, z])
 
 
-def pose_from_xyz_quat(values: npt.ArrayLike, order: QuatOrder, name: str = "values") -> np.ndarray:
+def pose_from_xyz_quat(
+    values: npt.ArrayLike, order: QuatOrder, name: str = "values"
+) -> np.ndarray:
     """Compose poses from seven numbers each: position, then a quaternion in the order named.
 
     Args:
@@ -243,12 +261,16 @@ def pose_from_xyz_quat(values: npt.ArrayLike, order: QuatOrder, name: str = "val
         expected = "7 finite numbers (x, y, z, quaternion)"
         raise InvalidInputError(argument=name, expected=expected, value=values)
     if order not in ("wxyz", "xyzw"):
-        raise InvalidInputError(argument="order", expected="'wxyz' or 'xyzw'", value=order)
+        raise InvalidInputError(
+            argument="order", expected="'wxyz' or 'xyzw'", value=order
+        )
     quats = seven[..., 3:] if order == "wxyz" else seven[..., [6, 3, 4, 5]]
     return affine(rotation_from_quat_wxyz(quats, name), seven[..., :3])
 
 
-def poses_from_quats(positions: np.ndarray, quats_wxyz: np.ndarray, name: str) -> np.ndarray:
+def poses_from_quats(
+    positions: np.ndarray, quats_wxyz: np.ndarray, name: str
+) -> np.ndarray:
     """Compose poses (..., 4, 4) from positions (..., 3) [m] and quaternions (..., 4).
 
     Raises:
@@ -279,14 +301,20 @@ def check_pose(
     """
     is_array = type(value) is np.ndarray
     pose = as_floats(
-        value if is_array or not isinstance(value, HasHomogeneous) else value.homogeneous, name
+        value
+        if is_array or not isinstance(value, HasHomogeneous)
+        else value.homogeneous,
+        name,
     )
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
     if pose.shape != (4, 4):
         has_order = pose.shape != (7,)
         advice = "" if has_order else "7 numbers need quat_order='wxyz' or 'xyzw'"
-        expected, got = "shape (4, 4), a pinocchio.SE3 or 7 numbers", f"shape {pose.shape}"
+        expected, got = (
+            "shape (4, 4), a pinocchio.SE3 or 7 numbers",
+            f"shape {pose.shape}",
+        )
         raise InvalidInputError(
             argument=name, expected=expected, value=value, got=got, advice=advice
         )
@@ -294,10 +322,13 @@ def check_pose(
     # times the sum makes the result NaN where any number is NaN or infinite.
     (a, b, c, x), (d, e, f, y), (g, h, i, z), bottom = pose.tolist()
     if bottom != [0.0, 0.0, 0.0, 1.0] or not (
-        max(abs(x), abs(y), abs(z)) + 0.0 * (a + b + c + d + e + f + g + h + i + x + y + z)
+        max(abs(x), abs(y), abs(z))
+        + 0.0 * (a + b + c + d + e + f + g + h + i + x + y + z)
         <= FARTHEST
     ):
-        expected = f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
+        expected = (
+            f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
+        )
         raise InvalidInputError(
             argument=name, expected=expected, value=value, got=str(pose.tolist())
         )
@@ -374,7 +405,12 @@ def as_floats(
             shape, or not finite where they must be.
     """
     array, got = _as_array(value)
-    if array is not None and not got and shape is not None and not _has_shape(array, shape):
+    if (
+        array is not None
+        and not got
+        and shape is not None
+        and not _has_shape(array, shape)
+    ):
         got = f"shape {array.shape}"
     if array is not None and not got and is_finite and not np.isfinite(array).all():
         place = tuple(map(int, np.argwhere(~np.isfinite(array))[0]))
@@ -393,7 +429,8 @@ def _as_array(value: Any) -> tuple[np.ndarray | None, str]:
         array = np.asarray(value)
         # An array of objects may hold fractions or long integers.
         is_real = array.dtype.kind in "biuf" or (
-            array.dtype.kind == "O" and all(isinstance(x, numbers.Real) for x in array.flat)
+            array.dtype.kind == "O"
+            and all(isinstance(x, numbers.Real) for x in array.flat)
         )
         if is_real:
             return array.astype(float, copy=False), ""

@@ -12,7 +12,12 @@ from handmap_qp.apps.datasets.batch import Tally, plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import Engine, SerialEngine
 from handmap_qp.apps.datasets.episodes import Job, JobOptions
 from handmap_qp.human.recording import Recording
-from handmap_qp.trackers.formats import Source, list_sources, read_recording, write_recordings
+from handmap_qp.trackers.formats import (
+    Source,
+    list_sources,
+    read_recording,
+    write_recordings,
+)
 from handmap_qp.trackers.formats.base import Entry
 from handmap_qp.trackers.formats.npz import NpzFormat
 

@@ -41,7 +41,10 @@ def find_chromium() -> str | None:
     """Return the browser named by `HANDMAP_CHROMIUM`, or one on the path."""
     named = os.environ.get("HANDMAP_CHROMIUM")
     return named or next(
-        filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
+        filter(
+            None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
+        ),
+        None,
     )
 
 
@@ -61,7 +64,13 @@ class Browser:
         """Start the browser."""
         self._folder = tempfile.mkdtemp(prefix="chromium-")
         size = f"--window-size={self._size[0]},{self._size[1]}"
-        words = [self._program, *FLAGS, size, f"--user-data-dir={self._folder}", "about:blank"]
+        words = [
+            self._program,
+            *FLAGS,
+            size,
+            f"--user-data-dir={self._folder}",
+            "about:blank",
+        ]
         self._process = subprocess.Popen(
             words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
         )
@@ -91,11 +100,15 @@ class Browser:
             "Chromium does not start",
         )
         port, path = port_file.read_text().split("\n")[:2]
-        self._socket = connect(f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None)
+        self._socket = connect(
+            f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None
+        )
         self._number = 0
         self.errors: list[str] = []
         target = self._call("Target.createTarget", url="about:blank")
-        attached = self._call("Target.attachToTarget", targetId=target["targetId"], flatten=True)
+        attached = self._call(
+            "Target.attachToTarget", targetId=target["targetId"], flatten=True
+        )
         self._session = attached["sessionId"]
         for domain in ("Runtime", "Page", "Network"):
             self.call(f"{domain}.enable")
@@ -137,34 +150,55 @@ class Browser:
 
     def wait_for(self, code: str) -> None:
         """Wait until a JavaScript expression is true."""
-        self._wait(lambda: bool(self.evaluate(code)), f"the page never satisfies {code}")
+        self._wait(
+            lambda: bool(self.evaluate(code)), f"the page never satisfies {code}"
+        )
 
     def press(self, key: str, code: int) -> None:
         """Press and release a key in the element that has the focus."""
         for kind in ("keyDown", "keyUp"):
             self.call(
-                "Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code
+                "Input.dispatchKeyEvent",
+                type=kind,
+                key=key,
+                code=key,
+                windowsVirtualKeyCode=code,
             )
 
     def click(self, x: float, y: float) -> None:
         """Click with the left button."""
         for kind in ("mousePressed", "mouseReleased"):
-            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+            self.call(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=x,
+                y=y,
+                button="left",
+                clickCount=1,
+            )
 
     def screenshot(self) -> tuple[bytes, np.ndarray]:
         """Return the page as the bytes of a PNG file and as pixels, shape (height, width, 3)."""
         from PIL import Image
 
-        png = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        png = base64.b64decode(
+            self.call("Page.captureScreenshot", format="png")["data"]
+        )
         return png, np.asarray(Image.open(BytesIO(png)).convert("RGB"))
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send a command of the DevTools protocol to the page."""
         return self._call(method, self._session, **parameters)
 
-    def _call(self, method: str, session: str | None = None, **parameters: Any) -> dict[str, Any]:
+    def _call(
+        self, method: str, session: str | None = None, **parameters: Any
+    ) -> dict[str, Any]:
         self._number += 1
-        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        message: dict[str, Any] = {
+            "id": self._number,
+            "method": method,
+            "params": parameters,
+        }
         if session is not None:
             message["sessionId"] = session
         self._socket.send(json.dumps(message))

@@ -20,7 +20,9 @@ def closing_arrays(side: str = "right", seconds: float = 1.2) -> dict[str, np.nd
     time = np.arange(count) / RATE
     landmarks, wrists = np.empty((count, 21, 3)), np.empty((count, 7))
     for i, share in enumerate(np.linspace(0.0, 1.0, count)):
-        flexed = np.array([0.0 if "abduction" in name else 1.1 for name in human.joint_names])
+        flexed = np.array(
+            [0.0 if "abduction" in name else 1.1 for name in human.joint_names]
+        )
         q = np.clip(share * flexed, human.lower_limits, human.upper_limits)
         turn = Rotation.from_rotvec([0.3 * share, -0.2, 0.5 * share]).as_matrix()
         pose = affine(turn, np.array([0.2 * share, 1.0, -0.3]))

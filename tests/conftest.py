@@ -17,7 +17,9 @@ from hypothesis import HealthCheck, settings
 
 # Draw the same examples on every run, so that a failure is reproducible.
 # `--hypothesis-profile=explore` draws others.
-settings.register_profile("ci", deadline=None, max_examples=40, derandomize=True, database=None)
+settings.register_profile(
+    "ci", deadline=None, max_examples=40, derandomize=True, database=None
+)
 settings.register_profile(
     "explore",
     deadline=None,
@@ -38,7 +40,10 @@ gc.disable()
 
 def pytest_configure(config: pytest.Config) -> None:
     """Load the profile of the fast suite, unless the command line names one."""
-    if "not slow" in config.option.markexpr and config.option.hypothesis_profile is None:
+    if (
+        "not slow" in config.option.markexpr
+        and config.option.hypothesis_profile is None
+    ):
         settings.load_profile("fast")
 
 
@@ -51,7 +56,9 @@ def pytest_collection_finish() -> None:
 @pytest.fixture(scope="session")
 def load_data() -> Callable[[str], dict[str, Any]]:
     """Read a JSON file of `tests/data` by its name without suffix."""
-    return lambda name: json.loads((TESTS / "data" / f"{name}.json").read_text(encoding="utf-8"))
+    return lambda name: json.loads(
+        (TESTS / "data" / f"{name}.json").read_text(encoding="utf-8")
+    )
 
 
 @pytest.fixture(scope="session")
@@ -72,7 +79,9 @@ def shared_hands() -> Path:
     named = os.environ.get("HANDMAP_HANDS")
     folder = Path(named) if named else TESTS.parents[1] / "shared" / "hands"
     if not any(folder.glob("*/*.urdf")):
-        pytest.skip(f"no hands (*/*.urdf) in {folder}: set HANDMAP_HANDS to the folder of them")
+        pytest.skip(
+            f"no hands (*/*.urdf) in {folder}: set HANDMAP_HANDS to the folder of them"
+        )
     return folder
 
 

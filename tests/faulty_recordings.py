@@ -13,7 +13,9 @@ DEMO = read_recording("demo", "right")
 
 def faulty(text: str) -> Recording:
     """Return two seconds of `DEMO` with faults, as `parse_faults` reads them."""
-    samples = list(inject(recording_samples(DEMO.part(slice(0, 120))), parse_faults(text)))
+    samples = list(
+        inject(recording_samples(DEMO.part(slice(0, 120))), parse_faults(text))
+    )
     return Recording(
         name="faulty",
         time=np.array([sample.time for sample in samples]),

@@ -15,4 +15,8 @@ def coupled_hand() -> Hand:
     copies = {f"f{i}_distal": MimicSpec(f"f{i}_proximal", 0.7, 0.1) for i in (1, 2, 3)}
     kept = tuple(joint for joint in spec.joints if joint not in copies)
     rest = {joint: spec.rest[joint] for joint in kept}
-    return Hand(msgspec.structs.replace(spec, name="coupled", joints=kept, rest=rest, mimic=copies))
+    return Hand(
+        msgspec.structs.replace(
+            spec, name="coupled", joints=kept, rest=rest, mimic=copies
+        )
+    )

@@ -41,7 +41,9 @@ _ARM = """
 def _ways_to_hold(name: str) -> Iterator[tuple[str, str, str | None]]:
     spec = read_hand_spec(hand_files()[name])
     for mount in (
-        ("floating", "fixed") if spec.wrist.mount == "floating" and spec.arm is None else ("fixed",)
+        ("floating", "fixed")
+        if spec.wrist.mount == "floating" and spec.arm is None
+        else ("fixed",)
     ):
         for points in (None, "fingertips_middle"):
             if points is None or points in spec.sets:
@@ -53,11 +55,18 @@ _TWICE = ("dex3_left", "dex3_right")
 # Every hand of the repository with a floating and a fixed wrist, and a hand on an arm; each with
 # one or two sets of points.
 HANDS: tuple[tuple[str, str, str | None], ...] = (
-    *(way for name in hand_names() if name not in _TWICE for way in _ways_to_hold(name)),
+    *(
+        way
+        for name in hand_names()
+        if name not in _TWICE
+        for way in _ways_to_hold(name)
+    ),
     ("arm", "fixed", None),
     ("arm", "fixed", "fingertips_middle"),
 )
-each_hand = pytest.mark.parametrize("which", HANDS, ids=lambda which: "-".join(filter(None, which)))
+each_hand = pytest.mark.parametrize(
+    "which", HANDS, ids=lambda which: "-".join(filter(None, which))
+)
 _TWINS = ("allegro_left", "g1_right", "human_left", "romeo_right")
 # One hand of each mirrored pair. A hand that may float does so with its default points, and has a
 # fixed wrist with the other set. A hand with a fixed wrist takes both sets.
@@ -118,7 +127,9 @@ def hand_of(which: tuple[str, str, str | None]) -> Hand:
     if name == "arm":
         return arm_hand(points)
     try:
-        return load_hand(name, mount="floating" if mount == "floating" else "fixed", points=points)
+        return load_hand(
+            name, mount="floating" if mount == "floating" else "fixed", points=points
+        )
     except MissingExtraError:
         pytest.skip("example-robot-data is not installed")
 
@@ -150,23 +161,31 @@ def random_cases(
     configuration = hand.configuration()
     for i in range(count):
         vector = hand.configuration_vector(
-            _posture(hand, i % 4, rng, is_inside), _pose(rng) if hand.is_floating else None
+            _posture(hand, i % 4, rng, is_inside),
+            _pose(rng) if hand.is_floating else None,
         )
         configuration.place_with_jacobians(vector)
         reach = 10.0 ** rng.uniform(-4, 0)
-        targets = configuration.points + reach * rng.normal(size=(len(hand.reference_points), 3))
+        targets = configuration.points + reach * rng.normal(
+            size=(len(hand.reference_points), 3)
+        )
         # At least 1e-3 rad: mink on MuJoCo rounds smaller ones off (see
         # oracles.mujoco_ik).
         offset = pin.exp6(
             np.concatenate(
-                [reach * rng.normal(size=3), 10.0 ** rng.uniform(-3, 0.3) * _direction(rng)]
+                [
+                    reach * rng.normal(size=3),
+                    10.0 ** rng.uniform(-3, 0.3) * _direction(rng),
+                ]
             )
         )
         wrist = None if i % 5 == 0 else (configuration.wrist * offset).homogeneous
         yield Case(vector, targets, wrist, 10.0 ** rng.uniform(-3, -1))
 
 
-def _posture(hand: Hand, kind: int, rng: np.random.Generator, is_inside: bool) -> np.ndarray:
+def _posture(
+    hand: Hand, kind: int, rng: np.random.Generator, is_inside: bool
+) -> np.ndarray:
     q = rng.uniform(hand.lower_limits, hand.upper_limits)
     if kind == 1:
         side = rng.integers(0, 3, len(q))

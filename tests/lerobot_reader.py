@@ -22,9 +22,13 @@ def main(root: str) -> None:
     data = LeRobotDataset(repo_id="local/mapped", root=root)
     step = 1.0 / data.fps
     ahead = LeRobotDataset(
-        repo_id="local/mapped", root=root, delta_timestamps={"observation.state": [-step, 0.0]}
+        repo_id="local/mapped",
+        root=root,
+        delta_timestamps={"observation.state": [-step, 0.0]},
     )
-    last = LeRobotDataset(repo_id="local/mapped", root=root, episodes=[data.num_episodes - 1])
+    last = LeRobotDataset(
+        repo_id="local/mapped", root=root, episodes=[data.num_episodes - 1]
+    )
     loader = torch.utils.data.DataLoader(ahead, batch_size=4)
     states = torch.cat([batch["observation.state"] for batch in loader])
     rows = [data[i] for i in range(len(data))]

@@ -23,5 +23,6 @@ def near_rest(
 def little_pose(generator: np.random.Generator, size: float = 0.05) -> np.ndarray:
     """Draw a pose near the identity."""
     return motion_of(
-        pin.exp3(generator.uniform(-size, size, size=3)), generator.uniform(-size, size, size=3)
+        pin.exp3(generator.uniform(-size, size, size=3)),
+        generator.uniform(-size, size, size=3),
     )

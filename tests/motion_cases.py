@@ -23,7 +23,12 @@ def waving(count: int = 40) -> HumanMotion:
         ]
     )
     wrist = np.array(
-        [affine(turn, np.array([0.2 * x, 0.0, 0.1])) for turn, x in zip(turns, way, strict=True)]
+        [
+            affine(turn, np.array([0.2 * x, 0.0, 0.1]))
+            for turn, x in zip(turns, way, strict=True)
+        ]
     )
     dt = np.full(count, time[1])
-    return HumanMotion(HUMAN, time, dt, q, wrist, np.ones(count, dtype=bool), np.zeros((count, 21)))
+    return HumanMotion(
+        HUMAN, time, dt, q, wrist, np.ones(count, dtype=bool), np.zeros((count, 21))
+    )

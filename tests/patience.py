@@ -12,7 +12,9 @@ T = TypeVar("T")
 
 
 def wait_until(
-    see: Callable[[], T | None], complaint: str = "nothing happens", patience: float = PATIENCE
+    see: Callable[[], T | None],
+    complaint: str = "nothing happens",
+    patience: float = PATIENCE,
 ) -> T:
     """Poll until a condition holds.
 

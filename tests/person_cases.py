@@ -26,4 +26,6 @@ def worn(count: int = 600, rate: float = 60.0, gap: float = 0.015) -> Recording:
         spread = points[8] - points[4]
         points[6:9] += share * (gap / np.linalg.norm(spread) - 1.0) * spread
         landmarks.append(points)
-    return Recording("worn", time, np.array(landmarks), np.ones(count, dtype=bool), "right")
+    return Recording(
+        "worn", time, np.array(landmarks), np.ones(count, dtype=bool), "right"
+    )

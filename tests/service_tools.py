@@ -59,12 +59,16 @@ def human_q(phase: float = 0.0) -> np.ndarray:
     return human.rest + (middle - human.rest) * 0.3 + 0.4 * half * np.sin(phase)
 
 
-def opening(robot: str = "three_finger", preset: Preset | None = "paper", **choices: Any) -> Open:
+def opening(
+    robot: str = "three_finger", preset: Preset | None = "paper", **choices: Any
+) -> Open:
     """Return a request to open a session.
 
     With the preset `paper`, the robot stays where it is at the first sample.
     """
-    return Open(protocol=PROTOCOL, seq=1, session=SECRET, robot=robot, preset=preset, **choices)
+    return Open(
+        protocol=PROTOCOL, seq=1, session=SECRET, robot=robot, preset=preset, **choices
+    )
 
 
 def change(**changes: Any) -> Configure:
@@ -87,7 +91,9 @@ def run_now(work: Callable[[], Hands]) -> Future[Hands]:
     return done
 
 
-def make_session(now: float = 0.0, robot: str = "three_finger", **choices: Any) -> Session:
+def make_session(
+    now: float = 0.0, robot: str = "three_finger", **choices: Any
+) -> Session:
     """Make a session without a server."""
     request = opening(robot, **choices)
     return Session(
@@ -116,7 +122,9 @@ class Sampler:
                 (x, y, z), *others = points
                 human = human | {"landmarks": ((x + 1e-9 * self.seq, y, z), *others)}
             self._landmarks = points
-        angles = None if human else tuple(np.asarray(human_q() if q is None else q).tolist())
+        angles = (
+            None if human else tuple(np.asarray(human_q() if q is None else q).tolist())
+        )
         pose = None if "landmarks" in human else wrist
         return Step(
             protocol=PROTOCOL,
@@ -134,7 +142,9 @@ def streamed(step: Step) -> Sample:
     return Sample(**msgspec.structs.asdict(step))
 
 
-def speeds(session: Session, before: np.ndarray, command: Command, time: float) -> np.ndarray:
+def speeds(
+    session: Session, before: np.ndarray, command: Command, time: float
+) -> np.ndarray:
     """Return joint speeds as shares of their limits, shape (n,)."""
     return np.abs(np.array(command.q) - before) / (session.robot.velocity_limits * time)
 
@@ -146,7 +156,8 @@ def moved_points(session: Session, before: Posture) -> float:
     """
     return float(
         np.linalg.norm(
-            session.robot.points(*session.posture) - session.robot.points(*before), axis=1
+            session.robot.points(*session.posture) - session.robot.points(*before),
+            axis=1,
         ).max()
     )
 
@@ -251,7 +262,10 @@ def client_of(server: Server, **choices: Any) -> Client:
 
 @contextmanager
 def connected(
-    server: Server, robot: str = "three_finger", preset: Preset | None = "paper", **choices: Any
+    server: Server,
+    robot: str = "three_finger",
+    preset: Preset | None = "paper",
+    **choices: Any,
 ) -> Iterator[Client]:
     """Make a client with an open session."""
     with client_of(server) as client:
@@ -286,7 +300,8 @@ def assert_no_jump(client: Client, before: HeardCommand, after: HeardCommand) ->
     """Assert that the robot moved no farther than one command may move it."""
     assert client.opened is not None
     assert (
-        np.abs(np.subtract(after.q, before.q)) <= np.array(client.opened.speed) / 30.0 + 1e-9
+        np.abs(np.subtract(after.q, before.q))
+        <= np.array(client.opened.speed) / 30.0 + 1e-9
     ).all()
 
 

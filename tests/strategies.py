@@ -42,7 +42,9 @@ poses = st.builds(motion_of, rotations, translations)
 
 
 @st.composite
-def linear_maps(draw: st.DrawFn, largest: float = 3.0, mirrored: bool | None = False) -> np.ndarray:
+def linear_maps(
+    draw: st.DrawFn, largest: float = 3.0, mirrored: bool | None = False
+) -> np.ndarray:
     """Invertible (3, 3) matrices with singular values in [1 / largest, largest].
 
     `mirrored=None` draws either sign.
@@ -94,7 +96,9 @@ collinear_point_sets = point_sets(middle=(0.0, 0.0), smallest=(0.0, 0.0))
 def weights_for(points: np.ndarray) -> st.SearchStrategy[np.ndarray]:
     """Positive weights (n,) for these points, a hundredfold apart at most."""
     return st.lists(
-        st.floats(min_value=0.1, max_value=10.0), min_size=len(points), max_size=len(points)
+        st.floats(min_value=0.1, max_value=10.0),
+        min_size=len(points),
+        max_size=len(points),
     ).map(np.array)
 
 

@@ -24,7 +24,10 @@ def closing_motion(points: str | None = None) -> HumanMotion:
     human = load_hand("human", points=points)
     share = np.linspace(0.0, 0.5, COUNT)
     q = human.rest + share[:, None] * (0.8 * human.upper_limits - human.rest)
-    turns = [rotation_from_quat_wxyz((np.cos(0.4 * s), 0.0, np.sin(0.4 * s), 0.0)) for s in share]
+    turns = [
+        rotation_from_quat_wxyz((np.cos(0.4 * s), 0.0, np.sin(0.4 * s), 0.0))
+        for s in share
+    ]
     wrist = np.array(
         [
             affine(turn, np.array([0.3 * s, 1.0, -0.2 * s]))
@@ -49,12 +52,15 @@ def closing_recording() -> Recording:
     """Return the landmarks of the motion."""
     motion = closing_motion("landmarks")
     landmarks = [
-        motion.human.points(q, wrist) for q, wrist in zip(motion.q, motion.wrist, strict=True)
+        motion.human.points(q, wrist)
+        for q, wrist in zip(motion.q, motion.wrist, strict=True)
     ]
     return Recording("closing", motion.time, np.array(landmarks), motion.valid, "right")
 
 
-def make_replay(robot: str = "three_finger", preset: str = "paper", **changes: Any) -> Replay:
+def make_replay(
+    robot: str = "three_finger", preset: str = "paper", **changes: Any
+) -> Replay:
     """Map the motion to a robot, with options by name."""
     replay = copy(_mapped(robot, preset, tuple(sorted(changes.items()))))
     replay.switches = {}

@@ -90,12 +90,27 @@ def _is_built(peer: Peer) -> bool:
 def _build(peer: Peer, python: str) -> None:
     folder = peers_folder() / peer.name
     print(f"{peer.name}: making {folder} (about {peer.megabytes} MB)", flush=True)
-    _run(peer, [python, "-m", "venv", "--clear", str(folder)], "its environment cannot be made")
+    _run(
+        peer,
+        [python, "-m", "venv", "--clear", str(folder)],
+        "its environment cannot be made",
+    )
     print(f"{peer.name}: installing {peer.requirements.name}", flush=True)
-    pip = [str(environment_python(peer.name)), "-m", "pip", "--disable-pip-version-check"]
-    _run(peer, [*pip, "install", "--quiet", "-r", str(peer.requirements)], "pip cannot install it")
+    pip = [
+        str(environment_python(peer.name)),
+        "-m",
+        "pip",
+        "--disable-pip-version-check",
+    ]
+    _run(
+        peer,
+        [*pip, "install", "--quiet", "-r", str(peer.requirements)],
+        "pip cannot install it",
+    )
     find = f"import {peer.module}; print({peer.module}.__path__[0])"
-    where = _run(peer, [str(environment_python(peer.name)), "-c", find], "it cannot be imported")
+    where = _run(
+        peer, [str(environment_python(peer.name)), "-c", find], "it cannot be imported"
+    )
     inside, name = peer.data
     target = data_folder() / name
     shutil.rmtree(target, ignore_errors=True)
@@ -116,7 +131,9 @@ def _run(peer: Peer, command: list[str], problem: str) -> str:
     except OSError as error:
         _stop(f"{peer.name}: {problem}: {error}")
     if done.returncode:
-        lines = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()
+        lines = (
+            done.stderr.strip() or done.stdout.strip() or "no message"
+        ).splitlines()
         errors = [line for line in lines if line.startswith("ERROR:")]
         _stop(f"{peer.name}: {problem}: {(errors or lines)[-1]}")
     return done.stdout

@@ -30,7 +30,9 @@ def list_methods(hand: str) -> None:
             f"--peers: {', '.join(missing)}: not built in {build.peers_folder()}: run make peers"
         )
     peer_robot(load_hand(hand))
-    json.dump([{"name": m.name, "about": m.title} for m in METHODS.values()], sys.stdout)
+    json.dump(
+        [{"name": m.name, "about": m.title} for m in METHODS.values()], sys.stdout
+    )
 
 
 def run(method: str, hand: str, given: str, made: str) -> None:
@@ -47,7 +49,10 @@ def main(words: list[str]) -> int:
     commands = {"list": (list_methods, 1), "run": (run, 4)}
     name, arguments = (words[0], words[1:]) if words else ("", [])
     if name not in commands or len(arguments) != commands[name][1]:
-        print("usage: compare.py list HAND | run METHOD HAND IN.npz OUT.npz", file=sys.stderr)
+        print(
+            "usage: compare.py list HAND | run METHOD HAND IN.npz OUT.npz",
+            file=sys.stderr,
+        )
         return 1
     try:
         commands[name][0](*arguments)

@@ -61,18 +61,36 @@ METHODS = {
     for method in (
         PeerMethod("dex-vector", "dex vector", "dex-retargeting", "vector"),
         PeerMethod(
-            "dex-vector-unfiltered", "dex vector, no filter", "dex-retargeting", "vector", False
+            "dex-vector-unfiltered",
+            "dex vector, no filter",
+            "dex-retargeting",
+            "vector",
+            False,
         ),
         PeerMethod("dex-dexpilot", "DexPilot", "dex-retargeting", "dexpilot"),
         PeerMethod(
-            "dex-dexpilot-unfiltered", "DexPilot, no filter", "dex-retargeting", "dexpilot", False
+            "dex-dexpilot-unfiltered",
+            "DexPilot, no filter",
+            "dex-retargeting",
+            "dexpilot",
+            False,
         ),
         PeerMethod("dex-position", "dex position", "dex-retargeting", "position"),
         PeerMethod("dexi-vector", "dexi vector", "dexi-rs", "vector"),
-        PeerMethod("dexi-vector-unfiltered", "dexi vector, no filter", "dexi-rs", "vector", False),
+        PeerMethod(
+            "dexi-vector-unfiltered",
+            "dexi vector, no filter",
+            "dexi-rs",
+            "vector",
+            False,
+        ),
         PeerMethod("dexi-dexpilot", "dexi DexPilot", "dexi-rs", "dexpilot"),
         PeerMethod(
-            "dexi-dexpilot-unfiltered", "dexi DexPilot, no filter", "dexi-rs", "dexpilot", False
+            "dexi-dexpilot-unfiltered",
+            "dexi DexPilot, no filter",
+            "dexi-rs",
+            "dexpilot",
+            False,
         ),
         PeerMethod("dexi-position", "dexi position", "dexi-rs", "position"),
     )
@@ -126,7 +144,9 @@ class PeerMotion:
         """
         if self.base_pose is None:
             return None
-        root = self.robot.link_poses([_root_link(self.robot.urdf_text)], self.robot.rest)[0]
+        root = self.robot.link_poses(
+            [_root_link(self.robot.urdf_text)], self.robot.rest
+        )[0]
         return self.base_pose @ inverse_pose(root)
 
 
@@ -159,7 +179,9 @@ def run_peer(method: PeerMethod | str, recording: Recording, robot: Hand) -> Pee
     return read_result(file, chosen, right, robot)
 
 
-def read_result(file: Path, method: PeerMethod, recording: Recording, robot: Hand) -> PeerMotion:
+def read_result(
+    file: Path, method: PeerMethod, recording: Recording, robot: Hand
+) -> PeerMotion:
     """Read what `runner.py` wrote, the joints in the order of our hand.
 
     Args:
@@ -179,7 +201,9 @@ def read_result(file: Path, method: PeerMethod, recording: Recording, robot: Han
     names = [str(name) for name in values["joint_names"]]
     missing = sorted(set(robot.joint_names) - set(names))
     if missing:
-        raise PeerError(f"{robot.name}: {method.name} gives no joint {', '.join(missing)}")
+        raise PeerError(
+            f"{robot.name}: {method.name} gives no joint {', '.join(missing)}"
+        )
     if len(values["q"]) != len(recording):
         raise PeerError(
             f"{file}: expected {len(recording)} samples of {recording.name}, got {len(values['q'])}"
@@ -222,7 +246,9 @@ def peer_robot(robot: Hand) -> str:
     )
 
 
-def measured_palms(recording: Recording, lengths: HumanLengths | None = None) -> np.ndarray:
+def measured_palms(
+    recording: Recording, lengths: HumanLengths | None = None
+) -> np.ndarray:
     """Pose of the human's palm frame, by a rigid fit of the five palm landmarks.
 
     Args:
@@ -235,7 +261,9 @@ def measured_palms(recording: Recording, lengths: HumanLengths | None = None) ->
         the first.
     """
     name = "human" if recording.side == "right" else "human_left"
-    human = load_hand(name, points="landmarks", lengths=lengths or measure_hand(recording))
+    human = load_hand(
+        name, points="landmarks", lengths=lengths or measure_hand(recording)
+    )
     points = human.points(np.clip(0.0, human.lower_limits, human.upper_limits))[PALM]
     poses = np.empty((len(recording), 4, 4))
     first = int(np.argmax(recording.valid))
@@ -270,7 +298,11 @@ def _peer_joints(name: str) -> set[str]:
     if not build.data_folder().is_dir():
         return set()
     root = ElementTree.parse(_urdf(name)).getroot()
-    return {joint.attrib["name"] for joint in root.iter("joint") if joint.get("type") != "fixed"}
+    return {
+        joint.attrib["name"]
+        for joint in root.iter("joint")
+        if joint.get("type") != "fixed"
+    }
 
 
 def _root_link(urdf_text: str) -> str:
@@ -278,14 +310,20 @@ def _root_link(urdf_text: str) -> str:
     root = ElementTree.fromstring(urdf_text)
     children = {child.attrib["link"] for child in root.iter("child")}
     return next(
-        link.attrib["name"] for link in root.findall("link") if link.attrib["name"] not in children
+        link.attrib["name"]
+        for link in root.findall("link")
+        if link.attrib["name"] not in children
     )
 
 
 def _key(method: PeerMethod, robot: str, recording: Recording) -> str:
     """Hash of all that a run depends on: method, robot, landmarks, runner and versions."""
-    digest = hashlib.sha256(f"{method.peer} {method.method} {method.is_filtered} {robot}".encode())
-    requirements = [peer.requirements for peer in build.PEERS if peer.name == method.peer]
+    digest = hashlib.sha256(
+        f"{method.peer} {method.method} {method.is_filtered} {robot}".encode()
+    )
+    requirements = [
+        peer.requirements for peer in build.PEERS if peer.name == method.peer
+    ]
     for file in (Path(runner.__file__), _urdf(robot), *requirements):
         digest.update(file.read_bytes())
     for array in (recording.landmarks, recording.valid):
@@ -309,11 +347,21 @@ def _run(method: PeerMethod, robot: str, recording: Recording, file: Path) -> No
         words += [] if method.is_filtered else ["--no-filter"]
         words += ["--data", str(build.data_folder()), str(given), str(made)]
         # dex-retargeting leaves a folder of its own in TMPDIR; a PYTHONPATH of ours is not its.
-        environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
-        environment |= {"TMPDIR": str(folder), "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        environment = {
+            key: value for key, value in os.environ.items() if key != "PYTHONPATH"
+        }
+        environment |= {
+            "TMPDIR": str(folder),
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
         last = ""
         with subprocess.Popen(
-            words, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True, env=environment
+            words,
+            stderr=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            text=True,
+            env=environment,
         ) as process:
             for line in process.stderr or ():
                 print(line, end="", file=sys.stderr, flush=True)

@@ -40,7 +40,9 @@ import numpy as np
 
 METHODS = ("vector", "dexpilot", "position")
 ROOT_JOINTS = tuple(
-    f"dummy_{axis}_{kind}_joint" for kind in ("translation", "rotation") for axis in "xyz"
+    f"dummy_{axis}_{kind}_joint"
+    for kind in ("translation", "rotation")
+    for axis in "xyz"
 )
 """Joints of the free root, in the order of their chain (dex-retargeting's `DUMMY_JOINT_NAMES`)."""
 _WRIST, _INDEX_KNUCKLE, _MIDDLE_KNUCKLE = 0, 5, 9
@@ -172,7 +174,9 @@ class DexRetargeting(Solver):
         self._solver = module.RetargetingConfig.from_dict(dict(config)).build()
         own = self._solver.optimizer.target_link_human_indices
         if not np.array_equal(np.squeeze(own), indices):
-            raise SystemExit(f"{self.peer}: uses the landmarks {own}, expected {indices}")
+            raise SystemExit(
+                f"{self.peer}: uses the landmarks {own}, expected {indices}"
+            )
         self.joint_names = list(self._solver.joint_names)
 
     def start(self, landmarks: np.ndarray) -> None:
@@ -205,7 +209,9 @@ class DexiRs(Solver):
     def start(self, landmarks: np.ndarray) -> None:
         """Set the joints of the free root: dexi-rs has no warm start of its own."""
         q = np.array(self._solver.get_qpos())
-        pose = np.concatenate([landmarks[_WRIST], root_angles(operator_frame(landmarks))])
+        pose = np.concatenate(
+            [landmarks[_WRIST], root_angles(operator_frame(landmarks))]
+        )
         q[[self.joint_names.index(name) for name in ROOT_JOINTS]] = pose
         self._solver.set_qpos(q.tolist())
 
@@ -214,7 +220,9 @@ class DexiRs(Solver):
         return np.array(self._solver.retarget(reference.ravel().tolist()))
 
 
-SOLVERS: dict[str, type[Solver]] = {kind.peer: kind for kind in (DexRetargeting, DexiRs)}
+SOLVERS: dict[str, type[Solver]] = {
+    kind.peer: kind for kind in (DexRetargeting, DexiRs)
+}
 
 
 def retarget_all(
@@ -254,7 +262,9 @@ def retarget_all(
     return q, cpu_time
 
 
-def load_config(data: Path, method: str, robot: str, *, is_filtered: bool) -> dict[str, Any]:
+def load_config(
+    data: Path, method: str, robot: str, *, is_filtered: bool
+) -> dict[str, Any]:
     """Read a peer's configuration file.
 
     Args:
@@ -286,8 +296,12 @@ def main() -> None:
     parser.add_argument("--peer", choices=sorted(SOLVERS), required=True)
     parser.add_argument("--method", choices=METHODS, required=True)
     parser.add_argument("--robot", required=True, help="such as allegro_hand_right")
-    parser.add_argument("--no-filter", action="store_true", help="without the low-pass filter")
-    parser.add_argument("--data", type=Path, required=True, help="folder that build.py filled")
+    parser.add_argument(
+        "--no-filter", action="store_true", help="without the low-pass filter"
+    )
+    parser.add_argument(
+        "--data", type=Path, required=True, help="folder that build.py filled"
+    )
     parser.add_argument("recording", type=Path)
     parser.add_argument("output", type=Path)
     arguments = parser.parse_args()
@@ -296,11 +310,16 @@ def main() -> None:
         valid = arrays["valid"].astype(bool) & np.isfinite(landmarks).all(axis=(1, 2))
         side = str(arrays["handedness"])
     if side != "right":
-        raise SystemExit(f"runner.py: handedness: expected right, got {side}: mirror it first")
+        raise SystemExit(
+            f"runner.py: handedness: expected right, got {side}: mirror it first"
+        )
     if not valid.any():
         raise SystemExit("runner.py: no sample is valid")
     config = load_config(
-        arguments.data, arguments.method, arguments.robot, is_filtered=not arguments.no_filter
+        arguments.data,
+        arguments.method,
+        arguments.robot,
+        is_filtered=not arguments.no_filter,
     )
     solver = SOLVERS[arguments.peer](config)
     name = f"{arguments.peer} {arguments.method} {arguments.robot}"

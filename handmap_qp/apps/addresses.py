@@ -91,16 +91,22 @@ def service_address(name: str, host: str) -> str:
     """
     text = host.removeprefix("tcp://")
     place, _, port = (
-        text.rpartition(":") if ":" in text.rpartition("]")[2] else (text, "", str(REQUESTS_PORT))
+        text.rpartition(":")
+        if ":" in text.rpartition("]")[2]
+        else (text, "", str(REQUESTS_PORT))
     )
     try:
         number = int(port if place.strip() else "")
         socket.getaddrinfo(place.strip("[]"), None)
     except ValueError as error:
-        raise InvalidInputError(argument=name, expected="HOST or HOST:PORT", value=host) from error
+        raise InvalidInputError(
+            argument=name, expected="HOST or HOST:PORT", value=host
+        ) from error
     except OSError as error:
         raise InvalidInputError(
-            argument=name, problem=f"unknown host {place!r}: {error.strerror}", value=host
+            argument=name,
+            problem=f"unknown host {place!r}: {error.strerror}",
+            value=host,
         ) from error
     check_port(name, number)
     return f"tcp://{place}:{number}"

@@ -41,22 +41,31 @@ HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
 PersonFile = Annotated[
     Path | None,
-    tyro.conf.arg(metavar="PERSON.yaml", help_behavior_hint="(default: measured in the recording)"),
+    tyro.conf.arg(
+        metavar="PERSON.yaml", help_behavior_hint="(default: measured in the recording)"
+    ),
 ]
 """File of a person's hand, of `handmap calibrate`."""
 OpenSession = Annotated[
     str | None,
-    tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: the only open session)"),
+    tyro.conf.arg(
+        metavar="NAME", help_behavior_hint="(default: the only open session)"
+    ),
 ]
 """Name of a session of the service that another client has opened."""
 KeyFiles = Annotated[
     tuple[Path, Path] | None,
-    tyro.conf.arg(metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"),
+    tyro.conf.arg(
+        metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"
+    ),
 ]
 """A client's secret key and the server's key, of `handmap keys`."""
-_HANDED = 3  # fingers with human names; a robot with fewer is neither a left nor a right hand
+_HANDED = (
+    3  # fingers with human names; a robot with fewer is neither a left nor a right hand
+)
 PointSet = Annotated[
-    str | None, tyro.conf.arg(metavar="SET", help_behavior_hint="(default: the hand's own)")
+    str | None,
+    tyro.conf.arg(metavar="SET", help_behavior_hint="(default: the hand's own)"),
 ]
 """Name of a set of reference points."""
 
@@ -72,13 +81,16 @@ class InputArguments:
     """
 
     layout: Annotated[
-        str | None, tyro.conf.arg(metavar="LAYOUT", help_behavior_hint="(default: the file's own)")
+        str | None,
+        tyro.conf.arg(metavar="LAYOUT", help_behavior_hint="(default: the file's own)"),
     ] = None
     side: Annotated[
         Side | None, tyro.conf.arg(help_behavior_hint="(default: what the file says)")
     ] = None
 
-    def read(self, path: Path, wanted: Side | None = None, person: Path | None = None) -> Recording:
+    def read(
+        self, path: Path, wanted: Side | None = None, person: Path | None = None
+    ) -> Recording:
         """Read a recording, and reject it if it cannot be what it says.
 
         Args:
@@ -93,7 +105,9 @@ class InputArguments:
                 like (`handmap_qp.trackers.plausibility`).
         """
         if self.layout is not None:
-            return read_with_layout(path, load_layout(self.layout), self.side, _lengths_of(person))
+            return read_with_layout(
+                path, load_layout(self.layout), self.side, _lengths_of(person)
+            )
         try:
             recording = read_recording(path, self.side or wanted)
         except RecordingError as error:
@@ -111,7 +125,9 @@ class InputArguments:
         check_recording(recording, name=str(path))
         return recording
 
-    def read_both(self, paths: Sequence[Path], person: Path | None = None) -> dict[Side, Recording]:
+    def read_both(
+        self, paths: Sequence[Path], person: Path | None = None
+    ) -> dict[Side, Recording]:
         """Read a recording of the left and one of the right hand, from one file or from two.
 
         Args:
@@ -122,7 +138,9 @@ class InputArguments:
             HandmapError: As of `read`.
         """
         if self.side is not None:
-            raise InvalidInputError(argument="--side", problem="has no effect on both hands")
+            raise InvalidInputError(
+                argument="--side", problem="has no effect on both hands"
+            )
         if self.layout is None:
             hands = read_hands(paths)
             for recording in hands.values():
@@ -187,17 +205,25 @@ def _flags(name: str, has: Callable[[str], bool], about: str) -> type:
     items: list[Any] = []
     for option, places in known_options().items():
         # Presets of one method share what they say.
-        said = {item.about: (preset, item) for preset, item in reversed(places) if has(preset)}
+        said = {
+            item.about: (preset, item)
+            for preset, item in reversed(places)
+            if has(preset)
+        }
         if not said:
             continue
         texts = [
-            f"{item.about} {_default(item)}" if len(said) == 1 else f"{preset}: {item.about}"
+            f"{item.about} {_default(item)}"
+            if len(said) == 1
+            else f"{preset}: {item.about}"
             for preset, item in reversed(said.values())
         ]
         kind = reduce(or_, [item.plain for _, item in said.values()]) | None
         # tyro would show a list's type in braces.
         metavar = "NAME ..." if kind == tuple[str, ...] | None else None
-        settings = tyro.conf.arg(help=" ".join(texts), help_behavior_hint="", metavar=metavar)
+        settings = tyro.conf.arg(
+            help=" ".join(texts), help_behavior_hint="", metavar=metavar
+        )
         items.append((option, Annotated[kind, settings], field(default=None)))
     # The module lets copies of it be pickled.
     own = {"__doc__": about, "__module__": __name__}
@@ -209,7 +235,9 @@ def _default(option: Any) -> str:
 
 
 MethodFlags = _flags(
-    "MethodFlags", lambda preset: preset != "ik", "Options of the method; each preset has its own."
+    "MethodFlags",
+    lambda preset: preset != "ik",
+    "Options of the method; each preset has its own.",
 )
 QpFlags = _flags(
     "QpFlags",
@@ -239,7 +267,8 @@ class MappingArguments:
     """
 
     preset: Annotated[
-        str | None, tyro.conf.arg(metavar="PRESET", help_behavior_hint=f"({', '.join(PRESETS)})")
+        str | None,
+        tyro.conf.arg(metavar="PRESET", help_behavior_hint=f"({', '.join(PRESETS)})"),
     ] = None
     human_points: PointSet = None
     robot_points: PointSet = None
@@ -250,7 +279,8 @@ class MappingArguments:
         default_factory=QpFlags
     )
     options: Annotated[
-        Path | None, tyro.conf.arg(metavar="OPTIONS.yaml", help_behavior_hint="(default: none)")
+        Path | None,
+        tyro.conf.arg(metavar="OPTIONS.yaml", help_behavior_hint="(default: none)"),
     ] = None
     smooth: bool = False
 
@@ -273,7 +303,9 @@ class MappingArguments:
         """How samples are smoothed."""
         return Smoothing() if self.smooth else None
 
-    def preset_for(self, human: Hand, robot: Hand, contact_gap: float | None = None) -> Choice:
+    def preset_for(
+        self, human: Hand, robot: Hand, contact_gap: float | None = None
+    ) -> Choice:
         """Return the chosen preset, method and QP weights for two hands.
 
         Args:

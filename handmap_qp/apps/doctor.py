@@ -64,7 +64,11 @@ class Doctor:
 def versions() -> dict[str, str]:
     """Return the versions of this package, Python, the system and the core dependencies."""
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
-    own = {_PACKAGE: _version(_PACKAGE), "python": sys.version.split()[0], "system": system}
+    own = {
+        _PACKAGE: _version(_PACKAGE),
+        "python": sys.version.split()[0],
+        "system": system,
+    }
     return own | {name: _version(name) for name in _CORE}
 
 
@@ -104,7 +108,9 @@ def folders() -> dict[str, str]:
 def libraries() -> dict[str, str]:
     """Return the system libraries for solvers and for MuJoCo's rendering."""
     # Slim images lack libgomp, to which compiled dependencies link.
-    found: dict[str, Any] = {name: ctypes.util.find_library(name) for name in ("gomp", *_GL)}
+    found: dict[str, Any] = {
+        name: ctypes.util.find_library(name) for name in ("gomp", *_GL)
+    }
     state = {f"lib{name}": path or "not found" for name, path in found.items()}
     return state | {"MUJOCO_GL": os.environ.get("MUJOCO_GL", "not set")}
 

@@ -27,7 +27,9 @@ def progress(what: str, total: int | None = None) -> Iterator[Any]:
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(
+        console=console, transient=True, disable=not console.is_terminal
+    ) as bar:
         task = bar.add_task(what, total=total)
         yield lambda done, note="": bar.update(
             task, completed=done, description=f"{what} {note}".rstrip()
@@ -50,7 +52,9 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
     table = Table(show_header=list(rows[0]) != list(_PAIR))
     for name, value in rows[0].items():
         table.add_column(
-            name, justify="right" if isinstance(value, int | float) else "left", overflow="fold"
+            name,
+            justify="right" if isinstance(value, int | float) else "left",
+            overflow="fold",
         )
     for row in rows:
         # Text, because a plain string is markup, in which [robots] is a style.

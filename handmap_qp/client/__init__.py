@@ -124,7 +124,9 @@ class ServiceError(RuntimeError):
     """The server refused a request; `error` has the reason and the field at fault."""
 
     def __init__(self, error: Error) -> None:
-        super().__init__(": ".join(filter(None, (error.code, error.field, error.message))))
+        super().__init__(
+            ": ".join(filter(None, (error.code, error.field, error.message)))
+        )
         self.error = error
 
 
@@ -212,7 +214,9 @@ class _Core:
         self.opened: Opened | None = None
         self._last_command: messages.Command | None = None
         self._open_request: Request = {}  # as it must be repeated to reopen the session
-        self._addressee: Request = {"session": ""}  # or the public name of a watched session
+        self._addressee: Request = {
+            "session": ""
+        }  # or the public name of a watched session
         self._stream_name, self._stream_port = "", 0
         self._released_at = 0  # number of the last request that changed `is_released`
 
@@ -251,7 +255,10 @@ class _Core:
             payload = yield _Io(self._socket("stream"), None, until)
             if payload is not None:
                 reply = self._read_streamed(payload)
-                if isinstance(reply, Error) and reply.code not in ("no_session", "taken"):
+                if isinstance(reply, Error) and reply.code not in (
+                    "no_session",
+                    "taken",
+                ):
                     raise ServiceError(reply)
                 return reply if isinstance(reply, Command) else None
             if clock.monotonic() >= until:
@@ -260,7 +267,9 @@ class _Core:
 
     def _watch(self, name: str) -> Steps[State]:
         if self.opened is not None:
-            raise RuntimeError("this client has a session of its own; watch with another one")
+            raise RuntimeError(
+                "this client has a session of its own; watch with another one"
+            )
         state = yield from self._call({"type": "status", "name": name}, State)
         self._addressee = {"name": name}
         self._stream_name, self._stream_port = name, state.stream_port
@@ -277,7 +286,9 @@ class _Core:
             for use in tuple(self._sockets):
                 self._drop(use)
 
-    def _call(self, request: Request, kind: type[R], deadline: float | None = None) -> Steps[R]:
+    def _call(
+        self, request: Request, kind: type[R], deadline: float | None = None
+    ) -> Steps[R]:
         """Send a request; if the server has lost the session, reopen it and send it again."""
         until = clock.monotonic() + self.timeout if deadline is None else deadline
         reply = yield from self._ask(numbered := self._numbered(request), until)
@@ -308,7 +319,9 @@ class _Core:
                 reply = self._read(answer)
                 # An error with number 0 says that the server did not read the request. Other
                 # numbers are of requests that timed out before.
-                if reply.seq == request["seq"] or (reply.seq == 0 and isinstance(reply, Error)):
+                if reply.seq == request["seq"] or (
+                    reply.seq == 0 and isinstance(reply, Error)
+                ):
                     return reply
             self._drop("requests")
         raise ServiceTimeoutError(
@@ -331,7 +344,11 @@ class _Core:
         start: Request = {}
         if self.opened is not None:
             last = self._last_command
-            start |= {"name": self.opened.name, "restore": True, "robot_q": (last or self.opened).q}
+            start |= {
+                "name": self.opened.name,
+                "restore": True,
+                "robot_q": (last or self.opened).q,
+            }
             if last is not None and self.opened.is_floating:
                 start["robot_wrist"] = last.wrist
         return self._open_request | start
@@ -362,7 +379,9 @@ class _Core:
             return False
         # Servers of version 1 do not say which versions they answer.
         theirs = reply.protocols or (OLDEST_PROTOCOL,)
-        common = {version for version in PROTOCOLS if version < self._protocol}.intersection(theirs)
+        common = {
+            version for version in PROTOCOLS if version < self._protocol
+        }.intersection(theirs)
         self._protocol = max(common, default=self._protocol)
         return bool(common)
 
@@ -385,7 +404,9 @@ class _Core:
                 kept = {} if "preset" in request else before
                 if changed := kept | request.get(field, {}):
                     wanted[field] = changed
-            wanted |= {key: request[key] for key in ("preset", "has_detail") if key in request}
+            wanted |= {
+                key: request[key] for key in ("preset", "has_detail") if key in request
+            }
 
     def _socket(self, use: Use) -> Any:
         """Return the socket for a use, connected when it is first needed for a session."""
@@ -409,7 +430,9 @@ class _Core:
         for option, value in self._SOCKET_OPTIONS:
             socket.setsockopt(option, value)
         if self._keys is not None:
-            socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = self._keys
+            socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = (
+                self._keys
+            )
         if use == "stream":
             socket.setsockopt(zmq.SUBSCRIBE, session.encode() + TOPIC_END)
         socket.connect(address)
@@ -724,6 +747,8 @@ class AsyncClient(_Core):
         polled = asyncio.ensure_future(io.socket.poll(milliseconds, event))
         try:
             await asyncio.wait([polled])
-            return not (polled.cancelled() or io.socket.closed) and bool(polled.result())
+            return not (polled.cancelled() or io.socket.closed) and bool(
+                polled.result()
+            )
         finally:
             polled.cancel()

@@ -77,7 +77,9 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         )
         row = max(enumerate(rows), key=lambda part: part[1][part[0]])[1]
         norm = math.hypot(*row)
-        return cls((x, y, z), (row[0] / norm, row[1] / norm, row[2] / norm, row[3] / norm))
+        return cls(
+            (x, y, z), (row[0] / norm, row[1] / norm, row[2] / norm, row[3] / norm)
+        )
 
     @classmethod
     def of(cls, pose: Pose | npt.ArrayLike, name: str = "pose") -> Pose:
@@ -95,7 +97,9 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         try:
             values = np.asarray(pose, dtype=float)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"{name}: expected numbers, got {type(pose).__name__}") from error
+            raise ValueError(
+                f"{name}: expected numbers, got {type(pose).__name__}"
+            ) from error
         if values.shape == (7,):
             return cls(tuple(values[:3].tolist()), tuple(values[3:].tolist()))
         if values.shape != (4, 4):

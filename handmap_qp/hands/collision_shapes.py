@@ -47,13 +47,17 @@ def _read(hand: Hand) -> pin.GeometryModel:
         for i, shape in enumerate(link.iterfind("collision/geometry")):
             mesh = shape.find("mesh")
             if mesh is not None:
-                scale = tuple(float(each) for each in mesh.get("scale", "1 1 1").split())
+                scale = tuple(
+                    float(each) for each in mesh.get("scale", "1 1 1").split()
+                )
                 meshes[f"{link.get('name')}_{i}"] = mesh.get("filename", ""), scale
                 shape.remove(mesh)
                 ET.SubElement(shape, "sphere", radius=_PLACEHOLDER)
     text, name = ET.tostring(robot, encoding="unicode"), ""
     try:
-        geometry = pin.buildGeomFromUrdfString(hand.model, text, pin.GeometryType.COLLISION)
+        geometry = pin.buildGeomFromUrdfString(
+            hand.model, text, pin.GeometryType.COLLISION
+        )
         for part in geometry.geometryObjects:
             name = part.name
             if name in meshes:

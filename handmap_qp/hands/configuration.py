@@ -36,7 +36,9 @@ class Placements:
         """Origins of the placements [m], shape (n, 3); a new array."""
         return np.array(self._translations).reshape(-1, 3)
 
-    def points(self, offsets: np.ndarray, indices: Sequence[int] | None = None) -> np.ndarray:
+    def points(
+        self, offsets: np.ndarray, indices: Sequence[int] | None = None
+    ) -> np.ndarray:
         """Return points that are fixed to placements, in the world.
 
         Args:
@@ -196,7 +198,9 @@ class Configuration:
             start: Pinocchio configuration, shape (nq,).
             displacement: Displacement in the active coordinates [rad or m], shape (k,).
         """
-        step = displacement if self.expansion is None else self.expansion.dot(displacement)
+        step = (
+            displacement if self.expansion is None else self.expansion.dot(displacement)
+        )
         self.place_with_jacobians(pin.integrate(self.model, start, step))
 
     def joint_jacobian(self) -> np.ndarray:
@@ -247,7 +251,9 @@ class Configuration:
         Raises:
             StaleJacobianError: If the model was placed without Jacobians.
         """
-        return self.contracted((self.stacked_jacobian(error_jacobian) * self.support)[-6:])
+        return self.contracted(
+            (self.stacked_jacobian(error_jacobian) * self.support)[-6:]
+        )
 
     def contracted(self, jacobian: np.ndarray) -> np.ndarray:
         """Take a Jacobian over the model's tangent space to the active coordinates.

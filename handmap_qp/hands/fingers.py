@@ -96,10 +96,14 @@ class PalmKinematics:
             self.hand.write_configuration(self._vector, posture)
             pin.forwardKinematics(self.hand.model, self._data, self._vector)
             to_palm = self._palm.inverse()
-            rows.append([(to_palm * self._data.oMi[j]).act(offset) for j, offset in places])
+            rows.append(
+                [(to_palm * self._data.oMi[j]).act(offset) for j, offset in places]
+            )
         return np.array(rows).reshape(*np.shape(q)[:-1], len(places), 3)
 
-    def axes(self, q: np.ndarray, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def axes(
+        self, q: np.ndarray, joints: Sequence[int]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return axes of joints (zero of prismatic ones) and points on them [m], (k, 3) each."""
         model, palm = self.hand.model, self._place(q)
         turns = self._data.J[3:, [model.joints[j].idx_v for j in joints]].T
@@ -117,7 +121,10 @@ class PalmKinematics:
         point = self._data.oMi[place[0]].act(place[1])
         linear, turns = self._data.J[:3, rows], self._data.J[3:, rows]
         linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
-        blocks = [palm.rotation.T @ part @ joint_motion(hand)[rows] for part in (linear, turns)]
+        blocks = [
+            palm.rotation.T @ part @ joint_motion(hand)[rows]
+            for part in (linear, turns)
+        ]
         return np.vstack(blocks)
 
     def _place(self, q: np.ndarray) -> pin.SE3:
@@ -217,7 +224,9 @@ class Finger:
         """Its own joints with axes parallel to the last one's; all if there is none."""
         turns = self._axes(self._own)[0]
         parallel = np.abs(turns @ turns[-1]) > PARALLEL
-        return [j for j, is_one in zip(self._own, parallel, strict=True) if is_one] or [*self._own]
+        return [j for j, is_one in zip(self._own, parallel, strict=True) if is_one] or [
+            *self._own
+        ]
 
     @cached_property
     def knuckle(self) -> Place:
@@ -278,7 +287,11 @@ class Finger:
     @cached_property
     def _farthest(self) -> tuple[float, np.ndarray]:
         """Find reach and its posture: random search, refined."""
-        hand, data, moving = self.hand, self.hand.model.createData(), np.sort(self.columns)
+        hand, data, moving = (
+            self.hand,
+            self.hand.model.createData(),
+            np.sort(self.columns),
+        )
         best_q, (tip, knuckle) = zero_posture(hand), (self.tip, self.knuckle)
         vector = hand.configuration_vector(best_q)
         if not self.joints:
@@ -287,7 +300,9 @@ class Finger:
         def distance(q: np.ndarray) -> float:
             hand.write_configuration(vector, q)
             pin.forwardKinematics(hand.model, data, vector)
-            return math.dist(data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1]))
+            return math.dist(
+                data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1])
+            )
 
         best = distance(best_q)
         low, high = hand.lower_limits[moving], hand.upper_limits[moving]
@@ -321,16 +336,24 @@ class Finger:
         _, base, signs, gears = self._axis(view, columns, zero)
 
         def lengths(postures: np.ndarray) -> np.ndarray:
-            return np.linalg.norm(view.points(postures, [self.tip])[..., 0, :] - base, axis=-1)
+            return np.linalg.norm(
+                view.points(postures, [self.tip])[..., 0, :] - base, axis=-1
+            )
 
         q = self._straightened(columns, zero, lengths)
         shares, travels = np.zeros(2), np.zeros(2)
         for k, sense in enumerate((1.0, -1.0)):
-            way = np.where(sense * signs > 0.0, upper[columns], lower[columns]) - q[columns]
+            way = (
+                np.where(sense * signs > 0.0, upper[columns], lower[columns])
+                - q[columns]
+            )
             postures = np.tile(q, (_SWEEP, 1))
             postures[:, columns] += np.linspace(0.0, 1.0, _SWEEP)[:, None] * way
             bent = lengths(postures)
-            shares[k], travels[k] = 1.0 - bent.min() / max(bent[0], 1e-9), np.abs(gears * way).sum()
+            shares[k], travels[k] = (
+                1.0 - bent.min() / max(bent[0], 1e-9),
+                np.abs(gears * way).sum(),
+            )
         sense, certainty = _sense(shares, travels)
         straight = self._with_knuckle(columns, q[columns], sense * signs)
         q[columns] = straight
@@ -348,7 +371,9 @@ class Finger:
         if found is not None:
             motion = PalmKinematics(self.hand).motion(zero_posture(self.hand), self.tip)
             dorsal = float(motion[2, found.columns] @ found.signs)
-            senses[found.columns] = found.signs * (found.sense or -np.sign(dorsal) or 1.0)
+            senses[found.columns] = found.signs * (
+                found.sense or -np.sign(dorsal) or 1.0
+            )
         return senses
 
     def flexion_at(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -377,7 +402,8 @@ class Finger:
             [
                 j
                 for j in turning
-                if abs(turns[:, j] @ turns[:, last[0]]) > PARALLEL * sizes[j] * sizes[last[0]]
+                if abs(turns[:, j] @ turns[:, last[0]])
+                > PARALLEL * sizes[j] * sizes[last[0]]
             ],
             dtype=int,
         )
@@ -391,15 +417,22 @@ class Finger:
         axis = turns[:, -1] / np.linalg.norm(turns[:, -1])
         along = axis @ turns
         model, motion = self.hand.model, joint_motion(self.hand)
-        moved = [j for j in self.joints if motion[model.joints[j].idx_v, columns[0]] != 0.0]
+        moved = [
+            j for j in self.joints if motion[model.joints[j].idx_v, columns[0]] != 0.0
+        ]
         all_axes, points = view.axes(q, moved)
         first = int(np.argmax(all_axes.any(axis=1)))
         tip = view.points(q, [self.tip])[0]
-        base = points[first] + ((tip - points[first]) @ all_axes[first]) * all_axes[first]
+        base = (
+            points[first] + ((tip - points[first]) @ all_axes[first]) * all_axes[first]
+        )
         return axis, base, np.sign(along), np.abs(along)
 
     def _straightened(
-        self, columns: np.ndarray, zero: np.ndarray, lengths: Callable[[np.ndarray], np.ndarray]
+        self,
+        columns: np.ndarray,
+        zero: np.ndarray,
+        lengths: Callable[[np.ndarray], np.ndarray],
     ) -> np.ndarray:
         """Return the posture of some joints at which the finger is longest, else zero."""
         hand, q, best = self.hand, zero.copy(), 0.0
@@ -454,7 +487,9 @@ def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
     return 0.0, 0.0
 
 
-def nearing(view: PalmKinematics, ends: np.ndarray, tips: Sequence[Place], i: int) -> float:
+def nearing(
+    view: PalmKinematics, ends: np.ndarray, tips: Sequence[Place], i: int
+) -> float:
     """Return how much nearer a tip is to all others in the second of two postures (2, n) [m]."""
     points = view.points(ends, tips)
     before, after = np.linalg.norm(points - points[:, i : i + 1], axis=2).sum(axis=1)
@@ -474,7 +509,9 @@ def ends_of(
     return ends
 
 
-def open_and_closing(hand: Hand, fingers: Sequence[Finger]) -> tuple[np.ndarray, np.ndarray]:
+def open_and_closing(
+    hand: Hand, fingers: Sequence[Finger]
+) -> tuple[np.ndarray, np.ndarray]:
     """Find how a described hand closes.
 
     Fingers that curl start straight. Jaws start open, and close towards the other fingertips. Other
@@ -493,7 +530,10 @@ def open_and_closing(hand: Hand, fingers: Sequence[Finger]) -> tuple[np.ndarray,
     for i, finger in enumerate(fingers):
         if finger.flexion is not None:
             columns = finger.flexion.columns
-            senses[columns], q[columns] = finger.closing[columns], finger.flexion.straight
+            senses[columns], q[columns] = (
+                finger.closing[columns],
+                finger.flexion.straight,
+            )
         else:
             for column in finger.columns:
                 ends = ends_of(hand, hand.rest, [column])
@@ -521,7 +561,9 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
     fingers = {}
     for finger, tip in tips.items():
         joints = [joint for joint in supports[tip[0]] if joint not in in_palm]
-        others = {j for f, (joint, _) in tips.items() if f != finger for j in supports[joint]}
+        others = {
+            j for f, (joint, _) in tips.items() if f != finger for j in supports[joint]
+        }
         first, last = ("cmc", "ip") if finger == THUMB else ("mcp", "pip")
         fingers[finger] = Finger(
             hand,
@@ -537,7 +579,9 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
 
 def finger_tips(hand: Hand) -> dict[str, str]:
     """Return the name of the description's point at the tip of each finger, by finger."""
-    return {f: _tip(hand, f, points).name for f, points in _points_by_finger(hand).items()}
+    return {
+        f: _tip(hand, f, points).name for f, points in _points_by_finger(hand).items()
+    }
 
 
 def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:

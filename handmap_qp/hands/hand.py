@@ -130,7 +130,10 @@ class Hand:
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
         # An arm is at rest in every posture of the description.
         posture = spec.rest if spec.arm is None else spec.arm.rest | spec.rest
-        self.rest, self.matched = _frozen([posture[name] for name in self.joint_names]), None
+        self.rest, self.matched = (
+            _frozen([posture[name] for name in self.joint_names]),
+            None,
+        )
         if spec.matched is not None:
             posture = posture | spec.matched
             self.matched = _frozen([posture[name] for name in self.joint_names])
@@ -171,7 +174,9 @@ class Hand:
     def __repr__(self) -> str:
         """Name, side, mount, joints and points in one line."""
         counts = f"joints={len(self.joint_names)}, points={len(self.reference_points)}"
-        return f"Hand({self.name!r}, side={self.side!r}, mount={self.mount!r}, {counts})"
+        return (
+            f"Hand({self.name!r}, side={self.side!r}, mount={self.mount!r}, {counts})"
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         """Return all but the workspace: a copy has one of its own, for another thread."""
@@ -308,7 +313,9 @@ class Hand:
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
         return np.concatenate([angles, following, locked], axis=-1)
 
-    def points(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> np.ndarray:
+    def points(
+        self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
+    ) -> np.ndarray:
         """Compute the positions of the reference points in the world (eq. 4) [m], shape (m, 3).
 
         Args and errors are those of `configuration_vector`.
@@ -316,7 +323,9 @@ class Hand:
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         return self._scratch.points.copy()
 
-    def point_jacobian(self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None) -> np.ndarray:
+    def point_jacobian(
+        self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
+    ) -> np.ndarray:
         """Compute the derivative of the reference points with respect to the joint angles.
 
         Args and errors are those of `configuration_vector`.
@@ -358,13 +367,19 @@ class Hand:
             InvalidInputError: If there is no such link, or as `configuration_vector`.
         """
         if isinstance(links, str) or not isinstance(links, Sequence):
-            raise InvalidInputError(argument="links", expected="names of links", value=links)
-        frames = [self._find(link, f"links[{i}]", self._links) for i, link in enumerate(links)]
+            raise InvalidInputError(
+                argument="links", expected="names of links", value=links
+            )
+        frames = [
+            self._find(link, f"links[{i}]", self._links) for i, link in enumerate(links)
+        ]
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
         poses = [self._scratch.frame_pose(self.model.frames[frame]) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
 
-    def _index_joints(self, rules: Sequence[MimicRule], locked: Mapping[str, float]) -> None:
+    def _index_joints(
+        self, rules: Sequence[MimicRule], locked: Mapping[str, float]
+    ) -> None:
         """Name all joints, find them in Pinocchio's vectors, and map the active ones to all."""
         names, followers = self.spec.all_joints, tuple(rule.follower for rule in rules)
         roles = {"active": names, "follower": followers, "locked": tuple(locked)}
@@ -373,11 +388,19 @@ class Hand:
         self.all_joint_roles = tuple(role for role, of in roles.items() for _ in of)
         model, moving, count = self.model, (*names, *followers), len(names)
         joints = [model.joints[model.getJointId(name)] for name in moving]
-        at_q, at_v = [joint.idx_q for joint in joints], [joint.idx_v for joint in joints]
-        self.q_indices, self._follower_q = _frozen(at_q[:count], int), _frozen(at_q[count:], int)
+        at_q, at_v = (
+            [joint.idx_q for joint in joints],
+            [joint.idx_v for joint in joints],
+        )
+        self.q_indices, self._follower_q = (
+            _frozen(at_q[:count], int),
+            _frozen(at_q[count:], int),
+        )
         self.v_indices, following = _frozen(at_v[:count], int), at_v[count:]
         self.active_columns = _frozen(np.setdiff1d(np.arange(model.nv), following), int)
-        self.joint_columns = _frozen(np.searchsorted(self.active_columns, self.v_indices), int)
+        self.joint_columns = _frozen(
+            np.searchsorted(self.active_columns, self.v_indices), int
+        )
         matrix, offset = map(_frozen, expansion_matrix(moving, names, rules))
         self._follow = Expansion(matrix[count:], offset[count:])
         self.expansion = None
@@ -393,8 +416,12 @@ class Hand:
         # A slash before the name keeps them apart from links; Pinocchio does not add a frame whose
         # name and kind exist already, so points carry their number too.
         palm, wrist = spec.palm.link, spec.wrist.link
-        self.palm_frame_id = add_frame(model, spec, "/palm", palm, palm_in_link(spec), "palm.link")
-        self.wrist_frame_id = add_frame(model, spec, "/wrist", wrist, np.eye(4), "wrist.link")
+        self.palm_frame_id = add_frame(
+            model, spec, "/palm", palm, palm_in_link(spec), "palm.link"
+        )
+        self.wrist_frame_id = add_frame(
+            model, spec, "/wrist", wrist, np.eye(4), "wrist.link"
+        )
         check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
         self._wrist_to_root = model.frames[self.wrist_frame_id].placement.inverse()
         to_palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
@@ -410,7 +437,11 @@ class Hand:
             add_frame(model, self.spec, name, point.link, placement, key)
         # By kind: in many URDFs a joint has the name of its link.
         joints, self._links = (
-            {frame.name: i for i, frame in enumerate(model.frames) if frame.type == kind}
+            {
+                frame.name: i
+                for i, frame in enumerate(model.frames)
+                if frame.type == kind
+            }
             for kind in (pin.FrameType.JOINT, pin.FrameType.BODY)
         )
         own = {point.name: self.first_point_frame + i for i, point in enumerate(points)}
@@ -447,8 +478,12 @@ def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ..
             message = f"no set {set_name!r}; there are {', '.join(spec.sets)}"
             raise spec.error(message, key="sets", value=set_name)
         points = spec.sets[set_name]
-    _check_type("points", points, tuple | list, "the name of a set, or names and points")
-    chosen = tuple(_choose_point(spec, point, f"points[{i}]") for i, point in enumerate(points))
+    _check_type(
+        "points", points, tuple | list, "the name of a set, or names and points"
+    )
+    chosen = tuple(
+        _choose_point(spec, point, f"points[{i}]") for i, point in enumerate(points)
+    )
     if not chosen:
         raise spec.error("expected at least one reference point", key="points")
     check_unique(spec, [point.name for point in chosen], "points")
@@ -468,7 +503,9 @@ def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> Poin
         return check_point(point)
     except HandError as error:
         argument = f"{argument}.{error.key}" if error.key else argument
-        raise InvalidInputError(error.problem, argument=argument, value=error.value) from error
+        raise InvalidInputError(
+            error.problem, argument=argument, value=error.value
+        ) from error
 
 
 def _check_type(argument: str, value: Any, kind: Any, expected: str) -> None:

@@ -99,14 +99,26 @@ class HumanLengths:
 
     def __post_init__(self) -> None:
         for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
-            object.__setattr__(self, name, frozen_floats(getattr(self, name), shape, name))
+            object.__setattr__(
+                self, name, frozen_floats(getattr(self, name), shape, name)
+            )
         is_right, bases = self.bases[1, 0] < self.bases[4, 0], self.bases[1:, 1]
         right = "a right hand, with the index finger at the -x side of the little one"
         shortest, nearest = f"{self.segments.min():.6g} m", f"y = {bases.min():.6g} m"
         largest = np.abs(self.rolls).max()
         for name, is_valid, expected, got in (
-            ("segments", (self.segments > 0.0).all(), "bones that are all longer than 0", shortest),
-            ("bases", (bases > 0.0).all(), "MCP joints distal (+y) of the wrist", nearest),
+            (
+                "segments",
+                (self.segments > 0.0).all(),
+                "bones that are all longer than 0",
+                shortest,
+            ),
+            (
+                "bases",
+                (bases > 0.0).all(),
+                "MCP joints distal (+y) of the wrist",
+                nearest,
+            ),
             ("bases", is_right, right, "a left one: mirror it"),
             (
                 "rolls",
@@ -117,9 +129,13 @@ class HumanLengths:
         ):
             if not is_valid:
                 value = getattr(self, name)
-                raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
+                raise InvalidInputError(
+                    argument=name, expected=expected, value=value, got=got
+                )
 
-    def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def __reduce__(
+        self,
+    ) -> tuple[type[Self], tuple[np.ndarray, np.ndarray, np.ndarray]]:
         return type(self), (self.bases, self.segments, self.rolls)
 
     @property
@@ -128,7 +144,9 @@ class HumanLengths:
         return float(np.linalg.norm(self.bases[2]) + self.segments[2].sum())
 
     @classmethod
-    def from_hand_length(cls, hand_length: float, hand_breadth: float | None = None) -> Self:
+    def from_hand_length(
+        cls, hand_length: float, hand_breadth: float | None = None
+    ) -> Self:
         """Return typical lengths for a hand of a given size (Buchholz et al. 1992).
 
         The palm frame's origin lies on the distal wrist crease and its y axis on the third
@@ -171,11 +189,14 @@ class HumanLengths:
         places = {name: origin_of(joint)[:3, 3] for name, joint in joints.items()}
         chains = [_chain(finger) for finger in FINGERS]
         rolls = [
-            get_numbers(child_of(joints[c[0]], "origin"), "rpy", 3, "0 0 0")[0] for c in chains
+            get_numbers(child_of(joints[c[0]], "origin"), "rpy", 3, "0 0 0")[0]
+            for c in chains
         ]
         segments = [[places[name][0] for name in chain[2:]] for chain in chains]
         return cls(
-            np.array([places[chain[0]] for chain in chains]), np.array(segments), np.array(rolls)
+            np.array([places[chain[0]] for chain in chains]),
+            np.array(segments),
+            np.array(rolls),
         )
 
 
@@ -208,7 +229,9 @@ def joint_moves(
     signs, moves = np.array([-1.0 if mirrors else 1.0, 1.0, 1.0]), {}
     for i, finger in enumerate(FINGERS):
         chain = _chain(finger)
-        moves[chain[0]] = JointMove(new.bases[i] * signs, float(new.rolls[i] - old.rolls[i]))
+        moves[chain[0]] = JointMove(
+            new.bases[i] * signs, float(new.rolls[i] - old.rolls[i])
+        )
         for name, length in zip(chain[2:], new.segments[i], strict=True):
             moves[name] = JointMove(np.array([length, 0.0, 0.0]) * signs, 0.0)
     return moves
@@ -234,7 +257,9 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
         InvalidInputError: If `lengths` is something else.
     """
     if not isinstance(lengths, HumanLengths):
-        raise InvalidInputError(argument="lengths", expected="HumanLengths", value=lengths)
+        raise InvalidInputError(
+            argument="lengths", expected="HumanLengths", value=lengths
+        )
     robot = parse_urdf(text)
     joints = _joints(robot)
     old = HumanLengths._of(joints)
@@ -262,7 +287,9 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
     return ET.tostring(robot, encoding="unicode")
 
 
-def frozen_floats(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> np.ndarray:
+def frozen_floats(
+    values: npt.ArrayLike, shape: tuple[int, ...], name: str
+) -> np.ndarray:
     """Return a write-protected copy of finite numbers of a shape; `name` is for errors.
 
     Raises:
@@ -276,7 +303,9 @@ def frozen_floats(values: npt.ArrayLike, shape: tuple[int, ...], name: str) -> n
 def _checked_length(value: float, name: str) -> float:
     length = float(as_floats(value, name, shape=()))
     if not 0.0 < length < math.inf:
-        raise InvalidInputError(argument=name, expected="a length > 0 in metres", value=value)
+        raise InvalidInputError(
+            argument=name, expected="a length > 0 in metres", value=value
+        )
     return length
 
 
@@ -292,19 +321,27 @@ def _joints(robot: ET.Element) -> dict[str, ET.Element]:
     for name in (name for finger in FINGERS for name in _chain(finger)):
         tags = {element.tag for element in joints[name]} if name in joints else set()
         if not {"origin", "child"} <= tags:
-            raise _not_human(f"the joint {name!r} is missing or has no origin", value=name)
+            raise _not_human(
+                f"the joint {name!r} is missing or has no origin", value=name
+            )
     return joints
 
 
-def _not_human(problem: str, *, key: str | None = None, value: str | None = None) -> HandError:
-    return HandError(f"not a human hand of this package: {problem}", key=key, value=value)
+def _not_human(
+    problem: str, *, key: str | None = None, value: str | None = None
+) -> HandError:
+    return HandError(
+        f"not a human hand of this package: {problem}", key=key, value=value
+    )
 
 
 def _palm_map(
     old: HumanLengths, new: HumanLengths, shape_name: str
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the map of points of a shape in the palm."""
-    breadth_old, breadth_new = (lengths.bases[4, 0] - lengths.bases[1, 0] for lengths in (old, new))
+    breadth_old, breadth_new = (
+        lengths.bases[4, 0] - lengths.bases[1, 0] for lengths in (old, new)
+    )
     across, along = breadth_new / breadth_old, new.bases[2, 1] / old.bases[2, 1]
     scale = np.array([across, along, new.hand_length / old.hand_length])
     finger = shape_name.partition("_")[0]
@@ -321,7 +358,9 @@ def _palm_map(
     return follow
 
 
-def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], size: float) -> None:
+def _scale_shape(
+    shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], size: float
+) -> None:
     """Move a primitive's centre and ends by `move`, and scale its thickness by `size`."""
     pose, primitive = origin_of(shape), shape.find("geometry/*")
     axes, centre = pose[:3, :3], pose[:3, 3]
@@ -334,7 +373,9 @@ def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], si
         sides = [move(centre + half) - move(centre - half) for half in halves.T]
         set_numbers(primitive, "size", np.linalg.norm(sides, axis=1))
     else:
-        set_numbers(primitive, "radius", [size * get_numbers(primitive, "radius", 1)[0]])
+        set_numbers(
+            primitive, "radius", [size * get_numbers(primitive, "radius", 1)[0]]
+        )
     if kind == "cylinder":
         half = get_numbers(primitive, "length", 1)[0] / 2 * axes[:, 2]
         lower, upper = move(centre - half), move(centre + half)
@@ -342,5 +383,7 @@ def _scale_shape(shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], si
         x, y, z = (upper - lower) / length
         set_numbers(primitive, "length", [length])
         # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.
-        set_numbers(origin, "rpy", [0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
+        set_numbers(
+            origin, "rpy", [0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)]
+        )
     set_numbers(origin, "xyz", moved)

@@ -40,12 +40,16 @@ def hand_files() -> dict[str, Path]:
     """
     folder = urdf_directory()
     own = {file.parent.name: file for file in sorted(folder.glob("*/hand.yaml"))}
-    return own | {file.stem: file for file in sorted((folder / "described").glob("*.yaml"))}
+    return own | {
+        file.stem: file for file in sorted((folder / "described").glob("*.yaml"))
+    }
 
 
 def missing_hands() -> dict[str, str]:
     """Return why each hand that is not installed cannot be loaded here, by name."""
-    reasons = {name: _reason(read_hand_spec(file)) for name, file in hand_files().items()}
+    reasons = {
+        name: _reason(read_hand_spec(file)) for name, file in hand_files().items()
+    }
     return {name: reason for name, reason in reasons.items() if reason}
 
 
@@ -104,7 +108,9 @@ def load_hand(
     spec = hand if isinstance(hand, HandSpec) else read_hand_spec(_find(hand))
     if lengths is None and hand_length is None:
         return Hand(spec, points=points, mount=mount)
-    argument, value = ("hand_length", hand_length) if lengths is None else ("lengths", lengths)
+    argument, value = (
+        ("hand_length", hand_length) if lengths is None else ("lengths", lengths)
+    )
     if spec.name not in HUMAN_HANDS:
         problem = f"only the human hand can be scaled, not {spec.name}"
         raise InvalidInputError(problem, argument=argument, value=value)
@@ -117,7 +123,9 @@ def load_hand(
     return Hand(spec, points=points, mount=mount, urdf_text=text)
 
 
-def _person(name: str, lengths: HumanLengths, points: Points | None, mount: Mount | None) -> Hand:
+def _person(
+    name: str, lengths: HumanLengths, points: Points | None, mount: Mount | None
+) -> Hand:
     """Scale a human hand of the package to a person, without reading its URDF again."""
     hand = _scaled_human(name, lengths, mount)
     chosen = hand.with_points(points)
@@ -189,7 +197,8 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
         "palm": f"link {found.spec.palm.link}",
         "stops within": f"{LONGEST_STOP:g} s",
         "joints": [
-            dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)
+            dict(zip(columns, row, strict=True))
+            for row in zip(*columns.values(), strict=True)
         ],
         "points": [
             {
@@ -216,10 +225,9 @@ def _find(hand: str | Path) -> Path:
         if (path / "hand.yaml").is_file():
             return path / "hand.yaml"
     if path.suffix.lower() in _ROBOT_FILES or is_named_source(name):
-        problem = (
-            f"{name} describes a robot, not yet its hand: run `handmap hands init {name}` first"
-        )
-        raise HandError(f"{problem}, and give the hand.yaml that it writes", value=name)
+        problem = f"{name} describes a robot, not yet its hand"
+        advice = f"run `handmap hands init {name}` first, and give the hand.yaml that it writes"
+        raise HandError(f"{problem}: {advice}", value=name)
     expected = f"one of {', '.join(known)}, or the path of a hand.yaml"
     advice = did_you_mean(name, known) or f"expected {expected}"
     raise HandError(f"no hand {describe_value(name)}: {advice}", value=name)

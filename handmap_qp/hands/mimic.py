@@ -66,7 +66,9 @@ def read_mimic_rules(robot: ET.Element) -> tuple[MimicRule, ...]:
         HandError: If a leader is missing or fixed, a joint follows itself through others, or a rule
             does not hold finite numbers.
     """
-    joints = {n: j for n, j in joints_by_name(robot).items() if j.get("type") != "fixed"}
+    joints = {
+        n: j for n, j in joints_by_name(robot).items() if j.get("type") != "fixed"
+    }
     direct = {
         name: _read_rule(name, mimic)
         for name, joint in joints.items()
@@ -75,7 +77,11 @@ def read_mimic_rules(robot: ET.Element) -> tuple[MimicRule, ...]:
     for rule in direct.values():
         if rule.leader not in joints:
             is_fixed = rule.leader in joints_by_name(robot)
-            what = "cannot move" if is_fixed else "does not exist in this part of the robot"
+            what = (
+                "cannot move"
+                if is_fixed
+                else "does not exist in this part of the robot"
+            )
             message = (
                 f"it mimics {rule.leader!r}, which {what}: "
                 "give its rule in `mimic`, or hold it still in `locked`"
@@ -90,9 +96,13 @@ def _read_rule(name: str, mimic: ET.Element) -> MimicRule:
         (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
         (offset,) = get_numbers(mimic, "offset", 1, "0")
     except HandError as error:
-        raise HandError(f"{error.key}: {error.problem}", key=key, value=error.value) from error
+        raise HandError(
+            f"{error.key}: {error.problem}", key=key, value=error.value
+        ) from error
     if not (math.isfinite(multiplier) and math.isfinite(offset)):
-        raise HandError(f"expected finite numbers, got {multiplier} and {offset}", key=key)
+        raise HandError(
+            f"expected finite numbers, got {multiplier} and {offset}", key=key
+        )
     return MimicRule(name, mimic.get("joint", ""), multiplier, offset)
 
 
@@ -141,12 +151,18 @@ def tighten_model(model: pin.Model, rules: Iterable[MimicRule]) -> tuple[str, ..
     Returns:
         A sentence for each follower whose limits were dropped.
     """
-    lower, upper, velocity = model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit
+    lower, upper, velocity = (
+        model.lowerPositionLimit,
+        model.upperPositionLimit,
+        model.velocityLimit,
+    )
     notes = []
     for name, leader_name, multiplier, offset in rules:
         if multiplier == 0.0:
             continue
-        leader, own = (model.joints[model.getJointId(each)] for each in (leader_name, name))
+        leader, own = (
+            model.joints[model.getJointId(each)] for each in (leader_name, name)
+        )
         q, limits = leader.idx_q, (lower[own.idx_q], upper[own.idx_q])
         ends = sorted((limit - offset) / multiplier for limit in limits)
         low, high = max(lower[q], ends[0]), min(upper[q], ends[1])
@@ -161,5 +177,7 @@ def tighten_model(model: pin.Model, rules: Iterable[MimicRule]) -> tuple[str, ..
             lower[q], upper[q] = low, high
         speed = velocity[own.idx_v]
         if math.isfinite(speed) and speed > 0.0:
-            velocity[leader.idx_v] = min(velocity[leader.idx_v], speed / abs(multiplier))
+            velocity[leader.idx_v] = min(
+                velocity[leader.idx_v], speed / abs(multiplier)
+            )
     return tuple(notes)

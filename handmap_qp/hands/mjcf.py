@@ -78,7 +78,9 @@ def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
     Raises:
         OSError: If a file cannot be written.
     """
-    files = {urdf.parent / name: binary_stl(mesh) for name, mesh in converted.meshes.items()}
+    files = {
+        urdf.parent / name: binary_stl(mesh) for name, mesh in converted.meshes.items()
+    }
     for file, content in (files | {urdf: converted.text.encode()}).items():
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content)
@@ -93,7 +95,10 @@ def cached_urdf(file: Path) -> Path:
     Raises:
         HandError: If MuJoCo cannot compile the file, or the cache cannot be written.
     """
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "handmap_qp/mjcf"
+    cache = (
+        Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+        / "handmap_qp/mjcf"
+    )
     versions = [importlib.metadata.version(name) for name in ("handmap-qp", "mujoco")]
     parts = [str(file.resolve()), *versions, str(_CONVERSION)]
     for other in sorted(file.parent.glob("*.xml")):
@@ -117,7 +122,9 @@ def cached_urdf(file: Path) -> Path:
                 raise
     except OSError as error:
         reason = error.strerror or error
-        raise HandError(f"the cache {folder} cannot be written: {reason}", file=file) from error
+        raise HandError(
+            f"the cache {folder} cannot be written: {reason}", file=file
+        ) from error
     return urdf
 
 
@@ -187,9 +194,14 @@ class _Converter:
         self.notes += small_range_notes(self.model)
         if self.shapes.omitted:
             kinds = ", ".join(sorted(self.shapes.omitted))
-            self.notes.append(f"shapes without a counterpart in URDF are left out: {kinds}")
+            self.notes.append(
+                f"shapes without a counterpart in URDF are left out: {kinds}"
+            )
         ET.indent(self.robot)
-        text, notes = ET.tostring(self.robot, encoding="unicode") + "\n", tuple(self.notes)
+        text, notes = (
+            ET.tostring(self.robot, encoding="unicode") + "\n",
+            tuple(self.notes),
+        )
         meshes = self.shapes.meshes
         return ConvertedMjcf(text, meshes, notes, self.model, self.links, self.joints)
 
@@ -206,7 +218,9 @@ class _Converter:
         if left:
             names = ", ".join(model.body(b).name or f"body {b}" for b in left[:4])
             more = f" and {len(left) - 4} more" if len(left) > 4 else ""
-            self.notes.append(f"bodies without joints of their own are left out: {names}{more}")
+            self.notes.append(
+                f"bodies without joints of their own are left out: {names}{more}"
+            )
         return np.flatnonzero(is_kept).tolist()
 
     def _add_body(self, body: int, name: str) -> None:
@@ -243,7 +257,10 @@ class _Converter:
             limits = (low, high) if model.jnt_limited[joint] else None
             turns = "continuous" if limits is None else "revolute"
             if kind == _BALL:
-                base, span = self._joint_name(joint), None if limits is None else (-high, high)
+                base, span = (
+                    self._joint_name(joint),
+                    None if limits is None else (-high, high),
+                )
                 self.notes.append(
                     f"the ball joint {base} is three hinges: {base}_x, {base}_y, {base}_z"
                 )
@@ -257,7 +274,9 @@ class _Converter:
                     turns, anchor = "prismatic", np.zeros(3)
                 yield _Axis(name, joint, turns, anchor, direction, reference, limits)
 
-    def _add_joint(self, axis: _Axis, parent: str, child: str, origin: np.ndarray) -> None:
+    def _add_joint(
+        self, axis: _Axis, parent: str, child: str, origin: np.ndarray
+    ) -> None:
         model, joint = self.model, axis.joint
         rule = self.rules.get(joint) if joint in self.joints else None
         limits, kind = axis.limits, axis.kind
@@ -286,14 +305,21 @@ class _Converter:
         if model.jnt_actfrclimited[joint]:
             return float(np.abs(model.jnt_actfrcrange[joint]).max())
         is_motor = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-        is_motor &= (model.actuator_trnid[:, 0] == joint) & (model.actuator_forcelimited != 0)
+        is_motor &= (model.actuator_trnid[:, 0] == joint) & (
+            model.actuator_forcelimited != 0
+        )
         return float(
-            np.abs(model.actuator_forcerange[is_motor]).max() if any(is_motor) else _NO_EFFORT_LIMIT
+            np.abs(model.actuator_forcerange[is_motor]).max()
+            if any(is_motor)
+            else _NO_EFFORT_LIMIT
         )
 
     def _add_inertial(self, link: ET.Element, body: int) -> None:
         model = self.model
-        mass, pose = float(model.body_mass[body]), pose_of(np.zeros(3), model.body_iquat[body])
+        mass, pose = (
+            float(model.body_mass[body]),
+            pose_of(np.zeros(3), model.body_iquat[body]),
+        )
         if mass <= 0.0:
             return
         rotation = pose[:3, :3]
@@ -321,16 +347,23 @@ def _connect(joint: ET.Element, parent: str, child: str, origin: np.ndarray) -> 
     ET.SubElement(joint, "child", link=child)
 
 
-def kinematics_difference(converted: ConvertedMjcf, postures: int = 20, seed: int = 0) -> float:
+def kinematics_difference(
+    converted: ConvertedMjcf, postures: int = 20, seed: int = 0
+) -> float:
     """Return the largest difference of an entry of any link's pose from MuJoCo's; [m] of positions.
 
     Hinges, slides and balls are at random positions in their ranges, independent of couplings.
     """
     model, random = converted.model, np.random.default_rng(seed)
-    data, robot = mujoco.MjData(model), pin.buildModelFromXML(_open_chain(converted.text))
+    data, robot = (
+        mujoco.MjData(model),
+        pin.buildModelFromXML(_open_chain(converted.text)),
+    )
     robot_data = robot.createData()
     bodies = list(converted.links)
-    frames = [robot.getFrameId(name, pin.FrameType.BODY) for name in converted.links.values()]
+    frames = [
+        robot.getFrameId(name, pin.FrameType.BODY) for name in converted.links.values()
+    ]
     worst = 0.0
     for _ in range(postures):
         data.qpos[:], q = model.qpos0, pin.neutral(robot)
@@ -344,14 +377,20 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20, seed: in
                     _set_position(robot, q, f"{base}_{letter}", angle)
                 mujoco.mju_mat2Quat(data.qpos[at : at + 4], rotation.ravel())
             elif joint in converted.joints:
-                limits = model.jnt_range[joint] if model.jnt_limited[joint] else _WITHOUT_RANGE
+                limits = (
+                    model.jnt_range[joint]
+                    if model.jnt_limited[joint]
+                    else _WITHOUT_RANGE
+                )
                 data.qpos[at] = random.uniform(*limits)
                 _set_position(robot, q, converted.joints[joint], data.qpos[at])
         mujoco.mj_kinematics(model, data)
         pin.framesForwardKinematics(robot, robot_data, q)
         for body, frame in zip(bodies, frames, strict=True):
             pose = robot_data.oMf[frame].homogeneous
-            pose[:3] -= np.column_stack([data.xmat[body].reshape(3, 3), data.xpos[body]])
+            pose[:3] -= np.column_stack(
+                [data.xmat[body].reshape(3, 3), data.xpos[body]]
+            )
             worst = max(worst, float(np.abs(pose[:3]).max()))
     return worst
 
@@ -363,7 +402,9 @@ def _open_chain(text: str) -> str:
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)
         for limit in joint.iterfind("limit"):
-            limit.attrib = dict.fromkeys(("lower", "upper", "velocity"), "0") | limit.attrib
+            limit.attrib = (
+                dict.fromkeys(("lower", "upper", "velocity"), "0") | limit.attrib
+            )
     return ET.tostring(robot, encoding="unicode")
 
 

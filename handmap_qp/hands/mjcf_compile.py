@@ -49,9 +49,13 @@ def compile_mjcf(file: Path) -> CompiledMjcf:
     try:
         content = file.read_bytes()
     except OSError as error:
-        raise HandError(f"cannot be read: {error.strerror or error}", file=file) from error
+        raise HandError(
+            f"cannot be read: {error.strerror or error}", file=file
+        ) from error
     if root_tag(content) == "mujocoinclude":
-        problem = "is a part that other MJCF files include: give the file that includes it"
+        problem = (
+            "is a part that other MJCF files include: give the file that includes it"
+        )
         raise HandError(problem, file=file)
     try:
         spec = mujoco.MjSpec.from_file(str(file))
@@ -72,7 +76,9 @@ def compile_mjcf(file: Path) -> CompiledMjcf:
         raise HandError("a word in the MJCF is not UTF-8", file=file) from error
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
-        raise HandError(f"MuJoCo cannot compile the MJCF: {reason}", file=file) from error
+        raise HandError(
+            f"MuJoCo cannot compile the MJCF: {reason}", file=file
+        ) from error
     named = spec.modelname and spec.modelname != "MuJoCo Model"
     return CompiledMjcf(model, spec.modelname if named else file.stem, notes)
 
@@ -99,7 +105,9 @@ def _states_angles(file: Path, seen: frozenset[Path] = frozenset()) -> bool:
     if file in seen or not file.is_file():
         return False
     text = file.read_bytes().decode("utf-8", "replace")
-    angles = (float(n) for words in _ANGLES.findall(text) for n in _NUMBER.findall(words))
+    angles = (
+        float(n) for words in _ANGLES.findall(text) for n in _NUMBER.findall(words)
+    )
     if _UNIT.search(text) or any(abs(angle) > _LARGE_ANGLE for angle in angles):
         return True
     parts = (file.parent / name for name in _INCLUDE.findall(text))

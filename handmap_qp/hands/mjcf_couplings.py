@@ -66,7 +66,9 @@ def read_couplings(
     for index, kind in enumerate(kinds):
         if kind == _EQUALITY.mjEQ_JOINT:
             notes += _add_equality(model, index, names, rules)
-        elif kind == _EQUALITY.mjEQ_TENDON and (rule := _tendon_rule(model, index, names)):
+        elif kind == _EQUALITY.mjEQ_TENDON and (
+            rule := _tendon_rule(model, index, names)
+        ):
             follower, line = rule
             if follower not in rules and not _leads_back(rules, follower, line.leader):
                 rules[follower] = line
@@ -136,7 +138,10 @@ def _add_equality(
         return [f"the coupling of {names[follower]} is inactive in the MJCF: left out"]
     if follower in rules or _leads_back(rules, follower, leader):
         return [f"{names[follower]} has a second coupling, which is left out"]
-    factors, y0 = np.array(model.eq_data[index, :5], dtype=float), _start(model, follower)
+    factors, y0 = (
+        np.array(model.eq_data[index, :5], dtype=float),
+        _start(model, follower),
+    )
     if leader < 0:
         rules[follower] = Coupling(None, 0.0, y0 + float(factors[0]))
         return []
@@ -167,7 +172,9 @@ def _tendon_rule(
     joints = _fixed_tendon(model, tendon)
     if model.eq_obj2id[index] >= 0 or not model.eq_active0[index] or joints is None:
         return None
-    if len(joints) != 2 or not all(joint in names and factor for joint, factor in joints):
+    if len(joints) != 2 or not all(
+        joint in names and factor for joint, factor in joints
+    ):
         return None
     (leader, lead), (follower, follow) = joints
     length = float(model.tendon_length0[tendon] + model.eq_data[index, 0])
@@ -191,7 +198,10 @@ def _fixed_tendon(model: mujoco.MjModel, tendon: int) -> list[tuple[int, float]]
     if not (model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)).all():
         return None
     factors = model.wrap_prm[wraps]
-    return [(int(j), float(f)) for j, f in zip(model.wrap_objid[wraps], factors, strict=True)]
+    return [
+        (int(j), float(f))
+        for j, f in zip(model.wrap_objid[wraps], factors, strict=True)
+    ]
 
 
 def _first(rules: _Rules, joint: int) -> int:
@@ -217,7 +227,9 @@ def _tendon_notes(
             continue
         elif all(joint in names for joint, _ in joints):
             terms = " + ".join(f"{factor:g} {names[joint]}" for joint, factor in joints)
-            coupled.append(f"{model.tendon(tendon).name or f'tendon {tendon}'} = {terms}")
+            coupled.append(
+                f"{model.tendon(tendon).name or f'tendon {tendon}'} = {terms}"
+            )
     notes = []
     if coupled:
         notes.append(
@@ -254,7 +266,10 @@ def _ends(model: mujoco.MjModel, index: int) -> tuple[_End, _End]:
     """Return the two bodies of a constraint with their anchors."""
     one, other = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        places = [(int(model.site_bodyid[i]), np.array(model.site_pos[i])) for i in (one, other)]
+        places = [
+            (int(model.site_bodyid[i]), np.array(model.site_pos[i]))
+            for i in (one, other)
+        ]
         return places[0], places[1]
     data = np.array(model.eq_data[index, :6], dtype=float)
     return (one, data[:3]), (other, data[3:])
@@ -317,14 +332,21 @@ class _Loop:
     def _leader(self, rules: _Rules) -> int:
         """Return the joint that a motor moves, else one that follows another, else the first."""
         model, driven = self._model, set()
-        for kind, target in zip(model.actuator_trntype, model.actuator_trnid[:, 0], strict=True):
+        for kind, target in zip(
+            model.actuator_trntype, model.actuator_trnid[:, 0], strict=True
+        ):
             if kind == int(mujoco.mjtTrn.mjTRN_JOINT):
                 driven.add(int(target))
             elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
-                first, count = int(model.tendon_adr[target]), int(model.tendon_num[target])
+                first, count = (
+                    int(model.tendon_adr[target]),
+                    int(model.tendon_num[target]),
+                )
                 driven.update(model.wrap_objid[first : first + count].tolist())
         by_preference = (driven, rules, self.joints)
-        return next(joint for among in by_preference for joint in self.joints if joint in among)
+        return next(
+            joint for among in by_preference for joint in self.joints if joint in among
+        )
 
     def _curve(self, lead: int, followers: list[int]) -> np.ndarray:
         """Follow the closed loop over its leader's range; each row is one closed posture."""
@@ -353,7 +375,10 @@ class _Loop:
         data.qpos[self._at] = q
         mujoco.mj_kinematics(self._model, data)
         points = [
-            [data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor for body, anchor in pair]
+            [
+                data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
+                for body, anchor in pair
+            ]
             for pair in self.pairs
         ]
         return np.concatenate([one - other for one, other in points])
@@ -361,4 +386,6 @@ class _Loop:
     def _jacobian(self, q: np.ndarray) -> np.ndarray:
         """Return the derivative of the gaps by the joints, by central differences."""
         steps = _STEP * np.eye(len(q))
-        return np.array([self._gap(q + s) - self._gap(q - s) for s in steps]).T / (2.0 * _STEP)
+        return np.array([self._gap(q + s) - self._gap(q - s) for s in steps]).T / (
+            2.0 * _STEP
+        )

@@ -49,7 +49,9 @@ class ShapeWriter:
         """Add the geoms of a body to its `<link>`, whose frame is the body's."""
         model = self._model
         geoms = np.flatnonzero(model.geom_bodyid == body)
-        collides = (model.geom_contype[geoms] != 0) | (model.geom_conaffinity[geoms] != 0)
+        collides = (model.geom_contype[geoms] != 0) | (
+            model.geom_conaffinity[geoms] != 0
+        )
         is_mesh = model.geom_type[geoms] == int(_GEOM.mjGEOM_MESH)
         is_seen = ~collides | (is_mesh & (model.geom_group[geoms] <= _LAST_SHOWN_GROUP))
         shown = geoms[is_seen] if not collides.all() else geoms
@@ -72,7 +74,10 @@ class ShapeWriter:
             case _GEOM.mjGEOM_SPHERE:
                 yield pose, _element("sphere", radius=size[:1])
             case _GEOM.mjGEOM_CYLINDER | _GEOM.mjGEOM_CAPSULE as kind:
-                yield pose, _element("cylinder", radius=size[:1], length=2.0 * size[1:2])
+                yield (
+                    pose,
+                    _element("cylinder", radius=size[:1], length=2.0 * size[1:2]),
+                )
                 # URDF has no capsules.
                 for sign in (-1.0, 1.0) if kind == _GEOM.mjGEOM_CAPSULE else ():
                     end = affine(np.eye(3), np.array([0.0, 0.0, sign * size[1]]))
@@ -90,13 +95,19 @@ class ShapeWriter:
         model = self._model
         if mesh not in self._files:
             stem = f"{self._folder}/{file_name(model.mesh(mesh).name or f'mesh{mesh}')}"
-            file, count, taken = f"{stem}.stl", 2, {name.lower() for name in self.meshes}
+            file, count, taken = (
+                f"{stem}.stl",
+                2,
+                {name.lower() for name in self.meshes},
+            )
             while file.lower() in taken:
                 file, count = f"{stem}_{count}.stl", count + 1
             first, number = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
             vertices = model.mesh_vert[first : first + number]
             first, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-            self.meshes[file] = np.array(vertices[model.mesh_face[first : first + number]])
+            self.meshes[file] = np.array(
+                vertices[model.mesh_face[first : first + number]]
+            )
             self._files[mesh] = file
         return ET.Element("mesh", filename=self._files[mesh])
 

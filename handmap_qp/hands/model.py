@@ -36,7 +36,9 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
         HandError: If a hand on an arm is asked to float.
     """
     if not (mount is None or (isinstance(mount, str) and mount in get_args(Mount))):
-        raise InvalidInputError(argument="mount", expected="'floating' or 'fixed'", value=mount)
+        raise InvalidInputError(
+            argument="mount", expected="'floating' or 'fixed'", value=mount
+        )
     if spec.arm is None:
         return mount or spec.wrist.mount
     if mount == "floating":
@@ -70,14 +72,22 @@ def compose_urdf(
             check_tree(arm)
             for name in spec.arm.without:
                 if name not in link_names(arm):
-                    raise HandError(f"the arm has no link {name!r}", key="arm.without", value=name)
+                    raise HandError(
+                        f"the arm has no link {name!r}", key="arm.without", value=name
+                    )
             remove_subtrees(arm, spec.arm.without)
-            arm_locked = prepare_urdf(arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits)
+            arm_locked = prepare_urdf(
+                arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits
+            )
             robot, locked = arm, {**arm_locked, **locked}
             mount_on_arm(arm, hand, spec.arm)
         check_has_limits(robot)
         text = ET.tostring(robot, encoding="unicode")
-        return mirrored_urdf(text) if spec.mirror else text, locked, read_mimic_rules(robot)
+        return (
+            mirrored_urdf(text) if spec.mirror else text,
+            locked,
+            read_mimic_rules(robot),
+        )
     except HandError as error:
         raise spec.located(error) from error
 
@@ -116,10 +126,14 @@ def _check_joints(spec: HandSpec, model: pin.Model, followers: Collection[str]) 
         if name in ("universe", FLOATING_JOINT):
             continue
         if name not in spec.all_joints and name not in followers:
-            message = f"the URDF's joint {name!r} is missing: name it here or in `locked`"
+            message = (
+                f"the URDF's joint {name!r} is missing: name it here or in `locked`"
+            )
             raise spec.error(message, key="joints", value=name)
         if joint.nq != 1:
-            message = f"{name!r} is a {joint.shortname()}; only joints with one coordinate"
+            message = (
+                f"{name!r} is a {joint.shortname()}; only joints with one coordinate"
+            )
             raise spec.error(f"{message} can be used", key="joints")
     for name in spec.all_joints:
         if not model.existJointName(name):
@@ -156,7 +170,12 @@ def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> 
 
 
 def add_frame(
-    model: pin.Model, spec: HandSpec, name: str, link: str, placement: np.ndarray, key: str
+    model: pin.Model,
+    spec: HandSpec,
+    name: str,
+    link: str,
+    placement: np.ndarray,
+    key: str,
 ) -> int:
     """Add a frame with a name of its own and a placement (4, 4) on a link; return its index.
 
@@ -178,7 +197,9 @@ def with_frames(model: pin.Model, frames: Sequence[int]) -> pin.Model:
     few = pin.Model()
     for joint in range(1, model.njoints):
         place = model.jointPlacements[joint]
-        few.addJoint(model.parents[joint], model.joints[joint], place, model.names[joint])
+        few.addJoint(
+            model.parents[joint], model.joints[joint], place, model.names[joint]
+        )
     for index in frames:
         frame = model.frames[index]
         kind = pin.FrameType.OP_FRAME
@@ -222,7 +243,9 @@ def check_limits(
                 raise spec.error(message, key=f"{key}.{name}", value=float(posture[i]))
 
 
-def check_wrist(model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm: int) -> None:
+def check_wrist(
+    model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm: int
+) -> None:
     """Reject a wrist or palm that moves with the fingers.
 
     Only the free-flyer or the joints of an arm may move them, and both together.
@@ -237,9 +260,14 @@ def check_wrist(model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm
             message = f"{link!r} moves with joints; on a floating hand it must be fixed to the root"
             raise spec.error(message, key=key, value=link)
         above = set(model.supports[joint])
-        if any(i not in above and joint not in model.supports[i] for i in range(1, model.njoints)):
+        if any(
+            i not in above and joint not in model.supports[i]
+            for i in range(1, model.njoints)
+        ):
             message = f"{link!r} moves with the fingers; it must be fixed to the root or to an arm"
             raise spec.error(message, key=key, value=link)
     if joints[0] != joints[1]:
-        message = f"{spec.palm.link!r} moves against the wrist's link {spec.wrist.link!r}"
+        message = (
+            f"{spec.palm.link!r} moves against the wrist's link {spec.wrist.link!r}"
+        )
         raise spec.error(message, key="palm.link", value=spec.palm.link)

@@ -68,7 +68,9 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
     }
 
 
-def _given_pad(hand: Hand, point: PointSpec, chain: Finger, geometry: pin.GeometryModel) -> Pad:
+def _given_pad(
+    hand: Hand, point: PointSpec, chain: Finger, geometry: pin.GeometryModel
+) -> Pad:
     """Return the pad that a description gives, in the frame of the joint that carries it."""
     assert point.pad is not None
     frame = hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)]
@@ -84,7 +86,9 @@ def _pad(chain: Finger, geometry: pin.GeometryModel) -> Pad:
     return Pad(joint, *_ball(supports, tip)) if supports else Pad(joint, tip, _RADIUS)
 
 
-def _supports_of(chain: Finger, joint: int, geometry: pin.GeometryModel) -> list[np.ndarray]:
+def _supports_of(
+    chain: Finger, joint: int, geometry: pin.GeometryModel
+) -> list[np.ndarray]:
     """Return the supports of a finger's shapes on one joint, in the joint's frame."""
     shapes = [geometry.geometryObjects[i] for i in distal_shapes(chain, geometry)]
     return [_supports(shape) for shape in shapes if shape.parentJoint == joint]
@@ -118,7 +122,9 @@ def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, floa
         return tip, depth(tip)
     length = np.linalg.norm(tip)
     inwards = -tip / length if length > 1e-6 else np.zeros(3)
-    points = [tip + distance * inwards for distance in np.arange(0.0, _LONGEST + _STEP, _STEP)]
+    points = [
+        tip + distance * inwards for distance in np.arange(0.0, _LONGEST + _STEP, _STEP)
+    ]
     depths = np.array([depth(point) for point in points])
     chosen = int(np.argmax(depths >= _SHARE * depths.max()))
     return points[chosen], max(float(depths.max()), _SMALLEST)
@@ -147,7 +153,9 @@ def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:
     return np.array([geometry.point(i) for i in range(geometry.num_points)]), 0.0
 
 
-_CUBE = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_CUBE = np.array(
+    [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+)
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 _CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 

@@ -50,7 +50,9 @@ def named_pairs(hand: Hand) -> ShapePairs:
                     if hand.model.existFrame(link, pin.FrameType.BODY)
                     else "is not a link of the URDF"
                 )
-                raise hand.spec.error(f"{link!r} {what}", key=f"collision.pairs[{i}]", value=link)
+                raise hand.spec.error(
+                    f"{link!r} {what}", key=f"collision.pairs[{i}]", value=link
+                )
         for first in shapes[pair[0]]:
             for second in shapes[pair[1]]:
                 geometry.addCollisionPair(pin.CollisionPair(first, second))
@@ -74,7 +76,9 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     """
     geometry, parents = read_collision_shapes(hand), hand.model.parents
     shapes = geometry.geometryObjects
-    owner = {joint: finger for finger, chain in chains.items() for joint in chain.joints}
+    owner = {
+        joint: finger for finger, chain in chains.items() for joint in chain.joints
+    }
 
     def may_touch(a: int, b: int) -> bool:
         is_one_finger = a in owner and owner[a] == owner.get(b)
@@ -88,7 +92,9 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     kept = [pair for pair, overlap in zip(pairs, overlaps, strict=True) if not overlap]
     for pair in kept:
         geometry.addCollisionPair(pair)
-    distal = {finger: set(distal_shapes(chain, geometry)) for finger, chain in chains.items()}
+    distal = {
+        finger: set(distal_shapes(chain, geometry)) for finger, chain in chains.items()
+    }
     names = [hand.model.frames[shape.parentFrame].name for shape in shapes]
     return ShapePairs(
         geometry,
@@ -108,7 +114,10 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
         Indices into `geometry.geometryObjects`; empty if the finger has no shapes.
     """
     shapes = list(enumerate(geometry.geometryObjects))
-    found = ([i for i, s in shapes if s.parentJoint == joint] for joint in reversed(chain.joints))
+    found = (
+        [i for i, s in shapes if s.parentJoint == joint]
+        for joint in reversed(chain.joints)
+    )
     return next(filter(None, found), [])
 
 

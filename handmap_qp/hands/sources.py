@@ -80,7 +80,10 @@ def package_folder(package: str) -> Path:
     """
     try:
         found = importlib.metadata.distribution(package)
-    except (importlib.metadata.PackageNotFoundError, ValueError) as error:  # ValueError: no name
+    except (
+        importlib.metadata.PackageNotFoundError,
+        ValueError,
+    ) as error:  # ValueError: no name
         if package == "example-robot-data":
             raise MissingExtraError(package, "robots") from error
         raise MissingPackageError(package) from error
@@ -97,11 +100,15 @@ def _described(name: str) -> Path:
     for candidate in (variable,) if variable else _VARIABLES:
         if isinstance(path := getattr(module, candidate, None), str):
             return Path(path)
-    paths = sorted(key for key in vars(module) if key.endswith("PATH") or "_PATH_" in key)
+    paths = sorted(
+        key for key in vars(module) if key.endswith("PATH") or "_PATH_" in key
+    )
     files = [key for key in paths if key not in ("REPOSITORY_PATH", "PACKAGE_PATH")]
     expected = f"one of {', '.join(files)}" if files else "a URDF or MJCF"
     got = f"no {variable}" if variable else "neither URDF_PATH nor MJCF_PATH"
-    raise HandError(f"robot_descriptions.{name} has {got}: expected {expected}", value=name)
+    raise HandError(
+        f"robot_descriptions.{name} has {got}: expected {expected}", value=name
+    )
 
 
 def _module(name: str) -> ModuleType:
@@ -111,7 +118,9 @@ def _module(name: str) -> ModuleType:
         raise MissingExtraError("robot_descriptions", "descriptions") from error
     known = [module.name for module in pkgutil.iter_modules(package.__path__)]
     if name not in known and f"robot_descriptions.{name}" not in sys.modules:
-        near = difflib.get_close_matches(name, [k for k in known if k.endswith("description")], 3)
+        near = difflib.get_close_matches(
+            name, [k for k in known if k.endswith("description")], 3
+        )
         advice = f"; did you mean {' or '.join(near)}?" if near else ""
         raise HandError(f"robot_descriptions has no robot {name!r}{advice}", value=name)
     try:
@@ -120,12 +129,16 @@ def _module(name: str) -> ModuleType:
     except Exception as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         advice = f"connect to the network and try again ({reason:.200})"
-        raise HandError(f"robot_descriptions cannot clone {name}: {advice}", value=name) from error
+        raise HandError(
+            f"robot_descriptions cannot clone {name}: {advice}", value=name
+        ) from error
 
 
 def source_file(spec: HandSpec | ArmSpec) -> Path:
     """Return the URDF or MJCF file of a hand or an arm, as `urdf_path` before it converts."""
-    return source_path(spec.urdf) or (spec.directory or Path()) / os.path.expandvars(spec.urdf)
+    return source_path(spec.urdf) or (spec.directory or Path()) / os.path.expandvars(
+        spec.urdf
+    )
 
 
 def urdf_path(spec: HandSpec | ArmSpec) -> Path:
@@ -202,7 +215,9 @@ def decode_xml(content: bytes) -> str:
     Raises:
         ValueError: If the bytes are not of the encoding, or the encoding is unknown.
     """
-    encoding = next((name for start, name in _STARTS.items() if content.startswith(start)), None)
+    encoding = next(
+        (name for start, name in _STARTS.items() if content.startswith(start)), None
+    )
     if encoding is None:
         declared = _DECLARED.search(content)
         encoding = "utf-8" if declared is None else declared[1].decode("ascii")

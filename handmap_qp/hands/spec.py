@@ -295,7 +295,9 @@ def check_side(side: Any) -> None:
         InvalidInputError: If it is neither `right` nor `left`.
     """
     if not (isinstance(side, str) and side in get_args(Side)):
-        raise InvalidInputError(argument="side", expected="'right' or 'left'", value=side)
+        raise InvalidInputError(
+            argument="side", expected="'right' or 'left'", value=side
+        )
 
 
 def check_point(point: PointSpec) -> PointSpec:
@@ -325,7 +327,9 @@ def _typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
             f"expected finite numbers, got {numbers}", file=file, key=key, value=numbers
         )
     try:
-        return msgspec.convert(document, kind, dec_hook=lambda wanted, text: wanted(text))
+        return msgspec.convert(
+            document, kind, dec_hook=lambda wanted, text: wanted(text)
+        )
     except msgspec.ValidationError as error:
         # msgspec names the place in its message only.
         message, _, place = str(error).partition(" - at `$")
@@ -380,15 +384,24 @@ def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, An
     """Read a file's keys, with those of the file that it extends, and its folder."""
     try:
         text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or a null character in the path
+    except (
+        OSError,
+        ValueError,
+    ) as error:  # ValueError: not UTF-8, or a null character in the path
         raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
     try:
         document = _parse_yaml(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:  # ValueError: an impossible date
+    except (
+        yaml.YAMLError,
+        ValueError,
+        RecursionError,
+    ) as error:  # ValueError: an impossible date
         message = f"is not valid YAML: {' '.join(str(error).split())}"
         raise HandError(message, file=path) from error
     if not isinstance(document, dict):
-        raise HandError(f"expected a mapping of keys, got {type(document).__name__}", file=path)
+        raise HandError(
+            f"expected a mapping of keys, got {type(document).__name__}", file=path
+        )
     for key in sorted({"directory", "file"} & document.keys()):
         raise HandError("unknown key", file=path, key=key, value=document[key])
     folder, arm = {"directory": str(path.parent)}, document.get("arm")
@@ -399,7 +412,9 @@ def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, An
     return _extended(document, path, extending) | folder
 
 
-def _extended(document: dict[str, Any], path: Path, extending: tuple[Path, ...]) -> dict[str, Any]:
+def _extended(
+    document: dict[str, Any], path: Path, extending: tuple[Path, ...]
+) -> dict[str, Any]:
     """Add the keys of the file that the key `extends` names, where a mapping lacks them.
 
     Its relative paths keep their meaning.

@@ -34,7 +34,9 @@ class Synergies:
     mean: np.ndarray
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "matrix", frozen_floats(self.matrix, (20, 15), "matrix"))
+        object.__setattr__(
+            self, "matrix", frozen_floats(self.matrix, (20, 15), "matrix")
+        )
         object.__setattr__(self, "mean", frozen_floats(self.mean, (20,), "mean"))
 
     def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray]]:
@@ -63,7 +65,9 @@ class Synergies:
         Raises:
             InvalidInputError: On a wrong shape or a number that is not finite.
         """
-        return np.linalg.lstsq(self.matrix, frozen_floats(q, (20,), "q") - self.mean, rcond=None)[0]
+        return np.linalg.lstsq(
+            self.matrix, frozen_floats(q, (20,), "q") - self.mean, rcond=None
+        )[0]
 
 
 @cache

@@ -28,7 +28,14 @@ _FREE = ("planar", "floating")
 _DEEPEST = 2000
 # A mimicking joint without limits of its own passes none on to its leader.
 _NO_LIMIT = {"lower": -1e6, "upper": 1e6, "velocity": 1e6}
-_NOT_OF_FIXED_JOINTS = ("axis", "limit", "mimic", "calibration", "safety_controller", "dynamics")
+_NOT_OF_FIXED_JOINTS = (
+    "axis",
+    "limit",
+    "mimic",
+    "calibration",
+    "safety_controller",
+    "dynamics",
+)
 
 # An element that the program xacro replaces.
 _XACRO = re.compile(r"<xacro:[a-z]")
@@ -50,7 +57,10 @@ def parse_urdf(text: str) -> ET.Element:
         raise HandError(message)
     try:
         robot = _parse_xml(text)
-    except (ET.ParseError, ValueError) as error:  # ValueError: a character that XML cannot have
+    except (
+        ET.ParseError,
+        ValueError,
+    ) as error:  # ValueError: a character that XML cannot have
         raise HandError(f"the URDF is not valid XML: {error}") from error
     if robot.tag != "robot":
         message = f"expected a URDF with the root <robot>, got <{robot.tag}>"
@@ -65,9 +75,14 @@ def _parse_xml(text: str) -> ET.Element:
         root = _ROOT.match(text)
         if error.code != expat.codes[expat.XML_ERROR_UNBOUND_PREFIX] or root is None:
             raise
-    used = {first or second for first, second in _PREFIX.findall(text)} - {"xml", "xmlns"}
+    used = {first or second for first, second in _PREFIX.findall(text)} - {
+        "xml",
+        "xmlns",
+    }
     bound = set(re.findall(r"xmlns:([\w.-]+)\s*=", text))
-    declarations = "".join(f' xmlns:{name}="urn:{name}"' for name in sorted(used - bound))
+    declarations = "".join(
+        f' xmlns:{name}="urn:{name}"' for name in sorted(used - bound)
+    )
     return ET.fromstring(text[: root.end()] + declarations + text[root.end() :])
 
 
@@ -93,7 +108,9 @@ def get_numbers(
     return numbers
 
 
-def set_numbers(element: ET.Element, key: str, numbers: Sequence[float] | np.ndarray) -> None:
+def set_numbers(
+    element: ET.Element, key: str, numbers: Sequence[float] | np.ndarray
+) -> None:
     """Write numbers into an attribute with all their digits, and minus zero as zero."""
     element.set(key, " ".join(repr(float(number) + 0.0) for number in numbers))
 
@@ -113,9 +130,13 @@ def origin_of(element: ET.Element) -> np.ndarray:
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)
-    xyz, rpy = (np.array(get_numbers(origin, key, 3, "0 0 0")) for key in ("xyz", "rpy"))
+    xyz, rpy = (
+        np.array(get_numbers(origin, key, 3, "0 0 0")) for key in ("xyz", "rpy")
+    )
     if not np.isfinite([xyz, rpy]).all():
-        message = f"expected finite numbers, got xyz {xyz.tolist()} and rpy {rpy.tolist()}"
+        message = (
+            f"expected finite numbers, got xyz {xyz.tolist()} and rpy {rpy.tolist()}"
+        )
         raise HandError(message, key=f"<{element.tag} origin>")
     return affine(rotation_from_rpy(rpy), xyz)
 
@@ -134,7 +155,9 @@ def axis_of(joint: ET.Element) -> np.ndarray:
         HandError: If it is zero or not finite.
     """
     element = joint.find("axis")
-    axis = np.array([1.0, 0.0, 0.0] if element is None else get_numbers(element, "xyz", 3, "1 0 0"))
+    axis = np.array(
+        [1.0, 0.0, 0.0] if element is None else get_numbers(element, "xyz", 3, "1 0 0")
+    )
     length = np.linalg.norm(axis)
     if not (np.isfinite(axis).all() and length > 1e-9):
         message = f"expected an axis longer than zero, got {axis.tolist()}"
@@ -155,7 +178,9 @@ def edges(robot: ET.Element) -> Iterator[tuple[ET.Element, str, str]]:
         above, below = joint.find("parent"), joint.find("child")
         if above is None or below is None:
             name = joint.get("name")
-            raise HandError(f"the joint {name!r} needs a parent and a child link", value=name)
+            raise HandError(
+                f"the joint {name!r} needs a parent and a child link", value=name
+            )
         yield joint, above.get("link", ""), below.get("link", "")
 
 
@@ -245,7 +270,9 @@ def _check_one_tree(
     """Reject several roots, loops, and a chain that overflows the stack of URDF readers."""
     roots = [link for link in links if link not in above]
     if len(roots) > 1:
-        message = f"the URDF has {len(roots)} roots, expected one: {', '.join(roots[:6])}"
+        message = (
+            f"the URDF has {len(roots)} roots, expected one: {', '.join(roots[:6])}"
+        )
         raise HandError(message, value=roots)
     if not roots:
         what = "its links form a loop" if links else "it has no link"
@@ -255,13 +282,17 @@ def _check_one_tree(
         depths |= dict.fromkeys(level, depth)
     deepest = max(depths, key=depths.__getitem__)
     if depths[deepest] > _DEEPEST:
-        message = f"the link {deepest!r} is at the end of a chain of {depths[deepest]} links"
+        message = (
+            f"the link {deepest!r} is at the end of a chain of {depths[deepest]} links"
+        )
         raise HandError(f"{message}; expected at most {_DEEPEST}", value=deepest)
     if apart := [link for link in links if link not in depths]:
         at = apart[0]
         for _ in links:  # upwards into the loop
             at = above[at][1]
-        raise HandError(f"the URDF is not a tree: a loop contains the link {at!r}", value=at)
+        raise HandError(
+            f"the URDF is not a tree: a loop contains the link {at!r}", value=at
+        )
 
 
 def _parents(robot: ET.Element, links: set[str]) -> dict[str, tuple[str, str]]:
@@ -288,7 +319,11 @@ def _check_joint(joint: ET.Element) -> None:
         expected = ", ".join((*MOVABLE, "fixed", *_FREE))
         message = f"the joint {name!r} is of type {kind!r}; expected one of {expected}"
         raise HandError(message, value=kind)
-    keys = {"origin": ("xyz", "rpy"), "axis": ("xyz",), "limit": ("lower", "upper", "velocity")}
+    keys = {
+        "origin": ("xyz", "rpy"),
+        "axis": ("xyz",),
+        "limit": ("lower", "upper", "velocity"),
+    }
     for element in joint:
         for key in keys.get(element.tag, ()):
             text = element.get(key)
@@ -297,9 +332,13 @@ def _check_joint(joint: ET.Element) -> None:
             try:
                 values = get_numbers(element, key, 1 if element.tag == "limit" else 3)
             except HandError as error:
-                raise HandError(f"the joint {name!r}: {error}", value=error.value) from error
+                raise HandError(
+                    f"the joint {name!r}: {error}", value=error.value
+                ) from error
             # An infinite limit means none; an infinite origin or axis means nothing.
-            is_wrong = np.isnan(values) if element.tag == "limit" else ~np.isfinite(values)
+            is_wrong = (
+                np.isnan(values) if element.tag == "limit" else ~np.isfinite(values)
+            )
             if is_wrong.any():
                 fault = f"<{element.tag} {key}={text!r}>, which is not a finite number"
                 raise HandError(f"the joint {name!r} has {fault}", value=text)
@@ -315,7 +354,11 @@ def check_has_limits(robot: ET.Element) -> None:
         if joint.get("type") not in MOVABLE or joint.find("mimic") is not None:
             continue
         limit, is_continuous = joint.find("limit"), joint.get("type") == "continuous"
-        if is_continuous or limit is None or not {"lower", "upper"} & limit.attrib.keys():
+        if (
+            is_continuous
+            or limit is None
+            or not {"lower", "upper"} & limit.attrib.keys()
+        ):
             what = "is continuous" if is_continuous else "has no limits in the URDF"
             message = f"{name!r} {what}: give lower, upper and velocity"
             raise HandError(message, key=f"limits.{name}", value=name)
@@ -386,7 +429,11 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
         locked[name] = position
         for follower, joint in joints.items():
             mimic = joint.find("mimic")
-            if mimic is not None and mimic.get("joint") == name and follower not in positions:
+            if (
+                mimic is not None
+                and mimic.get("joint") == name
+                and follower not in positions
+            ):
                 (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
                 (offset,) = get_numbers(mimic, "offset", 1, "0")
                 pending[follower] = multiplier * position + offset
@@ -412,7 +459,9 @@ def fix_free_joints(robot: ET.Element) -> list[str]:
 
     No single number moves them; an object or a whole robot hangs from them, not a finger.
     """
-    free = {name: j for name, j in joints_by_name(robot).items() if j.get("type") in _FREE}
+    free = {
+        name: j for name, j in joints_by_name(robot).items() if j.get("type") in _FREE
+    }
     for joint in free.values():
         _fix(joint)
     return list(free)
@@ -494,7 +543,9 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
         HandError: If the arm has no such link, or both have a movable joint of the same name.
     """
     if spec.tip not in link_names(arm):
-        raise HandError(f"the arm has no link {spec.tip!r}", key="arm.tip", value=spec.tip)
+        raise HandError(
+            f"the arm has no link {spec.tip!r}", key="arm.tip", value=spec.tip
+        )
     (root,), tip = root_links(hand), spec.tip
     if tip in link_names(hand):
         tip = f"{spec.name}_{tip}"
@@ -512,10 +563,15 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
 
 def _rename_duplicates(arm: ET.Element, hand: ET.Element, prefix: str) -> None:
     """Put a prefix before the arm's names that the hand has too."""
-    taken = {tag: {e.get("name") for e in hand.iter(tag)} for tag in ("link", "joint", "material")}
+    taken = {
+        tag: {e.get("name") for e in hand.iter(tag)}
+        for tag in ("link", "joint", "material")
+    }
     for element in arm.iter():
         is_end = element.tag in ("parent", "child")
-        key, names = ("link", taken["link"]) if is_end else ("name", taken.get(element.tag, ()))
+        key, names = (
+            ("link", taken["link"]) if is_end else ("name", taken.get(element.tag, ()))
+        )
         name = element.get(key)
         if name not in names:
             continue
@@ -553,7 +609,11 @@ def mirrored_urdf(text: str) -> str:
     for element in robot.iter():
         for key, signs in _MIRRORED.get(element.tag, {}).items():
             if key in element.attrib:
-                set_numbers(element, key, np.multiply(signs, get_numbers(element, key, len(signs))))
+                set_numbers(
+                    element,
+                    key,
+                    np.multiply(signs, get_numbers(element, key, len(signs))),
+                )
     for joint in robot.iterfind("joint"):
         _mirror_axis(joint)
     return ET.tostring(robot, encoding="unicode")

@@ -128,7 +128,9 @@ class ContactGapMeter:
             return False
         smallest = float(np.median([gaps for _, gaps in self._recent], axis=0).min())
         if smallest < TOUCH_GAP:
-            self._least = smallest if self._least is None else min(self._least, smallest)
+            self._least = (
+                smallest if self._least is None else min(self._least, smallest)
+            )
         if self._least is not None and smallest > self._least + _RELEASE:
             self._touches.append(self._least)
             self._least, self._is_due = None, True

@@ -68,8 +68,12 @@ class LandmarkFitter:
         InvalidInputError: If the side is unknown, or `lengths` is something else.
     """
 
-    def __init__(self, side: Side = "right", lengths: HumanLengths | None = None) -> None:
-        self.human = human = load_hand(human_name(side), points="landmarks", lengths=lengths)
+    def __init__(
+        self, side: Side = "right", lengths: HumanLengths | None = None
+    ) -> None:
+        self.human = human = load_hand(
+            human_name(side), points="landmarks", lengths=lengths
+        )
         self.iterations = 0
         self._palm = PalmShape(human)
         self._centre = self._palm.points.mean(axis=0)
@@ -110,7 +114,11 @@ class LandmarkFitter:
         local = (landmarks - wrist[:3, 3]).dot(wrist[:3, :3])
         targets = local[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[:, 1:]
         before = self._q
-        self._q = q = self._best_start(targets) if before is None else self._follow(before, targets)
+        self._q = q = (
+            self._best_start(targets)
+            if before is None
+            else self._follow(before, targets)
+        )
         self._place(q)
         errors = self._configuration.points - local
         angles = np.empty(q.size)
@@ -150,7 +158,9 @@ class LandmarkFitter:
         finger can come back on the wrong side.
         """
         q, cost = self._solve(q, targets, MOST_ITERATIONS)
-        is_stuck = (cost > _STUCK_COST) & ((q <= self._lower) | (q >= self._upper))[:, 0]
+        is_stuck = (cost > _STUCK_COST) & ((q <= self._lower) | (q >= self._upper))[
+            :, 0
+        ]
         left = MOST_ITERATIONS - self.iterations
         if is_stuck.any() and left > 0:
             start = q.copy()
@@ -192,7 +202,9 @@ class LandmarkFitter:
             if (largest <= TOLERANCE).all():
                 break
             damping = np.clip(
-                damping * np.where(is_better, _BETTER, _WORSE), _LEAST_DAMPING, _MOST_DAMPING
+                damping * np.where(is_better, _BETTER, _WORSE),
+                _LEAST_DAMPING,
+                _MOST_DAMPING,
             )
             # Second derivatives mislead far from the optimum.
             is_newton = is_better
@@ -207,10 +219,14 @@ class LandmarkFitter:
         self._vector[self.human.q_indices[self._order]] = q.ravel()
         self._configuration.place_with_jacobians(self._vector)
 
-    def _cost(self, q: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _cost(
+        self, q: np.ndarray, targets: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return weighted errors, shape (5, 9), and costs, shape (5,); places the hand there."""
         self._place(q)
-        points = self._configuration.points[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[:, 1:]
+        points = self._configuration.points[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[
+            :, 1:
+        ]
         residual = (points - targets).reshape(len(FINGERS), -1) * self._weights
         pull = _REST_WEIGHT * (q - self._rest)
         return residual, np.einsum("ij,ij->i", residual, residual) + np.einsum(
@@ -223,8 +239,12 @@ class LandmarkFitter:
         """Return H, shape (5, 4, 4), and the gradient, shape (5, 4), where the hand is placed."""
         # Spatial velocities of each finger's joints at the origin; -[p]x takes them to the points.
         joints = self._configuration.joint_jacobian()[:, self._columns]
-        linear, angular = joints.reshape(2, 3, len(FINGERS), _JOINTS).transpose(0, 2, 1, 3)
-        points = self._configuration.points[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[:, 1:]
+        linear, angular = joints.reshape(2, 3, len(FINGERS), _JOINTS).transpose(
+            0, 2, 1, 3
+        )
+        points = self._configuration.points[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[
+            :, 1:
+        ]
         crosses = points.reshape(-1, 3).dot(CROSS).reshape(len(FINGERS), 3 * _POINTS, 3)
         moved = (crosses @ angular).reshape(len(FINGERS), _POINTS, 3, _JOINTS)
         moved += linear[:, None]
@@ -233,19 +253,26 @@ class LandmarkFitter:
         H = jacobian.transpose(0, 2, 1) @ jacobian
         H[:, _DIAGONAL, _DIAGONAL] += _REST_WEIGHT**2
         # Second derivatives: joint i before joint j turns the column of j, w_i x J_j.
-        pulls = residual.reshape(-1, 3).dot(CROSS).reshape(len(FINGERS), _POINTS, 3, 3) @ moved
+        pulls = (
+            residual.reshape(-1, 3).dot(CROSS).reshape(len(FINGERS), _POINTS, 3, 3)
+            @ moved
+        )
         bend = angular.transpose(0, 2, 1) @ pulls.sum(axis=1) * is_newton[:, None, None]
         H += np.where(_UPPER, bend, bend.transpose(0, 2, 1))
         g = (residual[:, None] @ jacobian)[:, 0] + _REST_WEIGHT**2 * (q - self._rest)
         return H, g
 
-    def _step(self, q: np.ndarray, H: np.ndarray, g: np.ndarray, damping: np.ndarray) -> np.ndarray:
+    def _step(
+        self, q: np.ndarray, H: np.ndarray, g: np.ndarray, damping: np.ndarray
+    ) -> np.ndarray:
         """Return the damped Newton step of the joints that are free to move, shape (5, 4)."""
         is_held = ((q <= self._lower) & (g > 0.0)) | ((q >= self._upper) & (g < 0.0))
         free = ~is_held
         both = free[:, :, None] & free[:, None, :]
         system = np.where(both, H, 0.0)
-        diagonal = np.where(is_held, 1.0, H[:, _DIAGONAL, _DIAGONAL] * (1.0 + damping[:, None]))
+        diagonal = np.where(
+            is_held, 1.0, H[:, _DIAGONAL, _DIAGONAL] * (1.0 + damping[:, None])
+        )
         system[:, _DIAGONAL, _DIAGONAL] = diagonal
         return -np.linalg.solve(system, np.where(free, g, 0.0)[:, :, None])[:, :, 0]
 
@@ -293,12 +320,19 @@ def fit_recording(
         if progress is not None:
             progress(i + 1)
     q[:first], wrist[:first] = q[first], wrist[first]
-    return HumanMotion(fitter.human, recording.time, recording.steps, q, wrist, valid, error)
+    return HumanMotion(
+        fitter.human, recording.time, recording.steps, q, wrist, valid, error
+    )
 
 
 def _finger_joints(human: Hand) -> np.ndarray:
     """Return the indices of the joints by finger, from its base outwards, shape (20,)."""
-    names = [name for finger in FINGERS for name in human.joint_names if name.startswith(finger)]
+    names = [
+        name
+        for finger in FINGERS
+        for name in human.joint_names
+        if name.startswith(finger)
+    ]
     return np.array([human.joint_names.index(name) for name in names])
 
 

@@ -56,7 +56,9 @@ class PalmShape:
 
     def fits_size(self, size: float | np.ndarray) -> bool | np.ndarray:
         """Tell whether `palm_sizes` gave the size of a hand about as large as this one [m]."""
-        return (size >= _PALM_RATIOS[0] * self._size) & (size <= _PALM_RATIOS[1] * self._size)
+        return (size >= _PALM_RATIOS[0] * self._size) & (
+            size <= _PALM_RATIOS[1] * self._size
+        )
 
     def fits(self, landmarks: np.ndarray) -> np.ndarray:
         """Tell whether landmarks belong to a hand about as large as this one.
@@ -136,14 +138,19 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
     """
     shape = ("T", LANDMARK_COUNT, 3)
     landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-    bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
+    bones = np.linalg.norm(
+        np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3
+    )
     segments = np.median(bones, axis=0)
     low, high = HAND_LENGTHS
     length = float(
-        np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1)) + segments[2].sum()
+        np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1))
+        + segments[2].sum()
     )
     if not low <= length <= high:
-        expected = f"metres and a hand of {low} to {high} m from wrist to middle fingertip"
+        expected = (
+            f"metres and a hand of {low} to {high} m from wrist to middle fingertip"
+        )
         raise InvalidInputError(
             argument="landmarks", expected=expected, value=length, got=f"{length:.3g}"
         )
@@ -164,7 +171,9 @@ def measure_hand(recording: Recording) -> HumanLengths:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
     if not isinstance(recording, Recording):
-        raise InvalidInputError(argument="recording", expected="a Recording", value=recording)
+        raise InvalidInputError(
+            argument="recording", expected="a Recording", value=recording
+        )
     return _measured_hand(recording)
 
 
@@ -200,7 +209,10 @@ def _rolls(landmarks: np.ndarray) -> np.ndarray:
         bend about two axes, and for a finger that hardly bends.
     """
     fingers = landmarks[:, 1:].reshape(-1, len(FINGERS), 4, 3)
-    proximal, beyond = fingers[:, :, 1] - fingers[:, :, 0], fingers[:, :, 3] - fingers[:, :, 1]
+    proximal, beyond = (
+        fingers[:, :, 1] - fingers[:, :, 0],
+        fingers[:, :, 3] - fingers[:, :, 1],
+    )
     normals = np.cross(proximal, beyond)
     angles = np.arctan2(normals[..., 2], -normals[..., 0])
     lengths = np.linalg.norm(proximal, axis=2) * np.linalg.norm(beyond, axis=2)
@@ -213,7 +225,10 @@ def _rolls(landmarks: np.ndarray) -> np.ndarray:
 
 
 def scaled_human(
-    recording: Recording, *, points: str | None = None, lengths: HumanLengths | None = None
+    recording: Recording,
+    *,
+    points: str | None = None,
+    lengths: HumanLengths | None = None,
 ) -> Hand:
     """Load the human hand of a recording's side, scaled to the person.
 
@@ -234,7 +249,9 @@ def scaled_human(
 def _standard_palm() -> np.ndarray:
     """Return the palm's landmarks of the standard right hand [m], shape (5, 3), read-only."""
     right = load_hand("human", points="landmarks")
-    return frozen(right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM])
+    return frozen(
+        right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM]
+    )
 
 
 def palm_sizes(palms: np.ndarray) -> np.ndarray:

@@ -121,12 +121,19 @@ def read_person(path: Path | str) -> Person:
             or a number cannot be a hand's. `argument` is the key.
     """
     if not isinstance(path, str | os.PathLike):
-        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
+        raise InvalidInputError(
+            argument="path", expected="the path of a file", value=path
+        )
     file = Path(path)
     try:
         document = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or an impossible date
-        raise _unreadable(file, "person", f"cannot be read: {without_errno(error)}") from error
+    except (
+        OSError,
+        ValueError,
+    ) as error:  # ValueError: not UTF-8, or an impossible date
+        raise _unreadable(
+            file, "person", f"cannot be read: {without_errno(error)}"
+        ) from error
     except (yaml.YAMLError, RecursionError) as error:
         raise _unreadable(file, "person", f"is not valid YAML: {error}") from error
     try:
@@ -134,7 +141,9 @@ def read_person(path: Path | str) -> Person:
     except msgspec.ValidationError as error:
         # msgspec names the place in its message only.
         message, _, place = str(error).partition(" - at `$")
-        raise _unreadable(file, place.rstrip("`").lstrip(".") or "person", message) from error
+        raise _unreadable(
+            file, place.rstrip("`").lstrip(".") or "person", message
+        ) from error
     fingers = [getattr(found.fingers, name) for name in FINGERS]
     try:
         lengths = HumanLengths(
@@ -148,7 +157,11 @@ def read_person(path: Path | str) -> Person:
         raise _unreadable(file, key or error.argument, error.what) from error
 
 
-_KEYS = {"bases": "fingers.*.base", "segments": "fingers.*.bones", "rolls": "fingers.*.roll"}
+_KEYS = {
+    "bases": "fingers.*.base",
+    "segments": "fingers.*.bones",
+    "rolls": "fingers.*.roll",
+}
 """Keys of a person's file by the fields of `HumanLengths`."""
 _Three = tuple[float, float, float]
 

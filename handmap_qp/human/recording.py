@@ -55,7 +55,9 @@ class Recording:
         """Check the arrays, and replace them by read-only copies."""
         time = as_floats(self.time, "time", shape=("T",), is_finite=True)
         _check_times(time)
-        landmarks = as_floats(self.landmarks, "landmarks", shape=(len(time), LANDMARK_COUNT, 3))
+        landmarks = as_floats(
+            self.landmarks, "landmarks", shape=(len(time), LANDMARK_COUNT, 3)
+        )
         valid = as_flags(self.valid, "valid", len(time))
         check_side(self.side)
         if not valid.any():
@@ -64,7 +66,10 @@ class Recording:
         is_spoilt = valid & ~np.isfinite(landmarks).all(axis=(1, 2))
         if is_spoilt.any():
             sample = int(np.flatnonzero(is_spoilt)[0])
-            expected, got = "finite numbers in every valid sample", f"others in sample {sample}"
+            expected, got = (
+                "finite numbers in every valid sample",
+                f"others in sample {sample}",
+            )
             raise InvalidInputError(argument="landmarks", expected=expected, got=got)
         _set_read_only(self, time=time, landmarks=landmarks, valid=valid)
         if self.wrist is not None:
@@ -91,7 +96,8 @@ class Recording:
         columns = ("time", "landmarks", "valid", "wrist", "confidence")
         values = {name: getattr(self, name) for name in columns}
         return replace(
-            self, **{name: None if v is None else v[samples] for name, v in values.items()}
+            self,
+            **{name: None if v is None else v[samples] for name, v in values.items()},
         )
 
     @property
@@ -134,7 +140,9 @@ class HumanMotion:
     def __post_init__(self) -> None:
         """Check the arrays, and replace them by read-only copies."""
         if not isinstance(self.human, Hand):
-            raise InvalidInputError(argument="human", expected="a Hand", value=self.human)
+            raise InvalidInputError(
+                argument="human", expected="a Hand", value=self.human
+            )
         time = as_floats(self.time, "time", shape=("T",), is_finite=True)
         count, joints = len(time), len(self.human.joint_names)
         _set_read_only(
@@ -183,8 +191,12 @@ def recording_samples(
             for time, landmarks, is_seen, share in columns
         ]
     return [
-        HumanSample(time, recording.side, landmarks, pose if is_seen else None, is_seen, share)
-        for (time, landmarks, is_seen, share), pose in zip(columns, wrist_poses, strict=True)
+        HumanSample(
+            time, recording.side, landmarks, pose if is_seen else None, is_seen, share
+        )
+        for (time, landmarks, is_seen, share), pose in zip(
+            columns, wrist_poses, strict=True
+        )
     ]
 
 
@@ -196,7 +208,9 @@ def as_flags(values: Any, name: str, count: int) -> np.ndarray:
     """
     flags = as_floats(values, name, shape=(count,))
     if not np.isin(flags, (0.0, 1.0)).all():
-        raise InvalidInputError(argument=name, expected="truth values, or 0 and 1", value=values)
+        raise InvalidInputError(
+            argument=name, expected="truth values, or 0 and 1", value=values
+        )
     return flags.astype(bool)
 
 
@@ -205,17 +219,27 @@ def _as_confidence(values: Any, valid: np.ndarray) -> np.ndarray:
     is_share = (confidence >= 0.0) & (confidence <= 1.0)
     if (valid & ~is_share).any():
         sample = int(np.flatnonzero(valid & ~is_share)[0])
-        expected, got = "numbers from 0 to 1", f"{confidence[sample]} in sample {sample}"
-        raise InvalidInputError(argument="confidence", expected=expected, value=values, got=got)
+        expected, got = (
+            "numbers from 0 to 1",
+            f"{confidence[sample]} in sample {sample}",
+        )
+        raise InvalidInputError(
+            argument="confidence", expected=expected, value=values, got=got
+        )
     return confidence
 
 
 def _check_times(time: np.ndarray) -> None:
     if len(time) == 0:
-        raise InvalidInputError(argument="time", expected="at least one instant", got="none")
+        raise InvalidInputError(
+            argument="time", expected="at least one instant", got="none"
+        )
     if not (np.diff(time) > 0.0).all():
         sample = int(np.flatnonzero(np.diff(time) <= 0.0)[0]) + 1
-        expected, got = "strictly increasing instants", f"{time[sample]} at sample {sample}"
+        expected, got = (
+            "strictly increasing instants",
+            f"{time[sample]} at sample {sample}",
+        )
         raise InvalidInputError(argument="time", expected=expected, value=time, got=got)
 
 

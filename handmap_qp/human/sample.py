@@ -57,8 +57,12 @@ class HumanSample:
 
     def __post_init__(self) -> None:
         """Check the values, and replace arrays by read-only copies."""
-        if not isinstance(self.time, int | float | np.number) or not math.isfinite(self.time):
-            raise InvalidInputError(argument="time", expected="a finite instant", value=self.time)
+        if not isinstance(self.time, int | float | np.number) or not math.isfinite(
+            self.time
+        ):
+            raise InvalidInputError(
+                argument="time", expected="a finite instant", value=self.time
+            )
         check_side(self.side)
         shape = (LANDMARK_COUNT, 3)
         landmarks = as_floats(
@@ -72,7 +76,9 @@ class HumanSample:
             object.__setattr__(self, "wrist", wrist)
         if not 0.0 <= self.confidence <= 1.0:
             expected = "a number from 0 to 1"
-            raise InvalidInputError(argument="confidence", expected=expected, value=self.confidence)
+            raise InvalidInputError(
+                argument="confidence", expected=expected, value=self.confidence
+            )
 
 
 def unchecked_sample(

@@ -95,7 +95,9 @@ class CollisionLimit:
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
         pairs_of, shapes = found.geometry.collisionPairs, found.geometry.geometryObjects
         supports = moved_by(hand.model, [shape.parentJoint for shape in shapes])
-        first, second = ([getattr(pair, end) for pair in pairs_of] for end in ("first", "second"))
+        first, second = (
+            [getattr(pair, end) for pair in pairs_of] for end in ("first", "second")
+        )
         self._opposing_support = supports[first] - supports[second]
 
     def distances(self, configuration: Configuration) -> np.ndarray:
@@ -145,11 +147,18 @@ class CollisionLimit:
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
             end: The pairs where it ends, as measured next; measured if omitted.
         """
-        step = displacement if self._expansion is None else self._expansion.dot(displacement)
+        step = (
+            displacement
+            if self._expansion is None
+            else self._expansion.dot(displacement)
+        )
         return self._distances.is_clear(start, step, end)
 
     def rows(
-        self, configuration: Configuration, near: NearPairs, margins: np.ndarray | None = None
+        self,
+        configuration: Configuration,
+        near: NearPairs,
+        margins: np.ndarray | None = None,
     ) -> Rows:
         """Linearise the distances of the measured pairs as rows `G dq <= h`.
 
@@ -165,7 +174,9 @@ class CollisionLimit:
         pairs = near.pairs
         normals, points = near.found[pairs, 1:4], near.found[pairs, 4:]
         # np.cross takes five times as long.
-        moments = points[:, _YZX] * normals[:, _ZXY] - points[:, _ZXY] * normals[:, _YZX]
+        moments = (
+            points[:, _YZX] * normals[:, _ZXY] - points[:, _ZXY] * normals[:, _YZX]
+        )
         wrenches = np.hstack([normals, moments])
         G = self._opposing_support[pairs] * wrenches.dot(configuration.joint_jacobian())
         kept = self.margin if margins is None else margins[pairs]

@@ -83,7 +83,10 @@ class ShapeDistances:
         self.levers, self.turns = _pair_motions(model, geometry)
         shapes, pairs = geometry.geometryObjects, geometry.collisionPairs
         self._placed = Placements(self._shapes.oMg)
-        balls = [(*shape.geometry.aabb_center, shape.geometry.aabb_radius) for shape in shapes]
+        balls = [
+            (*shape.geometry.aabb_center, shape.geometry.aabb_radius)
+            for shape in shapes
+        ]
         self._balls = np.array(balls).reshape(-1, 4)
         self._first = np.array([pair.first for pair in pairs], dtype=int)
         self._second = np.array([pair.second for pair in pairs], dtype=int)
@@ -137,7 +140,9 @@ class ShapeDistances:
         return self._compute(pairs)
 
     def _place(self, q: np.ndarray) -> None:
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._shapes, q)
+        pin.updateGeometryPlacements(
+            self._model, self._data, self._geometry, self._shapes, q
+        )
 
     def _ball_gaps(self) -> np.ndarray:
         """Return the distances of the bounding balls of all placed pairs [m], shape (k,)."""
@@ -147,15 +152,23 @@ class ShapeDistances:
 
     def _compute(self, pairs: np.ndarray) -> np.ndarray:
         """Return distance, normal and first nearest point of some placed pairs, shape (r, 7)."""
-        results = [pin.computeDistance(self._geometry, self._shapes, k) for k in pairs.tolist()]
+        results = [
+            pin.computeDistance(self._geometry, self._shapes, k) for k in pairs.tolist()
+        ]
         found = np.empty((len(pairs), 7))
         found[:, 0] = [result.min_distance for result in results]
         if results:
-            vectors = [part for each in results for part in (each.normal, each.getNearestPoint1())]
+            vectors = [
+                part
+                for each in results
+                for part in (each.normal, each.getNearestPoint1())
+            ]
             found[:, 1:] = np.concatenate(vectors).reshape(-1, 6)
         return found
 
-    def is_clear(self, start: NearPairs, step: np.ndarray, end: NearPairs | None = None) -> bool:
+    def is_clear(
+        self, start: NearPairs, step: np.ndarray, end: NearPairs | None = None
+    ) -> bool:
         """Return whether no pair of shapes touches on a straight path.
 
         Pairs that touch at the start already are left out.
@@ -168,7 +181,9 @@ class ShapeDistances:
         turns = np.abs(step)
         if end is None:
             reached = pin.integrate(self._model, start.q, step)
-            end = self.measure(reached, start.bounds - self.levers.dot(turns), KEPT, is_path=True)
+            end = self.measure(
+                reached, start.bounds - self.levers.dot(turns), KEPT, is_path=True
+            )
         pairs = np.flatnonzero(end.is_open)
         if not len(pairs):
             return True
@@ -189,7 +204,9 @@ class ShapeDistances:
             nearest, length = np.minimum(before[:, 0], after[:, 0]), high - low
             turned = 2.0 * _norms(after[:, 1:4] - before[:, 1:4])
             turned += length * bend[those]
-            is_open = nearest - 0.125 * turned * length * travel[those] < 0.5 * kept[those]
+            is_open = (
+                nearest - 0.125 * turned * length * travel[those] < 0.5 * kept[those]
+            )
             if not is_open.any():
                 continue
             if taken == _MOST_POINTS:
@@ -201,7 +218,10 @@ class ShapeDistances:
             )
             if (between[:, 0] < kept[those]).any():
                 return False
-            parts += (middle, high, those, between, after), (low, middle, those, before, between)
+            parts += (
+                (middle, high, those, between, after),
+                (low, middle, those, before, between),
+            )
         return True
 
 
@@ -209,14 +229,18 @@ def _norms(vectors: np.ndarray) -> np.ndarray:
     return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
 
 
-def _pair_motions(model: pin.Model, geometry: pin.GeometryModel) -> tuple[np.ndarray, np.ndarray]:
+def _pair_motions(
+    model: pin.Model, geometry: pin.GeometryModel
+) -> tuple[np.ndarray, np.ndarray]:
     """Return levers and turns of `ShapeDistances`, shape (k, nv) each."""
     shapes, pairs = geometry.geometryObjects, geometry.collisionPairs
     levers = np.array([_levers(model, shape) for shape in shapes]).reshape(-1, model.nv)
     moved = moved_by(model, [shape.parentJoint for shape in shapes])
     first, second = [pair.first for pair in pairs], [pair.second for pair in pairs]
     is_between = moved[first] != moved[second]
-    turning = np.concatenate([_motions(joint)[3:].any(axis=0) for joint in list(model.joints)[1:]])
+    turning = np.concatenate(
+        [_motions(joint)[3:].any(axis=0) for joint in list(model.joints)[1:]]
+    )
     has_sliding = (is_between & ~turning).any(axis=1)
     # Sliding between the shapes doubles the acceleration that turns give their points.
     relative = is_between * turning * (1.0 + has_sliding)[:, None]
@@ -249,7 +273,9 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
             reach += max(abs(float(limit[found.idx_q])) for limit in limits)
         elif found.nv == 1:
             # The part of an offset along an axis does not move when the joint turns.
-            across = float(np.linalg.norm(np.cross(points, axes), axis=1).max()) + radius
+            across = (
+                float(np.linalg.norm(np.cross(points, axes), axis=1).max()) + radius
+            )
             longest = max(longest, min(across, reach))
         else:
             longest = max(longest, reach)

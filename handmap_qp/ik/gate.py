@@ -130,7 +130,11 @@ class Gate:
             share: Share of the speed limits to use, as far as braking allows.
         """
         bounds = self._limits.bounds(self.motion.q, dt, self.motion.velocity)
-        return bounds if share == 1.0 else slowed(*bounds, share * dt * self._limits.speeds)
+        return (
+            bounds
+            if share == 1.0
+            else slowed(*bounds, share * dt * self._limits.speeds)
+        )
 
     def stopping(self, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it."""
@@ -153,7 +157,11 @@ class Gate:
         return near
 
     def admit(
-        self, wanted: np.ndarray, first: np.ndarray, dt: float, end: NearPairs | None = None
+        self,
+        wanted: np.ndarray,
+        first: np.ndarray,
+        dt: float,
+        end: NearPairs | None = None,
     ) -> np.ndarray:
         """Move the robot by a displacement, or by another one that is admitted.
 
@@ -211,7 +219,9 @@ class Gate:
             Whether it is reached.
         """
         dt, motion = max(dt, SHORTEST_DT), self.motion
-        change = pin.difference(self._hand.model, motion.q, goal)[self._hand.active_columns]
+        change = pin.difference(self._hand.model, motion.q, goal)[
+            self._hand.active_columns
+        ]
         lower, upper = self.bounds(dt)
         limit = self._limits.speeds * (dt * share)
         slack = 1e-12 + 1e-9 * limit
@@ -233,7 +243,9 @@ class Gate:
         allowed = braking_displacement(np.abs(change), self._limits.change(dt))
         if self._hand.is_floating:
             # Scale all six coordinates alike, so that the wrist stays on its path.
-            allowed[:6] *= (limit[:6] / np.maximum(allowed[:6], 1e-300)).min(initial=1.0)
+            allowed[:6] *= (limit[:6] / np.maximum(allowed[:6], 1e-300)).min(
+                initial=1.0
+            )
         return np.copysign(np.minimum(allowed, limit), change)
 
     def _along_links(
@@ -283,7 +295,10 @@ class Gate:
             self._together,
         )
         # From a higher limit, the stop in force may brake harder than the limit allows.
-        least, most = np.minimum(middle - change, brake), np.maximum(middle + change, brake)
+        least, most = (
+            np.minimum(middle - change, brake),
+            np.maximum(middle + change, brake),
+        )
         first = np.clip(first, least, most)
         base = np.where(together, brake, first)
         candidates = [base + share * (first - base) for share in _SHARES]
@@ -291,7 +306,9 @@ class Gate:
             candidates.insert(0, np.clip(wanted, least, most))
         for tried in (*candidates, base):
             times = self._limits.stop_times(tried, dt)
-            can_stop = self._limits.is_inside(self.motion.q, tried * (1.0 + 0.5 * times / dt))
+            can_stop = self._limits.is_inside(
+                self.motion.q, tried * (1.0 + 0.5 * times / dt)
+            )
             can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
             brakes = ~(can_stop | together)
             taken, times = np.where(brakes, brake, tried), np.where(brakes, left, times)
@@ -302,7 +319,11 @@ class Gate:
         return taken, np.where(together, left, times)
 
     def _is_clear(
-        self, displacement: np.ndarray, times: np.ndarray, dt: float, end: NearPairs | None = None
+        self,
+        displacement: np.ndarray,
+        times: np.ndarray,
+        dt: float,
+        end: NearPairs | None = None,
     ) -> bool:
         """Return whether a displacement and the stop behind it are clear of overlaps."""
         if self.collisions is None:
@@ -314,7 +335,9 @@ class Gate:
         whole = np.where(self._together, (1.0 + 0.5 * time / dt) * displacement, 0.0)
         return self.collisions.is_clear(near, whole)
 
-    def _move(self, displacement: np.ndarray, stop_times: np.ndarray, dt: float) -> None:
+    def _move(
+        self, displacement: np.ndarray, stop_times: np.ndarray, dt: float
+    ) -> None:
         q, expansion = self.motion.q, self._hand.expansion
         step = displacement if expansion is None else expansion.matrix.dot(displacement)
         reached = self._limits.clipped(pin.integrate(self._hand.model, q, step), q)

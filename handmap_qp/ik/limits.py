@@ -94,7 +94,10 @@ class BoxLimits:
         # Pinocchio's free-flyer has limits of +-1.8e308, which stay out of all arithmetic. Infinite
         # ones take their place, so any coordinate does for its six speeds.
         self._coordinates = np.zeros(self.size, dtype=int)
-        self._lower, self._upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        self._lower, self._upper = (
+            np.full(self.size, -np.inf),
+            np.full(self.size, np.inf),
+        )
         self.speeds = np.full(self.size, np.inf)
         # The limits of a whole configuration; infinite for all but the hand's joints.
         self._lowest, self._highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
@@ -106,8 +109,12 @@ class BoxLimits:
             self.speeds[joints] = hand.velocity_limits
             if hand.is_floating:
                 wrist = hand.spec.wrist
-                self.speeds[:6] = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)
-        self.together = np.zeros(self.size, dtype=bool) if together is None else together
+                self.speeds[:6] = np.repeat(
+                    [wrist.max_linear_speed, wrist.max_angular_speed], 3
+                )
+        self.together = (
+            np.zeros(self.size, dtype=bool) if together is None else together
+        )
         # A limit beyond all speeds is none; as such, its products with times cannot overflow.
         is_limited = max_acceleration is not None and max_acceleration < _NO_LIMIT
         self.acceleration = max_acceleration if is_limited else math.inf
@@ -128,14 +135,21 @@ class BoxLimits:
         """
         return self.box(q, dt, previous_velocity)[:2]
 
-    def box(self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None) -> Box:
+    def box(
+        self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
+    ) -> Box:
         """Return the bounds, and which displacements need no further check; as `bounds`."""
         here, farthest = q[self._coordinates], self.speeds * dt
         down, up = self._lower - here, self._upper - here
-        lower, upper = np.clip(down, -farthest, farthest), np.clip(up, -farthest, farthest)
+        lower, upper = (
+            np.clip(down, -farthest, farthest),
+            np.clip(up, -farthest, farthest),
+        )
         if self.acceleration == math.inf:
             return Box(lower, upper, lower, upper)
-        velocity = np.zeros(self.size) if previous_velocity is None else previous_velocity
+        velocity = (
+            np.zeros(self.size) if previous_velocity is None else previous_velocity
+        )
         change, middle = self.change(dt), velocity * dt
         stretch = 1.0 + self.stopping(velocity, dt) * self.together
         # Faster than this, a stop would take too long.
@@ -178,7 +192,9 @@ class BoxLimits:
             q: Pinocchio configuration, shape (nq,).
             before: The one that it was reached from, which may be outside.
         """
-        return np.clip(q, np.minimum(self._lowest, before), np.maximum(self._highest, before))
+        return np.clip(
+            q, np.minimum(self._lowest, before), np.maximum(self._highest, before)
+        )
 
     def change(self, dt: float) -> float:
         """Return by how much acceleration can change a displacement [rad or m]; never 0."""

@@ -57,7 +57,9 @@ class WristTask(mink.Task):
         orientation_cost: Weight of the rotational error [cost]/[rad].
     """
 
-    def __init__(self, target: pin.SE3, position_cost: float, orientation_cost: float) -> None:
+    def __init__(
+        self, target: pin.SE3, position_cost: float, orientation_cost: float
+    ) -> None:
         super().__init__(cost=np.repeat([position_cost, orientation_cost], 3))
         self.target = target
 
@@ -67,7 +69,9 @@ class WristTask(mink.Task):
 
     def compute_jacobian(self, configuration: Any) -> np.ndarray:
         """Return the derivative of the error, shape (6, nv)."""
-        return configuration.wrist_jacobian(pin.Jlog6(self.target.actInv(configuration.wrist)))
+        return configuration.wrist_jacobian(
+            pin.Jlog6(self.target.actInv(configuration.wrist))
+        )
 
 
 class PostureTask(mink.Task):
@@ -119,12 +123,19 @@ class DampingTask(mink.Task):
         self._error_damping, self._of = error_damping, of
         self._turns = np.arange(nv) >= free_translations
 
-    def compute_qp_residual(self, configuration: Any) -> tuple[np.ndarray, np.ndarray, float]:
+    def compute_qp_residual(
+        self, configuration: Any
+    ) -> tuple[np.ndarray, np.ndarray, float]:
         """Return the diagonal weighted Jacobian and a zero error."""
         errors = [task.cost * task.compute_error(configuration) for task in self._of]
-        levers = [task.cost[:, None] * task.compute_jacobian(configuration) for task in self._of]
+        levers = [
+            task.cost[:, None] * task.compute_jacobian(configuration)
+            for task in self._of
+        ]
         error = math.sqrt(sum(e @ e for e in errors))
-        lever = np.sqrt(sum(((J**2).sum(axis=0) for J in levers), np.zeros(len(self.cost))))
+        lever = np.sqrt(
+            sum(((J**2).sum(axis=0) for J in levers), np.zeros(len(self.cost)))
+        )
         squared_cost = self.cost**2 + self._error_damping * error * lever * self._turns
         return np.diag(np.sqrt(squared_cost)), np.zeros(len(self.cost)), 0.0
 
@@ -172,7 +183,9 @@ class BoxLimit(mink.Limit):
         eye = np.eye(len(self._upper))
         G, h = np.vstack([eye, -eye]), np.concatenate([self._upper, -self._lower])
         finite = np.isfinite(h)
-        return mink.Constraint(G[finite], h[finite]) if finite.any() else mink.Constraint()
+        return (
+            mink.Constraint(G[finite], h[finite]) if finite.any() else mink.Constraint()
+        )
 
 
 class RowsLimit(mink.Limit):
@@ -201,7 +214,9 @@ class _ActiveConfiguration:
         return getattr(self._configuration, name)
 
 
-def make_limits(lower: np.ndarray, upper: np.ndarray, rows: Rows | None) -> list[mink.Limit]:
+def make_limits(
+    lower: np.ndarray, upper: np.ndarray, rows: Rows | None
+) -> list[mink.Limit]:
     """Return the box, and the rows of self-collision avoidance if there are any."""
     return [BoxLimit(lower, upper), *([] if rows is None else [RowsLimit(rows)])]
 

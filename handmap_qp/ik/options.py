@@ -32,10 +32,17 @@ class IkOptions(Options, frozen=True):
             "weight."
         ),
     ] = 1.0
-    wrist_position_weight: Annotated[float, number("Of the wrist frame's position.")] = 3.0
-    wrist_orientation_weight: Annotated[float, number("Of the wrist frame's orientation.")] = 3.0
+    wrist_position_weight: Annotated[
+        float, number("Of the wrist frame's position.")
+    ] = 3.0
+    wrist_orientation_weight: Annotated[
+        float, number("Of the wrist frame's orientation.")
+    ] = 3.0
     rest_weight: Annotated[
-        float, number("Pull of every joint to its rest angle: the null-space term of eq. (8).")
+        float,
+        number(
+            "Pull of every joint to its rest angle: the null-space term of eq. (8)."
+        ),
     ] = 0.2
     damping: Annotated[
         float,
@@ -54,7 +61,9 @@ class IkOptions(Options, frozen=True):
     ] = 0.7
     speed_weight: Annotated[
         float,
-        number("Cost of every joint's displacement within a sample; smooths at the price of lag."),
+        number(
+            "Cost of every joint's displacement within a sample; smooths at the price of lag."
+        ),
     ] = 0.0
     acceleration_weight: Annotated[
         float,
@@ -70,14 +79,23 @@ class IkOptions(Options, frozen=True):
             "`mink.build_ik`, solved by `qpsolvers`; the same answers in more time."
         ),
     ] = "direct"
-    solver: Annotated[str, text("`daqp`, `proxqp`, or any other that `qpsolvers` finds.")] = "daqp"
-    max_iterations: Annotated[int, text("Linearisations per sample, at most.", ge=1)] = 3
+    solver: Annotated[
+        str, text("`daqp`, `proxqp`, or any other that `qpsolvers` finds.")
+    ] = "daqp"
+    max_iterations: Annotated[
+        int, text("Linearisations per sample, at most.", ge=1)
+    ] = 3
     step_tolerance: Annotated[
         float,
-        number("A step shorter than this ends the iterations [rad or m, Euclidean norm]."),
+        number(
+            "A step shorter than this ends the iterations [rad or m, Euclidean norm]."
+        ),
     ] = 0.1
     point_tolerance: Annotated[
-        float, number("Points nearer to their targets than this have arrived [m].", above=True)
+        float,
+        number(
+            "Points nearer to their targets than this have arrived [m].", above=True
+        ),
     ] = 1e-3
     has_velocity_limits: Annotated[
         bool, text("Whether speed limits hold; position limits always do.")
@@ -95,11 +113,15 @@ class IkOptions(Options, frozen=True):
     ) = None
     avoids_self_collision: Annotated[
         bool,
-        text("Whether the pairs of links that the hand's `collision` names are kept apart."),
+        text(
+            "Whether the pairs of links that the hand's `collision` names are kept apart."
+        ),
     ] = False
     tasks: Annotated[
         tuple[str, ...],
-        text("Further terms of the cost by name, of other packages (`handmap_qp.tasks`)."),
+        text(
+            "Further terms of the cost by name, of other packages (`handmap_qp.tasks`)."
+        ),
     ] = ()
 
     def point_costs(self, hand: Hand) -> np.ndarray:

@@ -62,7 +62,9 @@ class PseudoinverseIk(PointIk):
                 option="damping", expected="a finite number >= 0", value=damping
             )
         if limits not in ("none", "clip"):
-            raise InvalidOptionsError(option="limits", expected="'none' or 'clip'", value=limits)
+            raise InvalidOptionsError(
+                option="limits", expected="'none' or 'clip'", value=limits
+            )
         super().__init__(hand, options)
         self._damping = damping
         if limits == "none":
@@ -105,7 +107,9 @@ class PseudoinverseIk(PointIk):
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
     ) -> np.ndarray | None:
         if goal.tasks:
-            raise InvalidOptionsError(option="tasks", problem="eq. (8) has no further tasks")
+            raise InvalidOptionsError(
+                option="tasks", problem="eq. (8) has no further tasks"
+            )
         try:
             return self.step(goal)
         except np.linalg.LinAlgError:
@@ -121,7 +125,11 @@ class _NoLimits(Gate):
         return -free, free
 
     def admit(
-        self, wanted: np.ndarray, first: np.ndarray, dt: float, end: NearPairs | None = None
+        self,
+        wanted: np.ndarray,
+        first: np.ndarray,
+        dt: float,
+        end: NearPairs | None = None,
     ) -> np.ndarray:
         """Move the robot by a displacement, whatever it is."""
         placed = self._placed

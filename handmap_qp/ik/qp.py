@@ -40,7 +40,9 @@ _AT_BOUND = 1e-7
 # Leave out pairs of shapes that are farther apart than this beyond their margin [m].
 _HORIZON = 0.012
 
-Status = Literal["converged", "limited", "unreachable", "unsettled", "failed", "released"]
+Status = Literal[
+    "converged", "limited", "unreachable", "unsettled", "failed", "released"
+]
 
 
 class IkResult(msgspec.Struct, frozen=True, eq=False):
@@ -101,7 +103,11 @@ def weighted_task(
         offset = wrist.actInv(configuration.wrist)
         twist, derivative = pin.log6(offset).vector, pin.Jlog6(offset)
     error = np.concatenate([(configuration.points - points).ravel(), twist])
-    jacobian = costs[:, None] * configuration.support * configuration.stacked_jacobian(derivative)
+    jacobian = (
+        costs[:, None]
+        * configuration.support
+        * configuration.stacked_jacobian(derivative)
+    )
     return configuration.contracted(jacobian), costs * error
 
 
@@ -116,11 +122,15 @@ def direct_cost(
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
     """
-    jacobian, error = weighted_task(hand, options, configuration, goal.points, goal.wrist)
+    jacobian, error = weighted_task(
+        hand, options, configuration, goal.points, goal.wrist
+    )
     H, c = jacobian.T.dot(jacobian), error.dot(jacobian)
     # Damp by error times lever, the curvature that the linearisation neglects. The root of the
     # diagonal is the lever. A floating wrist's translation has none.
-    diagonal = options.error_damping * math.sqrt(error.dot(error)) * np.sqrt(H.diagonal())
+    diagonal = (
+        options.error_damping * math.sqrt(error.dot(error)) * np.sqrt(H.diagonal())
+    )
     diagonal[: 3 if hand.is_floating else 0] = 0.0
     diagonal += options.damping**2
     joints, q = hand.joint_columns, configuration.q[hand.q_indices]
@@ -270,7 +280,10 @@ class PointIk:
             linear = collisions.rows(configuration, near, margins)
         total = first = np.zeros(len(lower))
         iterations, last_step, has_failed = 0, math.inf, False
-        while last_step > self.options.step_tolerance and iterations < self.options.max_iterations:
+        while (
+            last_step > self.options.step_tolerance
+            and iterations < self.options.max_iterations
+        ):
             # Leave later iterations the rest of the bounds, which hold for the whole sample.
             least, most = lower - total, upper - total
             if linear is not None:
@@ -283,7 +296,9 @@ class PointIk:
             has_failed = step is None or not math.isfinite(last_step)
             # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
             # outside their limits back all the same: the box excludes zero there.
-            total = np.clip(0.0 if step is None or has_failed else total + step, lower, upper)
+            total = np.clip(
+                0.0 if step is None or has_failed else total + step, lower, upper
+            )
             last_step = 0.0 if has_failed else last_step
             first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
@@ -291,11 +306,15 @@ class PointIk:
             configuration.displace(start, total)
         if collisions is not None:
             # The gate keeps the measurement: the next sample starts from it.
-            end = collisions.measure(configuration.q, dt, margins, before=near, after_step=True)
+            end = collisions.measure(
+                configuration.q, dt, margins, before=near, after_step=True
+            )
         total = gate.admit(total, first, dt, end)
         self._catch_up()
         status = "failed" if has_failed else "solved"
-        return self._result(status, point_targets, total, lower, upper, iterations, last_step)
+        return self._result(
+            status, point_targets, total, lower, upper, iterations, last_step
+        )
 
     def hold(self, dt: float) -> IkResult:
         """Bring the hand to a stop within its acceleration limit, without targets.
@@ -305,7 +324,10 @@ class PointIk:
         """
         displacement = self.gate.brake(dt)
         self._catch_up()
-        points, free = self.configuration.points.copy(), np.full(len(displacement), np.inf)
+        points, free = (
+            self.configuration.points.copy(),
+            np.full(len(displacement), np.inf),
+        )
         return self._result("released", points, displacement, -free, free, 0, 0.0)
 
     def problem(
@@ -341,7 +363,10 @@ class PointIk:
             # The whole displacement of a sample costs, and its difference from the last one's.
             start = motion.q[hand.q_indices]
             ahead = start + dt * motion.velocity[hand.joint_columns]
-            postures += (options.speed_weight, start), (options.acceleration_weight, ahead)
+            postures += (
+                (options.speed_weight, start),
+                (options.acceleration_weight, ahead),
+            )
         target = None if wrist is None else pin.SE3(wrist)
         return Goal(points, target, postures, (*tasks, *self._tasks))
 

@@ -75,11 +75,15 @@ def solve_by_daqp(
         # With a Hessian of 1e11 (targets 1000 km away) it reports feasible problems as
         # infeasible. The solution does not depend on the cost's scale.
         scale = 1.0 / H.diagonal().max()
-        x, _, flag, _ = daqp.solve(scale * H, scale * c, G, upper, lower, sense, **_DAQP)
+        x, _, flag, _ = daqp.solve(
+            scale * H, scale * c, G, upper, lower, sense, **_DAQP
+        )
     return x if flag > 0 else None
 
 
-def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarray | None:
+def solve_problem(
+    problem: qpsolvers.Problem, solver: str = "daqp"
+) -> np.ndarray | None:
     """Solve by any solver of qpsolvers, at a high accuracy.
 
     Args:
@@ -95,7 +99,9 @@ def solve_problem(problem: qpsolvers.Problem, solver: str = "daqp") -> np.ndarra
         # Some solvers want sparse matrices, and say so. OSQP calls its answers inaccurate where it
         # has used up its iterations; the box holds all the same, by clipping.
         warnings.simplefilter("ignore")
-        solution = qpsolvers.solve_problem(problem, solver=solver, **_EXACT.get(solver, {}))
+        solution = qpsolvers.solve_problem(
+            problem, solver=solver, **_EXACT.get(solver, {})
+        )
     return solution.x
 
 
@@ -128,5 +134,7 @@ def make_solver(name: str) -> QpSolver:
 
     if name not in qpsolvers.available_solvers:
         known = ", ".join(sorted({"daqp", *qpsolvers.available_solvers}))
-        raise InvalidOptionsError(option="solver", expected=f"one of {known}", value=name)
+        raise InvalidOptionsError(
+            option="solver", expected=f"one of {known}", value=name
+        )
     return partial(_solve_by_qpsolvers, name)

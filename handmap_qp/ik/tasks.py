@@ -85,7 +85,9 @@ def _check_maker(maker: Callable[[Hand], Task]) -> None:
         raise TypeError("expected a function from a hand to a task")
 
 
-TASKS: Mapping[str, Callable[[Hand], Task]] = Plugins("handmap_qp.tasks", dict, _check_maker)
+TASKS: Mapping[str, Callable[[Hand], Task]] = Plugins(
+    "handmap_qp.tasks", dict, _check_maker
+)
 """Tasks of other packages by name: functions from a hand to its task."""
 
 
@@ -112,14 +114,21 @@ class AttachedPoints:
 
     def __init__(self, hand: Hand, places: Sequence[tuple[int, np.ndarray]]) -> None:
         self._joints = [joint for joint, _ in places]
-        self._offsets = np.array([offset for _, offset in places], dtype=float).reshape(-1, 3)
+        self._offsets = np.array([offset for _, offset in places], dtype=float).reshape(
+            -1, 3
+        )
         self._moved = moved_by(hand.model, self._joints)[:, None]
 
     @classmethod
     def reference_points(cls, hand: Hand) -> Self:
         """Return the hand's reference points."""
-        frames = [hand.model.frames[i] for i in range(hand.first_point_frame, hand.model.nframes)]
-        return cls(hand, [(frame.parentJoint, frame.placement.translation) for frame in frames])
+        frames = [
+            hand.model.frames[i]
+            for i in range(hand.first_point_frame, hand.model.nframes)
+        ]
+        return cls(
+            hand, [(frame.parentJoint, frame.placement.translation) for frame in frames]
+        )
 
     def __len__(self) -> int:
         return len(self._joints)
@@ -132,7 +141,9 @@ class AttachedPoints:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
         linear, angular = hand.joint_jacobian().reshape(2, 3, -1)
         # [I, -[p]x] takes the spatial velocity at the world's origin to the point p.
-        turning = positions.dot(CROSS).reshape(-1, 3).dot(angular).reshape(len(self), 3, -1)
+        turning = (
+            positions.dot(CROSS).reshape(-1, 3).dot(angular).reshape(len(self), 3, -1)
+        )
         return hand.contracted((linear + turning) * self._moved)
 
     def taken(self, indices: np.ndarray) -> AttachedPoints:
@@ -171,7 +182,9 @@ class PointDistances:
         is_known = ((indices >= 0) & (indices < len(points))).all()
         if not is_known or (indices[:, 0] == indices[:, 1]).any():
             raise InvalidInputError(
-                argument="pairs", expected=f"two different points below {len(points)}", value=pairs
+                argument="pairs",
+                expected=f"two different points below {len(points)}",
+                value=pairs,
             )
         # The first points of all pairs, then the second ones.
         self._ends = points.taken(indices.T.ravel())
@@ -198,21 +211,30 @@ class PointDistances:
         # Points in one place have no direction: any will do to part them.
         offsets[apart <= _SHORTEST] = 0.0, 0.0, _SHORTEST
         jacobians = self._ends.jacobians(hand, positions)
-        levers, weights = jacobians[:count] - jacobians[count:], self._weights / LENGTH_UNIT
+        levers, weights = (
+            jacobians[:count] - jacobians[count:],
+            self._weights / LENGTH_UNIT,
+        )
         directions = (weights / np.maximum(apart, _SHORTEST))[:, None] * offsets
         rows = np.matmul(directions[:, None], levers)[:, 0]
         residual = weights * (apart - self._distances)
         # Per column the norm of the whole lever: the row, and what is across it.
         columns = np.sqrt(np.einsum("ijk,ijk->ik", levers, levers))
-        return TaskRows(residual, rows, (self._damping * weights * np.abs(residual)).dot(columns))
+        return TaskRows(
+            residual, rows, (self._damping * weights * np.abs(residual)).dot(columns)
+        )
 
 
 def _check_numbers(values: npt.ArrayLike, count: int, name: str) -> np.ndarray:
     array = as_floats(values, name)
     if array.ndim == 0:
         array = np.full(count, float(array))
-    if array.shape != (count,) or not (np.isfinite(array).all() and (array >= 0.0).all()):
+    if array.shape != (count,) or not (
+        np.isfinite(array).all() and (array >= 0.0).all()
+    ):
         raise InvalidInputError(
-            argument=name, expected=f"{count} finite numbers >= 0, or one for all", value=values
+            argument=name,
+            expected=f"{count} finite numbers >= 0, or one for all",
+            value=values,
         )
     return array.copy()

@@ -74,7 +74,9 @@ def polar(linear: np.ndarray) -> PolarFactors:
     return PolarFactors(axes @ right, axes, stretches)
 
 
-def decompose(motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)) -> Decomposition:
+def decompose(
+    motion: npt.ArrayLike, *, pivot: npt.ArrayLike = (0.0, 0.0, 0.0)
+) -> Decomposition:
     """Split a motion into `T_def T_rb` (eqs. 2-3).
 
     Args:
@@ -171,7 +173,9 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
         )
     # QR leaves the signs open: take the rotation proper and, where the motion mirrors, give all
     # three scales the sign.
-    signs = np.sign(scales) * (1.0 if np.prod(scales) * np.linalg.det(rotation) > 0.0 else -1.0)
+    signs = np.sign(scales) * (
+        1.0 if np.prod(scales) * np.linalg.det(rotation) > 0.0 else -1.0
+    )
     rotation, upper, scales = rotation * signs, upper * signs[:, None], scales * signs
     isotropic = float(np.cbrt(np.prod(scales)))
     shear_matrix = upper / scales

@@ -112,15 +112,21 @@ class MotionEstimator:
         roots = np.sqrt(shares * count)
         # The SVD of the points, not of their normal matrix, which would square the condition of
         # points near a plane.
-        left, values, right = np.linalg.svd(self._centred * roots[:, None], full_matrices=False)
+        left, values, right = np.linalg.svd(
+            self._centred * roots[:, None], full_matrices=False
+        )
         self._singular_values = frozen(np.append(values, np.zeros(3 - len(values))))
-        floor = max(_RANK_TOLERANCE * values[0], _SPREAD_TOLERANCE * np.abs(points).max())
+        floor = max(
+            _RANK_TOLERANCE * values[0], _SPREAD_TOLERANCE * np.abs(points).max()
+        )
         self._check_rank(floor, has_prior)
         # Directions in which the points do not spread get no gain: A is the prior there, however
         # small the ridge.
         known = np.where(values > floor, values, 0.0)
         pull = ridge * (values @ values) / 3.0
-        gains = np.divide(known, known * known + pull, out=np.zeros_like(known), where=known > 0.0)
+        gains = np.divide(
+            known, known * known + pull, out=np.zeros_like(known), where=known > 0.0
+        )
         # (3, n) and (3, 3): A^T = gain y + prior_gain R0^T, of centred points y
         gain = right.T @ (roots[:, None] * left * gains).T
         self._prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
@@ -145,7 +151,9 @@ class MotionEstimator:
                 singular_values=self._singular_values,
             )
 
-    def estimate(self, points_after: np.ndarray, prior: np.ndarray | None = None) -> MotionEstimate:
+    def estimate(
+        self, points_after: np.ndarray, prior: np.ndarray | None = None
+    ) -> MotionEstimate:
         """Fit the motion to the points' present positions.
 
         Args:
@@ -203,12 +211,16 @@ def estimate_motion(
     after = _check_points(points_after, "points_after")
     if len(after) != len(before):
         expected = f"{len(before)} points as in points_before"
-        raise InvalidInputError(argument="points_after", expected=expected, got=f"{len(after)}")
+        raise InvalidInputError(
+            argument="points_after", expected=expected, got=f"{len(after)}"
+        )
     shares = None if weights is None else _check_weights(weights, len(before))
     pull = float(as_floats(ridge, "ridge", shape=(), is_finite=True))
     if pull < 0.0:
         raise InvalidInputError(argument="ridge", expected="a number >= 0", value=ridge)
-    estimator = MotionEstimator(before, weights=shares, ridge=pull, has_prior=prior is not None)
+    estimator = MotionEstimator(
+        before, weights=shares, ridge=pull, has_prior=prior is not None
+    )
     if prior is None:
         return estimator.estimate(after)
     rotation = as_floats(prior, "prior", shape=(3, 3))

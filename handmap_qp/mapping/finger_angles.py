@@ -47,15 +47,21 @@ class FingerAngles:
             )
         names = {point.name: k for k, point in enumerate(human.reference_points)}
         needed = {finger: _landmarks(finger) for finger in fingers}
-        missing = [name for wanted in needed.values() for name in wanted if name not in names]
+        missing = [
+            name for wanted in needed.values() for name in wanted if name not in names
+        ]
         if missing:
             raise InvalidOptionsError(
                 option="human_points",
                 problem=f"joint angles need {', '.join(missing)} among the human's points",
                 advice="load the human with points='joints' or points='landmarks'",
             )
-        self._points = np.array([[names[name] for name in needed[finger]] for finger in fingers])
-        self.columns = np.array([4 * FINGERS.index(finger) + np.arange(4) for finger in fingers])
+        self._points = np.array(
+            [[names[name] for name in needed[finger]] for finger in fingers]
+        )
+        self.columns = np.array(
+            [4 * FINGERS.index(finger) + np.arange(4) for finger in fingers]
+        )
         found = find_fingers(human)
         self._fingers = [
             _FingerFrames(human, found[finger], columns)
@@ -70,7 +76,10 @@ class FingerAngles:
         """
         bones = np.diff(in_palm[self._points], axis=1)
         return np.array(
-            [frames.angles(each) for frames, each in zip(self._fingers, bones, strict=True)]
+            [
+                frames.angles(each)
+                for frames, each in zip(self._fingers, bones, strict=True)
+            ]
         )
 
 
@@ -82,8 +91,13 @@ class _FingerFrames:
         axes, origins = view.axes(zero, finger.joints)
         bone = view.points(zero, [finger.tip])[0] - origins[-1]
         bone = bone / np.linalg.norm(bone)
-        self._frames = [np.column_stack([bone, np.cross(axis, bone), axis]) for axis in axes]
-        self._lower, self._upper = human.lower_limits[columns], human.upper_limits[columns]
+        self._frames = [
+            np.column_stack([bone, np.cross(axis, bone), axis]) for axis in axes
+        ]
+        self._lower, self._upper = (
+            human.lower_limits[columns],
+            human.upper_limits[columns],
+        )
         # Bones that stay in one plane however the finger bends.
         parallel = np.abs(axes[1:] @ axes[1]) > _PARALLEL
         self._in_plane = int(np.argmin(parallel)) if not parallel.all() else 3

@@ -109,7 +109,9 @@ class HandPair:
             lack a landmark of one.
     """
 
-    def __init__(self, human: Hand, robot: Hand, matched: np.ndarray | None = None) -> None:
+    def __init__(
+        self, human: Hand, robot: Hand, matched: np.ndarray | None = None
+    ) -> None:
         self.human, self._measured = human, _robot_fingers(robot)
         names = {point.name: k for k, point in enumerate(human.reference_points)}
         self.chains, self.pads = self._measured.chains, self._measured.pads
@@ -121,11 +123,18 @@ class HandPair:
         self.tips = np.array([names[TIPS[finger]] for finger in self.fingers])
         self.knuckles = np.array([names[KNUCKLES[finger]] for finger in self.fingers])
         self.shape_points = np.array(
-            [names[name] for f in FINGERS for name in (TIPS[f], MIDDLES[f]) if name in names]
+            [
+                names[name]
+                for f in FINGERS
+                for name in (TIPS[f], MIDDLES[f])
+                if name in names
+            ]
         )
         self.human_rest = frozen(_points_in_palm(human, resting_posture(human)))
         self.human_reach = bone_lengths(human, self.fingers)
-        self.robot_reach = np.array([self.chains[finger].reach for finger in self.fingers])
+        self.robot_reach = np.array(
+            [self.chains[finger].reach for finger in self.fingers]
+        )
         self.reach_ratios = self.robot_reach / self.human_reach
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
         self.finger_ratio = float(self.reach_ratios[others or [0]].mean())
@@ -139,11 +148,17 @@ class HandPair:
         self.robot_rest = frozen(transform_points(to_palm, placed.points))
         others = [i for i, finger in enumerate(self.fingers) if finger != THUMB] or [0]
         chains = [self.chains[finger] for finger in self.fingers]
-        places = [place for chain in chains for place in (chain.knuckle, chain.tip, chain.middle)]
+        places = [
+            place
+            for chain in chains
+            for place in (chain.knuckle, chain.tip, chain.middle)
+        ]
         points = AttachedPoints(self.robot, places).positions(placed)
         points = transform_points(to_palm, points).reshape(-1, 3, 3)
         self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
-        self.human_knuckles = frozen(self.human_rest[self.knuckles[others]].mean(axis=0))
+        self.human_knuckles = frozen(
+            self.human_rest[self.knuckles[others]].mean(axis=0)
+        )
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
         spans = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
         self.robot_extension = frozen(spans / self.robot_reach)
@@ -199,7 +214,9 @@ class HandPair:
 
     def _first_guess(self) -> np.ndarray:
         """Return the posture that matches the person of the package's own hand, once known."""
-        if self.human.name not in HUMAN_HANDS or self.human is _standard_human(self.human.name):
+        if self.human.name not in HUMAN_HANDS or self.human is _standard_human(
+            self.human.name
+        ):
             return self.robot.rest
         return _standard_match(self.human.name, self._measured.hand)
 
@@ -210,14 +227,18 @@ class HandPair:
         gaps = np.linalg.norm(at_rest[1:] - at_rest[0], axis=1)
         between = [(0, k) for k in range(1, len(pads))]
         wanted = [
-            pads[0].radius + pads[k].radius + gap for (_, k), gap in zip(between, gaps, strict=True)
+            pads[0].radius + pads[k].radius + gap
+            for (_, k), gap in zip(between, gaps, strict=True)
         ]
         places = AttachedPoints(robot, [(pad.joint, pad.offset) for pad in pads])
         ik = PointIk(robot, _OPENING)
         ik.place(robot.configuration_vector(robot.rest))
         task = PointDistances(places, between, wanted, [3.0] * len(between))
         ik.solve(
-            ik.configuration.points.copy(), ik.configuration.wrist.homogeneous, 1e3, tasks=[task]
+            ik.configuration.points.copy(),
+            ik.configuration.wrist.homogeneous,
+            1e3,
+            tasks=[task],
         )
         return ik.configuration.q[robot.q_indices]
 
@@ -231,9 +252,12 @@ class HandPair:
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
         above = middle + gain * (tip - human_middle)
         ends = find_fingers(self.human)
-        human_pinching = _pinching_thumb(self.human, ends, _human_pads(self.human, ends))
+        human_pinching = _pinching_thumb(
+            self.human, ends, _human_pads(self.human, ends)
+        )
         return (
-            _THUMB_FROM_PINCH * (self._measured.pinching_thumb + gain * (tip - human_pinching))
+            _THUMB_FROM_PINCH
+            * (self._measured.pinching_thumb + gain * (tip - human_pinching))
             + (1.0 - _THUMB_FROM_PINCH) * above
         )
 
@@ -245,9 +269,13 @@ class _RobotFingers:
         self.hand = robot
         self.chains = find_fingers(robot)
         self.pads = find_pads(robot, self.chains)
-        self.names = tuple(f for f in FINGERS if f in self.chains and self.chains[f].joints)
+        self.names = tuple(
+            f for f in FINGERS if f in self.chains and self.chains[f].joints
+        )
         used = [self.chains[finger] for finger in self.names]
-        self.has_jaws = len(used) > 1 and THUMB in self.names and all(c.is_jaw for c in used)
+        self.has_jaws = (
+            len(used) > 1 and THUMB in self.names and all(c.is_jaw for c in used)
+        )
 
     @cached_property
     def with_points(self) -> Hand:
@@ -311,7 +339,9 @@ def require_partners(
     """
     names = {point.name: k for k, point in enumerate(human.reference_points)}
     wanted = partner_names(robot, {point.name for point in human.spec.points})
-    pairs = [(j, names[partner]) for j, partner in enumerate(wanted) if partner in names]
+    pairs = [
+        (j, names[partner]) for j, partner in enumerate(wanted) if partner in names
+    ]
     if not pairs:
         raise InvalidOptionsError(
             option=option,
@@ -323,12 +353,16 @@ def require_partners(
     return pairs
 
 
-def hand_pair(human: Hand, robot: Hand, matched: tuple[float, ...] | None = None) -> HandPair:
+def hand_pair(
+    human: Hand, robot: Hand, matched: tuple[float, ...] | None = None
+) -> HandPair:
     """Return the pair of two hands, solved once; arguments as of `HandPair`."""
     key = (human, robot, matched)
     pair = _PAIRS.get(key)
     if pair is None:
-        pair = _PAIRS[key] = HandPair(human, robot, None if matched is None else np.array(matched))
+        pair = _PAIRS[key] = HandPair(
+            human, robot, None if matched is None else np.array(matched)
+        )
         _RECENT.append(pair)
     return pair
 
@@ -338,7 +372,9 @@ _PAIRS: WeakValueDictionary[tuple[Any, ...], HandPair] = WeakValueDictionary()
 _RECENT: deque[HandPair] = deque(maxlen=8)
 
 
-def _finger_points(robot: Hand, chains: dict[str, Finger], tip_weight: float) -> list[PointSpec]:
+def _finger_points(
+    robot: Hand, chains: dict[str, Finger], tip_weight: float
+) -> list[PointSpec]:
     """Make reference points of the fingertips, and of the middle joints except the thumb's."""
     points = []
     for finger, chain in chains.items():
@@ -350,7 +386,9 @@ def _finger_points(robot: Hand, chains: dict[str, Finger], tip_weight: float) ->
         is_bending = len(chain.joints) > 1 and not chain.is_jaw
         if finger != THUMB and is_bending and apart > 0.1 * chain.reach:
             # Weights count squared in the cost.
-            points.append(_point(robot, finger, MIDDLES[finger], chain.middle, _MIDDLE_WEIGHT**2))
+            points.append(
+                _point(robot, finger, MIDDLES[finger], chain.middle, _MIDDLE_WEIGHT**2)
+            )
     return points
 
 
@@ -406,7 +444,9 @@ def resting_posture(human: Hand) -> np.ndarray:
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
     at_rest = _named_points_at_rest(human)
-    names = [f"{f}_{joint}" for f in fingers for joint in (_THUMB if f == THUMB else _FINGER)]
+    names = [
+        f"{f}_{joint}" for f in fingers for joint in (_THUMB if f == THUMB else _FINGER)
+    ]
     joints = np.array([at_rest[name] for name in names]).reshape(-1, 4, 3)
     return np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
 
@@ -468,7 +508,10 @@ def _pinching_thumb(
     for k, finger in enumerate(others, start=2):
         touching = pads[THUMB].radius + pads[finger].radius
         ik.place(start)
-        wrist, points = ik.configuration.wrist.homogeneous, ik.configuration.points.copy()
+        wrist, points = (
+            ik.configuration.wrist.homogeneous,
+            ik.configuration.points.copy(),
+        )
         task = PointDistances(ends, [(1, k)], [touching], [3.0])
         for _ in range(_PINCH_STEPS):
             ik.solve(points, wrist, 1e3, tasks=[task])
@@ -476,5 +519,9 @@ def _pinching_thumb(
             if abs(np.linalg.norm(at[k] - at[1]) - touching) < _TOUCHING:
                 break
         palm = ik.configuration.wrist.homogeneous @ hand.wrist_to_palm
-        tips.append(transform_points(inverse_pose(palm), ends.positions(ik.configuration)[:1])[0])
+        tips.append(
+            transform_points(inverse_pose(palm), ends.positions(ik.configuration)[:1])[
+                0
+            ]
+        )
     return np.mean(tips, axis=0)

@@ -63,7 +63,10 @@ class PalmFollower:
         self._human_wrist_to_palm = human.wrist_to_palm
         self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
         self._is_still = not robot.has_moving_wrist
-        before, self._start = palm_of(sample, human), posture.wrist @ robot.wrist_to_palm
+        before, self._start = (
+            palm_of(sample, human),
+            posture.wrist @ robot.wrist_to_palm,
+        )
         self._rotation = before[:3, :3].T @ self._start[:3, :3]
         # The robot's palm seen from the human's: its origin there, and the rest in world axes.
         self._origin = human_anchor - self._rotation.dot(robot_anchor)
@@ -113,7 +116,9 @@ def transform_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
 
 
 def _missing_wrist() -> InvalidInputError:
-    return InvalidInputError(argument="wrist_pose", problem="needed for the pose of the palm")
+    return InvalidInputError(
+        argument="wrist_pose", problem="needed for the pose of the palm"
+    )
 
 
 _PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")
@@ -133,7 +138,9 @@ class LandmarkReader:
     def __init__(self, human: Hand) -> None:
         names = human.spec.sets.get("landmarks", ())
         known = {name: i for i, name in enumerate(names)}
-        missing = [point.name for point in human.reference_points if point.name not in known]
+        missing = [
+            point.name for point in human.reference_points if point.name not in known
+        ]
         if missing or not set(_PALM) <= set(known):
             raise InvalidOptionsError(
                 option="human_points",

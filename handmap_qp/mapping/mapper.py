@@ -104,7 +104,9 @@ class HandMapper:
             )
         if not (isinstance(joint_tolerance, int | float) and joint_tolerance >= 0.0):
             raise InvalidInputError(
-                argument="joint_tolerance", expected="an angle >= 0 rad", value=joint_tolerance
+                argument="joint_tolerance",
+                expected="an angle >= 0 rad",
+                value=joint_tolerance,
             )
         self.human = human
         self.dt = check_dt(dt)
@@ -227,8 +229,12 @@ class HandMapper:
         """
         started, wrist = perf_counter(), self._wrist_of(wrist_pose)
         if wrist is None and (needs := self._needs_wrist()):
-            raise InvalidInputError(argument="wrist_pose", problem=f"needed for {needs}")
-        measured = as_floats(points, "points", shape=(len(self.human.reference_points), 3))
+            raise InvalidInputError(
+                argument="wrist_pose", problem=f"needed for {needs}"
+            )
+        measured = as_floats(
+            points, "points", shape=(len(self.human.reference_points), 3)
+        )
         check_near(measured, "points")
         return self.map(HumanPose(measured.copy(), wrist), dt, started=started)
 
@@ -356,11 +362,15 @@ class HandMapper:
             vector = ik.configuration.q
         else:
             # Before the first sample, a floating robot has no place yet.
-            wrist = np.eye(4) if start.wrist is None and robot.is_floating else start.wrist
+            wrist = (
+                np.eye(4) if start.wrist is None and robot.is_floating else start.wrist
+            )
             vector = robot.configuration_vector(start.q, wrist)
         posture = _posture(robot, vector)
         if seen is None:
-            seen = HumanPose(np.full((len(self.human.reference_points), 3), np.nan), None)
+            seen = HumanPose(
+                np.full((len(self.human.reference_points), 3), np.nan), None
+            )
         return MapStep(
             RobotCommand(robot.joint_names, posture.q, posture.wrist),
             seen.points,
@@ -460,7 +470,9 @@ class HandMapper:
 
     # -- the reference
 
-    def _reference_at(self, sample: HumanPose, start: _Start | None = None) -> _Reference:
+    def _reference_at(
+        self, sample: HumanPose, start: _Start | None = None
+    ) -> _Reference:
         """Count from this sample, with the robot at its start, or where it is if it has started."""
         start, bound = start or self._start, self._plan.bound
         if start is None:
@@ -468,7 +480,9 @@ class HandMapper:
         else:
             wrist = start.wrist
             if wrist is None and bound.robot.is_floating:
-                wrist = bound.start_palm(sample) @ inverse_pose(bound.robot.wrist_to_palm)
+                wrist = bound.start_palm(sample) @ inverse_pose(
+                    bound.robot.wrist_to_palm
+                )
             vector = bound.robot.configuration_vector(start.q, wrist)
         kept, posture = _copied(sample), _posture(bound.robot, vector)
         begins_at = None if start is None else vector.copy()
@@ -489,14 +503,22 @@ class HandMapper:
             return ""
         if bound.reference_needs_wrist:
             return bound.reference_needs_wrist
-        if self._start is not None and self._start.wrist is None and self.robot.is_floating:
+        if (
+            self._start is not None
+            and self._start.wrist is None
+            and self.robot.is_floating
+        ):
             return "placing the robot at the reference (or give reset a robot_wrist)"
         return ""
 
     # -- checks of what comes in
 
     def _wrist_of(self, wrist_pose: PoseLike | None) -> np.ndarray | None:
-        return None if wrist_pose is None else check_pose(wrist_pose, "wrist_pose", self.quat_order)
+        return (
+            None
+            if wrist_pose is None
+            else check_pose(wrist_pose, "wrist_pose", self.quat_order)
+        )
 
     def _pose_of(
         self, human_q: npt.ArrayLike, wrist_pose: PoseLike
@@ -583,13 +605,17 @@ def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None
     return _Reference(sample, posture, bound.start(sample, posture))
 
 
-def _method_of(method: Method | str | None, options: dict[str, Any]) -> tuple[Method, IkOptions]:
+def _method_of(
+    method: Method | str | None, options: dict[str, Any]
+) -> tuple[Method, IkOptions]:
     """Return the method that the arguments of `HandMapper` ask for, and the QP weights with it."""
     if isinstance(method, str) and not options:
         preset = get_preset(method)
         return preset.method, preset.ik
     chosen: Any = get_preset("paper").method if method is None else method
-    if hasattr(chosen, "replaced" if options else "bind") and not isinstance(chosen, str | type):
+    if hasattr(chosen, "replaced" if options else "bind") and not isinstance(
+        chosen, str | type
+    ):
         return chosen.replaced(**options) if options else chosen, IkOptions()
     raise InvalidOptionsError(
         option="method",
@@ -602,12 +628,16 @@ def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
     placed = robot.configuration()
     placed.place_frames(vector)
-    return RobotPosture(vector[robot.q_indices], placed.points.copy(), placed.wrist.homogeneous)
+    return RobotPosture(
+        vector[robot.q_indices], placed.points.copy(), placed.wrist.homogeneous
+    )
 
 
 def _copied(sample: HumanPose) -> HumanPose:
     """Copy a sample that is kept: the caller has its arrays too, and may write into them."""
-    return HumanPose(sample.points.copy(), None if sample.wrist is None else sample.wrist.copy())
+    return HumanPose(
+        sample.points.copy(), None if sample.wrist is None else sample.wrist.copy()
+    )
 
 
 def check_dt(dt: float) -> float:

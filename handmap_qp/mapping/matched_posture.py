@@ -26,7 +26,11 @@ _LEAST_CURVATURE = 1e-6
 
 
 def nearest_posture(
-    hand: Hand, targets: np.ndarray, costs: np.ndarray, rest_cost: float, start: np.ndarray
+    hand: Hand,
+    targets: np.ndarray,
+    costs: np.ndarray,
+    rest_cost: float,
+    start: np.ndarray,
 ) -> np.ndarray:
     """Return the joint positions that bring a hand's points nearest to their targets.
 
@@ -91,10 +95,14 @@ class _Distance:
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
         self._vector = hand.configuration_vector(hand.rest)
-        moves_wrist = self._placed.contracted(self._placed.support[-1:])[0, hand.joint_columns]
+        moves_wrist = self._placed.contracted(self._placed.support[-1:])[
+            0, hand.joint_columns
+        ]
         self.free = np.flatnonzero(moves_wrist == 0.0)
         # From the free joints to the model's tangent space.
-        active = np.eye(self._placed.nv) if hand.expansion is None else hand.expansion.matrix
+        active = (
+            np.eye(self._placed.nv) if hand.expansion is None else hand.expansion.matrix
+        )
         self._spread = active[:, hand.joint_columns[self.free]]
         self._rest, self._q = hand.rest[self.free], hand.rest.copy()
         model = hand.model
@@ -118,12 +126,16 @@ class _Distance:
         weighted = self._row_costs * rows
         # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
         turning = forces.dot(CROSS).reshape(-1, 3, 3).transpose(1, 0, 2).reshape(3, -1)
-        curvature = placed.joint_jacobian()[3:].T.dot(turning.dot(rows)) * self._is_ancestor
+        curvature = (
+            placed.joint_jacobian()[3:].T.dot(turning.dot(rows)) * self._is_ancestor
+        )
         full = weighted.T.dot(weighted) + curvature + curvature.T
         full.reshape(-1)[:: len(full) + 1] -= curvature.diagonal()
         hessian = self._spread.T.dot(full).dot(self._spread)
         hessian.reshape(-1)[:: len(hessian) + 1] += self._rest_cost
-        gradient = forces.reshape(-1).dot(rows).dot(self._spread) + self._rest_cost * away
+        gradient = (
+            forces.reshape(-1).dot(rows).dot(self._spread) + self._rest_cost * away
+        )
         value = 0.5 * float((forces * errors).sum() + self._rest_cost * away.dot(away))
         return _Terms(value, gradient, hessian)
 

@@ -98,7 +98,9 @@ class Diagnostics(Mapping[str, np.ndarray]):
 
 @cache
 def _properties(kind: type[Diagnostics]) -> tuple[str, ...]:
-    return tuple(name for name in dir(kind) if isinstance(getattr(kind, name), property))
+    return tuple(
+        name for name in dir(kind) if isinstance(getattr(kind, name), property)
+    )
 
 
 class Targets(msgspec.Struct, frozen=True, eq=False):
@@ -209,7 +211,8 @@ class MethodOptions(Options, frozen=True):
     def bind(self, human: Hand, robot: Hand) -> BoundMethod:
         """Check the method against two hands; see `Method.bind`."""
         raise InvalidOptionsError(
-            option="method", problem=f"{type(self).__name__} has no `bind` for {robot.name}"
+            option="method",
+            problem=f"{type(self).__name__} has no `bind` for {robot.name}",
         )
 
 

@@ -44,13 +44,17 @@ def read_options(path: Path | str) -> dict[str, Any]:
         raise InvalidInputError(argument="options", problem=problem) from error
     if not isinstance(table, dict):
         expected = "a table such as `preset: teleoperation`"
-        raise InvalidInputError(argument="options", problem=f"{file}: expected {expected}")
+        raise InvalidInputError(
+            argument="options", problem=f"{file}: expected {expected}"
+        )
     known = {"preset", *known_options()}
     for name in table:
         if name not in known:
             advice = did_you_mean(str(name), known) or "see handmap map --help"
             raise InvalidInputError(
-                argument=str(name), problem=f"{file} has an unknown option", advice=advice
+                argument=str(name),
+                problem=f"{file} has an unknown option",
+                advice=advice,
             )
     return table
 

@@ -31,7 +31,9 @@ _MODULES = (
 
 def _own() -> dict[str, Preset]:
     modules = [import_module(f"handmap_qp.mapping.methods.{name}") for name in _MODULES]
-    return {name: preset for module in modules for name, preset in module.PRESETS.items()}
+    return {
+        name: preset for module in modules for name, preset in module.PRESETS.items()
+    }
 
 
 def _check(preset: Preset) -> None:
@@ -86,7 +88,11 @@ def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
         robot: The hand that follows.
     """
     first, wanted = default_preset(human, robot), set(names)
-    able = (name for name in (first, *PRESETS) if wanted <= get_preset(name).method.values.keys())
+    able = (
+        name
+        for name in (first, *PRESETS)
+        if wanted <= get_preset(name).method.values.keys()
+    )
     return next(able, first)
 
 
@@ -102,7 +108,9 @@ def default_preset(human: Hand, robot: Hand) -> str:
     """
     given = {point.name for point in human.reference_points}
     fingers = set(FINGERS) & {point.finger for point in robot.spec.points}
-    needed = {table[finger] for finger in fingers for table in (TIPS, MIDDLES, KNUCKLES)}
+    needed = {
+        table[finger] for finger in fingers for table in (TIPS, MIDDLES, KNUCKLES)
+    }
     if fingers and needed <= given:
         return "teleoperation"
     return "object" if robot.has_moving_wrist else "fixed_wrist"
@@ -160,14 +168,20 @@ class Choice(NamedTuple):
                 problem=f"the preset {start.preset} has no such option",
                 advice="choose another preset, or leave it out",
             )
-        return start._replace(method=start.method.replaced(**rest), ik=start.ik.replaced(**ik))
+        return start._replace(
+            method=start.method.replaced(**rest), ik=start.ik.replaced(**ik)
+        )
 
     def changes_to(self, other: Choice) -> dict[str, Any]:
         """Return the changes that turn this choice into another one."""
         start, changes = self, {}
         if self.preset != other.preset:
             start, changes = preset_choice(other.preset), {"preset": other.preset}
-        return changes | start.method.changes_to(other.method) | start.ik.changes_to(other.ik)
+        return (
+            changes
+            | start.method.changes_to(other.method)
+            | start.ik.changes_to(other.ik)
+        )
 
 
 IK_NAMES = frozenset(option.name for option in options_of(IkOptions))

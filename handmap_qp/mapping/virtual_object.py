@@ -114,7 +114,9 @@ class BoundVirtualObject(PalmMethod):
 class VirtualObjectMap:
     """From samples to targets, counted from one reference; see `TargetMap`."""
 
-    def __init__(self, method: BoundVirtualObject, sample: HumanPose, robot: RobotPosture) -> None:
+    def __init__(
+        self, method: BoundVirtualObject, sample: HumanPose, robot: RobotPosture
+    ) -> None:
         self.rest = robot.q
         self._points = method.human_points
         self._follower = PalmFollower(method.human, method.robot, sample, robot)
@@ -137,7 +139,9 @@ class VirtualObjectMap:
         human_palm, palm = self._follower.palms(sample.wrist)
         now = (sample.points[self._points] - human_palm[:3, 3]).dot(human_palm[:3, :3])
         motion = self._object.motion_to(now)
-        moved = self._offsets.dot(motion.linear.T) + (self._centre + self._ratio * motion.shift)
+        moved = self._offsets.dot(motion.linear.T) + (
+            self._centre + self._ratio * motion.shift
+        )
         return Targets(
             transform_points(palm, moved),
             self._follower.wrist(palm),

@@ -111,7 +111,12 @@ class RateCheck:
     """
 
     def __init__(self) -> None:
-        self._start, self._lead, self._former, self._drift = math.nan, 0.0, math.nan, 0.0
+        self._start, self._lead, self._former, self._drift = (
+            math.nan,
+            0.0,
+            math.nan,
+            0.0,
+        )
         self._rate: float | None = None
 
     def update(self, stamp: float, arrival: float) -> float | None:
@@ -130,7 +135,9 @@ class RateCheck:
         if elapsed >= _RATE_WINDOW:
             # NaN, before there is a former half second, is no drift.
             drift, before = (self._lead - self._former) / elapsed, self._drift
-            is_off = drift * before > 0.0 and min(abs(drift), abs(before)) > _LARGEST_DRIFT
+            is_off = (
+                drift * before > 0.0 and min(abs(drift), abs(before)) > _LARGEST_DRIFT
+            )
             self._rate = 1.0 + drift if is_off else None
             self._start, self._former, self._drift = arrival, self._lead, drift
         self._lead = stamp - arrival

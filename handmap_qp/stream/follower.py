@@ -97,7 +97,9 @@ class Rejoin(NamedTuple):
         if self.kind == "glide":
             times += [_PEAK * _longest(position[None]) / PALM_SPEED]
             times += [_PEAK * _longest(turn[None]) / TURN_SPEED]
-        return self._replace(offset=_Offset(points, position, turn, max(times)), elapsed=0.0)
+        return self._replace(
+            offset=_Offset(points, position, turn, max(times)), elapsed=0.0
+        )
 
     def advance(self, pose: HumanPose, dt: float) -> tuple[HumanPose, Rejoin]:
         """Return the pose to map, and the state after it.
@@ -168,7 +170,9 @@ class Follower:
     ) -> None:
         if rejoin not in get_args(RejoinKind):
             kinds = ", ".join(get_args(RejoinKind))
-            raise InvalidOptionsError(option="rejoin", expected=f"one of {kinds}", value=rejoin)
+            raise InvalidOptionsError(
+                option="rejoin", expected=f"one of {kinds}", value=rejoin
+            )
         self.mapper, self.rejoin, self.smoothing = mapper, rejoin, smoothing
         self._guard = StreamGuard(mapper.human)
         self._return = Rejoin(rejoin)
@@ -179,7 +183,11 @@ class Follower:
     __copy__ = deepcopy
 
     def map_sample(
-        self, sample: HumanSample, *, dt: float | None = None, arrival: float | None = None
+        self,
+        sample: HumanSample,
+        *,
+        dt: float | None = None,
+        arrival: float | None = None,
     ) -> MapStep:
         """Map one sample of a tracker, if it makes sense; else hold.
 
@@ -238,8 +246,12 @@ class Follower:
                 reference = self.mapper.reference
                 targets = None if self.smoothing else self.mapper.targets_of(poses)
             k = places[i]
-            pose = HumanPose(poses.points[k], None if poses.wrist is None else poses.wrist[k])
-            yield self._follow(pose, sample, verdict, targets=targets[k] if targets else None)
+            pose = HumanPose(
+                poses.points[k], None if poses.wrist is None else poses.wrist[k]
+            )
+            yield self._follow(
+                pose, sample, verdict, targets=targets[k] if targets else None
+            )
 
     def _read_all(self, samples: Sequence[HumanSample]) -> HumanPose:
         """Return the poses of samples along a leading axis; palms are fitted where none is given.
@@ -256,7 +268,12 @@ class Follower:
         return poses
 
     def map(
-        self, pose: HumanPose, dt: float, *, targets: Targets | None = None, speed: float = 1.0
+        self,
+        pose: HumanPose,
+        dt: float,
+        *,
+        targets: Targets | None = None,
+        speed: float = 1.0,
     ) -> MapStep:
         """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
         smooth = None
@@ -280,9 +297,13 @@ class Follower:
         """Map a sample that makes sense; its targets may be known unless the robot comes back."""
         started = perf_counter() if started is None else started
         back = self._present_return()
-        moved, back = (back.start(pose) if verdict.is_return else back).advance(pose, verdict.dt)
+        moved, back = (back.start(pose) if verdict.is_return else back).advance(
+            pose, verdict.dt
+        )
         known = targets if moved is pose else None
-        step = self.map(moved, _granted(verdict, dt), targets=known, speed=verdict.speed)
+        step = self.map(
+            moved, _granted(verdict, dt), targets=known, speed=verdict.speed
+        )
         self._return = back
         return structs.replace(
             step,
@@ -292,7 +313,9 @@ class Follower:
             duration=perf_counter() - started,
         )
 
-    def _hold(self, sample: HumanSample, verdict: Verdict, dt: float | None = None) -> MapStep:
+    def _hold(
+        self, sample: HumanSample, verdict: Verdict, dt: float | None = None
+    ) -> MapStep:
         step = self.mapper.hold(_granted(verdict, dt), self._present_return().seen)
         return structs.replace(step, verdict=verdict, confidence=sample.confidence)
 

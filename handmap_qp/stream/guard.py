@@ -142,10 +142,14 @@ class StreamGuard:
             clocks.append((now, clock.shortest))
         seen = [i for i, sample in enumerate(samples) if _is_seen(sample)]
         times, shortest = np.array([clocks[i] for i in seen]).reshape(-1, 2).T
-        landmarks = np.array([samples[i].landmarks for i in seen]).reshape(-1, LANDMARK_COUNT, 3)
+        landmarks = np.array([samples[i].landmarks for i in seen]).reshape(
+            -1, LANDMARK_COUNT, 3
+        )
         sights = measure(self.state.last, times, landmarks, shortest) if seen else []
         known = dict(zip(seen, sights, strict=True))
-        return [self._check(sample, None, known.get(i)) for i, sample in enumerate(samples)]
+        return [
+            self._check(sample, None, known.get(i)) for i, sample in enumerate(samples)
+        ]
 
     def _check(
         self, sample: HumanSample, arrival: float | None, sight: Sight | None = None
@@ -163,7 +167,9 @@ class StreamGuard:
         if rule or sight is None:
             self.state = _holding(state, rule)
             return Verdict(rule, True, False, tick.dt, math.nan, finding)
-        verdict, self.state = self._follow(sight, state, tick, before.clock.late_count > 0)
+        verdict, self.state = self._follow(
+            sight, state, tick, before.clock.late_count > 0
+        )
         if self.state.cause and not state.cause:
             self._input.alert()
         if sample.wrist is None or self._input.is_wrist_proven or verdict.is_held:
@@ -190,7 +196,9 @@ class StreamGuard:
         """Return what makes a sample unusable by itself; empty if nothing does."""
         rate = None if arrival is None else self._rate.update(sample.time, arrival)
         if rate is not None:
-            problem = f"time stamps run at {rate:.3g} times the speed at which samples arrive"
+            problem = (
+                f"time stamps run at {rate:.3g} times the speed at which samples arrive"
+            )
             advice = "give the time of the tracker's clock in seconds"
             return "time", Finding("time", problem, advice)
         if sight is None:
@@ -215,13 +223,17 @@ class StreamGuard:
             first = state._replace(good=fresh, last=fresh, cause="")
             return verdict._replace(is_return=state.cause != ""), first
         if state.now - state.same_since >= FROZEN_AFTER:
-            return verdict._replace(rule="frozen", is_held=True), _holding(state, "frozen")
+            return verdict._replace(rule="frozen", is_held=True), _holding(
+                state, "frozen"
+            )
         rule = _named(change, state.usual)
         if tick.rule == "gap" and _named(
             change_between(last, fresh, state.clock.period), state.usual
         ):
             rule = "gap"
-        state = state._replace(last=change.track, usual=_learnt(state.usual, change, last))
+        state = state._replace(
+            last=change.track, usual=_learnt(state.usual, change, last)
+        )
         if rule:
             state = _holding(state._replace(last=fresh), rule)
         was_held = state.cause != ""
@@ -243,7 +255,9 @@ class StreamGuard:
             return not _named(near, state.usual)
         if rule:
             return False
-        is_doubtful = state.cause in ("flip", "outlier") and _is_other(good, fresh, state.usual)
+        is_doubtful = state.cause in ("flip", "outlier") and _is_other(
+            good, fresh, state.usual
+        )
         return now - state.steady_since >= (_LONG_SETTLING if is_doubtful else SETTLING)
 
 

@@ -31,7 +31,9 @@ def measure_person(*recordings: Recording) -> Person:
             metres.
     """
     if not recordings:
-        raise InvalidInputError(argument="recordings", expected="at least one", got="none")
+        raise InvalidInputError(
+            argument="recordings", expected="at least one", got="none"
+        )
     joined = _joined([without_faults(recording) for recording in recordings])
     return Person(joined.name, measure_hand(joined), measure_contact_gap(joined))
 

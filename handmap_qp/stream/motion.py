@@ -21,8 +21,12 @@ ZERO_SIZE = 0.001
 MIRROR = 1e-4
 """Smallest part of the squared landmark spread that must speak for a mirror image [m^2]."""
 
-_STARTS = np.array([0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19, 5, 9, 13])
-_ENDS = np.array([1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 9, 13, 17])
+_STARTS = np.array(
+    [0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19, 5, 9, 13]
+)
+_ENDS = np.array(
+    [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 9, 13, 17]
+)
 """Pairs of landmarks whose distance does not change: bones, and neighbours in the palm."""
 
 
@@ -139,7 +143,9 @@ def measure(
     """
     sizes, columns = palm_sizes(landmarks[:, PALM]), first_track(times, landmarks)
     zeros, fresh = is_zero(sizes, landmarks), _rows(columns)
-    found = [Sight(*own) for own in zip(sizes.tolist(), zeros.tolist(), fresh, strict=True)]
+    found = [
+        Sight(*own) for own in zip(sizes.tolist(), zeros.tolist(), fresh, strict=True)
+    ]
     first = 0 if last is not None else 1
     if len(found) == first:
         return found
@@ -162,7 +168,9 @@ def measure(
 def _shifted(start: Track, columns: Track) -> Track:
     """Return the track before each one of many: `start` before the first."""
     pairs = zip(start, columns, strict=True)
-    return Track(*(np.concatenate([np.asarray(own)[None], column[:-1]]) for own, column in pairs))
+    return Track(
+        *(np.concatenate([np.asarray(own)[None], column[:-1]]) for own, column in pairs)
+    )
 
 
 def _rows(columns: Track) -> list[Track]:
@@ -215,7 +223,9 @@ def motion_between(
     return moved, bending, angle
 
 
-def change_of(track: Track, moved: Track, bending: np.ndarray, angle: np.ndarray) -> Change:
+def change_of(
+    track: Track, moved: Track, bending: np.ndarray, angle: np.ndarray
+) -> Change:
     """Compare the motion of `motion_between` with the one before it, which led to the track."""
     # No motion is known before a first sample: speeds decide.
     is_known = np.asarray(track.dt) > 0.0
@@ -257,7 +267,9 @@ def _angle(rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     axis = 0.5 * (rotation[..., _LAST, _NEXT] - rotation[..., _NEXT, _LAST])
     sine = lengths(axis)
     angle = np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0))
-    return angle, axis * np.where(sine > 1e-6, angle / np.maximum(sine, 1e-6), 1.0)[..., None]
+    return angle, axis * np.where(sine > 1e-6, angle / np.maximum(sine, 1e-6), 1.0)[
+        ..., None
+    ]
 
 
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])

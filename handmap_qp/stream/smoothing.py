@@ -73,12 +73,16 @@ def smooth_sample(
     """
     points = sample.in_wrist
     is_first = (
-        before is None or dt > _LONGEST_GAP or (before.wrist is None) != (sample.wrist is None)
+        before is None
+        or dt > _LONGEST_GAP
+        or (before.wrist is None) != (sample.wrist is None)
     )
     if is_first or before is None:
         state = SmoothState(points, np.zeros_like(points), sample.wrist, np.zeros(6))
         return sample, state
-    speeds = _blend(before.speeds, (points - before.points) / dt, options.speed_cutoff, dt)
+    speeds = _blend(
+        before.speeds, (points - before.points) / dt, options.speed_cutoff, dt
+    )
     cutoff = options.min_cutoff + options.speed_gain * lengths(speeds)[:, None]
     smooth = _blend(before.points, points, cutoff, dt)
     wrist, twist = None, before.twist
@@ -88,14 +92,22 @@ def smooth_sample(
 
 
 def _smooth_wrist(
-    options: Smoothing, before: np.ndarray, twist: np.ndarray, now: np.ndarray, dt: float
+    options: Smoothing,
+    before: np.ndarray,
+    twist: np.ndarray,
+    now: np.ndarray,
+    dt: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the smoothed wrist pose and its smoothed velocity."""
     turn = pin.log3(before[:3, :3].T @ now[:3, :3])
     shift = now[:3, 3] - before[:3, 3]
     twist = _blend(twist, np.concatenate([shift, turn]) / dt, options.speed_cutoff, dt)
-    linear = options.min_cutoff + options.speed_gain * math.sqrt(twist[:3].dot(twist[:3]))
-    angular = options.min_cutoff + options.speed_gain * _HAND * math.sqrt(twist[3:].dot(twist[3:]))
+    linear = options.min_cutoff + options.speed_gain * math.sqrt(
+        twist[:3].dot(twist[:3])
+    )
+    angular = options.min_cutoff + options.speed_gain * _HAND * math.sqrt(
+        twist[3:].dot(twist[3:])
+    )
     rotation = before[:3, :3] @ pin.exp3(_share(angular, dt) * turn)
     return affine(rotation, before[:3, 3] + _share(linear, dt) * shift), twist
 

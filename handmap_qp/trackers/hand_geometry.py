@@ -17,7 +17,11 @@ from handmap_qp.human.sample import LANDMARK_COUNT
 
 _BASES = (1, 5, 9, 13, 17)
 _PAIRS = np.array(
-    [pair for base in _BASES for pair in ((0, base), *((base + k, base + k + 1) for k in range(3)))]
+    [
+        pair
+        for base in _BASES
+        for pair in ((0, base), *((base + k, base + k + 1) for k in range(3)))
+    ]
     + [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
 )
 # Centre and half width of log(distance / median distance) over the hands that were measured: six
@@ -48,7 +52,9 @@ _LARGEST_DEVIATION = 5.0  # widths; one pair far off counts no more than this
 # landmarks of two fingers changes by far more.
 _RIGID_SPREAD = 0.2
 _LEAST_TREMBLING = 2e-4  # of a squared bone: 3 um of 30 mm
-_STUCK = 0.01  # of the usual trembling; rounded to 1 mm, and at rest, bones keep 0.1 of it
+_STUCK = (
+    0.01  # of the usual trembling; rounded to 1 mm, and at rest, bones keep 0.1 of it
+)
 _QUARTILES_APART = 1.349  # standard deviations, of a normal distribution
 
 HYPEREXTENSION = (0.75, 0.20)
@@ -200,7 +206,9 @@ def _measure(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> Di
     return Distances(middle, (high - low) / _QUARTILES_APART)
 
 
-def _squares(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+def _squares(
+    landmarks: np.ndarray, first: np.ndarray, second: np.ndarray
+) -> np.ndarray:
     return np.square(landmarks[:, first] - landmarks[:, second]).sum(axis=-1)
 
 
@@ -228,7 +236,9 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     """
     along = landmarks[:, 9] - landmarks[:, 0]
     along /= _norms(along)
-    palmar = cross(landmarks[:, 5] - landmarks[:, 0], landmarks[:, 17] - landmarks[:, 0])
+    palmar = cross(
+        landmarks[:, 5] - landmarks[:, 0], landmarks[:, 17] - landmarks[:, 0]
+    )
     palmar /= _norms(palmar)
     # Only heights above the palm's plane matter, so project all landmarks once.
     heights = np.einsum("tki,ti->tk", landmarks, palmar)
@@ -236,8 +246,12 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     heights /= _norms(landmarks[:, 9] - landmarks[:, 0])
     fingers = landmarks[:, 5:].reshape(-1, 4, 4, 3)
     bones = fingers[:, :, 1:3] - fingers[:, :, :2]
-    bones /= np.maximum(np.sqrt(np.einsum("tfki,tfki->tfk", bones, bones)), 1e-12)[..., None]
-    bends = np.einsum("tfi,ti->tf", cross(bones[:, :, 0], bones[:, :, 1]), cross(along, palmar))
+    bones /= np.maximum(np.sqrt(np.einsum("tfki,tfki->tfk", bones, bones)), 1e-12)[
+        ..., None
+    ]
+    bends = np.einsum(
+        "tfi,ti->tf", cross(bones[:, :, 0], bones[:, :, 1]), cross(along, palmar)
+    )
     features = np.empty((len(landmarks), 5))
     features[:, 0] = heights[:, 1]
     features[:, 1] = -0.5 * (heights[:, 9] + heights[:, 13])
@@ -245,9 +259,13 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     features[:, 3] = bends.mean(axis=1)
     # Up to people's hyperextension, an MCP joint may be bent to either side.
     bent = np.einsum("tfi,ti->tf", bones[:, :, 0], palmar).mean(axis=1)
-    features[:, 4] = bent - np.minimum(np.maximum(bent, -HYPEREXTENSION[0]), HYPEREXTENSION[0])
+    features[:, 4] = bent - np.minimum(
+        np.maximum(bent, -HYPEREXTENSION[0]), HYPEREXTENSION[0]
+    )
     scores = np.minimum(np.maximum(features / _FEATURE_SIZES, -1.0), 1.0)
-    return PalmarEvidence(scores[:, :2].sum(axis=1), scores[:, 2], scores[:, 3:].sum(axis=1))
+    return PalmarEvidence(
+        scores[:, :2].sum(axis=1), scores[:, 2], scores[:, 3:].sum(axis=1)
+    )
 
 
 def median(values: np.ndarray) -> float:

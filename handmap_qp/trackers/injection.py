@@ -124,7 +124,12 @@ FAULT_KINDS: dict[FaultName, FaultKind] = {
     "dropout": FaultKind(
         "The hand is not seen: landmarks NaN, no wrist, confidence 0.",
         0.5,
-        lambda *_: {"landmarks": _NOWHERE, "wrist": None, "valid": False, "confidence": 0.0},
+        lambda *_: {
+            "landmarks": _NOWHERE,
+            "wrist": None,
+            "valid": False,
+            "confidence": 0.0,
+        },
     ),
     "silence": FaultKind("Nothing is sent.", 0.5, copies=0),
     "frozen": FaultKind(
@@ -135,7 +140,9 @@ FAULT_KINDS: dict[FaultName, FaultKind] = {
             for name in ("side", "landmarks", "wrist", "valid", "confidence")
         },
     ),
-    "jump": FaultKind("The whole hand is displaced.", 0.5, _jump, 0.2, "m", needs_hand=True),
+    "jump": FaultKind(
+        "The whole hand is displaced.", 0.5, _jump, 0.2, "m", needs_hand=True
+    ),
     "flip": FaultKind(
         "The hand is turned by 180 degrees about its long axis: palm and back confused.",
         0.2,
@@ -149,9 +156,13 @@ FAULT_KINDS: dict[FaultName, FaultKind] = {
         needs_hand=True,
     ),
     "zero": FaultKind(
-        "All landmarks and the wrist are at the origin, and still called valid.", 0.2, _zero
+        "All landmarks and the wrist are at the origin, and still called valid.",
+        0.2,
+        _zero,
     ),
-    "outlier": FaultKind("One landmark is displaced.", 0.1, _outlier, 0.1, "m", needs_hand=True),
+    "outlier": FaultKind(
+        "One landmark is displaced.", 0.1, _outlier, 0.1, "m", needs_hand=True
+    ),
     "noise": FaultKind(
         "Gaussian noise is added to every coordinate, its standard deviation the size.",
         math.inf,
@@ -170,14 +181,18 @@ FAULT_KINDS: dict[FaultName, FaultKind] = {
     "jitter": FaultKind(
         "Gaussian noise is added to the time stamp, its standard deviation the size.",
         math.inf,
-        lambda sample, size, onset: {"time": sample.time + onset.random.normal(scale=abs(size))},
+        lambda sample, size, onset: {
+            "time": sample.time + onset.random.normal(scale=abs(size))
+        },
         0.002,
         "s",
     ),
     "late": FaultKind(
         "One of two time stamps is set back by the size: samples arrive in disorder.",
         0.5,
-        lambda sample, size, onset: {"time": sample.time - size * (onset.random.random() < 0.5)},
+        lambda sample, size, onset: {
+            "time": sample.time - size * (onset.random.random() < 0.5)
+        },
         0.05,
         "s",
     ),
@@ -210,20 +225,29 @@ class Fault:
         kind = FAULT_KINDS.get(self.name)
         if kind is None:
             expected = f"one of {', '.join(FAULT_NAMES)}"
-            raise InvalidInputError(argument="fault", expected=expected, value=self.name)
+            raise InvalidInputError(
+                argument="fault", expected=expected, value=self.name
+            )
         duration = kind.duration if self.duration is None else self.duration
         size = kind.size if self.size is None else self.size
         object.__setattr__(self, "duration", duration)
         checks = (
             ("start", self.start, 0.0 <= self.start < math.inf, "a finite time >= 0 s"),
             ("duration", duration, duration > 0.0, "more than 0 s"),
-            ("size", size, self.size is None or bool(kind.unit), "none: this fault has no size"),
+            (
+                "size",
+                size,
+                self.size is None or bool(kind.unit),
+                "none: this fault has no size",
+            ),
             ("size", size, abs(size) <= _MOST_SIZE, f"a finite number of {kind.unit}"),
         )
         for name, value, is_right, expected in checks:
             if not is_right:
                 argument = f"{self.name} {name}"
-                raise InvalidInputError(argument=argument, expected=expected, value=value)
+                raise InvalidInputError(
+                    argument=argument, expected=expected, value=value
+                )
         object.__setattr__(self, "size", size)
 
     @property
@@ -283,7 +307,9 @@ def inject(
             if number not in onsets:
                 onsets[number] = _onset(before or sample, seed, number)
             changed = tuple(
-                result for each in changed for result in _apply(fault, each, onsets[number])
+                result
+                for each in changed
+                for result in _apply(fault, each, onsets[number])
             )
         before = next((each for each in reversed(changed) if each.valid), before)
         yield from changed
@@ -316,7 +342,9 @@ def _parse_fault(text: str) -> Fault:
             raise ValueError(text)
         numbers = [None if part is None else float(part) for part in match.groups()[1:]]
     except ValueError as error:
-        raise InvalidInputError(argument="faults", expected=expected, value=text) from error
+        raise InvalidInputError(
+            argument="faults", expected=expected, value=text
+        ) from error
     name, (start, duration, size) = match[1], numbers
     return Fault(name, start, duration, size)  # ty: ignore[invalid-argument-type]
 

@@ -46,7 +46,9 @@ def prepare() -> None:
     _known_orders()
 
 
-def find_order(landmarks: np.ndarray, sign: float, own_evidence: float) -> OrderGuess | None:
+def find_order(
+    landmarks: np.ndarray, sign: float, own_evidence: float
+) -> OrderGuess | None:
     """Look for another order that explains landmarks much better than ours.
 
     Args:
@@ -68,13 +70,17 @@ def find_order(landmarks: np.ndarray, sign: float, own_evidence: float) -> Order
             break
         if k == 0:
             continue
-        evidence = sign * float(np.median(palmar_evidence(landmarks[:, orders[k]]).total))
+        evidence = sign * float(
+            np.median(palmar_evidence(landmarks[:, orders[k]]).total)
+        )
         if evidence > min(-_CONTRADICTION, own_evidence):
             name = names[k] if misfits[k] < _NO_HAND else ""
             return OrderGuess(name, own, float(misfits[k]))
     if shape_misfit(own_distances(landmarks)) > _NO_HAND:
         best = int(misfits.argmin())
-        name = names[best] if misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY) else ""
+        name = (
+            names[best] if misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY) else ""
+        )
         return OrderGuess(name, own, float(misfits[best]))
     return None
 

@@ -41,7 +41,9 @@ _CALM_FACTOR = 2  # of number and time of a batch from then on
 _ALERT_BATCH = 6  # least number of samples, after `alert`
 _ALERT_TIME = 0.19  # s; two such batches are shorter than the guard's hold after a flip
 _SURE_SIDE = 0.6  # of 5 (`PalmarEvidence.total`)
-_BACKWARDS = -0.95  # of 2 (`PalmarEvidence.fingers`): beyond the hyperextension of people
+_BACKWARDS = (
+    -0.95
+)  # of 2 (`PalmarEvidence.fingers`): beyond the hyperextension of people
 _OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
 _SAME_MISFIT = 0.12  # a misfit that rises by less needs no new search for orders
 _FIRST_SIZES = 8  # batches at the start that say how large the hand is
@@ -120,7 +122,9 @@ class InputCheck:
         """Tell whether a batch is complete."""
         count, duration = len(self._batch), self._batch[-1][0] - self._batch[0][0]
         if self._calm < 0 or self._finding is not None:
-            return count == _BATCH or (count >= _ALERT_BATCH and duration >= _ALERT_TIME)
+            return count == _BATCH or (
+                count >= _ALERT_BATCH and duration >= _ALERT_TIME
+            )
         has_wrists = all(wrist is not None for _, _, wrist in self._batch)
         is_new = self._calm < _CALM or (has_wrists and not self._wrist.is_proven)
         factor = 1 if is_new else _CALM_FACTOR
@@ -149,7 +153,9 @@ class InputCheck:
         self._last_time = columns[0][-1]
         has_wrists = all(wrist is not None for wrist in columns[2])
         wrists = np.array(columns[2])[:, :3] if has_wrists else None
-        guess = self._examine(np.array([*before, *columns[0]]), np.array(columns[1]), wrists)
+        guess = self._examine(
+            np.array([*before, *columns[0]]), np.array(columns[1]), wrists
+        )
         # Two batches in a row must agree that something is wrong, or that nothing is.
         is_same = (guess is None) == (self._guess is None) and self._batches > 1
         self._calm = self._calm + 1 if is_same or self._calm < 0 else 0
@@ -193,7 +199,9 @@ class InputCheck:
         stuck = np.flatnonzero(stuck_fingers(landmarks))
         if len(stuck):
             problem = f"the {FINGERS[stuck[0]]} finger repeats exactly while the others tremble"
-            return Finding("frozen", problem, "check the tracker's sensor or model of that finger")
+            return Finding(
+                "frozen", problem, "check the tracker's sensor or model of that finger"
+            )
         return self._changed(distances, landmarks, wrists)
 
     def _changed(
@@ -213,7 +221,11 @@ class InputCheck:
         return None
 
     def _order_finding(self, name: str) -> Finding:
-        found = f"their order is {name}" if name else "they are no hand in any order known here"
+        found = (
+            f"their order is {name}"
+            if name
+            else "they are no hand in any order known here"
+        )
         return Finding(
             "order",
             f"the landmarks are not in the order wrist, thumb, ..., little finger; {found}",
@@ -229,9 +241,15 @@ class InputCheck:
         )
         if wrists is not None:
             if WristCheck(-self._sign).examine(landmarks, wrists) is None:
-                what, advice = f"a {other} hand, and so is the wrist's pose", _SAY.format(other)
+                what, advice = (
+                    f"a {other} hand, and so is the wrist's pose",
+                    _SAY.format(other),
+                )
             else:
-                what, advice = f"a mirrored {self.side} hand; the wrist's pose is not", _NEGATE
+                what, advice = (
+                    f"a mirrored {self.side} hand; the wrist's pose is not",
+                    _NEGATE,
+                )
         problem = f"the landmarks are said to be of a {self.side} hand, and are those of {what}"
         return Finding("side", problem, advice)
 
@@ -258,7 +276,9 @@ def check_recording(recording: Recording, *, name: str = "") -> None:
     finding = examine_recording(recording)
     if finding is not None:
         raise InvalidInputError(
-            argument=name or recording.name, problem=finding.problem, advice=finding.advice
+            argument=name or recording.name,
+            problem=finding.problem,
+            advice=finding.advice,
         )
 
 
@@ -274,10 +294,16 @@ def examine_recording(recording: Recording) -> Finding | None:
     """
     check = InputCheck(recording.side)
     indices = np.flatnonzero(recording.valid)
-    landmarks, wrists, times = recording.landmarks, recording.wrist, recording.time.tolist()
+    landmarks, wrists, times = (
+        recording.landmarks,
+        recording.wrist,
+        recording.time.tolist(),
+    )
     found = 0
     for i in indices.tolist():
-        finding = check.update(times[i], landmarks[i], None if wrists is None else wrists[i])
+        finding = check.update(
+            times[i], landmarks[i], None if wrists is None else wrists[i]
+        )
         if finding is not None:
             found += 1
             if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):

@@ -31,7 +31,10 @@ def find_time_unit(times: np.ndarray) -> tuple[str, str] | None:
         return None
     found = f"the time between samples is {step:.6g} s"
     if step < low:
-        return found, "give time in seconds; this looks like seconds divided by a power of 1000"
+        return (
+            found,
+            "give time in seconds; this looks like seconds divided by a power of 1000",
+        )
     if step == 1.0:
         return f"{found}, so it counts samples or milliseconds", "give time in seconds"
     for name, unit in _TIME_UNITS.items():
@@ -71,7 +74,10 @@ def find_length_unit(
     for name, unit in _LENGTH_UNITS.items():
         if 0.12 <= length * unit <= 0.26:
             other = " (or pixels)" if name == "millimetres" else ""
-            return f"{found}, so the landmarks are in {name}{other}", f"multiply them by {unit:g}"
+            return (
+                f"{found}, so the landmarks are in {name}{other}",
+                f"multiply them by {unit:g}",
+            )
         if 0.12 <= length / unit <= 0.26:
             problem = f"{found}, as if metres had been taken for {name}"
             return problem, f"multiply the landmarks by {1.0 / unit:g}"

@@ -84,7 +84,9 @@ class WristCheck:
         self._start: tuple[np.ndarray, np.ndarray] | None = None
         self.is_proven = False
 
-    def examine(self, landmarks: np.ndarray, wrists: np.ndarray) -> tuple[str, str] | None:
+    def examine(
+        self, landmarks: np.ndarray, wrists: np.ndarray
+    ) -> tuple[str, str] | None:
         """Compare wrist poses with the palm that the landmarks show.
 
         The rotation from one to the other must be that of a known tracker, or at least be the same
@@ -101,7 +103,9 @@ class WristCheck:
         self.is_proven &= mistake is None
         return mistake
 
-    def _mistake(self, landmarks: np.ndarray, wrists: np.ndarray) -> tuple[str, str] | None:
+    def _mistake(
+        self, landmarks: np.ndarray, wrists: np.ndarray
+    ) -> tuple[str, str] | None:
         apart = median(lengths(wrists[:, :, 3] - landmarks[:, 0]))
         if apart > _FARTHEST_APART:
             problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
@@ -121,7 +125,10 @@ class WristCheck:
             other, steadiness = _mean_relative(palms, others)
             if steadiness > _STEADY and _is_known(other):
                 problem = f"the wrist's orientation does not follow the palm, but {name} would"
-                return problem, "check the order of the quaternion and the direction of the pose"
+                return (
+                    problem,
+                    "check the order of the quaternion and the direction of the pose",
+                )
         if is_steady:
             self._start = start
             return None
@@ -131,7 +138,9 @@ class WristCheck:
         )
 
 
-def _mean_relative(palms: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, float]:
+def _mean_relative(
+    palms: np.ndarray, rotations: np.ndarray
+) -> tuple[np.ndarray, float]:
     """Return the mean rotation from wrist to palm, and how steady it is.
 
     Steady means that the means of both halves of the samples agree: the cosine of the angle between

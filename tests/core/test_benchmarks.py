@@ -78,11 +78,21 @@ def test_every_benchmark_runs_and_writes_its_numbers(
 
 @pytest.mark.slow
 def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
-    done = run(FOLDER / "bench_accuracy.py", "--quick", "--json", "-", "--recordings", recordings)
+    done = run(
+        FOLDER / "bench_accuracy.py",
+        "--quick",
+        "--json",
+        "-",
+        "--recordings",
+        recordings,
+    )
     assert done.returncode == 0, done.stderr
     rows = json.loads(done.stdout)["rows"]
     assert {row["robot"] for row in rows} == {"three_finger", "allegro"}
-    assert all(-1.0 <= row["correlation"] <= 1.0 and row["jerk_over_human"] > 0.0 for row in rows)
+    assert all(
+        -1.0 <= row["correlation"] <= 1.0 and row["jerk_over_human"] > 0.0
+        for row in rows
+    )
     assert "Effect of the options" in done.stderr
 
 
@@ -101,7 +111,8 @@ def test_a_file_that_cannot_be_written_is_refused_before_any_work(
     common = shared["common"]
     with pytest.raises(SystemExit) as stopped:
         common.parse_arguments(
-            common.make_parser("test"), ["--json", str(tmp_path / "missing" / "out.json")]
+            common.make_parser("test"),
+            ["--json", str(tmp_path / "missing" / "out.json")],
         )
     assert stopped.value.code == 2
     assert "the folder does not exist" in capsys.readouterr().err
@@ -110,13 +121,21 @@ def test_a_file_that_cannot_be_written_is_refused_before_any_work(
 def test_json_holds_plain_numbers(shared: dict[str, Any], tmp_path: Path) -> None:
     file = tmp_path / "out.json"
     shared["common"].write_json(
-        str(file), "test", {"a": np.float64(1.5), "b": [float("nan"), np.arange(2)], 3: {"c": True}}
+        str(file),
+        "test",
+        {"a": np.float64(1.5), "b": [float("nan"), np.arange(2)], 3: {"c": True}},
     )
     document = json.loads(file.read_text(encoding="utf-8"))
-    assert (document["a"], document["b"], document["3"]) == (1.5, [None, [0, 1]], {"c": True})
+    assert (document["a"], document["b"], document["3"]) == (
+        1.5,
+        [None, [0, 1]],
+        {"c": True},
+    )
 
 
-def test_tables_are_never_cut(shared: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+def test_tables_are_never_cut(
+    shared: dict[str, Any], capsys: pytest.CaptureFixture[str]
+) -> None:
     columns = {f"a long column {i}": f"{i} and words" for i in range(30)}
     shared["common"].print_table("Title", [columns, {}, columns])
     printed = capsys.readouterr().out
@@ -133,8 +152,12 @@ def test_cpu_time_is_that_of_the_call(shared: dict[str, Any]) -> None:
     )
 
 
-def test_every_other_sample_takes_twice_the_time(shared: dict[str, Any], recordings: Path) -> None:
-    scene = shared["scenes"].load_scene(recordings / "leap_pinch_move_right.npz", samples=30)
+def test_every_other_sample_takes_twice_the_time(
+    shared: dict[str, Any], recordings: Path
+) -> None:
+    scene = shared["scenes"].load_scene(
+        recordings / "leap_pinch_move_right.npz", samples=30
+    )
     motion: HumanMotion = scene.motion
     thinned: HumanMotion = shared["scenes"].thinned(motion, 2)
     np.testing.assert_array_equal(thinned.q, motion.q[::2])
@@ -144,8 +167,13 @@ def test_every_other_sample_takes_twice_the_time(shared: dict[str, Any], recordi
 
 def test_robots_are_found_for_either_side(shared: dict[str, Any]) -> None:
     robot_for = shared["scenes"].robot_for
-    assert [robot_for("allegro", side).side for side in ("left", "right")] == ["left", "right"]
-    right, left = (robot_for("three_finger", side).reference_points for side in ("right", "left"))
+    assert [robot_for("allegro", side).side for side in ("left", "right")] == [
+        "left",
+        "right",
+    ]
+    right, left = (
+        robot_for("three_finger", side).reference_points for side in ("right", "left")
+    )
     assert [point.finger for point in right] == ["thumb", "middle", "index"]
     assert [point.finger for point in left] == ["thumb", "index", "middle"]
     assert [point.partner for point in left] == ["thumb_tip", "index_tip", "middle_tip"]
@@ -173,10 +201,14 @@ def test_a_mapped_grasp_starts_as_planned_and_does_what_the_human_does(
     assert human.wrist_pose is not None
     assert grasp.wrist_pose is not None
     q, wrist = np.tile(human.q, (3, 1)), np.tile(human.wrist_pose, (3, 1, 1))
-    is_bent = [name in ("index_MCP_flexion", "index_PIP_flexion") for name in HUMAN_JOINTS]
+    is_bent = [
+        name in ("index_MCP_flexion", "index_PIP_flexion") for name in HUMAN_JOINTS
+    ]
     q[:, is_bent] += np.array([[0.0], [0.15], [0.3]])
     wrist[:, 1, 3] += (0.0, 0.02, 0.04)
-    motion = grasps.map_grasp(own_method("finger-vectors"), scene, HandMotion(q, wrist, wrist), 0.3)
+    motion = grasps.map_grasp(
+        own_method("finger-vectors"), scene, HandMotion(q, wrist, wrist), 0.3
+    )
     np.testing.assert_array_equal(motion.q[0], grasp.q)
     moved = motion.wrist - grasp.wrist_pose
     np.testing.assert_allclose(moved[-1, :3, 3], [0.0, 0.04, 0.0], atol=2e-3)
@@ -199,7 +231,9 @@ def test_runs_beyond_the_paper_are_tables_and_files(
     monkeypatch.setattr(beyond, "DISTANCES", (0.1,))
     monkeypatch.setattr(beyond, "MARGINS", (0.0, 4.0))
     names = ["limits", "placement", "origin"]
-    monkeypatch.setattr(sys, "argv", ["beyond", "--studies", *names, "--out", str(tmp_path)])
+    monkeypatch.setattr(
+        sys, "argv", ["beyond", "--studies", *names, "--out", str(tmp_path)]
+    )
     beyond.main()
     assert {file.name for file in tmp_path.iterdir()} == {
         f"{name}.{kind}" for name in names for kind in ("csv", "png")
@@ -208,5 +242,9 @@ def test_runs_beyond_the_paper_are_tables_and_files(
     assert "limit_excess_deg" in printed
     rows = list(beyond.limits())
     assert len(rows) == 2 * 3 * 4
-    worst = {row["fingers"]: row["limit_excess_deg"] for row in rows if row["margin_deg"] == 0.0}
+    worst = {
+        row["fingers"]: row["limit_excess_deg"]
+        for row in rows
+        if row["margin_deg"] == 0.0
+    }
     assert worst["pseudoinverse"] > 0.1 > worst["qp"]

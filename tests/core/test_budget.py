@@ -67,13 +67,20 @@ def test_rows_of_the_source_are_counted(house: ModuleType, planted: Path) -> Non
     assert measured["functions with more than 10 paths"] == 0
 
 
-def test_circles_are_of_folders_and_modules_at_the_top(house: ModuleType, planted: Path) -> None:
+def test_circles_are_of_folders_and_modules_at_the_top(
+    house: ModuleType, planted: Path
+) -> None:
     modules = house.read_package(planted / "planted")
     found = house.circles(house.import_arrows("planted", modules, house.folder_room))
-    assert sorted(map(sorted, found)) == [["high", "low"], ["mapping", "mapping.methods"]]
+    assert sorted(map(sorted, found)) == [
+        ["high", "low"],
+        ["mapping", "mapping.methods"],
+    ]
 
 
-def test_tokens_leave_out_comments_docstrings_and_layout(house: ModuleType, tmp_path: Path) -> None:
+def test_tokens_leave_out_comments_docstrings_and_layout(
+    house: ModuleType, tmp_path: Path
+) -> None:
     (tmp_path / "planted").mkdir()
     (tmp_path / "planted" / "high.py").write_text(
         '"""Not\nthis."""\n\n# Nor this.\nx = f(\n    1,\n)  # y\n\n\ndef g():\n'
@@ -106,7 +113,9 @@ def test_paths_are_those_of_radon(house: ModuleType, body: str, paths: int) -> N
 
 
 @pytest.mark.parametrize("conditions", [9, 10, 19, 20])
-def test_long_functions_are_counted(house: ModuleType, planted: Path, conditions: int) -> None:
+def test_long_functions_are_counted(
+    house: ModuleType, planted: Path, conditions: int
+) -> None:
     text = "def long(a):\n" + conditions * "    if a: pass\n"
     (planted / "planted" / "low" / "long.py").write_text(text, encoding="utf-8")
     measured = house.measure_source(planted, "planted", set())
@@ -114,7 +123,9 @@ def test_long_functions_are_counted(house: ModuleType, planted: Path, conditions
     assert measured["functions with more than 20 paths"] == (conditions >= 20)
 
 
-def test_closure_is_what_the_public_names_load(house: ModuleType, planted: Path) -> None:
+def test_closure_is_what_the_public_names_load(
+    house: ModuleType, planted: Path
+) -> None:
     measured = house.measure_closure(planted, "planted")
     # `fine_way` and `other_way` wait until they are used.
     loaded = ("high.py", "low/late.py", "mapping/seam.py")
@@ -138,7 +149,8 @@ def test_files_that_calls_pass(house: ModuleType, importable: Path) -> None:
     assert passed == {importable / "planted" / "mapping" / "seam.py"}
     # An import runs a file too.
     assert house.files_passed([lambda: seam.is_fine(1)], importable / "planted") == {
-        importable / "planted" / "mapping" / name for name in ("seam.py", "methods/fine_way.py")
+        importable / "planted" / "mapping" / name
+        for name in ("seam.py", "methods/fine_way.py")
     }
     assert sys.getprofile() is None
 
@@ -159,7 +171,11 @@ def test_packages_of_extras_are_those_that_nothing_else_needs(
 
 
 def test_rows_above_their_budget_are_named(house: ModuleType) -> None:
-    budget = {"a": house.Limit(3, 1), "b": house.Limit(8.5, None), "c": house.Limit(1, 0)}
+    budget = {
+        "a": house.Limit(3, 1),
+        "b": house.Limit(8.5, None),
+        "c": house.Limit(1, 0),
+    }
     assert house.exceeded({"a": 3, "b": 8.5, "c": 0}, budget) == []
     (line,) = house.exceeded({"a": 1, "b": 8.51, "c": 1}, budget)
     assert line == "b: 8.51 exceeds the budget of 8.5"

@@ -44,12 +44,21 @@ def recording(tmp_path: Path) -> Path:
     hand = load_hand("human", points="landmarks")
     shares = np.linspace(0.0, 0.6, 30)
     landmarks = np.array(
-        [hand.points(hand.rest + share * (hand.upper_limits - hand.rest) * 0.5) for share in shares]
+        [
+            hand.points(hand.rest + share * (hand.upper_limits - hand.rest) * 0.5)
+            for share in shares
+        ]
     )
     valid = np.ones(30, dtype=bool)
     valid[10:13] = False
     path = tmp_path / "closing.npz"
-    np.savez(path, time=np.arange(30) / 60.0, landmarks=landmarks, valid=valid, handedness="right")
+    np.savez(
+        path,
+        time=np.arange(30) / 60.0,
+        landmarks=landmarks,
+        valid=valid,
+        handedness="right",
+    )
     return path
 
 
@@ -76,7 +85,8 @@ def test_map_writes_the_trajectory_and_prints_its_summary(
         np.testing.assert_array_equal(columns["all_q"][:, is_active], columns["q"])
         hand = load_hand(robot)
         replayed = [
-            hand.points(q, wrist) for q, wrist in zip(columns["q"], columns["wrist"], strict=True)
+            hand.points(q, wrist)
+            for q, wrist in zip(columns["q"], columns["wrist"], strict=True)
         ]
         np.testing.assert_allclose(replayed, columns["points"], atol=1e-9)
 
@@ -155,9 +165,30 @@ MISTAKES = {
     "no recording": ["map", "absent.npz", "--robot", "three_finger"],
     "no robot": ["map", "{recording}"],
     "unknown robot": ["map", "{recording}", "--robot", "tentacle"],
-    "not a number": ["map", "{recording}", "--robot", "three_finger", "--ridge", "much"],
-    "number out of range": ["map", "{recording}", "--robot", "three_finger", "--ridge", "-1"],
-    "contradiction": ["map", "{recording}", "--robot", "three_finger", "--pivot", "point"],
+    "not a number": [
+        "map",
+        "{recording}",
+        "--robot",
+        "three_finger",
+        "--ridge",
+        "much",
+    ],
+    "number out of range": [
+        "map",
+        "{recording}",
+        "--robot",
+        "three_finger",
+        "--ridge",
+        "-1",
+    ],
+    "contradiction": [
+        "map",
+        "{recording}",
+        "--robot",
+        "three_finger",
+        "--pivot",
+        "point",
+    ],
     "unknown point set": [
         "map",
         "{recording}",
@@ -166,15 +197,36 @@ MISTAKES = {
         "--human-points",
         "toes",
     ],
-    "unknown solver": ["map", "{recording}", "--robot", "three_finger", "--ik.solver", "abacus"],
-    "no folder": ["map", "{recording}", "--robot", "three_finger", "--out", "nowhere/out.npz"],
+    "unknown solver": [
+        "map",
+        "{recording}",
+        "--robot",
+        "three_finger",
+        "--ik.solver",
+        "abacus",
+    ],
+    "no folder": [
+        "map",
+        "{recording}",
+        "--robot",
+        "three_finger",
+        "--out",
+        "nowhere/out.npz",
+    ],
     "not an npz": ["map", "{recording}", "--robot", "three_finger", "--out", "out.csv"],
     "no recording at all": ["map", "{folder}/hand.txt", "--robot", "three_finger"],
     "unknown hand": ["hands", "show", "tentacle"],
     "hand as a command": ["hands", "three_finger"],
     "unknown shell": ["--completion", "powershell"],
     "no shell": ["--completion"],
-    "no such person": ["map", "{recording}", "--robot", "three_finger", "--person", "bob.yaml"],
+    "no such person": [
+        "map",
+        "{recording}",
+        "--robot",
+        "three_finger",
+        "--person",
+        "bob.yaml",
+    ],
     "person of a service": ["view", "--live", "127.0.0.1", "--person", "bob.yaml"],
     "person as a recording": ["calibrate", "{recording}", "--out", "bob.npz"],
     "person over a file": ["calibrate", "{recording}", "--out", "{folder}/bob.yaml"],
@@ -206,7 +258,10 @@ def test_a_mistake_is_one_line_or_a_box_and_leaves_no_file(
     (folder / "bob.yaml").write_text("thumb: up")
     before = sorted(folder.rglob("*"))
     monkeypatch.chdir(folder)
-    assert cli.main([word.format(recording=recording, folder=folder) for word in words]) == 2
+    assert (
+        cli.main([word.format(recording=recording, folder=folder) for word in words])
+        == 2
+    )
     printed = capsys.readouterr()
     if name in BOXED:
         assert "handmap map --help" in printed.err
@@ -251,11 +306,23 @@ def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
         (["hands", "int", "x.urdf"], "did you mean init?"),
         (["hands", "three_finger"], "handmap hands show three_finger"),
         (["hands", "show", "alegro_right"], "did you mean allegro_right?"),
-        (["map", "x.npz", "--preset", "teleop"], "got 'teleop': did you mean teleoperation?"),
-        (["map", "x.npz", "--ik.damping", "-1"], "--ik.damping: expected a finite number > 0, "),
-        (["map", "x.npz", "--ridge", "-1"], "--ridge: expected a finite number >= 0, got -1.0"),
+        (
+            ["map", "x.npz", "--preset", "teleop"],
+            "got 'teleop': did you mean teleoperation?",
+        ),
+        (
+            ["map", "x.npz", "--ik.damping", "-1"],
+            "--ik.damping: expected a finite number > 0, ",
+        ),
+        (
+            ["map", "x.npz", "--ridge", "-1"],
+            "--ridge: expected a finite number >= 0, got -1.0",
+        ),
         (["--versoin"], "did you mean --version?"),
-        (["hands", "check", "absent.yaml"], "absent.yaml: cannot be read: No such file"),
+        (
+            ["hands", "check", "absent.yaml"],
+            "absent.yaml: cannot be read: No such file",
+        ),
     ],
 )
 def test_a_mistyped_word_is_answered_with_the_nearest_one(
@@ -295,11 +362,16 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(["--version"])
     assert end.value.code == 0
-    assert capsys.readouterr().out == f"handmap {importlib.metadata.version('handmap-qp')}\n"
+    assert (
+        capsys.readouterr().out
+        == f"handmap {importlib.metadata.version('handmap-qp')}\n"
+    )
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
-def test_completions_name_every_command(shell: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_completions_name_every_command(
+    shell: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(["--completion", shell])
     assert end.value.code == 0
@@ -323,7 +395,9 @@ def test_rows_are_whole_in_a_pipe_and_brackets_are_text(
     assert long in capsys.readouterr().out
 
 
-def test_the_doctor_reports_the_installation(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_doctor_reports_the_installation(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert cli.main(["doctor", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["versions"]["pin"] == importlib.metadata.version("pin")
@@ -331,19 +405,24 @@ def test_the_doctor_reports_the_installation(capsys: pytest.CaptureFixture[str])
     assert "daqp" in report["solvers"]["available"]
 
 
-def test_the_doctor_says_how_to_install_an_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_doctor_says_how_to_install_an_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def version(name: str) -> str:
         if name == "viser":
             raise importlib.metadata.PackageNotFoundError(name)
         return "1.0"
 
     monkeypatch.setattr(importlib.metadata, "version", version)
-    assert doctor.extras()["view"] == "viser not installed: pip install 'handmap-qp[view]'"
+    assert (
+        doctor.extras()["view"] == "viser not installed: pip install 'handmap-qp[view]'"
+    )
     assert doctor.extras()["plot"] == "installed"
 
 
 @pytest.mark.parametrize(
-    ("library", "advice"), [("libgomp.so.1", ": apt-get install libgomp1"), ("libodd.so.2", "")]
+    ("library", "advice"),
+    [("libgomp.so.1", ": apt-get install libgomp1"), ("libodd.so.2", "")],
 )
 def test_a_missing_system_library_is_one_line(
     library: str,
@@ -352,8 +431,13 @@ def test_a_missing_system_library_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     def fails(module: str) -> None:
-        raise ImportError(f"{library}: cannot open shared object file: No such file or directory")
+        raise ImportError(
+            f"{library}: cannot open shared object file: No such file or directory"
+        )
 
     monkeypatch.setattr(importlib, "import_module", fails)
     assert cli.main(["doctor"]) == 2
-    assert capsys.readouterr().err == f"handmap: the system library {library} is missing{advice}\n"
+    assert (
+        capsys.readouterr().err
+        == f"handmap: the system library {library} is missing{advice}\n"
+    )

@@ -57,11 +57,21 @@ def test_writes_tables_json_and_pictures(
 ) -> None:
     (tmp_path / "compare.py").write_text(PROGRAM, encoding="utf-8")
     out = tmp_path / "new" / "folder"
-    words = ["compare", *files, "--robot", "allegro_right", "--methods", "teleoperation", "paper"]
+    words = [
+        "compare",
+        *files,
+        "--robot",
+        "allegro_right",
+        "--methods",
+        "teleoperation",
+        "paper",
+    ]
     words += ["--peers", "--peers-from", str(tmp_path), "--out", str(out)]
     assert cli.main(words) == 0
     printed = capsys.readouterr()
-    assert printed.err == "handmap: mirrored, because allegro_right is a right hand: two\n"
+    assert (
+        printed.err == "handmap: mirrored, because allegro_right is a right hand: two\n"
+    )
     assert "failing: the solver found nothing" in printed.out
     names = ["table.md", "results.json", "metrics.png", "poses.png"]
     assert sorted(path.name for path in out.iterdir()) == sorted(names)
@@ -90,7 +100,9 @@ def test_writes_tables_json_and_pictures(
         assert runs["theirs"]["values"]["palm_deg"] is None
         assert list(runs["paper"]["fingers"]) == ["thumb", "index", "middle", "ring"]
     for key in ("extension_correlation", "object_rotation_deg", "step_time_ms"):
-        both = [results["runs"][name]["paper"]["values"][key] for name in ("one", "two")]
+        both = [
+            results["runs"][name]["paper"]["values"][key] for name in ("one", "two")
+        ]
         assert results["overall"]["paper"][key] == pytest.approx(np.mean(both))
 
     table = (out / "table.md").read_text(encoding="utf-8")
@@ -127,7 +139,15 @@ def test_prints_json_and_writes_nothing(
     files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = sorted(tmp_path.iterdir())
-    words = ["compare", files[0], "--robot", "three_finger", "--methods", "paper", "--json"]
+    words = [
+        "compare",
+        files[0],
+        "--robot",
+        "three_finger",
+        "--methods",
+        "paper",
+        "--json",
+    ]
     assert cli.main(words) == 0
     printed = capsys.readouterr()
     assert printed.err == ""
@@ -142,7 +162,15 @@ def test_peers_that_are_named_are_the_only_ones(
     files: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "compare.py").write_text(PROGRAM, encoding="utf-8")
-    words = ["compare", files[0], "--robot", "allegro_right", "--methods", "theirs", "paper"]
+    words = [
+        "compare",
+        files[0],
+        "--robot",
+        "allegro_right",
+        "--methods",
+        "theirs",
+        "paper",
+    ]
     words += ["--peers", "--peers-from", str(tmp_path), "--json"]
     assert cli.main(words) == 0
     assert list(json.loads(capsys.readouterr().out)["overall"]) == ["theirs", "paper"]
@@ -163,7 +191,10 @@ def test_recording_without_a_pose_has_no_contact_sheet(
     out = tmp_path / "out"
     words = ["compare", str(file), "--robot", "three_finger", "--methods", "paper"]
     assert cli.main([*words, "--out", str(out)]) == 0
-    assert "no contact sheet; not shown: open, spread, pointing, fist" in capsys.readouterr().err
+    assert (
+        "no contact sheet; not shown: open, spread, pointing, fist"
+        in capsys.readouterr().err
+    )
     assert not (out / "poses.png").exists()
     assert (out / "metrics.png").exists()
 
@@ -183,7 +214,9 @@ def test_sheet_of_many_methods_has_bands(
     words = ["compare", files[0], "--robot", "three_finger", "--out", str(out)]
     assert cli.main(words) == 0
     printed = capsys.readouterr().out
-    methods = [line.split()[0] for line in printed.splitlines() if line.startswith(" tele")]
+    methods = [
+        line.split()[0] for line in printed.splitlines() if line.startswith(" tele")
+    ]
     assert methods[:2] == ["teleoperation", "teleoperation+smooth"]
     sheet = picture(out / "poses.png")
     # Six methods beside the human, and the rest below, beside the human again.
@@ -199,11 +232,26 @@ def test_sheet_of_many_methods_has_bands(
 BAD = {
     "no recording": ([], "RECORDING: expected at least one file"),
     "absent": (["absent.npz"], "absent.npz: cannot be read"),
-    "twice": (["{one}", "{one}"], "RECORDING: expected files of different names, got one twice"),
-    "method": (["{one}", "--methods", "magic"], "--methods: expected some of teleoperation"),
-    "no peers": (["{one}", "--methods", "dex-vector"], "got dex-vector: peers need --peers"),
-    "method twice": (["{one}", "--methods", "paper", "paper"], "methods: expected different names"),
-    "peers elsewhere": (["{one}", "--peers", "--peers-from", "{folder}"], "no compare.py in"),
+    "twice": (
+        ["{one}", "{one}"],
+        "RECORDING: expected files of different names, got one twice",
+    ),
+    "method": (
+        ["{one}", "--methods", "magic"],
+        "--methods: expected some of teleoperation",
+    ),
+    "no peers": (
+        ["{one}", "--methods", "dex-vector"],
+        "got dex-vector: peers need --peers",
+    ),
+    "method twice": (
+        ["{one}", "--methods", "paper", "paper"],
+        "methods: expected different names",
+    ),
+    "peers elsewhere": (
+        ["{one}", "--peers", "--peers-from", "{folder}"],
+        "no compare.py in",
+    ),
     "out is a file": (["{one}", "--out", "{one}"], "--out: "),
 }
 

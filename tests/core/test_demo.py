@@ -7,7 +7,12 @@ import numpy as np
 import pytest
 
 import handmap_qp.apps.experiments.demo as demo
-from handmap_qp.apps.experiments.demo import DemoResult, arc_motion, human_points, run_demo
+from handmap_qp.apps.experiments.demo import (
+    DemoResult,
+    arc_motion,
+    human_points,
+    run_demo,
+)
 from handmap_qp.errors import InvalidInputError
 
 pytest.importorskip("matplotlib")
@@ -21,7 +26,9 @@ SAMPLES = 121
 def result(tmp_path_factory: pytest.TempPathFactory) -> DemoResult:
     seen: list[int] = []
     done = run_demo(
-        tmp_path_factory.mktemp("demo") / "new" / "folder", samples=SAMPLES, progress=seen.append
+        tmp_path_factory.mktemp("demo") / "new" / "folder",
+        samples=SAMPLES,
+        progress=seen.append,
     )
     assert seen == list(range(1, SAMPLES + 1))
     return done
@@ -35,7 +42,9 @@ def test_the_arc_has_the_papers_length_and_height() -> None:
     assert z[-1] == pytest.approx(z[0])
     assert np.ptp(y) == 0.0
     assert (np.diff(x) >= 0.0).all()
-    np.testing.assert_allclose(z - z[0], 0.150 * np.cos(np.pi * (x / 0.470 - 0.5)), atol=1e-12)
+    np.testing.assert_allclose(
+        z - z[0], 0.150 * np.cos(np.pi * (x / 0.470 - 0.5)), atol=1e-12
+    )
     assert motion.time[-1] == pytest.approx(4.0)
 
 
@@ -80,7 +89,9 @@ def test_the_robot_follows_and_comes_home(result: DemoResult) -> None:
     np.testing.assert_allclose(trajectory.q[-1], trajectory.q[0], atol=0.02)
     moved = trajectory.wrist[-1, :3, 3] - trajectory.wrist[0, :3, 3]
     np.testing.assert_allclose(moved, [0.470, 0.0, 0.0], atol=2e-3)
-    np.testing.assert_allclose(trajectory.wrist[-1, :3, :3], trajectory.wrist[0, :3, :3], atol=0.02)
+    np.testing.assert_allclose(
+        trajectory.wrist[-1, :3, :3], trajectory.wrist[0, :3, :3], atol=0.02
+    )
 
 
 @pytest.mark.slow
@@ -105,7 +116,9 @@ def test_the_trajectory_file_holds_both_hands(result: DemoResult) -> None:
         "human_wrist": (SAMPLES, 4, 4),
         "human_points": (SAMPLES, m_h, 3),
     }
-    with np.load(result.files[FILES.index("trajectory.npz")], allow_pickle=False) as saved:
+    with np.load(
+        result.files[FILES.index("trajectory.npz")], allow_pickle=False
+    ) as saved:
         columns = dict(saved)
     assert {name: columns[name].shape for name in shapes} == shapes
     assert tuple(columns["joint_names"]) == robot.joint_names
@@ -113,7 +126,9 @@ def test_the_trajectory_file_holds_both_hands(result: DemoResult) -> None:
     np.testing.assert_array_equal(columns["q"], result.trajectory.q)
     for i in (0, SAMPLES // 2):
         np.testing.assert_allclose(
-            columns["points"][i], robot.points(columns["q"][i], columns["wrist"][i]), atol=1e-9
+            columns["points"][i],
+            robot.points(columns["q"][i], columns["wrist"][i]),
+            atol=1e-9,
         )
         np.testing.assert_allclose(
             columns["human_points"][i],
@@ -148,7 +163,9 @@ def light_figures(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("light_figures")
-def test_a_failure_keeps_earlier_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_keeps_earlier_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "demo"
     folder.mkdir()
     (folder / "trajectory.npz").write_text("old")
@@ -168,7 +185,9 @@ def test_a_failure_keeps_earlier_files(tmp_path: Path, monkeypatch: pytest.Monke
 def test_files_of_the_user_stay(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     files = run_demo(tmp_path, samples=3).files
-    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*FILES, "notes.txt"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
+        [*FILES, "notes.txt"]
+    )
     assert all(file.stat().st_size > 0 for file in files)
 
 

@@ -47,7 +47,9 @@ def test_it_has_the_faults_of_a_tracker(side: Side) -> None:
     assert "no person" in recording.source
     still = recording.time < 0.4
     assert 2e-4 < recording.landmarks[still].std(axis=0).mean() < 2e-3
-    assert {"open", "fist", "point", "spread", "thumb across"} <= {g.name for g in GESTURES}
+    assert {"open", "fist", "point", "spread", "thumb across"} <= {
+        g.name for g in GESTURES
+    }
 
 
 @pytest.mark.slow
@@ -62,7 +64,9 @@ def test_the_first_lines_run_without_data(
     assert main(["convert", "demo", "demo.csv"]) == 0
     capsys.readouterr()
     assert main(["map", "demo", "--robots", "three_finger", "three_finger"]) == 2
-    assert "--robots: expected a left hand, then a right hand" in capsys.readouterr().err
+    assert (
+        "--robots: expected a left hand, then a right hand" in capsys.readouterr().err
+    )
 
 
 def test_two_hands_from_one_file_or_two(
@@ -72,7 +76,8 @@ def test_two_hands_from_one_file_or_two(
     assert main(["convert", "demo::left", "l.npz"]) == 0
     assert main(["map", "l.npz", "--robots", "allegro_left", "allegro_right"]) == 2
     assert (
-        "one recording of the left and one of the right hand, got left" in capsys.readouterr().err
+        "one recording of the left and one of the right hand, got left"
+        in capsys.readouterr().err
     )
     assert main(["map", "demo", "l.npz", "--robot", "allegro_left"]) == 2
     assert main(["map", "demo"]) == 2

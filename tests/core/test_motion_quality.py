@@ -120,7 +120,9 @@ def test_a_scaled_finger_follows_fully_and_in_proportion(
     generator: np.random.Generator, gain: float, offset: float
 ) -> None:
     human = generator.normal(size=50)
-    (match,) = match_fingers({"index": human, "ring": human}, {"index": gain * human + offset})
+    (match,) = match_fingers(
+        {"index": human, "ring": human}, {"index": gain * human + offset}
+    )
     assert match.correlation == pytest.approx(1.0, abs=1e-9)
     assert match.range_ratio == pytest.approx(gain, rel=1e-9)
     (mirrored,) = match_fingers({"index": human}, {"index": offset - gain * human})
@@ -162,8 +164,11 @@ def test_palms_that_move_alike_deviate_nowhere_wherever_the_worlds_lie(
 
 def test_a_palm_that_stays_deviates_by_what_the_other_does() -> None:
     move = affine(
-        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.3, 0.4, 0.0])
+        np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]),
+        np.array([0.3, 0.4, 0.0]),
     )
-    distance, angle = palm_deviation(np.array([np.eye(4), move]), np.array([np.eye(4), np.eye(4)]))
+    distance, angle = palm_deviation(
+        np.array([np.eye(4), move]), np.array([np.eye(4), np.eye(4)])
+    )
     np.testing.assert_allclose(distance, [0.0, 0.5], atol=1e-15)
     np.testing.assert_allclose(angle, [0.0, np.pi / 2.0], atol=1e-15)

@@ -21,7 +21,9 @@ def test_a_complete_file_takes_the_place_of_an_earlier_one(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
-def test_a_failure_keeps_the_earlier_file(tmp_path: Path, error: type[BaseException]) -> None:
+def test_a_failure_keeps_the_earlier_file(
+    tmp_path: Path, error: type[BaseException]
+) -> None:
     path = tmp_path / "out.txt"
     path.write_text("old")
     with pytest.raises(error), replaced_file(path, "--out") as file:  # noqa: PT012

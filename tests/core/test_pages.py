@@ -31,7 +31,9 @@ NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
 def code_of(page: Path) -> list[str]:
     """Return the Python blocks of a page."""
-    return re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    return re.findall(
+        r"^```python\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE
+    )
 
 
 def commands_of(page: Path) -> list[str]:
@@ -113,7 +115,9 @@ def test_notebooks_run(
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_links_to_files_lead_somewhere(page: Path) -> None:
-    for link in re.findall(r"(?<!!)\[[^\]]*\]\(([^)#]+)[^)]*\)", page.read_text("utf-8")):
+    for link in re.findall(
+        r"(?<!!)\[[^\]]*\]\(([^)#]+)[^)]*\)", page.read_text("utf-8")
+    ):
         assert "://" in link or (page.parent / link).exists(), link
 
 
@@ -122,16 +126,26 @@ def test_the_site_is_complete_and_asks_no_other_host(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs")
     site = tmp_path / "site"
     done = subprocess.run(
-        [Path(sysconfig.get_path("scripts")) / "mkdocs", "build", "--strict", "--site-dir", site],
+        [
+            Path(sysconfig.get_path("scripts")) / "mkdocs",
+            "build",
+            "--strict",
+            "--site-dir",
+            site,
+        ],
         cwd=ROOT,
         env=os.environ | {"PYTHONPATH": str(ROOT / "docs"), "NO_MKDOCS_2_WARNING": "1"},
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
-    assert "not included in the" not in done.stderr, "a page is missing in nav of mkdocs.yml"
+    assert "not included in the" not in done.stderr, (
+        "a page is missing in nav of mkdocs.yml"
+    )
     html = "".join(page.read_text("utf-8") for page in site.rglob("*.html"))
     assert not re.findall(r"<(?:script|img|iframe)[^>]+src=\"https?:[^\"]*", html)
-    assert not re.findall(r"<link[^>]+rel=\"(?:stylesheet|preconnect)\"[^>]+https?:[^>]*", html)
+    assert not re.findall(
+        r"<link[^>]+rel=\"(?:stylesheet|preconnect)\"[^>]+https?:[^>]*", html
+    )
     assert "<math" in html
     assert "$$" not in re.sub(r"<pre.*?</pre>", "", html, flags=re.DOTALL)

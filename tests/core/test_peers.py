@@ -28,7 +28,9 @@ pytestmark = pytest.mark.slow
 FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
 MODULES = ("build", "runner", "results")
 CURLED = 0.6
-POSE = affine(Rotation.from_euler("XYZ", [0.4, -0.9, 2.0]).as_matrix(), np.array([0.3, 1.1, -0.2]))
+POSE = affine(
+    Rotation.from_euler("XYZ", [0.4, -0.9, 2.0]).as_matrix(), np.array([0.3, 1.1, -0.2])
+)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +50,9 @@ def built(peers: Any) -> Any:
     """Return these modules; skip where the environments of the peers are not built."""
     missing = peers.build.missing_peers()
     if missing:
-        pytest.skip(f"{', '.join(missing)} not built in {peers.build.peers_folder()}: make peers")
+        pytest.skip(
+            f"{', '.join(missing)} not built in {peers.build.peers_folder()}: make peers"
+        )
     return peers
 
 
@@ -113,9 +117,13 @@ def test_vectors_do_not_depend_on_where_the_hand_is(peers: Any) -> None:
     vectors = np.array([[0, 0, 8], [4, 8, 4]])
     here, there = human_landmarks(), human_landmarks(pose=np.eye(4))
     reference = peers.runner.reference_value
-    np.testing.assert_allclose(reference(here, vectors), reference(there, vectors), atol=1e-12)
+    np.testing.assert_allclose(
+        reference(here, vectors), reference(there, vectors), atol=1e-12
+    )
     lengths = np.linalg.norm(here[[4, 8, 4]] - here[[0, 0, 8]], axis=1)
-    np.testing.assert_allclose(np.linalg.norm(reference(here, vectors), axis=1), lengths)
+    np.testing.assert_allclose(
+        np.linalg.norm(reference(here, vectors), axis=1), lengths
+    )
     # Positions stay in the tracker's world.
     np.testing.assert_array_equal(reference(here, np.array([4, 8])), here[[4, 8]])
 
@@ -124,7 +132,9 @@ def test_dexpilot_pairs_are_those_of_the_peers_documentation(peers: Any) -> None
     origin, end = peers.runner.human_indices({"finger_tip_link_names": list("abcd")})
     assert list(origin // 4) == [2, 3, 4, 3, 4, 4, 0, 0, 0, 0]
     assert list(end // 4) == [1, 1, 1, 2, 2, 3, 1, 2, 3, 4]
-    assert peers.runner.human_indices({"finger_tip_link_names": list("abcde")}).shape == (2, 15)
+    assert peers.runner.human_indices(
+        {"finger_tip_link_names": list("abcde")}
+    ).shape == (2, 15)
 
 
 def test_free_root_turns_about_x_then_y_then_z(peers: Any) -> None:
@@ -134,7 +144,9 @@ def test_free_root_turns_about_x_then_y_then_z(peers: Any) -> None:
         pose[:3, :3], Rotation.from_euler("XYZ", angles).as_matrix(), atol=1e-12
     )
     np.testing.assert_array_equal(pose[:3, 3], [1.0, 2.0, 3.0])
-    np.testing.assert_allclose(peers.runner.root_angles(pose[:3, :3]), angles, atol=1e-12)
+    np.testing.assert_allclose(
+        peers.runner.root_angles(pose[:3, :3]), angles, atol=1e-12
+    )
 
 
 def test_samples_that_are_not_valid_hold_the_last_command(peers: Any) -> None:
@@ -151,7 +163,9 @@ def test_samples_that_are_not_valid_hold_the_last_command(peers: Any) -> None:
     solver = SimpleNamespace(joint_names=["a", "b"], retarget=retarget)
     vectors = np.array([[0], [4]])
     done: list[int] = []
-    q, cpu_time = peers.runner.retarget_all(solver, landmarks, valid, vectors, done.append)
+    q, cpu_time = peers.runner.retarget_all(
+        solver, landmarks, valid, vectors, done.append
+    )
     np.testing.assert_array_equal(q[:, 0], [1, 1, 1, 1, 2, 2])
     np.testing.assert_array_equal(np.isfinite(cpu_time), valid)
     assert len(calls) == 2
@@ -165,7 +179,9 @@ def test_free_root_starts_at_the_first_sample_that_is_valid(peers: Any) -> None:
         joint_names=["a"], retarget=lambda _: np.zeros(1), start=started.append
     )
     valid = np.array([False, True])
-    peers.runner.retarget_all(solver, landmarks, valid, np.array([4, 8]), lambda _: None)
+    peers.runner.retarget_all(
+        solver, landmarks, valid, np.array([4, 8]), lambda _: None
+    )
     (first,) = started
     np.testing.assert_array_equal(first, landmarks[1])
 
@@ -173,18 +189,24 @@ def test_free_root_starts_at_the_first_sample_that_is_valid(peers: Any) -> None:
 def write_result(file: Path, names: list[str], q: np.ndarray, **more: Any) -> None:
     cpu_time = np.full(len(q), 1e-3)
     facts = np.array(json.dumps({"peer": "made"}))
-    np.savez(file, joint_names=np.array(names), q=q, cpu_time=cpu_time, facts=facts, **more)
+    np.savez(
+        file, joint_names=np.array(names), q=q, cpu_time=cpu_time, facts=facts, **more
+    )
 
 
 def test_joints_are_ordered_by_name(peers: Any, allegro: Hand, tmp_path: Path) -> None:
     # Pinocchio's order differs from ours: the thumb comes second. Mimic joints are left out.
     names = ["follower", *sorted(allegro.joint_names)]
     assert tuple(names[1:]) != allegro.joint_names
-    q = np.array([[float(name.split("_")[-1]) if "_" in name else -1.0 for name in names]])
+    q = np.array(
+        [[float(name.split("_")[-1]) if "_" in name else -1.0 for name in names]]
+    )
     write_result(tmp_path / "made.npz", names, q)
     method = peers.results.METHODS["dexi-vector"]
     recording = recording_of(human_landmarks()[None])
-    motion = peers.results.read_result(tmp_path / "made.npz", method, recording, allegro)
+    motion = peers.results.read_result(
+        tmp_path / "made.npz", method, recording, allegro
+    )
     np.testing.assert_array_equal(motion.q, [np.arange(16.0)])
     assert motion.own_wrist is None
 
@@ -195,10 +217,16 @@ def test_result_of_another_robot_or_recording_is_rejected(
     file, method = tmp_path / "made.npz", peers.results.METHODS["dexi-vector"]
     write_result(file, list(allegro.joint_names)[1:], np.zeros((1, 15)))
     with pytest.raises(peers.results.PeerError, match=r"no joint joint_0\.0"):
-        peers.results.read_result(file, method, recording_of(human_landmarks()[None]), allegro)
+        peers.results.read_result(
+            file, method, recording_of(human_landmarks()[None]), allegro
+        )
     write_result(file, list(allegro.joint_names), np.zeros((2, 16)))
-    with pytest.raises(peers.results.PeerError, match="expected 1 samples of made, got 2"):
-        peers.results.read_result(file, method, recording_of(human_landmarks()[None]), allegro)
+    with pytest.raises(
+        peers.results.PeerError, match="expected 1 samples of made, got 2"
+    ):
+        peers.results.read_result(
+            file, method, recording_of(human_landmarks()[None]), allegro
+        )
 
 
 def test_left_hand_becomes_a_right_one(peers: Any) -> None:
@@ -206,11 +234,17 @@ def test_left_hand_becomes_a_right_one(peers: Any) -> None:
     right = peers.results.mirrored(left)
     assert (right.side, left.side) == ("right", "left")
     # Mirroring changes the sign of x only; our models of both hands are mirrored likewise.
-    np.testing.assert_allclose(right.landmarks[0], human_landmarks(pose=np.eye(4)), atol=1e-9)
-    np.testing.assert_array_equal(peers.results.mirrored(right).landmarks, left.landmarks)
+    np.testing.assert_allclose(
+        right.landmarks[0], human_landmarks(pose=np.eye(4)), atol=1e-9
+    )
+    np.testing.assert_array_equal(
+        peers.results.mirrored(right).landmarks, left.landmarks
+    )
 
 
-def test_palm_is_that_of_the_five_landmarks(peers: Any, allegro: Hand, tmp_path: Path) -> None:
+def test_palm_is_that_of_the_five_landmarks(
+    peers: Any, allegro: Hand, tmp_path: Path
+) -> None:
     poses = [np.eye(4), POSE, np.eye(4)]
     landmarks = np.array([human_landmarks(pose=pose) for pose in poses])
     # Fingers are not part of the palm.
@@ -219,20 +253,31 @@ def test_palm_is_that_of_the_five_landmarks(peers: Any, allegro: Hand, tmp_path:
     palms = peers.results.measured_palms(recording)
     # The model is measured on the same landmarks, so that only rounding remains.
     np.testing.assert_allclose(palms, [POSE, POSE, POSE], atol=1e-6)
-    write_result(tmp_path / "made.npz", list(allegro.joint_names), np.tile(allegro.rest, (3, 1)))
+    write_result(
+        tmp_path / "made.npz", list(allegro.joint_names), np.tile(allegro.rest, (3, 1))
+    )
     method = peers.results.METHODS["dex-vector"]
-    motion = peers.results.read_result(tmp_path / "made.npz", method, recording, allegro)
+    motion = peers.results.read_result(
+        tmp_path / "made.npz", method, recording, allegro
+    )
     palm = allegro.frame_pose("palm", motion.q[1], motion.wrist[1])
     np.testing.assert_allclose(palm, palms[1], atol=1e-9)
 
 
-def test_root_that_a_peer_moved_gives_its_wrist(peers: Any, allegro: Hand, tmp_path: Path) -> None:
+def test_root_that_a_peer_moved_gives_its_wrist(
+    peers: Any, allegro: Hand, tmp_path: Path
+) -> None:
     write_result(
-        tmp_path / "made.npz", list(allegro.joint_names), allegro.rest[None], base_pose=POSE[None]
+        tmp_path / "made.npz",
+        list(allegro.joint_names),
+        allegro.rest[None],
+        base_pose=POSE[None],
     )
     method = peers.results.METHODS["dex-position"]
     recording = recording_of(human_landmarks()[None])
-    motion = peers.results.read_result(tmp_path / "made.npz", method, recording, allegro)
+    motion = peers.results.read_result(
+        tmp_path / "made.npz", method, recording, allegro
+    )
     root = allegro.frame_pose("palm_link", motion.q[0], motion.own_wrist[0])
     np.testing.assert_allclose(root, POSE, atol=1e-9)
 
@@ -247,7 +292,9 @@ def test_peers_that_are_not_built_are_one_clear_line(
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith("dex-retargeting, dexi-rs: not built")
     assert str(caught.value).endswith("run make peers")
-    with pytest.raises(InvalidInputError, match="method: expected one of dex-vector,") as wrong:
+    with pytest.raises(
+        InvalidInputError, match="method: expected one of dex-vector,"
+    ) as wrong:
         peers.results.run_peer("dex", recording, allegro)
     assert wrong.value.argument == "method"
 
@@ -262,22 +309,33 @@ def test_environment_is_built_again_after_its_requirements_change(
         python.touch()
         (tmp_path / "data" / peer.data[1]).mkdir(parents=True)
         stamp = tmp_path / peer.name / ".installed"
-        stamp.write_text(peer.requirements.read_text(encoding="utf-8"), encoding="utf-8")
+        stamp.write_text(
+            peer.requirements.read_text(encoding="utf-8"), encoding="utf-8"
+        )
     assert peers.build.missing_peers() == []
-    (tmp_path / "dexi-rs" / ".installed").write_text("dexi-rs==0.4.0\n", encoding="utf-8")
+    (tmp_path / "dexi-rs" / ".installed").write_text(
+        "dexi-rs==0.4.0\n", encoding="utf-8"
+    )
     assert peers.build.missing_peers() == ["dexi-rs"]
 
 
 def test_build_that_fails_is_one_line(
-    peers: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    peers: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("HANDMAP_PEERS", str(tmp_path))
-    monkeypatch.setattr(peers.build, "_find_python", lambda: str(tmp_path / "no-python"))
+    monkeypatch.setattr(
+        peers.build, "_find_python", lambda: str(tmp_path / "no-python")
+    )
     with pytest.raises(SystemExit) as caught:
         peers.build.main()
     assert caught.value.code == 1
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("make peers: dex-retargeting: its environment cannot be made")
+    assert line.startswith(
+        "make peers: dex-retargeting: its environment cannot be made"
+    )
 
 
 def fake_environment(folder: Path, peers: Any) -> None:
@@ -287,7 +345,9 @@ def fake_environment(folder: Path, peers: Any) -> None:
         python.parent.mkdir(parents=True)
         python.symlink_to(sys.executable)
         stamp = folder / peer.name / ".installed"
-        stamp.write_text(peer.requirements.read_text(encoding="utf-8"), encoding="utf-8")
+        stamp.write_text(
+            peer.requirements.read_text(encoding="utf-8"), encoding="utf-8"
+        )
     configs, hands = folder / "data" / "configs" / "teleop", folder / "data" / "hands"
     configs.mkdir(parents=True)
     hands.mkdir()
@@ -295,7 +355,9 @@ def fake_environment(folder: Path, peers: Any) -> None:
         text = f"retargeting: {{urdf_path: {robot}.urdf, low_pass_alpha: 0.2}}"
         (configs / f"{robot}.yml").write_text(text, encoding="utf-8")
         joint = f'<joint name="{robot}" type="revolute"/><joint name="f" type="fixed"/>'
-        (hands / f"{robot}.urdf").write_text(f'<robot name="r">{joint}</robot>', encoding="utf-8")
+        (hands / f"{robot}.urdf").write_text(
+            f'<robot name="r">{joint}</robot>', encoding="utf-8"
+        )
 
 
 def test_run_that_fails_says_why_and_leaves_nothing(
@@ -304,7 +366,9 @@ def test_run_that_fails_says_why_and_leaves_nothing(
     monkeypatch.setenv("HANDMAP_PEERS", str(tmp_path))
     fake_environment(tmp_path, peers)
     recording = recording_of(human_landmarks()[None])
-    with pytest.raises(peers.results.PeerError, match=r"dexi-vector failed on made: .*dexi-rs"):
+    with pytest.raises(
+        peers.results.PeerError, match=r"dexi-vector failed on made: .*dexi-rs"
+    ):
         peers.results.run_peer("dexi-vector", recording, allegro)
     assert list((tmp_path / "cache").iterdir()) == []
 
@@ -319,17 +383,25 @@ def test_same_run_is_not_repeated(
     def run(method: Any, robot: str, recording: Recording, file: Path) -> None:
         runs.append((method.name, robot, recording.side))
         file.parent.mkdir(exist_ok=True)
-        write_result(file, list(allegro.joint_names), np.tile(allegro.rest, (len(recording), 1)))
+        write_result(
+            file, list(allegro.joint_names), np.tile(allegro.rest, (len(recording), 1))
+        )
 
     monkeypatch.setattr(peers.results, "_run", run)
     recording = recording_of(human_landmarks()[None])
     for name in ("dexi-vector", "dexi-vector", "dexi-vector-unfiltered", "dex-vector"):
         peers.results.run_peer(name, recording, allegro)
-    assert [name for name, _, _ in runs] == ["dexi-vector", "dexi-vector-unfiltered", "dex-vector"]
+    assert [name for name, _, _ in runs] == [
+        "dexi-vector",
+        "dexi-vector-unfiltered",
+        "dex-vector",
+    ]
     moved = replace(recording, landmarks=recording.landmarks + 1e-6)
     peers.results.run_peer("dexi-vector", moved, allegro)
     left = recording_of(human_landmarks("human_left")[None], side="left")
-    assert peers.results.run_peer("dexi-vector", left, allegro).recording.side == "right"
+    assert (
+        peers.results.run_peer("dexi-vector", left, allegro).recording.side == "right"
+    )
     assert [side for _, _, side in runs] == ["right"] * 5
 
 
@@ -339,10 +411,14 @@ def test_robot_that_the_peers_do_not_know_is_rejected(
     monkeypatch.setenv("HANDMAP_PEERS", str(tmp_path))
     fake_environment(tmp_path, peers)
     for name in ("three_finger", "allegro_left"):
-        with pytest.raises(InvalidInputError, match="robot: expected a right hand") as caught:
+        with pytest.raises(
+            InvalidInputError, match="robot: expected a right hand"
+        ) as caught:
             peers.results.peer_robot(load_hand(name))
         assert caught.value.argument == "robot"
-    described = SimpleNamespace(name="mine", side="right", joint_names=("leap_hand_right",))
+    described = SimpleNamespace(
+        name="mine", side="right", joint_names=("leap_hand_right",)
+    )
     assert peers.results.peer_robot(described) == "leap_hand_right"
 
 
@@ -356,7 +432,9 @@ def palm_directions(robot: Hand, q: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["vector", "dexpilot"])
-def test_real_runs_follow_the_hand(built: Any, allegro: Hand, recordings: Path, kind: str) -> None:
+def test_real_runs_follow_the_hand(
+    built: Any, allegro: Hand, recordings: Path, kind: str
+) -> None:
     recording = stretch(read_recording(recordings / "quest3_webxr_right.npz"), 0, 200)
     runs = {
         name: built.results.run_peer(f"{name}-{kind}-unfiltered", recording, allegro)
@@ -373,7 +451,9 @@ def test_real_runs_follow_the_hand(built: Any, allegro: Hand, recordings: Path, 
         assert angles.mean() < 10.0
         assert angles[:, 0].mean() < 20.0
         # The solver's bounds are the limits and 1 mrad.
-        outside = np.maximum(allegro.lower_limits - motion.q, motion.q - allegro.upper_limits)
+        outside = np.maximum(
+            allegro.lower_limits - motion.q, motion.q - allegro.upper_limits
+        )
         assert 0.0 < outside.max() < 1.001e-3
     # The same method in two languages.
     difference = runs["dex"].q - runs["dexi"].q
@@ -417,7 +497,9 @@ def test_position_method_moves_its_own_wrist(
 
 
 @pytest.mark.slow
-def test_run_is_repeatable(built: Any, allegro: Hand, recordings: Path, tmp_path: Path) -> None:
+def test_run_is_repeatable(
+    built: Any, allegro: Hand, recordings: Path, tmp_path: Path
+) -> None:
     recording = stretch(read_recording(recordings / "rgb_mediapipe_right.npz"), 0, 60)
     for name in ("dex-dexpilot", "dexi-vector"):
         method = built.results.METHODS[name]
@@ -431,7 +513,9 @@ def test_run_is_repeatable(built: Any, allegro: Hand, recordings: Path, tmp_path
 
 @pytest.mark.slow
 @pytest.mark.parametrize("robot", ["leap_hand_right", "schunk_svh_hand_right"])
-@pytest.mark.parametrize("name", ["dex-vector", "dexi-dexpilot", "dex-position", "dexi-position"])
+@pytest.mark.parametrize(
+    "name", ["dex-vector", "dexi-dexpilot", "dex-position", "dexi-position"]
+)
 def test_other_hands_run_too(
     built: Any, recordings: Path, tmp_path: Path, name: str, robot: str
 ) -> None:
@@ -445,5 +529,10 @@ def test_other_hands_run_too(
     assert np.ptp(q, axis=0).max() > 0.05
     if robot == "schunk_svh_hand_right":
         # Mimic joints keep their ratio (`<mimic multiplier="1.01511">` in the URDF).
-        follower, leader = q[:, names.index("right_hand_j3")], "right_hand_Thumb_Flexion"
-        np.testing.assert_allclose(follower, 1.01511 * q[:, names.index(leader)], atol=1e-5)
+        follower, leader = (
+            q[:, names.index("right_hand_j3")],
+            "right_hand_Thumb_Flexion",
+        )
+        np.testing.assert_allclose(
+            follower, 1.01511 * q[:, names.index(leader)], atol=1e-5
+        )

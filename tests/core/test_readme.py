@@ -12,13 +12,17 @@ ROOT = Path(__file__).resolve().parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("target", re.findall(r"^    make (\w+)", README, flags=re.MULTILINE))
+@pytest.mark.parametrize(
+    "target", re.findall(r"^    make (\w+)", README, flags=re.MULTILINE)
+)
 def test_make_targets_exist(target: str) -> None:
     assert f"\n{target}:" in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
 def test_files_and_names_in_the_table_exist() -> None:
-    rows = [row for row in README.splitlines() if row.startswith("| ") and ".py`" in row]
+    rows = [
+        row for row in README.splitlines() if row.startswith("| ") and ".py`" in row
+    ]
     assert len(rows) >= 8
     for row in rows:
         path = next(name for name in re.findall(r"`([\w/]+\.py)`", row))
@@ -27,7 +31,10 @@ def test_files_and_names_in_the_table_exist() -> None:
         )
         for name in re.findall(r"`([A-Za-z_.]+)`", row.split("|")[2]):
             if not name.endswith(".py"):
-                assert f" {name.rpartition('.')[2]}(" in source or f"class {name}" in source, row
+                assert (
+                    f" {name.rpartition('.')[2]}(" in source
+                    or f"class {name}" in source
+                ), row
 
 
 @pytest.mark.parametrize("address", ["", "https://host/owner/name"])

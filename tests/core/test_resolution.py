@@ -13,18 +13,30 @@ ROOT = Path(__file__).parents[2]
 LIMIT = 300.0
 """Time for one resolution [s]; some 10 s with an empty cache."""
 # What uv says if it cannot reach the registry. Only then a test may be skipped.
-_OFFLINE = ("error: Failed to fetch", "cause: Failed to fetch", "the network was disabled")
+_OFFLINE = (
+    "error: Failed to fetch",
+    "cause: Failed to fetch",
+    "the network was disabled",
+)
 # lerobot 0.5 and later require numpy < 2.3, isaaclab 3.0 pins daqp 0.8.5. Both are for Python 3.12.
 NEIGHBOURS = {
     "newest": ("lerobot>=0.6", "isaaclab>=3"),
     # By the metadata of isaaclab 3.0.0 on PyPI, should a later one have others.
-    "pins": ("numpy>=2,<2.3", "daqp==0.8.5", "pin-pink==3.3.0", "h5py>=3.15.0", "trimesh>=4.6.8"),
+    "pins": (
+        "numpy>=2,<2.3",
+        "daqp==0.8.5",
+        "pin-pink==3.3.0",
+        "h5py>=3.15.0",
+        "trimesh>=4.6.8",
+    ),
 }
 
 pytestmark = pytest.mark.slow
 
 
-def resolved(folder: Path, requirements: tuple[str, ...]) -> subprocess.CompletedProcess[str]:
+def resolved(
+    folder: Path, requirements: tuple[str, ...]
+) -> subprocess.CompletedProcess[str]:
     """Let uv resolve the package with all extras, beside other requirements."""
     uv = shutil.which("uv", path=str(Path(sys.executable).parent)) or shutil.which("uv")
     if uv is None:
@@ -44,7 +56,9 @@ def resolved(folder: Path, requirements: tuple[str, ...]) -> subprocess.Complete
     except subprocess.TimeoutExpired:
         pytest.skip(f"the registry did not answer within {LIMIT:g} s")
     if done.returncode and any(sign in done.stderr for sign in _OFFLINE):
-        pytest.skip(f"the registry cannot be reached: {done.stderr.strip().splitlines()[-1]}")
+        pytest.skip(
+            f"the registry cannot be reached: {done.stderr.strip().splitlines()[-1]}"
+        )
     return done
 
 

@@ -64,10 +64,15 @@ def test_affine_matrices_do_not_share_memory() -> None:
 
 
 @given(affine_motions(mirrored=None), point_sets())
-def test_points_are_moved_as_homogeneous_vectors(motion: np.ndarray, points: np.ndarray) -> None:
+def test_points_are_moved_as_homogeneous_vectors(
+    motion: np.ndarray, points: np.ndarray
+) -> None:
     homogeneous = np.column_stack([points, np.ones(len(points))])
     np.testing.assert_allclose(
-        transform_points(motion, points), (homogeneous @ motion.T)[:, :3], rtol=0.0, atol=1e-13
+        transform_points(motion, points),
+        (homogeneous @ motion.T)[:, :3],
+        rtol=0.0,
+        atol=1e-13,
     )
 
 
@@ -84,14 +89,22 @@ def test_moving_twice_is_moving_by_the_product(
 
 @given(poses)
 def test_a_pose_times_its_inverse_is_the_identity(pose: np.ndarray) -> None:
-    np.testing.assert_allclose(pose @ inverse_pose(pose), np.eye(4), rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(inverse_pose(pose) @ pose, np.eye(4), rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        pose @ inverse_pose(pose), np.eye(4), rtol=0.0, atol=1e-14
+    )
+    np.testing.assert_allclose(
+        inverse_pose(pose) @ pose, np.eye(4), rtol=0.0, atol=1e-14
+    )
 
 
 @given(poses, point_sets())
-def test_an_inverse_pose_takes_points_back(pose: np.ndarray, points: np.ndarray) -> None:
+def test_an_inverse_pose_takes_points_back(
+    pose: np.ndarray, points: np.ndarray
+) -> None:
     np.testing.assert_allclose(
-        transform_points(inverse_pose(pose), transform_points(pose, points)), points, atol=1e-13
+        transform_points(inverse_pose(pose), transform_points(pose, points)),
+        points,
+        atol=1e-13,
     )
 
 
@@ -109,7 +122,9 @@ def test_the_nearest_rotation_is_a_proper_rotation_for_any_matrix(
 
 @given(rotations)
 def test_a_rotation_is_its_own_nearest_rotation(rotation: np.ndarray) -> None:
-    np.testing.assert_allclose(nearest_rotation(rotation), rotation, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        nearest_rotation(rotation), rotation, rtol=0.0, atol=1e-14
+    )
 
 
 @given(linear_maps(mirrored=None), rotations)
@@ -119,20 +134,30 @@ def test_no_other_rotation_is_nearer_than_the_nearest(
     nearest = nearest_rotation(matrix)
     assert np.linalg.norm(matrix - nearest) <= np.linalg.norm(matrix - other) + 1e-14
     tilted = (
-        nearest @ Rotation.from_rotvec(1e-3 * Rotation.from_matrix(other).as_rotvec()).as_matrix()
+        nearest
+        @ Rotation.from_rotvec(
+            1e-3 * Rotation.from_matrix(other).as_rotvec()
+        ).as_matrix()
     )
     assert np.linalg.norm(matrix - nearest) <= np.linalg.norm(matrix - tilted) + 1e-14
 
 
 @given(linear_maps(), rotations)
-def test_the_nearest_rotation_turns_with_its_matrix(matrix: np.ndarray, turn: np.ndarray) -> None:
+def test_the_nearest_rotation_turns_with_its_matrix(
+    matrix: np.ndarray, turn: np.ndarray
+) -> None:
     np.testing.assert_allclose(
-        nearest_rotation(turn @ matrix), turn @ nearest_rotation(matrix), rtol=0.0, atol=1e-13
+        nearest_rotation(turn @ matrix),
+        turn @ nearest_rotation(matrix),
+        rtol=0.0,
+        atol=1e-13,
     )
 
 
 def test_the_nearest_rotation_to_a_reflection_is_proper() -> None:
-    assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(1.0)
+    assert np.linalg.det(nearest_rotation(np.diag([1.0, 1.0, -1.0]))) == pytest.approx(
+        1.0
+    )
 
 
 # --- rigid fits
@@ -149,10 +174,18 @@ def test_a_rigid_fit_of_moved_points_is_the_motion(
 
 
 @given(generators)
-def test_arrays_with_leading_axes_give_the_result_of_each(generator: np.random.Generator) -> None:
+def test_arrays_with_leading_axes_give_the_result_of_each(
+    generator: np.random.Generator,
+) -> None:
     """Every function that promises leading axes keeps them."""
-    matrices, vectors = generator.normal(size=(2, 3, 3, 3)), generator.normal(size=(2, 3, 3))
-    points, quats = generator.normal(size=(2, 3, 4, 3)), generator.normal(size=(2, 3, 4))
+    matrices, vectors = (
+        generator.normal(size=(2, 3, 3, 3)),
+        generator.normal(size=(2, 3, 3)),
+    )
+    points, quats = (
+        generator.normal(size=(2, 3, 4, 3)),
+        generator.normal(size=(2, 3, 4)),
+    )
     turned = nearest_rotation(matrices)
     placed, onto = affine(turned, vectors), generator.normal(size=(4, 3))
     sevens = np.concatenate([vectors, quats], axis=-1)
@@ -161,34 +194,48 @@ def test_arrays_with_leading_axes_give_the_result_of_each(generator: np.random.G
             (turned[i], nearest_rotation(matrices[i])),
             (placed[i], affine(turned[i], vectors[i])),
             (inverse_pose(placed)[i], inverse_pose(placed[i])),
-            (transform_points(placed, points)[i], transform_points(placed[i], points[i])),
+            (
+                transform_points(placed, points)[i],
+                transform_points(placed[i], points[i]),
+            ),
             (rigid_fit(points, onto)[i], rigid_fit(points[i], onto)),
             (rigid_fit(onto, points)[i], rigid_fit(onto, points[i])),
             (rotation_from_quat_wxyz(quats)[i], rotation_from_quat_wxyz(quats[i])),
-            (pose_from_xyz_quat(sevens, "xyzw")[i], pose_from_xyz_quat(sevens[i], "xyzw")),
+            (
+                pose_from_xyz_quat(sevens, "xyzw")[i],
+                pose_from_xyz_quat(sevens[i], "xyzw"),
+            ),
         )
         for found, expected in pairs:
             np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 @given(generators, st.integers(3, 8))
-def test_a_rigid_fit_is_that_of_scipy(generator: np.random.Generator, count: int) -> None:
+def test_a_rigid_fit_is_that_of_scipy(
+    generator: np.random.Generator, count: int
+) -> None:
     points, onto = generator.normal(size=(2, count, 3))
     weights = generator.uniform(0.1, 2.0, count)
     share = weights / weights.sum()
     centre, centre_onto = share @ points, share @ onto
-    turn = Rotation.align_vectors(onto - centre_onto, points - centre, weights)[0].as_matrix()
+    turn = Rotation.align_vectors(onto - centre_onto, points - centre, weights)[
+        0
+    ].as_matrix()
     fitted = rigid_fit(points, onto, weights)
     np.testing.assert_allclose(fitted[:3, :3], turn, atol=1e-10)
     np.testing.assert_allclose(fitted[:3, 3], centre_onto - turn @ centre, atol=1e-10)
 
 
 @given(generators, st.floats(1e-3, 1e3))
-def test_only_ratios_of_weights_count(generator: np.random.Generator, factor: float) -> None:
+def test_only_ratios_of_weights_count(
+    generator: np.random.Generator, factor: float
+) -> None:
     points, onto = generator.normal(size=(2, 5, 3))
     weights = generator.uniform(0.1, 2.0, 5)
     np.testing.assert_allclose(
-        rigid_fit(points, onto, factor * weights), rigid_fit(points, onto, weights), atol=1e-10
+        rigid_fit(points, onto, factor * weights),
+        rigid_fit(points, onto, weights),
+        atol=1e-10,
     )
     np.testing.assert_allclose(
         rigid_fit(points, onto, [factor] * 5), rigid_fit(points, onto), atol=1e-10
@@ -221,14 +268,20 @@ def test_roll_pitch_and_yaw_are_those_of_scipy(rpy: tuple[float, float, float]) 
 
 
 @given(rotations)
-def test_rotation_to_roll_pitch_yaw_and_back_is_the_rotation(rotation: np.ndarray) -> None:
+def test_rotation_to_roll_pitch_yaw_and_back_is_the_rotation(
+    rotation: np.ndarray,
+) -> None:
     np.testing.assert_allclose(
         rotation_from_rpy(rpy_from_rotation(rotation)), rotation, rtol=0.0, atol=1e-12
     )
 
 
-@given(st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.sampled_from([np.pi / 2, -np.pi / 2]))
-def test_a_pitch_of_a_right_angle_leaves_no_yaw(roll: float, yaw: float, pitch: float) -> None:
+@given(
+    st.floats(-3.0, 3.0), st.floats(-3.0, 3.0), st.sampled_from([np.pi / 2, -np.pi / 2])
+)
+def test_a_pitch_of_a_right_angle_leaves_no_yaw(
+    roll: float, yaw: float, pitch: float
+) -> None:
     rotation = rotation_from_rpy([roll, pitch, yaw])
     found = rpy_from_rotation(rotation)
     assert found[2] == 0.0
@@ -258,11 +311,16 @@ def test_quaternion_to_rotation_and_back_gives_the_one_of_its_two_signs_with_pos
 @given(rotations)
 def test_rotation_to_quaternion_and_back_is_the_rotation(rotation: np.ndarray) -> None:
     np.testing.assert_allclose(
-        rotation_from_quat_wxyz(quat_wxyz_from_rotation(rotation)), rotation, rtol=0.0, atol=1e-14
+        rotation_from_quat_wxyz(quat_wxyz_from_rotation(rotation)),
+        rotation,
+        rtol=0.0,
+        atol=1e-14,
     )
 
 
-@pytest.mark.parametrize("axis", np.vstack([np.eye(3), [[1.0, 1.0, 0.0]], [[1.0, -2.0, 3.0]]]))
+@pytest.mark.parametrize(
+    "axis", np.vstack([np.eye(3), [[1.0, 1.0, 0.0]], [[1.0, -2.0, 3.0]]])
+)
 def test_half_turns_have_no_singular_case(axis: np.ndarray) -> None:
     axis = axis / np.linalg.norm(axis)
     quat = quat_wxyz_from_rotation(2.0 * np.outer(axis, axis) - np.eye(3))
@@ -273,7 +331,10 @@ def test_half_turns_have_no_singular_case(axis: np.ndarray) -> None:
 @given(unit_quats, st.floats(min_value=1e-3, max_value=1e300))
 def test_quaternions_are_normalised_first(quat: np.ndarray, length: float) -> None:
     np.testing.assert_allclose(
-        rotation_from_quat_wxyz(length * quat), rotation_from_quat_wxyz(quat), rtol=0.0, atol=1e-14
+        rotation_from_quat_wxyz(length * quat),
+        rotation_from_quat_wxyz(quat),
+        rtol=0.0,
+        atol=1e-14,
     )
 
 
@@ -302,8 +363,12 @@ def test_seven_numbers_give_the_pose_back_in_both_orders(pose: np.ndarray) -> No
     quat_wxyz = quat_wxyz_from_rotation(pose[:3, :3])
     for order, quat in zip(ORDERS, (quat_wxyz, np.roll(quat_wxyz, -1)), strict=True):
         values = [*pose[:3, 3], *quat]
-        np.testing.assert_allclose(pose_from_xyz_quat(values, order), pose, rtol=0.0, atol=1e-14)
-        np.testing.assert_allclose(check_pose(values, quat_order=order), pose, rtol=0.0, atol=1e-14)
+        np.testing.assert_allclose(
+            pose_from_xyz_quat(values, order), pose, rtol=0.0, atol=1e-14
+        )
+        np.testing.assert_allclose(
+            check_pose(values, quat_order=order), pose, rtol=0.0, atol=1e-14
+        )
 
 
 def test_xyzw_is_the_order_of_pinocchio() -> None:
@@ -317,10 +382,13 @@ def test_xyzw_is_the_order_of_pinocchio() -> None:
 
 
 @pytest.mark.parametrize(
-    "values", [np.zeros(6), np.zeros(8), np.zeros((1, 7)), np.zeros(7), ["a"] * 7, None, 7.0]
+    "values",
+    [np.zeros(6), np.zeros(8), np.zeros((1, 7)), np.zeros(7), ["a"] * 7, None, 7.0],
 )
 @pytest.mark.parametrize("order", ORDERS)
-def test_an_invalid_pose_of_seven_numbers_is_rejected(values: Any, order: QuatOrder) -> None:
+def test_an_invalid_pose_of_seven_numbers_is_rejected(
+    values: Any, order: QuatOrder
+) -> None:
     with pytest.raises(InvalidInputError):
         pose_from_xyz_quat(values, order)
 
@@ -340,7 +408,9 @@ def test_an_unknown_quaternion_order_is_rejected(order: Any) -> None:
 
 
 def test_seven_numbers_without_a_named_order_are_rejected() -> None:
-    with pytest.raises(InvalidInputError, match=r"wrist: expected .* 7 numbers need quat_order"):
+    with pytest.raises(
+        InvalidInputError, match=r"wrist: expected .* 7 numbers need quat_order"
+    ):
         check_pose([0, 0, 0, 1, 0, 0, 0], "wrist")
 
 
@@ -354,7 +424,12 @@ def test_an_exact_pose_passes_unchanged(pose: np.ndarray) -> None:
 
 @given(poses)
 def test_the_other_forms_of_a_pose_are_taken_too(pose: np.ndarray) -> None:
-    forms = (pose.tolist(), tuple(map(tuple, pose)), pinocchio.SE3(pose), np.asfortranarray(pose))
+    forms = (
+        pose.tolist(),
+        tuple(map(tuple, pose)),
+        pinocchio.SE3(pose),
+        np.asfortranarray(pose),
+    )
     for form in forms:
         np.testing.assert_allclose(check_pose(form), pose, rtol=0.0, atol=1e-14)
 
@@ -372,7 +447,9 @@ def test_a_rotation_off_by_rounding_is_made_exact(
     noisy[:3, :3] += size * generator.uniform(-1.0, 1.0, size=(3, 3))
     given_values = noisy.copy()
     checked = check_pose(noisy)
-    np.testing.assert_allclose(checked[:3, :3] @ checked[:3, :3].T, np.eye(3), rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        checked[:3, :3] @ checked[:3, :3].T, np.eye(3), rtol=0.0, atol=1e-14
+    )
     np.testing.assert_allclose(checked, pose, rtol=0.0, atol=4.0 * size)
     np.testing.assert_array_equal(noisy, given_values)
 
@@ -380,7 +457,9 @@ def test_a_rotation_off_by_rounding_is_made_exact(
 @given(poses)
 def test_a_float32_pose_is_made_exact(pose: np.ndarray) -> None:
     checked = check_pose(pose.astype(np.float32))
-    np.testing.assert_allclose(checked[:3, :3] @ checked[:3, :3].T, np.eye(3), rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        checked[:3, :3] @ checked[:3, :3].T, np.eye(3), rtol=0.0, atol=1e-14
+    )
 
 
 @given(poses, st.integers(0, 3), st.integers(0, 3), st.sampled_from(NOT_FINITE))
@@ -401,7 +480,9 @@ def test_infinities_of_both_signs_do_not_cancel() -> None:
 
 
 @given(poses, st.integers(0, 3), st.floats(min_value=1e-6, max_value=1e6))
-def test_the_last_row_must_be_0_0_0_1(pose: np.ndarray, column: int, change: float) -> None:
+def test_the_last_row_must_be_0_0_0_1(
+    pose: np.ndarray, column: int, change: float
+) -> None:
     pose = pose.copy()
     pose[3, column] += change
     with pytest.raises(InvalidInputError, match="last row"):
@@ -534,9 +615,13 @@ def test_invalid_arguments_are_named(name: str) -> None:
 
 
 def test_as_floats_names_the_entry_at_fault() -> None:
-    with pytest.raises(InvalidInputError, match=r"q: expected finite numbers, got nan at \[1, 0\]"):
+    with pytest.raises(
+        InvalidInputError, match=r"q: expected finite numbers, got nan at \[1, 0\]"
+    ):
         as_floats([[0.0, 1.0], [np.nan, np.inf]], "q", is_finite=True)
-    with pytest.raises(InvalidInputError, match=r"of shape \(n, 3\), got shape \(2, 2\)"):
+    with pytest.raises(
+        InvalidInputError, match=r"of shape \(n, 3\), got shape \(2, 2\)"
+    ):
         as_floats(np.eye(2), "points", shape=("n", 3))
     with pytest.raises(InvalidInputError, match="dt: expected a number, got shape"):
         as_floats([0.1], "dt", shape=())

@@ -19,7 +19,9 @@ pytestmark = pytest.mark.slow
 def run(*command: str | Path, cwd: Path) -> str:
     """Run a command that must succeed, and return its output."""
     # A PYTHONPATH could make the checkout importable.
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment = {
+        name: value for name, value in os.environ.items() if name != "PYTHONPATH"
+    }
     done = subprocess.run(
         [str(word) for word in command],
         cwd=cwd,
@@ -36,7 +38,9 @@ def run(*command: str | Path, cwd: Path) -> str:
 
 def files_under(folder: Path) -> set[str]:
     """Return the files of a folder as relative posix paths, without hidden files and bytecode."""
-    relative = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    relative = (
+        path.relative_to(folder) for path in folder.rglob("*") if path.is_file()
+    )
     return {
         path.as_posix()
         for path in relative
@@ -107,7 +111,8 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
     for hand in ("human", "three_finger"):
         assert f"handmap_qp/urdf/{hand}/hand.yaml" in names
         assert any(
-            name.startswith(f"handmap_qp/urdf/{hand}/") and name.endswith(".urdf") for name in names
+            name.startswith(f"handmap_qp/urdf/{hand}/") and name.endswith(".urdf")
+            for name in names
         )
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
 
@@ -124,10 +129,14 @@ def test_package_is_imported_from_the_wheel(environment: Path, elsewhere: Path) 
 
 def test_wheel_lists_its_hands(environment: Path, elsewhere: Path) -> None:
     listing = run(environment / "bin" / "handmap", "hands", "list", cwd=elsewhere)
-    assert {"human", "three_finger", "allegro_right", "allegro_left"} <= set(listing.split())
+    assert {"human", "three_finger", "allegro_right", "allegro_left"} <= set(
+        listing.split()
+    )
 
 
-def test_demo_runs_from_the_wheel(environment: Path, elsewhere: Path, tmp_path: Path) -> None:
+def test_demo_runs_from_the_wheel(
+    environment: Path, elsewhere: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "out"
     run(environment / "bin" / "handmap", "demo", "--out", out, cwd=elsewhere)
 
@@ -136,4 +145,6 @@ def test_demo_runs_from_the_wheel(environment: Path, elsewhere: Path, tmp_path: 
     assert pictures, "no picture"
     for picture in pictures:
         assert picture.read_bytes().startswith(b"\x89PNG"), picture
-    assert not list(elsewhere.iterdir()), "the demo wrote outside of the folder it was given"
+    assert not list(elsewhere.iterdir()), (
+        "the demo wrote outside of the folder it was given"
+    )

@@ -35,7 +35,12 @@ from handmap_qp.apps.datasets.assemble import assemble
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import PoolEngine, SerialEngine, _next_group
 from handmap_qp.apps.datasets.episodes import Job
-from handmap_qp.apps.datasets.manifest import MOST_KILLS, Line, open_manifest, read_manifests
+from handmap_qp.apps.datasets.manifest import (
+    MOST_KILLS,
+    Line,
+    open_manifest,
+    read_manifests,
+)
 from handmap_qp.apps.datasets.measures import MEASURES
 from handmap_qp.apps.datasets.report_pictures import _worst_sample
 from handmap_qp.apps.datasets.sources import find_files, tasks_of
@@ -93,7 +98,9 @@ def test_tasks_come_longest_first_and_shards_share_nothing(inputs: Path) -> None
     assert sorted(parts) == sorted(task.key for task in whole)
 
 
-def test_the_order_of_the_work_changes_no_byte(inputs: Path, serial: Path, tmp_path: Path) -> None:
+def test_the_order_of_the_work_changes_no_byte(
+    inputs: Path, serial: Path, tmp_path: Path
+) -> None:
     plan = plan_batch([inputs], tmp_path, OPTIONS)
     run_batch(replace(plan, jobs=plan.jobs[::-1]), tmp_path, SerialEngine())
     assert episodes(tmp_path) == episodes(serial)
@@ -117,7 +124,10 @@ def test_a_second_run_does_only_what_is_left(tmp_path: Path) -> None:
     (out / "episodes/take0.npz.npz").unlink()
     assert [line.key for line in batch(tmp_path / "in", out).done] == ["take0.npz::"]
     others = replace(OPTIONS, arguments=MappingArguments(smooth=True))
-    assert len(batch(tmp_path / "in", out, replace(others, smoother=LookAhead())).done) == 3
+    assert (
+        len(batch(tmp_path / "in", out, replace(others, smoother=LookAhead())).done)
+        == 3
+    )
 
 
 def test_options_and_hands_are_compared_by_their_content(tmp_path: Path) -> None:
@@ -145,7 +155,10 @@ def test_a_torn_last_line_is_done_again(tmp_path: Path) -> None:
 
 
 def test_two_batches_do_not_write_to_one_folder(tmp_path: Path) -> None:
-    with open_manifest(tmp_path), pytest.raises(InvalidInputError, match="another handmap batch"):
+    with (
+        open_manifest(tmp_path),
+        pytest.raises(InvalidInputError, match="another handmap batch"),
+    ):
         open_manifest(tmp_path).__enter__()
     with open_manifest(tmp_path, (1, 2)), open_manifest(tmp_path, (2, 2)):
         pass
@@ -158,7 +171,8 @@ def test_a_pool_writes_the_same_bytes_and_gives_up_what_kills(
     plan = plan_batch([inputs], tmp_path, OPTIONS)
     poison = plan.jobs[1].task.key
     jobs = [
-        with_format(job, KillingFormat()) if job.task.key == poison else job for job in plan.jobs
+        with_format(job, KillingFormat()) if job.task.key == poison else job
+        for job in plan.jobs
     ]
     seen: list[Line] = []
     tally = run_batch(
@@ -167,7 +181,9 @@ def test_a_pool_writes_the_same_bytes_and_gives_up_what_kills(
     assert [line.key for line in tally.failed] == [poison]
     assert tally.failed[0].kills == MOST_KILLS
     assert len(tally.done) == 2
-    expected = {name: data for name, data in episodes(serial).items() if poison[:-2] not in name}
+    expected = {
+        name: data for name, data in episodes(serial).items() if poison[:-2] not in name
+    }
     assert episodes(tmp_path) == expected
     assert {line.status for line in seen if line.key == poison} == {"killed", "failed"}
     # It is left alone from now on, until its file changes.
@@ -193,19 +209,33 @@ def test_short_recordings_go_to_a_worker_together(tmp_path: Path) -> None:
         assert group == tuple(jobs[: max(1, count // 4)])
         assert [*group, *waiting] == jobs[:count]
     assert len(_next_group(deque(of_frames(engines.GROUP_FRAMES)), 2)) == 1
-    assert len(_next_group(deque(of_frames(100) * 20), 2)) == engines.GROUP_FRAMES // 100
+    assert (
+        len(_next_group(deque(of_frames(100) * 20), 2)) == engines.GROUP_FRAMES // 100
+    )
 
 
 @pytest.mark.slow
 def test_workers_that_never_start_end_the_batch_with_one_line(
-    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    inputs: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
 ) -> None:
     monkeypatch.setattr(engines, "start_worker", die_at_once)
     monkeypatch.setattr(engines, "_MOST_STARTS", 2)
-    command = ["batch", str(inputs), "--robot", "three_finger", "--out", str(tmp_path / "out")]
+    command = [
+        "batch",
+        str(inputs),
+        "--robot",
+        "three_finger",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     assert main([*command, "--workers", "1"]) == 2
     error = capsys.readouterr().err
-    assert error.startswith("handmap: --workers: expected processes that start, got 2 in a row")
+    assert error.startswith(
+        "handmap: --workers: expected processes that start, got 2 in a row"
+    )
     assert error.count("\n") == 1
     monkeypatch.undo()
     # No recording is blamed, nothing is lost.
@@ -244,16 +274,29 @@ def test_a_file_that_crashes_or_holds_its_reader_holds_no_listing(
 
 
 def start(inputs: Path, out: Path) -> subprocess.Popen[str]:
-    command = [sys.executable, "-m", "handmap_qp.cli", "batch", str(inputs), "--out", str(out)]
+    command = [
+        sys.executable,
+        "-m",
+        "handmap_qp.cli",
+        "batch",
+        str(inputs),
+        "--out",
+        str(out),
+    ]
     return subprocess.Popen(
-        [*command, "--robot", "three_finger", "--workers", "1"], text=True, stderr=subprocess.PIPE
+        [*command, "--robot", "three_finger", "--workers", "1"],
+        text=True,
+        stderr=subprocess.PIPE,
     )
 
 
 def children(pid: int) -> list[int]:
     """Return the processes that a process has started, and those that these have."""
     listing = subprocess.run(
-        ["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True, text=True, check=False
+        ["ps", "-o", "pid=", "--ppid", str(pid)],
+        capture_output=True,
+        text=True,
+        check=False,
     ).stdout.split()
     return [found for child in map(int, listing) for found in (child, *children(child))]
 
@@ -273,12 +316,16 @@ def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(
     count = len(write_pieces(tmp_path / "in", 16, frames=30))
     out, manifest = tmp_path / "out", tmp_path / "out" / "manifest.jsonl"
     process = start(tmp_path / "in", out)
-    wait_until(lambda: manifest.exists() and manifest.read_bytes().count(b"\n"), "begins", LONG)
+    wait_until(
+        lambda: manifest.exists() and manifest.read_bytes().count(b"\n"), "begins", LONG
+    )
     workers = children(process.pid)
     assert workers
     process.kill()
     process.communicate()
-    wait_until(lambda: not any(map(is_alive, workers)), "workers end with their parent", LONG)
+    wait_until(
+        lambda: not any(map(is_alive, workers)), "workers end with their parent", LONG
+    )
     done = manifest.read_bytes().count(b"\n")
     assert done < count
     # Interrupted by Ctrl-C, it finishes what is under way, and says how to go on.
@@ -300,7 +347,14 @@ def test_ray_writes_the_same_bytes(inputs: Path, serial: Path, tmp_path: Path) -
     # A process of its own, because Ray starts others and changes signals.
     code = (
         "import sys; from handmap_qp.cli import main; sys.exit(main(sys.argv[1:]))",
-        *("batch", str(inputs), "--robot", "three_finger", "--out", str(tmp_path / "out")),
+        *(
+            "batch",
+            str(inputs),
+            "--robot",
+            "three_finger",
+            "--out",
+            str(tmp_path / "out"),
+        ),
         *("--engine", "ray", "--workers", "1"),
     )
     done = subprocess.run(
@@ -337,15 +391,26 @@ def test_the_data_set_keeps_limits_and_pairs_hands(form: str, pairs: list[str]) 
     count = len(left.joint_names) + 7
     if form == "lerobot":
         root = out / "lerobot"
-        assert feature_names(root, "observation.state")[0] == f"left_{left.joint_names[0]}"
-        assert [episode["tasks"] for episode in episodes_of(root)] == [["pour water"]] * 2
+        assert (
+            feature_names(root, "observation.state")[0] == f"left_{left.joint_names[0]}"
+        )
+        assert [episode["tasks"] for episode in episodes_of(root)] == [
+            ["pour water"]
+        ] * 2
         found = [columns_of(root, i) for i in range(2)]
-        episodes_ = [(f["observation.state"], f["action"], f["observation.valid"]) for f in found]
+        episodes_ = [
+            (f["observation.state"], f["action"], f["observation.valid"]) for f in found
+        ]
     else:
         with h5py.File(out / "episodes.hdf5") as file:
             demos = [file[f"data/demo_{i}"] for i in range(2)]
-            assert file["data"].attrs["total"] == sum(d.attrs["num_samples"] for d in demos)
-            episodes_ = [(d["obs/state"][()], d["actions"][()], d["obs/valid"][()]) for d in demos]
+            assert file["data"].attrs["total"] == sum(
+                d.attrs["num_samples"] for d in demos
+            )
+            episodes_ = [
+                (d["obs/state"][()], d["actions"][()], d["obs/valid"][()])
+                for d in demos
+            ]
     assert len(episodes_) == 2
     for state, action, valid in episodes_:
         assert state.shape[1] == 2 * count
@@ -388,13 +453,32 @@ def test_rounding_to_float32_stays_inside_the_limits(tmp_path: Path) -> None:
 
 
 BAD: dict[tuple[str, ...], str] = {
-    ("--robot", "three_finger", "allegro_right"): "--robot: expected one robot for each side",
-    ("--robot", "three_finger", "--shard", "5/4"): "--shard: expected I/N with 1 <= I <= N",
+    (
+        "--robot",
+        "three_finger",
+        "allegro_right",
+    ): "--robot: expected one robot for each side",
+    (
+        "--robot",
+        "three_finger",
+        "--shard",
+        "5/4",
+    ): "--shard: expected I/N with 1 <= I <= N",
     ("--robot", "three_finger", "--shard", "x"): "--shard: expected I/N",
-    ("--robot", "three_finger", "--workers", "-1"): "--workers: expected a number from 0",
+    (
+        "--robot",
+        "three_finger",
+        "--workers",
+        "-1",
+    ): "--workers: expected a number from 0",
     ("--robot", "three_finger", "--fps", "0"): "--fps: expected a rate",
     ("--robot", "absent_hand"): "absent_hand",
-    ("--robot", "three_finger", "--look-ahead", "--smooth"): "--smooth: has no effect with",
+    (
+        "--robot",
+        "three_finger",
+        "--look-ahead",
+        "--smooth",
+    ): "--smooth: has no effect with",
 }
 
 
@@ -409,7 +493,9 @@ def test_a_bad_call_is_one_line(
     assert not (tmp_path / "out").exists()
 
 
-def test_inputs_without_recordings_are_named(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_inputs_without_recordings_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     (tmp_path / "empty").mkdir()
     for given, line in {
         "absent": "no such file or folder",
@@ -420,7 +506,9 @@ def test_inputs_without_recordings_are_named(tmp_path: Path, capsys: pytest.Capt
         assert line in capsys.readouterr().err
 
 
-def test_the_report_finds_the_worst(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+def test_the_report_finds_the_worst(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     files = write_pieces(tmp_path / "in", 6)
     rng = np.random.default_rng(0)
     good = piece(20, 16)
@@ -429,7 +517,10 @@ def test_the_report_finds_the_worst(tmp_path: Path, capsys: pytest.CaptureFixtur
     (tmp_path / "in" / "torn.npz").write_bytes(b"")
     out = tmp_path / "out"
     batch(tmp_path / "in", out)
-    assert main(["report", str(out), "--keep", "0.84", "--worst", "2", "--no-pictures"]) == 0
+    assert (
+        main(["report", str(out), "--keep", "0.84", "--worst", "2", "--no-pictures"])
+        == 0
+    )
     printed = capsys.readouterr().out
     assert "6 episodes, 5 kept" in printed
     kept = (out / "report/keep.txt").read_text().split()
@@ -448,7 +539,10 @@ def test_the_report_finds_the_worst(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_the_picture_shows_what_an_episode_is_worst_in() -> None:
     recording = piece(0, 60)
-    count, settled = len(recording), int(np.argmax(recording.time - recording.time[0] >= SETTLING))
+    count, settled = (
+        len(recording),
+        int(np.argmax(recording.time - recording.time[0] >= SETTLING)),
+    )
     columns = {
         "valid": np.ones(count, dtype=bool),
         "point_error": np.zeros((count, 2)),
@@ -461,7 +555,8 @@ def test_the_picture_shows_what_an_episode_is_worst_in() -> None:
     columns["at_speed_limit"][[settled + 2, settled + 9], 1] = True
     columns["point_error"][settled + 9, 1] = 0.01
     found = {
-        measure.key: _worst_sample(recording, columns, measure) - settled for measure in MEASURES
+        measure.key: _worst_sample(recording, columns, measure) - settled
+        for measure in MEASURES
     }
     assert found.pop("saturation") == 7
     assert found.pop("speed_limited") == 9
@@ -470,12 +565,20 @@ def test_the_picture_shows_what_an_episode_is_worst_in() -> None:
     assert _worst_sample(recording, columns, MEASURES[0]) == 0
 
 
-def test_a_stop_finishes_what_is_under_way_and_writes_it_down(inputs: Path, tmp_path: Path) -> None:
+def test_a_stop_finishes_what_is_under_way_and_writes_it_down(
+    inputs: Path, tmp_path: Path
+) -> None:
     plan = plan_batch([inputs], tmp_path, OPTIONS)
     seen: list[Line] = []
     tally = run_batch(
-        plan, tmp_path, SerialEngine(), progress=seen.append, is_stopped=lambda: bool(seen)
+        plan,
+        tmp_path,
+        SerialEngine(),
+        progress=seen.append,
+        is_stopped=lambda: bool(seen),
     )
     assert not tally.is_complete
-    assert len(tally.done) == len(read_manifests(tmp_path)) == len(episodes(tmp_path)) == 1
+    assert (
+        len(tally.done) == len(read_manifests(tmp_path)) == len(episodes(tmp_path)) == 1
+    )
     assert len(batch(inputs, tmp_path).done) == 2

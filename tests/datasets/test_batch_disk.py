@@ -73,7 +73,9 @@ def flip(file: Path, place: int = -1) -> None:
 def without_digests(out: Path) -> None:
     """Make the manifest one of version 0.2."""
     lines = read_manifests(out).values()
-    texts = [msgspec.json.encode(msgspec.structs.replace(line, sha256="")) for line in lines]
+    texts = [
+        msgspec.json.encode(msgspec.structs.replace(line, sha256="")) for line in lines
+    ]
     assert not any(b"sha256" in text for text in texts)
     (out / "manifest.jsonl").write_bytes(b"".join(text + b"\n" for text in texts))
 
@@ -104,7 +106,9 @@ def test_a_damaged_episode_is_mapped_again(
     said = capsys.readouterr()
     counts = json.loads(said.out)
     assert (counts["done"], counts["skipped"], counts["failed"]) == (1, 2, 0)
-    line = "handmap: 1 episodes are damaged or missing, and are mapped again: take1.npz\n"
+    line = (
+        "handmap: 1 episodes are damaged or missing, and are mapped again: take1.npz\n"
+    )
     assert said.err == line
     assert episodes(out) == episodes(whole)
     assert run(inputs, out, "--json") == 0
@@ -155,7 +159,9 @@ def test_an_episode_that_is_damaged_before_the_data_set_is_mapped_again(
     pytest.importorskip("h5py")
     assert run(inputs, out, "--format", form) == 0
     made = out / ("lerobot" if form == "lerobot" else "episodes.hdf5")
-    files = [made] if made.is_file() else sorted(f for f in made.rglob("*") if f.is_file())
+    files = (
+        [made] if made.is_file() else sorted(f for f in made.rglob("*") if f.is_file())
+    )
     before = [file.read_bytes() for file in files]
     capsys.readouterr()
     assemble, left = cli.Batch._assemble, ["take0", "take2"]
@@ -170,7 +176,9 @@ def test_an_episode_that_is_damaged_before_the_data_set_is_mapped_again(
     assert run(inputs, out, "--format", form) == 2
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].endswith("mapped again: take2.npz")
-    assert lines[1].endswith("take0.npz.npz: is not what was written: its digest differs")
+    assert lines[1].endswith(
+        "take0.npz.npz: is not what was written: its digest differs"
+    )
     assert len(lines) == 2
     assert [file.read_bytes() for file in files] == before
     left.append("take1")
@@ -198,7 +206,9 @@ class Disk:
         self._sync(handle)
         path = Path(f"/proc/self/fd/{handle}").readlink()
         if path.is_dir():
-            self.names[path.stat().st_ino] = {f.name: f.stat().st_ino for f in path.iterdir()}
+            self.names[path.stat().st_ino] = {
+                f.name: f.stat().st_ino for f in path.iterdir()
+            }
         else:
             self.contents[path.stat().st_ino] = path.read_bytes()
         if path == self._manifest:
@@ -269,7 +279,9 @@ def test_a_recording_that_is_left_alone_has_failed(
 ) -> None:
     line = read_manifests(out)["take1.npz::"]
     with open_manifest(out) as append:
-        append(msgspec.structs.replace(line, status="failed", kills=3, error="given up"))
+        append(
+            msgspec.structs.replace(line, status="failed", kills=3, error="given up")
+        )
     assert run(inputs, out) == 1
     assert "handmap: 1 recordings failed" in capsys.readouterr().err
 
@@ -301,19 +313,27 @@ def test_a_disk_may_be_full_at_any_moment(
             break
         assert code == 1
         assert error.startswith("handmap: --out: ")
-        assert "No space left on device: make room, and run the same command again\n" in error
+        assert (
+            "No space left on device: make room, and run the same command again\n"
+            in error
+        )
         assert error.count("\n") == 1
         assert not list(out.rglob("*.part"))
         assert run(inputs, out) == 0
         assert not capsys.readouterr().err
         assert episodes(out) == episodes(whole)
-    assert at > 12, "each episode has three moments of its own, and the manifest one for each"
+    assert at > 12, (
+        "each episode has three moments of its own, and the manifest one for each"
+    )
 
 
 def test_a_manifest_on_a_full_disk_is_one_error(tmp_path: Path, out: Path) -> None:
     line = read_manifests(out)["take1.npz::"]
     (tmp_path / "manifest.jsonl").symlink_to("/dev/full")
-    with pytest.raises(DiskFullError, match="No space left"), open_manifest(tmp_path) as append:
+    with (
+        pytest.raises(DiskFullError, match="No space left"),
+        open_manifest(tmp_path) as append,
+    ):
         append(line)
 
 
@@ -354,7 +374,15 @@ def test_a_full_disk_is_one_line_and_no_episode_is_believed(
     pytest.importorskip("pyarrow")
     pytest.importorskip("h5py")
     size = sum(map(len, episodes(whole).values()))
-    command = [sys.executable, "-m", "handmap_qp.cli", "batch", str(inputs), "--out", "disk/out"]
+    command = [
+        sys.executable,
+        "-m",
+        "handmap_qp.cli",
+        "batch",
+        str(inputs),
+        "--out",
+        "disk/out",
+    ]
     # Room for the episodes but not for the data set, or for two episodes of three.
     room = size + 40_000 if "format" in words else size - 8_000
     script = f"""
@@ -395,7 +423,12 @@ def test_every_file_is_listed_once(inputs: Path, tmp_path: Path) -> None:
     (own / "lost.npz").symlink_to(tmp_path / "absent.npz")
     files, repeated = find_files([own, own / "take2.npz", own / ".." / "in"])
     # A link that leads nowhere is a file that cannot be read.
-    assert [file.name for file in files] == ["hard.npz", "lost.npz", "take0.npz", "take2.npz"]
+    assert [file.name for file in files] == [
+        "hard.npz",
+        "lost.npz",
+        "take0.npz",
+        "take2.npz",
+    ]
     assert {path.name for path in repeated} == {
         *("circle", "a first.npz", "take1.npz", "take2.npz", "in")
     }
@@ -417,7 +450,9 @@ def test_a_batch_does_not_map_its_own_episodes(
 
 def test_files_that_differ_need_different_names(inputs: Path, tmp_path: Path) -> None:
     own = shutil.copytree(inputs, tmp_path / "in")
-    with pytest.raises(InvalidInputError, match=r"files of different names, got take\d\.npz twice"):
+    with pytest.raises(
+        InvalidInputError, match=r"files of different names, got take\d\.npz twice"
+    ):
         find_files([own, inputs])
 
 

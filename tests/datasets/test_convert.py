@@ -28,18 +28,28 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """The same short recording in every format."""
     folder = tmp_path_factory.mktemp("formats")
     human = load_hand("human", points="landmarks")
-    landmarks = np.array([human.points(share * human.rest) for share in (0.2, 0.6, 1.0)])
-    given = Recording("take", np.array([1.0, 1.5, 1.75]), landmarks, np.ones(3), "right")
+    landmarks = np.array(
+        [human.points(share * human.rest) for share in (0.2, 0.6, 1.0)]
+    )
+    given = Recording(
+        "take", np.array([1.0, 1.5, 1.75]), landmarks, np.ones(3), "right"
+    )
     paths = {}
     for form in map(FORMATS.__getitem__, NAMES):
-        paths[form.name] = folder / f"{form.name}{form.suffixes[0] if form.suffixes else ''}"
+        paths[form.name] = (
+            folder / f"{form.name}{form.suffixes[0] if form.suffixes else ''}"
+        )
         write_recordings([given], paths[form.name], form)
     return paths
 
 
 @pytest.mark.parametrize(("start", "end"), list(itertools.permutations(NAMES, 2)))
 def test_from_each_to_each(
-    start: str, end: str, files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture
+    start: str,
+    end: str,
+    files: dict[str, Path],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture,
 ) -> None:
     out = tmp_path / f"out{files[end].suffix}"
     assert main(["convert", str(files[start]), str(out), "--format", end]) == 0
@@ -53,12 +63,17 @@ def test_from_each_to_each(
     assert not is_lossless or "nothing was lost" in printed
 
 
-def test_a_set_becomes_files(files: dict[str, Path], tmp_path: Path, capsys: object) -> None:
+def test_a_set_becomes_files(
+    files: dict[str, Path], tmp_path: Path, capsys: object
+) -> None:
     both = [str(files["npz"]), str(files["csv"])]
     file, each = tmp_path / "set.hdf5", tmp_path / "each"
     assert main(["convert", *both, str(file)]) == 0
     assert main(["convert", str(file), str(each), "--format", "npz"]) == 0
-    assert sorted(p.name for p in each.iterdir()) == ["set_demo_0.npz", "set_demo_1.npz"]
+    assert sorted(p.name for p in each.iterdir()) == [
+        "set_demo_0.npz",
+        "set_demo_1.npz",
+    ]
 
 
 def test_a_lerobot_set_is_written_and_not_read(
@@ -79,9 +94,17 @@ def test_bad_calls_are_one_line(
     npz = str(files["npz"])
     calls = {
         ("convert", npz): "IN OUT: expected a file to read and one to write",
-        ("convert", npz, str(tmp_path / "a.txt")): "OUT: expected a file that ends in one of",
+        (
+            "convert",
+            npz,
+            str(tmp_path / "a.txt"),
+        ): "OUT: expected a file that ends in one of",
         ("convert", npz, str(tmp_path / "no" / "a.npz")): "OUT: there is no folder",
-        ("convert", str(tmp_path / "absent.npz"), str(tmp_path / "a.csv")): "absent.npz: cannot be",
+        (
+            "convert",
+            str(tmp_path / "absent.npz"),
+            str(tmp_path / "a.csv"),
+        ): "absent.npz: cannot be",
         ("convert", npz, npz, str(tmp_path / "a.csv")): "one recording of each hand",
         ("convert", npz, str(tmp_path / "a"), "--format", "zip"): "--format",
     }
@@ -96,7 +119,9 @@ def test_bad_calls_are_one_line(
 def test_json_says_the_same(
     files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
-    assert main(["convert", str(files["egodex"]), str(tmp_path / "a.mcap"), "--json"]) == 0
+    assert (
+        main(["convert", str(files["egodex"]), str(tmp_path / "a.mcap"), "--json"]) == 0
+    )
     result = json.loads(capsys.readouterr().out)
     assert (result["recordings"], result["samples"]) == (1, 3)
     assert "orientations of the fingers' joints" in result["not_read"]

@@ -28,8 +28,12 @@ FPS, LENGTHS, TASKS = 30.0, (5, 9, 4), ("pour", "stack", "pour")
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not PYTHON, reason="lerobot is not installed (HANDMAP_LEROBOT_PYTHON)")
-def test_lerobot_reads_what_was_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(
+    not PYTHON, reason="lerobot is not installed (HANDMAP_LEROBOT_PYTHON)"
+)
+def test_lerobot_reads_what_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("pyarrow")
     # Each episode begins a new file.
     monkeypatch.setattr(lerobot, "DATA_FILE_SIZE", 1)
@@ -41,7 +45,9 @@ def test_lerobot_reads_what_was_written(tmp_path: Path, monkeypatch: pytest.Monk
     }
     states = [rng.normal(size=(count, 3)).astype(np.float32) for count in LENGTHS]
     valid = [rng.random((count, 2)) > 0.3 for count in LENGTHS]
-    with LeRobotWriter(tmp_path / "set", fps=FPS, features=features, robot_type="hand") as writer:
+    with LeRobotWriter(
+        tmp_path / "set", fps=FPS, features=features, robot_type="hand"
+    ) as writer:
         for state, seen, task in zip(states, valid, TASKS, strict=True):
             columns = {
                 "observation.state": state,
@@ -49,9 +55,15 @@ def test_lerobot_reads_what_was_written(tmp_path: Path, monkeypatch: pytest.Monk
                 "observation.valid": seen,
             }
             writer.add(columns, task, {"source": "file.hdf5::left"})
-    assert len(list((tmp_path / "set/data/chunk-000").glob("*.parquet"))) == len(LENGTHS)
+    assert len(list((tmp_path / "set/data/chunk-000").glob("*.parquet"))) == len(
+        LENGTHS
+    )
     found = read(tmp_path / "set", tmp_path)
-    assert (found["fps"], found["episodes"], found["lengths"]) == (FPS, 3, list(LENGTHS))
+    assert (found["fps"], found["episodes"], found["lengths"]) == (
+        FPS,
+        3,
+        list(LENGTHS),
+    )
     assert found["features"]["observation.state"] == ["float32", [3], list(names)]
     assert found["features"]["observation.valid"] == ["bool", [2], ["left", "right"]]
     everything = np.vstack(states)
@@ -64,7 +76,9 @@ def test_lerobot_reads_what_was_written(tmp_path: Path, monkeypatch: pytest.Monk
     np.testing.assert_allclose(found["time"], frames / FPS, atol=1e-6)
     # The state before, of the same episode, and the state itself.
     before = np.where(frames[:, None] > 0, np.roll(everything, 1, axis=0), everything)
-    np.testing.assert_array_equal(found["pairs"], np.stack([before, everything], axis=1))
+    np.testing.assert_array_equal(
+        found["pairs"], np.stack([before, everything], axis=1)
+    )
     after = np.roll(everything, -1, axis=0)
     ends = np.cumsum(LENGTHS) - 1
     after[ends] = everything[ends]
@@ -86,7 +100,12 @@ def read(root: Path, home: Path) -> dict[str, Any]:
     # LeRobot must not ask the network, nor write into the home directory.
     own = {"HF_HOME": str(home / "hub"), "HF_HUB_OFFLINE": "1", "PYTHONPATH": ""}
     done = subprocess.run(
-        command, capture_output=True, text=True, check=False, timeout=120, env=os.environ | own
+        command,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+        env=os.environ | own,
     )
     assert done.returncode == 0, done.stderr[-2000:]
     return json.loads(done.stdout.splitlines()[-1])

@@ -27,7 +27,9 @@ from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-POSE = affine(rotation_from_quat_wxyz([0.9, 0.2, -0.3, 0.1]), np.array([0.3, -0.2, 0.5]))
+POSE = affine(
+    rotation_from_quat_wxyz([0.9, 0.2, -0.3, 0.1]), np.array([0.3, -0.2, 0.5])
+)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +45,9 @@ def human_points(curl: float, name: str = "human") -> np.ndarray:
 
 
 def postures(robot: Hand) -> tuple[np.ndarray, np.ndarray]:
-    return np.clip(0.0, robot.lower_limits, robot.upper_limits), robot.upper_limits - 0.05
+    return np.clip(
+        0.0, robot.lower_limits, robot.upper_limits
+    ), robot.upper_limits - 0.05
 
 
 def pixels(figure: Any) -> np.ndarray:
@@ -115,16 +119,25 @@ def test_rows_show_their_own_posture(sheet: np.ndarray) -> None:
 def test_right_palm_has_its_thumb_on_the_right(sheet: np.ndarray) -> None:
     palm = cell(sheet, 0, 0, 0)
     places = {
-        finger: float(np.nonzero(of_colour(palm, finger))[1].mean()) for finger in FINGER_COLOURS
+        finger: float(np.nonzero(of_colour(palm, finger))[1].mean())
+        for finger in FINGER_COLOURS
     }
-    assert places["thumb"] > places["index"] > places["middle"] > places["ring"] > places["little"]
+    assert (
+        places["thumb"]
+        > places["index"]
+        > places["middle"]
+        > places["ring"]
+        > places["little"]
+    )
 
 
 def test_robot_stands_upright_in_its_own_palm_frame() -> None:
     # The axes of Allegro's palm link are not those of its palm frame.
     allegro = load_hand("allegro_right")
     q = np.clip(0.1, allegro.lower_limits, allegro.upper_limits)
-    figure = contact_sheet([("", allegro)], [SheetRow("open", "", human_points(0.0), (q,))])
+    figure = contact_sheet(
+        [("", allegro)], [SheetRow("open", "", human_points(0.0), (q,))]
+    )
     palm = cell(pixels(figure), 1, 0, 0)
     rows, columns = {}, {}
     for finger in ("thumb", "index", "middle", "ring"):
@@ -147,7 +160,10 @@ def test_left_hand_is_the_mirror_image(robot: Hand) -> None:
     for view in range(len(VIEWS)):
         x, y = cell_of(0, 0, view)
         one, other = (
-            np.abs(picture[y : y + CELL[1] - 1, x + 2 : x + CELL[0] - 1] - 0.965).max(axis=2) > 0.03
+            np.abs(picture[y : y + CELL[1] - 1, x + 2 : x + CELL[0] - 1] - 0.965).max(
+                axis=2
+            )
+            > 0.03
             for picture in (right, left)
         )
         assert (one != other[:, ::-1]).mean() < 0.02
@@ -163,13 +179,22 @@ def recording_of(*landmarks: np.ndarray, side: Any = "right") -> Recording:
 def test_rows_are_the_samples_in_the_palm_frame() -> None:
     shown = [human_points(0.0), human_points(1.2), human_points(0.5)]
     q = np.arange(6.0).reshape(3, 2)
-    rows = sheet_rows(recording_of(*shown), {"fist": 1, "pinch": None, "claw": 2}, [q, -q])
-    assert [(row.label, row.note) for row in rows] == [("fist", "0.50 s"), ("claw", "1.00 s")]
+    rows = sheet_rows(
+        recording_of(*shown), {"fist": 1, "pinch": None, "claw": 2}, [q, -q]
+    )
+    assert [(row.label, row.note) for row in rows] == [
+        ("fist", "0.50 s"),
+        ("claw", "1.00 s"),
+    ]
     np.testing.assert_allclose(rows[0].landmarks, shown[1], atol=1e-6)
     np.testing.assert_array_equal(rows[1].q, [q[2], -q[2]])
-    left = recording_of(*(human_points(c, "human_left") for c in (0.0, 1.2)), side="left")
+    left = recording_of(
+        *(human_points(c, "human_left") for c in (0.0, 1.2)), side="left"
+    )
     (row,) = sheet_rows(left, {"fist": 1}, [])
-    np.testing.assert_allclose(row.landmarks, human_points(1.2, "human_left"), atol=1e-6)
+    np.testing.assert_allclose(
+        row.landmarks, human_points(1.2, "human_left"), atol=1e-6
+    )
 
 
 @pytest.mark.slow
@@ -183,7 +208,9 @@ def test_png_says_what_it_shows(robot: Hand, tmp_path: Path) -> None:
 
     picture = imread(file)
     rows = sheet_rows(recording, poses, [q for _, _, q in methods])
-    figure = contact_sheet([("ours", robot)], rows, title="made", footnote="Not shown: x.")
+    figure = contact_sheet(
+        [("ours", robot)], rows, title="made", footnote="Not shown: x."
+    )
     words = {text.get_text() for axes in figure.axes for text in axes.texts}
     assert {"human", "ours", "open", "fist", "made", "Not shown: x."} <= words
     # A pixel of the file is a pixel of the picture, so that nothing is blurred.

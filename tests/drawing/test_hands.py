@@ -18,7 +18,9 @@ from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 pytestmark = pytest.mark.slow
 
 RED, GREEN = (0.9, 0.1, 0.1), (0.1, 0.8, 0.1)
-WRIST = affine(rotation_from_quat_wxyz([0.9, 0.2, -0.3, 0.1]), np.array([0.3, -0.2, 0.5]))
+WRIST = affine(
+    rotation_from_quat_wxyz([0.9, 0.2, -0.3, 0.1]), np.array([0.3, -0.2, 0.5])
+)
 
 URDF = """<robot name="finger">
   <material name="blue"><color rgba="0.1 0.2 0.9 1"/></material>
@@ -45,14 +47,19 @@ URDF = """<robot name="finger">
 </robot>"""
 
 
-def finger(distal: str = '<box size="0.04 0.01 0.01"/>', directory: Path | None = None) -> Hand:
+def finger(
+    distal: str = '<box size="0.04 0.01 0.01"/>', directory: Path | None = None
+) -> Hand:
     """Make a finger of two joints, with a palm rotated in its link and a point named as a link."""
     spec = HandSpec(
         name="finger",
         urdf="finger.urdf",
         side="right",
         palm=PalmSpec(
-            link="palm", distal=(-1.0, 0.0, 0.0), dorsal=(0.0, 0.0, 1.0), xyz=(0.0, 0.0, 0.3)
+            link="palm",
+            distal=(-1.0, 0.0, 0.0),
+            dorsal=(0.0, 0.0, 1.0),
+            xyz=(0.0, 0.0, 0.3),
         ),
         wrist=WristSpec(link="palm"),
         joints=("base", "end"),
@@ -69,24 +76,31 @@ def centroid(triangles: Triangles) -> np.ndarray:
     """Return the centroid of the surface."""
     a, b, c = np.moveaxis(triangles.vertices, 1, 0)
     return np.average(
-        (a + b + c) / 3.0, axis=0, weights=np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        (a + b + c) / 3.0,
+        axis=0,
+        weights=np.linalg.norm(np.cross(b - a, c - a), axis=1),
     )
 
 
 def volume(triangles: Triangles) -> float:
     """Return the enclosed volume, negative if the triangles are wound inside out."""
-    a, b, c = np.moveaxis(triangles.vertices - triangles.vertices.mean(axis=(0, 1)), 1, 0)
+    a, b, c = np.moveaxis(
+        triangles.vertices - triangles.vertices.mean(axis=(0, 1)), 1, 0
+    )
     return float(np.einsum("ij,ij->", a, np.cross(b, c))) / 6.0
 
 
-def by_link(hand: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> dict[str, Triangles]:
+def by_link(
+    hand: Hand, q: np.ndarray, wrist: np.ndarray | None = None
+) -> dict[str, Triangles]:
     """Return the placed triangles of each link."""
     shape = load_shape(hand)
     placed = shape.triangles(q, wrist)
     stops = np.cumsum([len(link.triangles.vertices) for link in shape.links])[:-1]
     columns = [np.split(column, stops) for column in placed]
     return {
-        link.link: Triangles(*parts) for link, *parts in zip(shape.links, *columns, strict=True)
+        link.link: Triangles(*parts)
+        for link, *parts in zip(shape.links, *columns, strict=True)
     }
 
 
@@ -95,7 +109,9 @@ def test_shapes_lie_where_forward_kinematics_puts_their_links() -> None:
     links = by_link(finger(), q, WRIST)
     turn = [
         affine(
-            np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]]),
+            np.array(
+                [[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]]
+            ),
             np.zeros(3),
         )
         for a in q
@@ -109,7 +125,9 @@ def test_shapes_lie_where_forward_kinematics_puts_their_links() -> None:
     }
     for link, (pose, centre) in expected.items():
         np.testing.assert_allclose(
-            centroid(links[link]), transform_points(pose, np.array([centre]))[0], atol=1e-9
+            centroid(links[link]),
+            transform_points(pose, np.array([centre]))[0],
+            atol=1e-9,
         )
 
 
@@ -141,7 +159,9 @@ def test_surfaces_face_outwards_with_unit_normals() -> None:
 def test_colours_come_from_the_urdf_unless_given() -> None:
     shape = load_shape(finger())
     np.testing.assert_allclose(shape.links[0].triangles.colours[0], [0.1, 0.2, 0.9])
-    assert (load_shape(finger(), colour=RED).triangles(np.zeros(2)).colours == RED).all()
+    assert (
+        load_shape(finger(), colour=RED).triangles(np.zeros(2)).colours == RED
+    ).all()
 
 
 @pytest.mark.parametrize("scale", ["1 1 1", "-2 2 2"])
@@ -149,40 +169,52 @@ def test_meshes_are_found_beside_the_urdf_scaled_and_outside_out(
     tmp_path: Path, scale: str
 ) -> None:
     trimesh = pytest.importorskip("trimesh")
-    trimesh.creation.box(extents=(0.02, 0.01, 0.01)).apply_translation([0.01, 0, 0]).export(
-        tmp_path / "part.stl"
-    )
+    trimesh.creation.box(extents=(0.02, 0.01, 0.01)).apply_translation(
+        [0.01, 0, 0]
+    ).export(tmp_path / "part.stl")
     hand = finger(f'<mesh filename="part.stl" scale="{scale}"/>', tmp_path)
     part = by_link(hand, np.zeros(2))["distal"]
     factor = float(scale.split()[0])
     assert volume(part) == pytest.approx(abs(factor) ** 3 * 2e-6)
-    np.testing.assert_allclose(centroid(part), [0.11 + 0.02 + 0.01 * factor, 0.005, 0.0], atol=1e-7)
+    np.testing.assert_allclose(
+        centroid(part), [0.11 + 0.02 + 0.01 * factor, 0.005, 0.0], atol=1e-7
+    )
 
 
 def test_a_fine_mesh_is_simplified(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
-    trimesh.creation.icosphere(subdivisions=5, radius=0.02).export(tmp_path / "part.stl")
-    part = by_link(finger('<mesh filename="part.stl"/>', tmp_path), np.zeros(2))["distal"]
+    trimesh.creation.icosphere(subdivisions=5, radius=0.02).export(
+        tmp_path / "part.stl"
+    )
+    part = by_link(finger('<mesh filename="part.stl"/>', tmp_path), np.zeros(2))[
+        "distal"
+    ]
     assert 1000 < len(part.vertices) <= 8000
     assert volume(part) == pytest.approx(4 / 3 * np.pi * 0.02**3, rel=0.05)
 
 
 def test_a_missing_mesh_is_left_out_and_named(tmp_path: Path) -> None:
-    shape = load_shape(finger('<mesh filename="package://nowhere/part.stl"/>', tmp_path))
+    shape = load_shape(
+        finger('<mesh filename="package://nowhere/part.stl"/>', tmp_path)
+    )
     assert shape.missing == ("package://nowhere/part.stl",)
     assert [link.link for link in shape.links] == ["palm", "proximal"]
 
 
 def test_the_camera_frames_what_it_is_given() -> None:
     points = np.random.default_rng(0).normal(size=(50, 3))
-    camera = Camera.framing(points, (300, 200), azimuth=20.0, elevation=40.0, margin=0.1)
+    camera = Camera.framing(
+        points, (300, 200), azimuth=20.0, elevation=40.0, margin=0.1
+    )
     pixels = camera.project(points)
     assert (pixels[:, 2] > 0.0).all()
     low, high = pixels[:, :2].min(axis=0), pixels[:, :2].max(axis=0)
     np.testing.assert_allclose(0.5 * (low + high), [150.0, 100.0], atol=1e-9)
     assert (low >= 20.0 - 1e-9).all()
     assert np.isclose(low, 20.0).any(), "one of the directions is filled"
-    np.testing.assert_allclose(camera.magnified(3).project(points)[:, :2], 3.0 * pixels[:, :2])
+    np.testing.assert_allclose(
+        camera.magnified(3).project(points)[:, :2], 3.0 * pixels[:, :2]
+    )
 
 
 def test_higher_points_appear_higher_in_the_picture() -> None:
@@ -216,11 +248,15 @@ def test_a_surface_has_no_holes_between_its_triangles() -> None:
 @pytest.mark.parametrize("order", [1, -1])
 def test_what_is_in_front_hides_what_is_behind(order: int) -> None:
     # Seen from -y, the red ball hides the green one in either order of the list.
-    balls = [spheres([[0.0, -0.1, 0.0]], 0.02, RED), spheres([[0.0, 0.1, 0.0]], 0.02, GREEN)][
-        ::order
-    ]
+    balls = [
+        spheres([[0.0, -0.1, 0.0]], 0.02, RED),
+        spheres([[0.0, 0.1, 0.0]], 0.02, GREEN),
+    ][::order]
     camera = Camera.framing(
-        np.array([[-0.05, 0, -0.05], [0.05, 0, 0.05]]), (100, 100), azimuth=-90.0, elevation=0.0
+        np.array([[-0.05, 0, -0.05], [0.05, 0, 0.05]]),
+        (100, 100),
+        azimuth=-90.0,
+        elevation=0.0,
     )
     red, green, _, opacity = render(merged(balls), camera, supersampling=1)[50, 50]
     assert opacity == 1.0
@@ -229,7 +265,10 @@ def test_what_is_in_front_hides_what_is_behind(order: int) -> None:
 
 def test_marks_shine_through_and_stand_in_front() -> None:
     camera = Camera.framing(
-        np.array([[-0.05, 0, -0.05], [0.05, 0, 0.05]]), (100, 100), azimuth=-90.0, elevation=0.0
+        np.array([[-0.05, 0, -0.05], [0.05, 0, 0.05]]),
+        (100, 100),
+        azimuth=-90.0,
+        elevation=0.0,
     )
     wall = spheres([[0.0, 0.0, 0.0]], 0.03, GREEN)
     bare, hidden, shown = (
@@ -257,7 +296,9 @@ def test_shadows_fall_on_the_floor_only() -> None:
 
 
 def test_a_tube_follows_its_path() -> None:
-    way = np.column_stack([np.linspace(0.0, 1.0, 20), np.zeros(20), np.linspace(0.0, 1.0, 20) ** 2])
+    way = np.column_stack(
+        [np.linspace(0.0, 1.0, 20), np.zeros(20), np.linspace(0.0, 1.0, 20) ** 2]
+    )
     wall = tube(way, 0.01, RED).vertices.reshape(-1, 3)
     distance = np.linalg.norm(wall[:, None] - way, axis=2).min(axis=1)
     np.testing.assert_allclose(distance, 0.01, atol=1e-9)
@@ -271,17 +312,28 @@ def test_draw_hands_makes_the_axes_pixels_and_leaves_no_figure_behind() -> None:
 
     axes = figure_module.Figure().add_subplot()
     ball = spheres([[0.0, 0.0, 0.0]], 0.01, RED)
-    draw_hands(axes, ball, Camera.framing(ball.vertices.reshape(-1, 3), (60, 40)), supersampling=1)
+    draw_hands(
+        axes,
+        ball,
+        Camera.framing(ball.vertices.reshape(-1, 3), (60, 40)),
+        supersampling=1,
+    )
     assert axes.get_xlim() == (0.0, 60.0)
     assert axes.get_ylim() == (40.0, 0.0)
     assert not axes.axison
     assert not Gcf.figs
 
 
-def test_absent_packages_are_named_with_their_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_absent_packages_are_named_with_their_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     from matplotlib.figure import Figure
 
-    axes, ball, hand = Figure().add_subplot(), spheres([[0.0, 0.0, 0.0]], 0.01, RED), finger()
+    axes, ball, hand = (
+        Figure().add_subplot(),
+        spheres([[0.0, 0.0, 0.0]], 0.01, RED),
+        finger(),
+    )
     camera = Camera.framing(ball.vertices.reshape(-1, 3), (60, 40))
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"matplotlib .*handmap-qp\[plot\]"):

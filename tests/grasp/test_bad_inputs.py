@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handmap_qp.apps.grasp.closing import HandCloser, Preshape, default_preshape, palm_centre
+from handmap_qp.apps.grasp.closing import (
+    HandCloser,
+    Preshape,
+    default_preshape,
+    palm_centre,
+)
 from handmap_qp.apps.grasp.contacts import Contact, Grasp
 from handmap_qp.apps.grasp.measures import cone_wrenches, ferrari_canny, grasp_quality
 from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
@@ -87,14 +92,20 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "motion of words": (lambda: REFERENCE.moved("up"), "motion"),
     "no contact": (lambda: grasp(contacts=()).jacobian, "contacts"),
     "points of words": (lambda: grasp_matrix([["a", "b", "c"]], np.zeros(3)), "points"),
-    "points of two columns": (lambda: grasp_matrix(np.zeros((4, 2)), np.zeros(3)), "points"),
+    "points of two columns": (
+        lambda: grasp_matrix(np.zeros((4, 2)), np.zeros(3)),
+        "points",
+    ),
     "centre of words": (lambda: grasp_matrix(np.zeros((4, 3)), "abc"), "centre"),
     "ragged Jacobian": (lambda: respond(jacobian=[[1.0], [1.0, 2.0]]), "jacobian"),
     "Jacobian of NaN": (lambda: respond(jacobian=np.full((9, 8), np.nan)), "jacobian"),
     "grasp matrix of words": (lambda: respond(grasp_matrix="G"), "grasp_matrix"),
     "synergies of other joints": (lambda: respond(synergies=np.eye(5)), "synergies"),
     "no synergy": (lambda: respond(synergies=np.zeros((8, 0))), "synergies"),
-    "stiffness of words": (lambda: respond(contact_stiffness="hard"), "contact_stiffness"),
+    "stiffness of words": (
+        lambda: respond(contact_stiffness="hard"),
+        "contact_stiffness",
+    ),
     "stiffness None": (lambda: respond(joint_stiffness=None), "joint_stiffness"),
     "negative stiffness": (lambda: respond(joint_stiffness=-1.0), "joint_stiffness"),
     "shape of words": (lambda: closer(shape="ball"), "shape"),
@@ -111,7 +122,10 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         "preshape.direction",
     ),
     "closing with a wrist of words": (lambda: closer().close("w"), "wrist_pose"),  # ty: ignore[invalid-argument-type]
-    "closing inside the object": (lambda: closer(shape=Sphere(1.0)).close(), "wrist_pose"),
+    "closing inside the object": (
+        lambda: closer(shape=Sphere(1.0)).close(),
+        "wrist_pose",
+    ),
     "planning with a fixed wrist": (lambda: plan_grasps(FIXED, BALL), "hand"),
     "samples of words": (lambda: plan_grasps(HAND, BALL, samples="many"), "samples"),  # ty: ignore[invalid-argument-type]
     "samples of a half": (lambda: plan_grasps(HAND, BALL, samples=0.5), "samples"),  # ty: ignore[invalid-argument-type]
@@ -130,10 +144,22 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: cone_wrenches(np.zeros((3, 2)), np.zeros((3, 3)), 0.5),
         "points",
     ),
-    "too few normals": (lambda: ferrari_canny(np.eye(3), np.eye(3)[:2], 0.5), "normals"),
-    "edges of words": (lambda: cone_wrenches(np.eye(3), np.eye(3), 0.5, edges="8"), "edges"),  # ty: ignore[invalid-argument-type]
-    "too few edges": (lambda: cone_wrenches(np.eye(3), np.eye(3), 0.5, edges=2), "edges"),
-    "hand without a reference grasp": (lambda: reference_grasp("allegro_right"), "hand"),
+    "too few normals": (
+        lambda: ferrari_canny(np.eye(3), np.eye(3)[:2], 0.5),
+        "normals",
+    ),
+    "edges of words": (
+        lambda: cone_wrenches(np.eye(3), np.eye(3), 0.5, edges="8"),  # ty: ignore[invalid-argument-type]
+        "edges",
+    ),
+    "too few edges": (
+        lambda: cone_wrenches(np.eye(3), np.eye(3), 0.5, edges=2),
+        "edges",
+    ),
+    "hand without a reference grasp": (
+        lambda: reference_grasp("allegro_right"),
+        "hand",
+    ),
     "reference grasp of a list": (lambda: reference_grasp(["human"]), "hand"),  # ty: ignore[invalid-argument-type]
 }
 
@@ -147,5 +173,6 @@ def test_a_bad_argument_is_named(call: Callable[[], Any], argument: str) -> None
 
 
 def test_whole_numbers_of_numpy_are_taken() -> None:
-    planned = plan_grasps(HAND, Box((0.05, 0.05, 0.05)), samples=np.int64(1), seed=np.int32(3))  # ty: ignore[invalid-argument-type]
+    whole: Any = {"samples": np.int64(1), "seed": np.int32(3)}
+    planned = plan_grasps(HAND, Box((0.05, 0.05, 0.05)), **whole)
     assert len(planned) == 1

@@ -21,7 +21,11 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.se3 import transform_points
 
-STIFFNESS = {"contact_stiffness": 800.0, "joint_stiffness": 1.5, "synergy_stiffness": 4.0}
+STIFFNESS = {
+    "contact_stiffness": 800.0,
+    "joint_stiffness": 1.5,
+    "synergy_stiffness": 4.0,
+}
 CASES = range(3)
 
 
@@ -79,7 +83,9 @@ def problems(draw: st.DrawFn) -> Problem:
 def close_to(expected: Any, relative: float) -> Any:
     """Approximate relative to the largest entry, because single entries may be rounding errors."""
     expected = np.asarray(expected)
-    return pytest.approx(expected, rel=0.0, abs=relative * max(np.abs(expected).max(), 1e-300))
+    return pytest.approx(
+        expected, rel=0.0, abs=relative * max(np.abs(expected).max(), 1e-300)
+    )
 
 
 # Statics against the toolbox
@@ -120,7 +126,14 @@ def test_our_own_hand_in_metres_answers_as_the_toolbox_hand_in_millimetres(
     )
     for response in expected["responses"]:
         column = response["synergy"] - 1
-        in_millimetres = answer.object_motion[:, column] * [1e3, 1e3, 1e3, 1.0, 1.0, 1.0]
+        in_millimetres = answer.object_motion[:, column] * [
+            1e3,
+            1e3,
+            1e3,
+            1.0,
+            1.0,
+            1.0,
+        ]
         assert in_millimetres == close_to(response["delta_u"], 1e-9)
         assert answer.contact_forces[:, column] == close_to(
             np.ravel(response["delta_lambda"]), 1e-9
@@ -128,7 +141,9 @@ def test_our_own_hand_in_metres_answers_as_the_toolbox_hand_in_millimetres(
         assert answer.joint_motion[:, column] == close_to(response["delta_q"], 1e-9)
 
 
-def test_jacobian_and_grasp_matrix_are_the_toolbox_ones(figures: dict[str, Any]) -> None:
+def test_jacobian_and_grasp_matrix_are_the_toolbox_ones(
+    figures: dict[str, Any],
+) -> None:
     grasp = reference_grasp("human").grasp
     assert 1e3 * grasp.jacobian == close_to(figures["J"], 1e-12)
     scale = np.array([[1.0], [1.0], [1.0], [1e3], [1e3], [1e3]])
@@ -153,7 +168,9 @@ def test_solution_satisfies_every_equation_of_balance(problem: Problem) -> None:
     np.testing.assert_allclose(k.J.T @ dl, dtau, atol=size)
     np.testing.assert_allclose(k.K_c @ (k.J @ dq - k.G.T @ du), dl, atol=size)
     np.testing.assert_allclose(k.K_q @ (k.S @ dz - dq), dtau, atol=size)
-    np.testing.assert_allclose(k.K_z @ (np.eye(k.S.shape[1]) - dz), k.S.T @ dtau, atol=size)
+    np.testing.assert_allclose(
+        k.K_z @ (np.eye(k.S.shape[1]) - dz), k.S.T @ dtau, atol=size
+    )
 
 
 @given(problems())
@@ -173,10 +190,17 @@ def test_solution_is_that_of_all_equations_stacked(problem: Problem) -> None:
     known = np.vstack([np.zeros((6 + n_l + n_q, n_z)), k.K_z])
     expected = np.linalg.solve(stacked, known)
     found = np.vstack(
-        [answer.object_motion, answer.contact_forces, answer.joint_motion, answer.synergy_motion]
+        [
+            answer.object_motion,
+            answer.contact_forces,
+            answer.joint_motion,
+            answer.synergy_motion,
+        ]
     )
     np.testing.assert_allclose(
-        found, expected, atol=1e-8 * np.abs(expected).max() * max(1.0, np.linalg.cond(k.G) / 100.0)
+        found,
+        expected,
+        atol=1e-8 * np.abs(expected).max() * max(1.0, np.linalg.cond(k.G) / 100.0),
     )
 
 
@@ -197,9 +221,15 @@ def test_rigid_joints_and_synergies_move_as_told(problem: Problem) -> None:
 def test_stiff_springs_approach_rigid_ones() -> None:
     grasp, S = reference_grasp("human").grasp, load_synergies().matrix[:, :3]
     rigid = respond(
-        grasp, S, contact_stiffness=800.0, joint_stiffness=np.inf, synergy_stiffness=np.inf
+        grasp,
+        S,
+        contact_stiffness=800.0,
+        joint_stiffness=np.inf,
+        synergy_stiffness=np.inf,
     )
-    stiff = respond(grasp, S, contact_stiffness=800.0, joint_stiffness=1e9, synergy_stiffness=1e9)
+    stiff = respond(
+        grasp, S, contact_stiffness=800.0, joint_stiffness=1e9, synergy_stiffness=1e9
+    )
     assert stiff.object_motion == close_to(rigid.object_motion, 1e-6)
     assert stiff.contact_forces == close_to(rigid.contact_forces, 1e-6)
 
@@ -213,7 +243,10 @@ def test_stiff_contacts_stick_to_the_object() -> None:
         joint_stiffness=1.0,
         synergy_stiffness=np.inf,
     )
-    hand, cube = grasp.jacobian @ answer.joint_motion, grasp.matrix.T @ answer.object_motion
+    hand, cube = (
+        grasp.jacobian @ answer.joint_motion,
+        grasp.matrix.T @ answer.object_motion,
+    )
     # The distance is force over stiffness: forces are below 1 N m over 50 mm here.
     np.testing.assert_allclose(hand, cube, atol=1e-10)
     assert np.abs(cube).max() > 1e-3
@@ -230,8 +263,12 @@ def test_a_synergy_that_carries_the_object_along_changes_no_force(
     answer = quasistatic(J, G, S, **STIFFNESS)
     # A random J or G may be nearly singular, which loses digits.
     rounding = 1e-12 * np.linalg.cond(J) * np.linalg.cond(G) ** 2
-    np.testing.assert_allclose(answer.object_motion[:, 0], twist, atol=rounding * np.abs(S).max())
-    np.testing.assert_allclose(answer.contact_forces, 0.0, atol=800.0 * rounding * np.abs(S).max())
+    np.testing.assert_allclose(
+        answer.object_motion[:, 0], twist, atol=rounding * np.abs(S).max()
+    )
+    np.testing.assert_allclose(
+        answer.contact_forces, 0.0, atol=800.0 * rounding * np.abs(S).max()
+    )
 
 
 @pytest.mark.slow
@@ -240,19 +277,32 @@ def test_moving_hand_and_object_together_turns_the_answer_and_nothing_else(
     pose: np.ndarray,
 ) -> None:
     grasp, S = reference_grasp("human").grasp, load_synergies().matrix[:, :2]
-    here, there = respond(grasp, S, **STIFFNESS), respond(grasp.moved(pose), S, **STIFFNESS)
+    here, there = (
+        respond(grasp, S, **STIFFNESS),
+        respond(grasp.moved(pose), S, **STIFFNESS),
+    )
     R = pose[:3, :3]
-    assert there.object_motion == close_to(np.kron(np.eye(2), R) @ here.object_motion, 1e-9)
-    assert there.contact_forces == close_to(np.kron(np.eye(7), R) @ here.contact_forces, 1e-9)
+    assert there.object_motion == close_to(
+        np.kron(np.eye(2), R) @ here.object_motion, 1e-9
+    )
+    assert there.contact_forces == close_to(
+        np.kron(np.eye(7), R) @ here.contact_forces, 1e-9
+    )
     assert there.joint_motion == close_to(here.joint_motion, 1e-9)
 
 
-@pytest.mark.parametrize("name", ["contact_stiffness", "joint_stiffness", "synergy_stiffness"])
+@pytest.mark.parametrize(
+    "name", ["contact_stiffness", "joint_stiffness", "synergy_stiffness"]
+)
 def test_a_number_is_that_number_times_the_identity(name: str) -> None:
     grasp, S = reference_grasp("human").grasp, load_synergies().matrix[:, :3]
-    size = {"contact_stiffness": 21, "joint_stiffness": 20, "synergy_stiffness": 3}[name]
+    size = {"contact_stiffness": 21, "joint_stiffness": 20, "synergy_stiffness": 3}[
+        name
+    ]
     as_matrix = respond(grasp, S, **{**STIFFNESS, name: STIFFNESS[name] * np.eye(size)})
-    assert as_matrix.object_motion == close_to(respond(grasp, S, **STIFFNESS).object_motion, 1e-12)
+    assert as_matrix.object_motion == close_to(
+        respond(grasp, S, **STIFFNESS).object_motion, 1e-12
+    )
 
 
 # Inputs that the statics reject
@@ -271,14 +321,20 @@ def test_a_number_is_that_number_times_the_identity(name: str) -> None:
         ({"jacobian": np.ones((20, 20))}, "grasp_matrix"),
         ({"grasp_matrix": "G"}, "grasp_matrix"),
         (
-            {"contact_stiffness": np.inf, "joint_stiffness": np.inf, "synergy_stiffness": np.inf},
+            {
+                "contact_stiffness": np.inf,
+                "joint_stiffness": np.inf,
+                "synergy_stiffness": np.inf,
+            },
             "rigid",
         ),
         # 21 contact forces on 20 joints: one combination loads no joint and is undetermined.
         ({"contact_stiffness": np.inf}, "rigid"),
     ],
 )
-def test_quasistatic_refuses(figures: dict[str, Any], change: dict[str, Any], what: str) -> None:
+def test_quasistatic_refuses(
+    figures: dict[str, Any], change: dict[str, Any], what: str
+) -> None:
     arguments = {
         "jacobian": figures["J"],
         "grasp_matrix": figures["G"],
@@ -292,7 +348,10 @@ def test_quasistatic_refuses(figures: dict[str, Any], change: dict[str, Any], wh
 
 @pytest.mark.parametrize(
     "points",
-    [[[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]], [[1.0, 1.0, 1.0], [2.0, 2.0, 2.0], [5.0, 5.0, 5.0]]],
+    [
+        [[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]],
+        [[1.0, 1.0, 1.0], [2.0, 2.0, 2.0], [5.0, 5.0, 5.0]],
+    ],
 )
 def test_contacts_on_one_line_do_not_hold_an_object(points: list[list[float]]) -> None:
     G = grasp_matrix(points, np.array([0.3, 0.0, 0.0]))
@@ -329,9 +388,13 @@ def test_contact_jacobian_is_the_derivative_of_the_contacts(name: str) -> None:
     assert grasp.jacobian.shape == (3 * len(grasp.contacts), len(q))
     for joint, column in enumerate(grasp.jacobian.T):
         dq = step * np.eye(len(q))[joint]
-        ahead, behind = (dataclasses.replace(grasp, q=q + s * dq).points for s in (1.0, -1.0))
+        ahead, behind = (
+            dataclasses.replace(grasp, q=q + s * dq).points for s in (1.0, -1.0)
+        )
         # Central differences are good to step^2 and to rounding over step: 1e-9 here.
-        np.testing.assert_allclose(column, (ahead - behind).ravel() / (2.0 * step), atol=1e-9)
+        np.testing.assert_allclose(
+            column, (ahead - behind).ravel() / (2.0 * step), atol=1e-9
+        )
     assert [point.finger for point in grasp.contact_hand.reference_points] == [
         contact.finger for contact in grasp.contacts
     ]
@@ -346,15 +409,25 @@ def test_a_contact_normal_is_made_a_unit_vector() -> None:
 def test_a_grasp_refuses_links_and_joints_that_the_hand_does_not_have() -> None:
     hand = load_hand("three_finger")
     with pytest.raises(InvalidInputError, match="no link 'tail'"):
-        Grasp(hand, hand.rest, np.eye(4), (Contact("tail", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),))
-    with pytest.raises(InvalidInputError, match=r"q: .* shape \(8,\), got shape \(5,\)"):
+        Grasp(
+            hand,
+            hand.rest,
+            np.eye(4),
+            (Contact("tail", (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),),
+        )
+    with pytest.raises(
+        InvalidInputError, match=r"q: .* shape \(8,\), got shape \(5,\)"
+    ):
         Grasp(hand, np.zeros(5), np.eye(4), ())
 
 
 def test_a_fixed_hand_cannot_be_moved() -> None:
     hand = load_hand("three_finger", mount="fixed")
     grasp = Grasp(
-        hand, hand.rest, np.eye(4), (Contact("finger1_distal", (0.05, 0.0, 0.0), (0.0, 1.0, 0.0)),)
+        hand,
+        hand.rest,
+        np.eye(4),
+        (Contact("finger1_distal", (0.05, 0.0, 0.0), (0.0, 1.0, 0.0)),),
     )
     with pytest.raises(InvalidInputError, match="fixed"):
         grasp.moved(np.eye(4))

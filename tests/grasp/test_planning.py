@@ -100,7 +100,9 @@ def closer_for(grasp: Grasp) -> HandCloser:
 def test_closing_never_reaches_into_the_object(plan: Sequence[PlannedGrasp]) -> None:
     for grasp in (one.grasp for one in plan):
         # A touching link is one margin away, as far as a microradian of the joint allows.
-        assert closer_for(grasp).distances(grasp.q, grasp.wrist_pose).min() > MARGIN - 1e-6
+        assert (
+            closer_for(grasp).distances(grasp.q, grasp.wrist_pose).min() > MARGIN - 1e-6
+        )
 
 
 @pytest.mark.slow
@@ -110,7 +112,9 @@ def test_closing_stays_inside_the_limits(plan: Sequence[PlannedGrasp]) -> None:
         assert (grasp.q <= grasp.hand.upper_limits).all()
 
 
-def test_contacts_lie_one_margin_off_the_object_and_face_it(plan: Sequence[PlannedGrasp]) -> None:
+def test_contacts_lie_one_margin_off_the_object_and_face_it(
+    plan: Sequence[PlannedGrasp],
+) -> None:
     for grasp in (one.grasp for one in plan):
         assert grasp.shape is not None
         for point, normal in zip(grasp.points, grasp.normals, strict=True):
@@ -129,17 +133,22 @@ def test_every_joint_that_stopped_short_carries_a_link_that_touches(
     preshape = default_preshape(hand)
     ends = np.where(preshape.direction > 0.0, hand.upper_limits, hand.lower_limits)
     carried = [
-        carried_by(hand, joint, closer_for(plan[0].grasp).links) for joint in range(len(ends))
+        carried_by(hand, joint, closer_for(plan[0].grasp).links)
+        for joint in range(len(ends))
     ]
     for grasp in (one.grasp for one in plan):
         closer = closer_for(grasp)
         near = closer.distances(grasp.q, grasp.wrist_pose) <= MARGIN
-        touching = {link for link, is_near in zip(closer.links, near, strict=True) if is_near}
+        touching = {
+            link for link, is_near in zip(closer.links, near, strict=True) if is_near
+        }
         for joint in np.flatnonzero(preshape.direction):
             assert grasp.q[joint] == ends[joint] or carried[joint] & touching
 
 
-def test_joints_that_do_not_close_keep_their_angle(plan: Sequence[PlannedGrasp]) -> None:
+def test_joints_that_do_not_close_keep_their_angle(
+    plan: Sequence[PlannedGrasp],
+) -> None:
     preshape = default_preshape(plan[0].grasp.hand)
     still = preshape.direction == 0.0
     for grasp in (one.grasp for one in plan):
@@ -149,14 +158,18 @@ def test_joints_that_do_not_close_keep_their_angle(plan: Sequence[PlannedGrasp])
 def test_a_smaller_step_leads_to_the_same_grasp() -> None:
     hand = load("human")
     wrist = plan_grasps(hand, CUBE, samples=1, quality="msvg")[0].grasp.wrist_pose
-    coarse, fine = (HandCloser(hand, CUBE, step=step).close(wrist) for step in (0.02, 0.002))
+    coarse, fine = (
+        HandCloser(hand, CUBE, step=step).close(wrist) for step in (0.02, 0.002)
+    )
     # Joints of a finger stop one after another, each found to a microradian.
     np.testing.assert_allclose(coarse.q, fine.q, atol=2e-5)
 
 
 def test_a_hand_beside_the_object_closes_to_its_limits_and_has_no_contact() -> None:
     hand = load("three_finger")
-    grasp = HandCloser(hand, CUBE, motion_of(np.eye(3), np.array([1.0, 0.0, 0.0]))).close()
+    grasp = HandCloser(
+        hand, CUBE, motion_of(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    ).close()
     preshape = default_preshape(hand)
     assert grasp.contacts == ()
     np.testing.assert_array_equal(
@@ -177,16 +190,17 @@ def test_a_left_hand_closes_as_the_right_one_in_a_mirror() -> None:
 
 def test_contacts_at_the_joint_of_two_links_are_one() -> None:
     for one in plan_grasps(load("human"), CUBE, samples=12, quality="msvg"):
-        gaps = np.linalg.norm(one.grasp.points[:, None] - one.grasp.points, axis=2) + np.eye(
-            len(one.grasp.points)
-        )
+        gaps = np.linalg.norm(
+            one.grasp.points[:, None] - one.grasp.points, axis=2
+        ) + np.eye(len(one.grasp.points))
         assert gaps.min() >= 1e-3
 
 
 def test_coupled_joints_stop_together() -> None:
     for one in plan_grasps(coupled_hand(), CUBE, samples=10, quality="msvg"):
         assert (
-            closer_for(one.grasp).distances(one.grasp.q, one.grasp.wrist_pose).min() > MARGIN - 1e-6
+            closer_for(one.grasp).distances(one.grasp.q, one.grasp.wrist_pose).min()
+            > MARGIN - 1e-6
         )
         assert len(one.grasp.contacts) >= 2
 
@@ -218,10 +232,14 @@ def test_a_hand_without_collision_shapes_is_refused() -> None:
         ({"direction": np.full(8, 0.5)}, "direction"),
     ],
 )
-def test_a_closing_has_to_fit_its_hand(change: dict[str, np.ndarray], what: str) -> None:
+def test_a_closing_has_to_fit_its_hand(
+    change: dict[str, np.ndarray], what: str
+) -> None:
     hand = load("three_finger")
     with pytest.raises(InvalidInputError, match=what):
-        HandCloser(hand, CUBE, preshape=dataclasses.replace(default_preshape(hand), **change))
+        HandCloser(
+            hand, CUBE, preshape=dataclasses.replace(default_preshape(hand), **change)
+        )
 
 
 # How hands close
@@ -232,8 +250,13 @@ def test_geometry_finds_the_joints_that_the_toolbox_closes(name: str) -> None:
     hand = load(name)
     # Under another name, the hand has no `grasp_cube50.json`.
     stranger = Hand(msgspec.structs.replace(hand.spec, name="stranger"))
-    found, known = default_preshape(stranger).direction, default_preshape(hand).direction
-    fingers = [i for i, joint in enumerate(hand.joint_names) if not joint.startswith("thumb")]
+    found, known = (
+        default_preshape(stranger).direction,
+        default_preshape(hand).direction,
+    )
+    fingers = [
+        i for i, joint in enumerate(hand.joint_names) if not joint.startswith("thumb")
+    ]
     np.testing.assert_array_equal(found[fingers], known[fingers])
 
 
@@ -242,7 +265,9 @@ def test_geometry_bends_the_allegro_fingers_and_leaves_their_spread() -> None:
     bending = {f"joint_{i}.0" for i in (1, 2, 3, 5, 6, 7, 9, 10, 11, 14, 15)}
     direction = default_preshape(hand).direction
     assert {
-        joint for joint, way in zip(hand.joint_names, direction, strict=True) if way == 1.0
+        joint
+        for joint, way in zip(hand.joint_names, direction, strict=True)
+        if way == 1.0
     } == bending
     assert (direction >= 0.0).all()
 
@@ -257,12 +282,15 @@ def test_jaws_start_open_and_close() -> None:
     preshape = default_preshape(hand)
     closes = np.where(preshape.direction > 0.0, hand.upper_limits, hand.lower_limits)
     tips = hand.with_points("fingertips")
-    gaps = [np.linalg.norm(np.subtract(*tips.points(q))) for q in (preshape.start, closes)]
+    gaps = [
+        np.linalg.norm(np.subtract(*tips.points(q))) for q in (preshape.start, closes)
+    ]
     assert gaps[1] < gaps[0] - 0.05
 
 
 @pytest.mark.parametrize(
-    ("name", "centre"), [("human", [-0.0074, 0.0674, 0.0]), ("three_finger", [0.0, 0.0, 0.0])]
+    ("name", "centre"),
+    [("human", [-0.0074, 0.0674, 0.0]), ("three_finger", [0.0, 0.0, 0.0])],
 )
 def test_palm_centre_is_the_toolbox_one(name: str, centre: list[float]) -> None:
     np.testing.assert_allclose(palm_centre(load(name)), centre, atol=1e-12)
@@ -272,19 +300,26 @@ def test_palm_centre_is_the_toolbox_one(name: str, centre: list[float]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "mode", "share"), [("human", 7, 0.4), ("three_finger", 3, 0.9)])
+@pytest.mark.parametrize(
+    ("name", "mode", "share"), [("human", 7, 0.4), ("three_finger", 3, 0.9)]
+)
 def test_on_the_cube_the_human_hand_most_often_has_7_contacts_and_the_three_fingered_3(
     name: str, mode: int, share: float
 ) -> None:
     reference = reference_grasp(name)
     cube = reference.grasp.object_pose
     counts = contact_counts(
-        plan_grasps(reference.grasp.hand, CUBE, object_pose=cube, samples=60, quality="msvg")
+        plan_grasps(
+            reference.grasp.hand, CUBE, object_pose=cube, samples=60, quality="msvg"
+        )
     )
     assert max(counts, key=lambda number: counts[number]) == mode
     # As in the toolbox's own plans.
     assert (
-        max(reference.published_counts, key=lambda number: reference.published_counts[number])
+        max(
+            reference.published_counts,
+            key=lambda number: reference.published_counts[number],
+        )
         == mode
     )
     assert counts[mode] > share * 60
@@ -292,9 +327,15 @@ def test_on_the_cube_the_human_hand_most_often_has_7_contacts_and_the_three_fing
 
 def test_a_plan_is_its_seed() -> None:
     hand = load("three_finger")
-    first, again, other = (plan_grasps(hand, CUBE, samples=6, seed=seed) for seed in (5, 5, 6))
+    first, again, other = (
+        plan_grasps(hand, CUBE, samples=6, seed=seed) for seed in (5, 5, 6)
+    )
     for a, b in zip(first, again, strict=True):
-        assert (a.trial, a.quality, a.grasp.contacts) == (b.trial, b.quality, b.grasp.contacts)
+        assert (a.trial, a.quality, a.grasp.contacts) == (
+            b.trial,
+            b.quality,
+            b.grasp.contacts,
+        )
         np.testing.assert_array_equal(a.grasp.q, b.grasp.q)
     assert not np.array_equal(first[0].grasp.q, other[0].grasp.q)
 
@@ -323,11 +364,15 @@ def test_palms_look_at_the_object_from_the_planned_distance(name: str) -> None:
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
-def test_a_hand_that_would_start_in_the_object_starts_just_clear_of_it(shape: Shape) -> None:
+def test_a_hand_that_would_start_in_the_object_starts_just_clear_of_it(
+    shape: Shape,
+) -> None:
     hand = load("three_finger")
     inside = Preshape(np.zeros(8), default_preshape(hand).direction, -0.05)
     for one in plan_grasps(hand, shape, samples=5, preshape=inside, quality="msvg"):
-        gap = HandCloser(hand, shape).distances(inside.start, one.grasp.wrist_pose).min()
+        gap = (
+            HandCloser(hand, shape).distances(inside.start, one.grasp.wrist_pose).min()
+        )
         assert MARGIN < gap < MARGIN + 1.1e-3
 
 
@@ -350,7 +395,9 @@ def test_progress_is_told_and_arguments_are_checked() -> None:
 @pytest.mark.parametrize("measure", QUALITIES)
 @given(pose=poses)
 @settings(max_examples=8)
-def test_quality_does_not_depend_on_where_the_grasp_is(measure: str, pose: np.ndarray) -> None:
+def test_quality_does_not_depend_on_where_the_grasp_is(
+    measure: str, pose: np.ndarray
+) -> None:
     grasp = reference_grasp("three_finger").grasp
     # The edges of the friction pyramid turn with the world, so the measure depends slightly
     # on the frame.
@@ -390,7 +437,9 @@ def test_every_direction_is_resisted_by_at_least_the_ball() -> None:
     radius = ferrari_canny(offsets, reference.normals, 0.5)
     directions = np.random.default_rng(0).normal(size=(20000, 6))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    resisted = (directions @ cone_wrenches(offsets, reference.normals, 0.5).T).max(axis=1)
+    resisted = (directions @ cone_wrenches(offsets, reference.normals, 0.5).T).max(
+        axis=1
+    )
     assert 0.0 < radius <= resisted.min() + 1e-12
     # This many directions come near the weakest one.
     assert resisted.min() < 1.5 * radius
@@ -398,7 +447,10 @@ def test_every_direction_is_resisted_by_at_least_the_ball() -> None:
 
 def test_more_friction_never_weakens_a_grasp() -> None:
     grasp = reference_grasp("human").grasp
-    radii = [grasp_quality(grasp, friction=friction) for friction in (0.0, 0.1, 0.3, 0.5, 0.8, 1.2)]
+    radii = [
+        grasp_quality(grasp, friction=friction)
+        for friction in (0.0, 0.1, 0.3, 0.5, 0.8, 1.2)
+    ]
     assert radii == sorted(radii)
     assert radii[0] <= 0.0 < radii[3]
 
@@ -422,7 +474,11 @@ def test_grasps_with_too_few_contacts_rank_last() -> None:
 def test_cones_stand_round_their_normals() -> None:
     normals = reference_grasp("human").grasp.normals
     forces = cone_wrenches(np.zeros((7, 3)), normals, 0.5)[:, :3].reshape(7, -1, 3)
-    np.testing.assert_allclose(np.einsum("cej,cj->ce", forces, normals), 1.0, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(forces - normals[:, None], axis=2), 0.5, atol=1e-12)
+    np.testing.assert_allclose(
+        np.einsum("cej,cj->ce", forces, normals), 1.0, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        np.linalg.norm(forces - normals[:, None], axis=2), 0.5, atol=1e-12
+    )
     with pytest.raises(InvalidInputError, match="friction"):
         cone_wrenches(np.zeros((7, 3)), normals, -0.1)

@@ -16,10 +16,14 @@ from handmap_qp.hands.sources import urdf_directory
 
 
 @pytest.mark.parametrize(("hand", "count"), [("human", 7), ("three_finger", 3)])
-def test_reference_contacts_are_where_they_were_published(hand: str, count: int) -> None:
+def test_reference_contacts_are_where_they_were_published(
+    hand: str, count: int
+) -> None:
     reference = reference_grasp(hand)
     assert reference.published_points.shape == (count, 3)
-    np.testing.assert_allclose(reference.grasp.points, reference.published_points, atol=1e-9)
+    np.testing.assert_allclose(
+        reference.grasp.points, reference.published_points, atol=1e-9
+    )
     np.testing.assert_array_equal(
         reference.grasp.hand.points(reference.grasp.q, reference.grasp.wrist_pose),
         reference.grasp.points,
@@ -27,7 +31,9 @@ def test_reference_contacts_are_where_they_were_published(hand: str, count: int)
 
 
 @pytest.mark.parametrize("hand", REFERENCE_HANDS)
-def test_reference_contacts_lie_on_the_cube_grown_as_the_planner_grew_it(hand: str) -> None:
+def test_reference_contacts_lie_on_the_cube_grown_as_the_planner_grew_it(
+    hand: str,
+) -> None:
     grasp = reference_grasp(hand).grasp
     local = (grasp.points - grasp.centre) @ grasp.object_pose[:3, :3]
     # The cube is 1.5 mm larger per side. The planner's points are midpoints of the bone's segment
@@ -54,9 +60,13 @@ def test_reference_normals_point_into_the_cube() -> None:
         local = grasp.normals @ grasp.object_pose[:3, :3]
         # Normals of the cube's faces.
         np.testing.assert_allclose(
-            np.sort(np.abs(local), axis=1), np.tile([0.0, 0.0, 1.0], (len(local), 1)), atol=1e-12
+            np.sort(np.abs(local), axis=1),
+            np.tile([0.0, 0.0, 1.0], (len(local), 1)),
+            atol=1e-12,
         )
-        assert (np.einsum("cj,cj->c", grasp.normals, grasp.centre - grasp.points) > 0.0).all()
+        assert (
+            np.einsum("cj,cj->c", grasp.normals, grasp.centre - grasp.points) > 0.0
+        ).all()
 
 
 def test_published_robot_angles_miss_our_hand_by_the_planners_shift() -> None:
@@ -68,11 +78,15 @@ def test_published_robot_angles_miss_our_hand_by_the_planners_shift() -> None:
 
 def test_the_best_palm_for_the_published_robot_angles_is_hardly_better() -> None:
     figures = json.loads(
-        (urdf_directory() / "three_finger" / "grasp_cube50.json").read_text(encoding="utf-8")
+        (urdf_directory() / "three_finger" / "grasp_cube50.json").read_text(
+            encoding="utf-8"
+        )
     )["published"]
     reference = reference_grasp("three_finger")
     published = dataclasses.replace(
-        reference.grasp, q=reference.published_q, wrist_pose=np.array(figures["best_wrist_pose"])
+        reference.grasp,
+        q=reference.published_q,
+        wrist_pose=np.array(figures["best_wrist_pose"]),
     )
     points, goals = published.points, reference.published_points
     rms = np.sqrt(np.square(points - goals).sum(axis=1).mean())
@@ -82,9 +96,9 @@ def test_the_best_palm_for_the_published_robot_angles_is_hardly_better() -> None
     offsets, wanted = points - points.mean(axis=0), goals - goals.mean(axis=0)
     U, _, Vt = np.linalg.svd(wanted.T @ offsets)
     R = U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt
-    assert np.sqrt(np.square(offsets @ R.T - wanted).sum(axis=1).mean()) == pytest.approx(
-        rms, abs=1e-9
-    )
+    assert np.sqrt(
+        np.square(offsets @ R.T - wanted).sum(axis=1).mean()
+    ) == pytest.approx(rms, abs=1e-9)
 
 
 def test_other_hands_have_no_reference_grasp() -> None:
@@ -101,11 +115,15 @@ def test_quality_of_the_human_reference_is_the_published_one(measure: str) -> No
     )
 
 
-def test_quality_of_the_robot_reference_is_the_published_one_with_the_shifted_fingers() -> None:
+def test_quality_of_the_robot_reference_is_the_published_one_with_the_shifted_fingers() -> (
+    None
+):
     reference = reference_grasp("three_finger")
     expected = reference.published_quality
     # Shifting a finger as a whole changes its contacts, but not its Jacobian.
-    G = grasp_matrix(1e3 * (reference.published_points - reference.grasp.centre), np.zeros(3))
+    G = grasp_matrix(
+        1e3 * (reference.published_points - reference.grasp.centre), np.zeros(3)
+    )
     J = 1e3 * dataclasses.replace(reference.grasp, q=reference.published_q).jacobian
     of_G, of_H = (
         np.linalg.svd(G, compute_uv=False),

@@ -142,7 +142,9 @@ LOADING: dict[str, tuple[Callable[[], Any], str]] = {
     "points": (lambda: load_hand("human", points=5), "points"),  # ty: ignore[invalid-argument-type]
     "a point": (lambda: load_hand("human", points=(5,)), "points[0]"),  # ty: ignore[invalid-argument-type]
     "place of a point": (
-        lambda: load_hand("human", points=(PointSpec("p", "palm", xyz=(0.0, np.nan, 0.0)),)),
+        lambda: load_hand(
+            "human", points=(PointSpec("p", "palm", xyz=(0.0, np.nan, 0.0)),)
+        ),
         "points[0].xyz",
     ),
     "place of text": (
@@ -150,7 +152,9 @@ LOADING: dict[str, tuple[Callable[[], Any], str]] = {
         "points[0].xyz",
     ),
     "weight of a point": (
-        lambda: load_hand("human", points=("index_tip", PointSpec("p", "palm", weight=0.0))),
+        lambda: load_hand(
+            "human", points=("index_tip", PointSpec("p", "palm", weight=0.0))
+        ),
         "points[1].weight",
     ),
     "mount": (lambda: load_hand("human", mount="flying"), "mount"),  # ty: ignore[invalid-argument-type]
@@ -188,9 +192,21 @@ SYNERGY_CALLS: dict[str, tuple[Callable[[Any], Any], dict[str, Any], str]] = {
     "posture": (SYNERGIES.posture, not_numbers(16), "z"),
     "coordinates": (SYNERGIES.coordinates, not_numbers(20), "q"),
     "mean": (lambda mean: Synergies(SYNERGIES.matrix, mean), not_numbers(20), "mean"),
-    "matrix": (lambda matrix: Synergies(matrix, SYNERGIES.mean), not_numbers(20), "matrix"),
-    "bases": (lambda bases: HumanLengths(bases, LENGTHS.segments), not_numbers(15), "bases"),
-    "segments": (lambda bones: HumanLengths(LENGTHS.bases, bones), not_numbers(15), "segments"),
+    "matrix": (
+        lambda matrix: Synergies(matrix, SYNERGIES.mean),
+        not_numbers(20),
+        "matrix",
+    ),
+    "bases": (
+        lambda bases: HumanLengths(bases, LENGTHS.segments),
+        not_numbers(15),
+        "bases",
+    ),
+    "segments": (
+        lambda bones: HumanLengths(LENGTHS.bases, bones),
+        not_numbers(15),
+        "segments",
+    ),
 }
 
 
@@ -206,7 +222,10 @@ def test_an_invalid_human_measure_is_named(call: str) -> None:
 
 SPECS = {
     "numbers as names": ({"joints": (1, 2)}, "joints[0]"),
-    "text as a number": ({"rest": {**HAND.spec.rest, HAND.joint_names[0]: "0.1"}}, "rest"),
+    "text as a number": (
+        {"rest": {**HAND.spec.rest, HAND.joint_names[0]: "0.1"}},
+        "rest",
+    ),
     "no palm": ({"palm": None}, "palm"),
     "palm of text": ({"palm": PalmSpec("palm", "abc", (0.0, 0.0, 1.0))}, "palm.distal"),  # ty: ignore[invalid-argument-type]
     "complex weight": ({"points": (PointSpec("p", "palm", weight=1j),)}, None),  # ty: ignore[invalid-argument-type]
@@ -240,7 +259,9 @@ def test_a_spec_accepts_numpy_values_and_copies_its_arguments() -> None:
     assert check_point(PointSpec("p", "palm", weight=np.float64(2.0))).weight == 2.0
 
 
-@pytest.mark.parametrize("name", ["a\0b", "\0.yaml", "x" * 5000, "", ".", "x" * 5000 + ".yaml"])
+@pytest.mark.parametrize(
+    "name", ["a\0b", "\0.yaml", "x" * 5000, "", ".", "x" * 5000 + ".yaml"]
+)
 def test_names_that_are_not_files_are_rejected(name: str) -> None:
     with pytest.raises(HandError):
         load_hand(name)
@@ -277,8 +298,12 @@ def test_points_may_be_called_as_frames_and_links_are() -> None:
     offsets = {"palm": (0.1, 0.0, 0.0), "wrist": (0.0, 0.2, 0.0), "0": (0.0, 0.0, 0.3)}
     points = tuple(PointSpec(name, "palm", xyz=xyz) for name, xyz in offsets.items())
     hand = load_hand("human", points=points)
-    np.testing.assert_allclose(hand.points(hand.rest), list(offsets.values()), atol=1e-12)
-    np.testing.assert_allclose(hand.frame_pose("wrist", hand.rest), np.eye(4), atol=1e-12)
+    np.testing.assert_allclose(
+        hand.points(hand.rest), list(offsets.values()), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        hand.frame_pose("wrist", hand.rest), np.eye(4), atol=1e-12
+    )
 
 
 def test_environment_variables_in_the_path_of_a_urdf(

@@ -19,7 +19,9 @@ from handmap_qp.hands.urdf import (
 LIMIT = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
 
 
-def joint(name: str, parent: str, child: str, kind: str = "revolute", inside: str = LIMIT) -> str:
+def joint(
+    name: str, parent: str, child: str, kind: str = "revolute", inside: str = LIMIT
+) -> str:
     links = f'<parent link="{parent}"/><child link="{child}"/>'
     return f'<joint name="{name}" type="{kind}">{links}{inside}</joint>'
 
@@ -32,16 +34,28 @@ def robot(links: str, *parts: str) -> ET.Element:
 
 FAULTS = {
     "two links": (robot("aab", joint("j", "a", "b")), "two links 'a'"),
-    "two joints": (robot("abc", joint("j", "a", "b"), joint("j", "b", "c")), "two joints 'j'"),
-    "no child": (robot("a", '<joint name="j"><parent link="a"/></joint>'), "parent and a child"),
-    "no such link": (robot("a", joint("j", "a", "b")), "'b', which the URDF does not have"),
+    "two joints": (
+        robot("abc", joint("j", "a", "b"), joint("j", "b", "c")),
+        "two joints 'j'",
+    ),
+    "no child": (
+        robot("a", '<joint name="j"><parent link="a"/></joint>'),
+        "parent and a child",
+    ),
+    "no such link": (
+        robot("a", joint("j", "a", "b")),
+        "'b', which the URDF does not have",
+    ),
     "two parents": (
         robot("abc", joint("j", "a", "c"), joint("k", "b", "c")),
         "'c' is the child of two joints, 'j' and 'k'",
     ),
     "two roots": (robot("abc", joint("j", "a", "b")), "2 roots, expected one: a, c"),
     "no link": (robot(""), "it has no link"),
-    "loop": (robot("ab", joint("j", "a", "b"), joint("k", "b", "a")), "its links form a loop"),
+    "loop": (
+        robot("ab", joint("j", "a", "b"), joint("k", "b", "a")),
+        "its links form a loop",
+    ),
     "loop beside a tree": (
         robot("abcd", joint("j", "a", "b"), joint("k", "c", "d"), joint("l", "d", "c")),
         "a loop contains the link 'c'",
@@ -59,7 +73,10 @@ FAULTS = {
         robot("ab", joint("j", "a", "b", inside='<limit upper="nan"/>')),
         "<limit upper='nan'>",
     ),
-    "nothing moves": (robot("ab", joint("j", "a", "b", "fixed")), "no joint that moves"),
+    "nothing moves": (
+        robot("ab", joint("j", "a", "b", "fixed")),
+        "no joint that moves",
+    ),
 }
 
 
@@ -81,7 +98,9 @@ def test_a_joint_without_limits_is_named_by_its_key(kind: str, inside: str) -> N
     with pytest.raises(HandError) as caught:
         check_has_limits(robot("ab", joint("j", "a", "b", kind, inside)))
     assert caught.value.key == "limits.j"
-    check_has_limits(robot("ab", joint("j", "a", "b", kind, f'{inside}<mimic joint="k"/>')))
+    check_has_limits(
+        robot("ab", joint("j", "a", "b", kind, f'{inside}<mimic joint="k"/>'))
+    )
 
 
 def tree() -> ET.Element:

@@ -51,12 +51,18 @@ SPEC = HandSpec(
         ("../meshes/part.stl", "meshes/part.stl", ""),
         ("file://{root}/part.stl", "part.stl", ""),
         ("{root}/part.stl", "part.stl", ""),
-        ("package://finger_description/meshes/part.stl", "meshes/part.stl", "package.xml"),
+        (
+            "package://finger_description/meshes/part.stl",
+            "meshes/part.stl",
+            "package.xml",
+        ),
         ("package://urdf/meshes/part.stl", "urdf/meshes/part.stl", ""),
         ("model://urdf/part.stl", "urdf/part.stl", ""),
     ],
 )
-def test_meshes_are_found_from_the_urdf(tmp_path: Path, mesh: str, place: str, marker: str) -> None:
+def test_meshes_are_found_from_the_urdf(
+    tmp_path: Path, mesh: str, place: str, marker: str
+) -> None:
     root, elsewhere = tmp_path / "robot", tmp_path / "elsewhere"
     for folder in (root / "urdf", (root / place).parent, elsewhere):
         folder.mkdir(parents=True, exist_ok=True)
@@ -68,13 +74,17 @@ def test_meshes_are_found_from_the_urdf(tmp_path: Path, mesh: str, place: str, m
     hand = Hand(msgspec.structs.replace(SPEC, urdf=relative, directory=elsewhere))
     palm, _ = read_collision_shapes(hand).geometryObjects
     palm.geometry.computeLocalAABB()
-    np.testing.assert_allclose(palm.geometry.aabb_local.max_, [0.02, 0.01, 0.01], atol=1e-6)
+    np.testing.assert_allclose(
+        palm.geometry.aabb_local.max_, [0.02, 0.01, 0.01], atol=1e-6
+    )
     # The check of a description and the mapping find the same meshes.
     assert colliding_links(hand, hand.rest) == ()
 
 
 @pytest.mark.parametrize("mesh", ["part.stl", "package://arm_description/part.stl"])
-def test_meshes_of_an_arm_are_found_from_its_own_urdf(tmp_path: Path, mesh: str) -> None:
+def test_meshes_of_an_arm_are_found_from_its_own_urdf(
+    tmp_path: Path, mesh: str
+) -> None:
     for name, size in (("hand", 0.02), ("arm_description", 0.04)):
         (tmp_path / name).mkdir()
         trimesh.creation.box((size, size, size)).export(tmp_path / name / "part.stl")
@@ -89,7 +99,9 @@ def test_meshes_of_an_arm_are_found_from_its_own_urdf(tmp_path: Path, mesh: str)
         rest={"lift": 0.0},
         directory=tmp_path / "arm_description",
     )
-    hand = Hand(mounted(msgspec.structs.replace(SPEC, directory=tmp_path / "hand"), arm))
+    hand = Hand(
+        mounted(msgspec.structs.replace(SPEC, directory=tmp_path / "hand"), arm)
+    )
     sizes = {}
     for shape in read_collision_shapes(hand).geometryObjects:
         shape.geometry.computeLocalAABB()
@@ -99,14 +111,20 @@ def test_meshes_of_an_arm_are_found_from_its_own_urdf(tmp_path: Path, mesh: str)
 
 
 def test_a_mesh_that_does_not_exist_is_named(tmp_path: Path) -> None:
-    (tmp_path / "hand.urdf").write_text(FINGER.format(mesh="package://nowhere/gone.stl"))
+    (tmp_path / "hand.urdf").write_text(
+        FINGER.format(mesh="package://nowhere/gone.stl")
+    )
     hand = Hand(msgspec.structs.replace(SPEC, directory=tmp_path))
-    with pytest.raises(HandError, match=r"collision shapes cannot be read: .*gone\.stl"):
+    with pytest.raises(
+        HandError, match=r"collision shapes cannot be read: .*gone\.stl"
+    ):
         read_collision_shapes(hand)
 
 
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj"])
-def test_distances_between_meshes_are_those_of_their_hulls(tmp_path: Path, kind: str) -> None:
+def test_distances_between_meshes_are_those_of_their_hulls(
+    tmp_path: Path, kind: str
+) -> None:
     # Binary STL is read here, all else by coal.
     suffix = kind.partition("_")[0]
     # Vertices inside the hull, as of a cavity or a screw hole, must not change it.
@@ -120,7 +138,9 @@ def test_distances_between_meshes_are_those_of_their_hulls(tmp_path: Path, kind:
         corners.append(np.vstack([inner.vertices, outer.vertices]))
     # One mesh is stretched.
     text = FINGER.format(mesh=f'palm.{suffix}" scale="0.5 1.5 0.8')
-    text = text.replace('<box size="0.02 0.02 0.02"/>', f'<mesh filename="tip.{suffix}"/>')
+    text = text.replace(
+        '<box size="0.02 0.02 0.02"/>', f'<mesh filename="tip.{suffix}"/>'
+    )
     corners[0] *= (0.5, 1.5, 0.8)
     (tmp_path / "hand.urdf").write_text(text)
     hand = Hand(msgspec.structs.replace(SPEC, directory=tmp_path), mount="fixed")
@@ -147,13 +167,17 @@ def test_a_mesh_that_has_changed_is_read_again(tmp_path: Path) -> None:
     radii = []
     for size in (0.02, 0.04):
         trimesh.creation.box((size, size, size)).export(tmp_path / "part.stl")
-        shapes = read_collision_shapes(Hand(msgspec.structs.replace(SPEC, directory=tmp_path)))
+        shapes = read_collision_shapes(
+            Hand(msgspec.structs.replace(SPEC, directory=tmp_path))
+        )
         radii.append(np.linalg.norm(shapes.geometryObjects[0].geometry.point(0)))
     assert radii[1] == pytest.approx(2.0 * radii[0], rel=1e-6)
 
 
 def test_a_flat_mesh_is_named(tmp_path: Path) -> None:
-    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]])
+    flat = trimesh.Trimesh(
+        [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]]
+    )
     flat.export(tmp_path / "flat.stl")
     (tmp_path / "hand.urdf").write_text(FINGER.format(mesh="flat.stl"))
     with pytest.raises(HandError, match=r"palm_0.* is flat"):
@@ -183,7 +207,9 @@ def test_a_description_elsewhere_avoids_self_collision(
     shapes = read_collision_shapes(plain := Hand(spec)).geometryObjects
     assert len(shapes) > 10
     first, *_, last = (plain.model.frames[shape.parentFrame].name for shape in shapes)
-    hand = Hand(msgspec.structs.replace(spec, collision=CollisionSpec(pairs=((first, last),))))
+    hand = Hand(
+        msgspec.structs.replace(spec, collision=CollisionSpec(pairs=((first, last),)))
+    )
     ik = PointIk(hand, IkOptions(avoids_self_collision=True))
     ik.place(hand.configuration_vector(hand.rest))
     assert ik.solve(hand.points(hand.rest), None, 0.01).status != "failed"

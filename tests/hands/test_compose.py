@@ -48,17 +48,23 @@ def pose_of(model: pin.Model, link: str, angles: dict[str, float]) -> np.ndarray
 def within(hand: Hand, generator: np.random.Generator) -> np.ndarray:
     """Draw joint angles inside the limits, those of an arm within half a turn."""
     return np.clip(
-        generator.uniform(-np.pi, np.pi, len(hand.rest)), hand.lower_limits, hand.upper_limits
+        generator.uniform(-np.pi, np.pi, len(hand.rest)),
+        hand.lower_limits,
+        hand.upper_limits,
     )
 
 
 @every_arm
 @given(generator=generators)
-def test_the_wrist_is_where_the_arm_carries_it(arm: str, generator: np.random.Generator) -> None:
+def test_the_wrist_is_where_the_arm_carries_it(
+    arm: str, generator: np.random.Generator
+) -> None:
     hand, spec = ON_ARM[arm], ARMS[arm]
     q = within(hand, generator)
     flange = pose_of(
-        pin.buildModelFromXML(read_urdf(spec)), spec.tip, dict(zip(spec.joints, q, strict=False))
+        pin.buildModelFromXML(read_urdf(spec)),
+        spec.tip,
+        dict(zip(spec.joints, q, strict=False)),
     )
     offset = np.eye(4)
     offset[:3, :3], offset[:3, 3] = rotation_from_rpy(MOUNT[1]), MOUNT[0]
@@ -80,7 +86,9 @@ def test_points_on_an_arm_are_those_of_the_hand_alone_carried_by_the_wrist(
 
 @every_arm
 @given(generator=generators)
-def test_the_jacobian_holds_arm_and_fingers(arm: str, generator: np.random.Generator) -> None:
+def test_the_jacobian_holds_arm_and_fingers(
+    arm: str, generator: np.random.Generator
+) -> None:
     hand = ON_ARM[arm]
     q, step = within(hand, generator), 1e-6
     slopes = [
@@ -88,7 +96,9 @@ def test_the_jacobian_holds_arm_and_fingers(arm: str, generator: np.random.Gener
         for e in np.eye(len(q))
     ]
     # Central differences of points a metre away: rounding error 2e-16 / 1e-6.
-    np.testing.assert_allclose(hand.point_jacobian(q), np.column_stack(slopes), atol=2e-9)
+    np.testing.assert_allclose(
+        hand.point_jacobian(q), np.column_stack(slopes), atol=2e-9
+    )
 
 
 @every_arm
@@ -99,10 +109,12 @@ def test_an_arm_keeps_its_own_limits(arm: str) -> None:
     count = len(spec.joints)
     assert hand.joint_names == (*spec.joints, *ALLEGRO.joint_names)
     np.testing.assert_array_equal(
-        hand.lower_limits[:count], [model.lowerPositionLimit[joint.idx_q] for joint in at]
+        hand.lower_limits[:count],
+        [model.lowerPositionLimit[joint.idx_q] for joint in at],
     )
     np.testing.assert_array_equal(
-        hand.upper_limits[:count], [model.upperPositionLimit[joint.idx_q] for joint in at]
+        hand.upper_limits[:count],
+        [model.upperPositionLimit[joint.idx_q] for joint in at],
     )
     np.testing.assert_array_equal(
         hand.velocity_limits[:count], [model.velocityLimit[joint.idx_v] for joint in at]
@@ -120,7 +132,8 @@ def test_a_stretched_arm_stays_bounded_and_still(arm: str) -> None:
     target = hand.frame_pose("wrist", hand.rest)
     target[:3, 3] *= 1.0 + 2.0 / np.linalg.norm(target[:3, 3])
     points = transform_points(
-        target @ np.linalg.inv(hand.frame_pose("wrist", hand.rest)), hand.points(hand.rest)
+        target @ np.linalg.inv(hand.frame_pose("wrist", hand.rest)),
+        hand.points(hand.rest),
     )
     dt, track = 1.0 / 60.0, [hand.rest]
     for _ in range(400):
@@ -162,15 +175,24 @@ def test_links_of_the_same_name_do_not_meet() -> None:
         joints=("grip",),
         rest={"grip": 0.2},
         points=(
-            msgspec.structs.replace(ALLEGRO.spec.points[0], link="tool0", xyz=(0.05, 0.0, 0.0)),
+            msgspec.structs.replace(
+                ALLEGRO.spec.points[0], link="tool0", xyz=(0.05, 0.0, 0.0)
+            ),
         ),
         sets={"fingertips": (ALLEGRO.spec.points[0].name,)},
         reference="fingertips",
     )
-    alone, hand = Hand(spec, urdf_text=text), Hand(mounted(spec, ARMS["ur5"]), urdf_text=text)
-    flange = pose_of(pin.buildModelFromXML(read_urdf(ARMS["ur5"])), "tool0", ARMS["ur5"].rest)
+    alone, hand = (
+        Hand(spec, urdf_text=text),
+        Hand(mounted(spec, ARMS["ur5"]), urdf_text=text),
+    )
+    flange = pose_of(
+        pin.buildModelFromXML(read_urdf(ARMS["ur5"])), "tool0", ARMS["ur5"].rest
+    )
     np.testing.assert_allclose(
-        hand.points(hand.rest), transform_points(flange, alone.points([0.2])), atol=1e-12
+        hand.points(hand.rest),
+        transform_points(flange, alone.points([0.2])),
+        atol=1e-12,
     )
 
 
@@ -181,7 +203,10 @@ def test_a_mount_that_is_impossible_is_rejected() -> None:
         ({"without": ("moon",)}, "no link 'moon'"),
         ({"urdf": "nowhere.urdf"}, "arm.urdf"),
         (
-            {"joints": ur5.joints[:-1], "rest": {name: ur5.rest[name] for name in ur5.joints[:-1]}},
+            {
+                "joints": ur5.joints[:-1],
+                "rest": {name: ur5.rest[name] for name in ur5.joints[:-1]},
+            },
             "'wrist_3_joint' is missing",
         ),
         ({"rest": {}}, "has no rest position"),
@@ -213,7 +238,10 @@ KINDS = st.sampled_from(["revolute", "prismatic", "continuous"])
 def test_a_locked_joint_stands_where_it_was_put(
     kind: str, axis: np.random.Generator, pose: np.ndarray, angle: float, pitch: float
 ) -> None:
-    direction, rpy = axis.normal(size=3), [float(rpy_from_rotation(pose)[0]), pitch, 0.4]
+    direction, rpy = (
+        axis.normal(size=3),
+        [float(rpy_from_rotation(pose)[0]), pitch, 0.4],
+    )
     text = (
         f'<robot name="r"><link name="a"/><link name="b"/><joint name="j" type="{kind}">'
         '<parent link="a"/><child link="b"/>'
@@ -223,15 +251,23 @@ def test_a_locked_joint_stands_where_it_was_put(
     )
     free = pin.buildModelFromXML(text)
     data = free.createData()
-    q = np.array([np.cos(angle), np.sin(angle)]) if kind == "continuous" else np.array([angle])
+    q = (
+        np.array([np.cos(angle), np.sin(angle)])
+        if kind == "continuous"
+        else np.array([angle])
+    )
     pin.framesForwardKinematics(free, data, q)
     robot = ET.fromstring(text)
     assert lock_joints(robot, {"j": angle}) == {"j": angle}
-    locked = pose_of(pin.buildModelFromXML(ET.tostring(robot, encoding="unicode")), "b", {})
+    locked = pose_of(
+        pin.buildModelFromXML(ET.tostring(robot, encoding="unicode")), "b", {}
+    )
     # Pinocchio normalises the axis differently, and the locked pose is converted to roll, pitch and
     # yaw.
     np.testing.assert_allclose(
-        locked, data.oMf[free.getFrameId("b", pin.FrameType.BODY)].homogeneous, atol=1e-9
+        locked,
+        data.oMf[free.getFrameId("b", pin.FrameType.BODY)].homogeneous,
+        atol=1e-9,
     )
 
 
@@ -250,7 +286,9 @@ def test_a_hand_cut_from_a_robot_moves_as_on_it(name: str) -> None:
         for point, place in zip(hand.reference_points, hand.points(q), strict=True):
             np.testing.assert_allclose(
                 place,
-                transform_points(foot @ pose_of(model, point.link, angles), np.array(point.xyz)),
+                transform_points(
+                    foot @ pose_of(model, point.link, angles), np.array(point.xyz)
+                ),
                 atol=1e-12,
             )
 
@@ -282,7 +320,9 @@ def test_a_part_that_is_not_there_cannot_be_cut_out() -> None:
 def test_limits_replace_those_of_the_file() -> None:
     first = ALLEGRO.joint_names[0]
     hand = load_hand(
-        msgspec.structs.replace(ALLEGRO.spec, limits={first: LimitSpec(upper=0.2, velocity=3.0)})
+        msgspec.structs.replace(
+            ALLEGRO.spec, limits={first: LimitSpec(upper=0.2, velocity=3.0)}
+        )
     )
     assert (hand.lower_limits[0], hand.upper_limits[0], hand.velocity_limits[0]) == (
         ALLEGRO.lower_limits[0],
@@ -296,7 +336,11 @@ def test_files_extend_others_and_keep_their_paths(tmp_path: Path) -> None:
     base = urdf_directory() / "three_finger" / "hand.yaml"
     (tmp_path / "mine.yaml").write_text(f"extends: {base}\nname: mine\nside: left\n")
     mine = read_hand_spec(tmp_path / "mine.yaml")
-    assert (mine.name, mine.side, mine.joints) == ("mine", "left", read_hand_spec(base).joints)
+    assert (mine.name, mine.side, mine.joints) == (
+        "mine",
+        "left",
+        read_hand_spec(base).joints,
+    )
     hand = load_hand(tmp_path / "mine.yaml")
     np.testing.assert_array_equal(
         hand.points(hand.rest), load_hand("three_finger").points(hand.rest)

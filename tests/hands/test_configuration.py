@@ -50,14 +50,20 @@ def test_a_jacobian_of_an_earlier_posture_is_rejected(
 
 @every_hand
 @given(generator=generators)
-def test_both_placements_place_the_same_frames(name: str, generator: np.random.Generator) -> None:
+def test_both_placements_place_the_same_frames(
+    name: str, generator: np.random.Generator
+) -> None:
     hand = HANDS[name]
-    q = hand.configuration_vector(generator.uniform(hand.lower_limits, hand.upper_limits))
+    q = hand.configuration_vector(
+        generator.uniform(hand.lower_limits, hand.upper_limits)
+    )
     frames, full = hand.configuration(), hand.configuration()
     frames.place_frames(q)
     full.place_with_jacobians(q)
     np.testing.assert_allclose(frames.points, full.points, atol=1e-14)
-    np.testing.assert_allclose(frames.wrist.homogeneous, full.wrist.homogeneous, atol=1e-14)
+    np.testing.assert_allclose(
+        frames.wrist.homogeneous, full.wrist.homogeneous, atol=1e-14
+    )
     np.testing.assert_array_equal(frames.q, full.q)
 
 
@@ -68,7 +74,9 @@ def test_the_wrist_jacobian_is_the_derivative_of_the_wrist(
 ) -> None:
     hand = HANDS[name]
     workspace = hand.configuration()
-    q = hand.configuration_vector(generator.uniform(hand.lower_limits, hand.upper_limits))
+    q = hand.configuration_vector(
+        generator.uniform(hand.lower_limits, hand.upper_limits)
+    )
     workspace.place_with_jacobians(q)
     jacobian, start = workspace.wrist_jacobian(np.eye(6)), pin.SE3(workspace.wrist)
     step = 1e-6 * generator.normal(size=workspace.nv)

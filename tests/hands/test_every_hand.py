@@ -39,7 +39,9 @@ _TOLERANCE = 1e-9
 
 @cache
 def hand_of(name: str) -> Hand:
-    spec: str | HandSpec = name if name in ROBOTS else detect(DATA / f"{name}.urdf").spec
+    spec: str | HandSpec = (
+        name if name in ROBOTS else detect(DATA / f"{name}.urdf").spec
+    )
     return load_hand(spec)
 
 
@@ -56,16 +58,25 @@ def follow(
     angles, last = [], None
     for sample, pose, step in zip(q, wrist, dt, strict=True):
         result = mapper.map_step(
-            np.clip(sample, human.lower_limits, human.upper_limits), pose, dt=float(step)
+            np.clip(sample, human.lower_limits, human.upper_limits),
+            pose,
+            dt=float(step),
         )
         assert result.status != "failed"
-        for values in (result.command.q, result.command.wrist, result.points, result.targets):
+        for values in (
+            result.command.q,
+            result.command.wrist,
+            result.points,
+            result.targets,
+        ):
             assert np.isfinite(values).all()
         angles.append(result.command.q)
         last = result
     assert last is not None
     # Followers follow while it moves.
-    alone = robot.points(last.command.q, last.command.wrist if robot.is_floating else None)
+    alone = robot.points(
+        last.command.q, last.command.wrist if robot.is_floating else None
+    )
     np.testing.assert_allclose(last.points, alone, atol=1e-9)
     return np.array(angles)
 
@@ -83,8 +94,12 @@ def check_limits(robot: Hand, q: np.ndarray, dt: np.ndarray) -> None:
     ):
         if role == "follower" and not any(joint in note for note in robot.notes):
             at = plain.joints[plain.getJointId(joint)].idx_q
-            assert (every[:, i] >= plain.lowerPositionLimit[at] - _TOLERANCE).all(), joint
-            assert (every[:, i] <= plain.upperPositionLimit[at] + _TOLERANCE).all(), joint
+            assert (every[:, i] >= plain.lowerPositionLimit[at] - _TOLERANCE).all(), (
+                joint
+            )
+            assert (every[:, i] <= plain.upperPositionLimit[at] + _TOLERANCE).all(), (
+                joint
+            )
 
 
 @cache
@@ -113,7 +128,10 @@ def test_it_follows_a_lively_hand_within_all_limits(name: str) -> None:
     angles = follow(human, robot, q, wrist, dt)
     check_limits(robot, angles, dt)
     # A hand that does not move would pass the rest of this test.
-    assert np.ptp(angles, axis=0).max() > 0.05 * (robot.upper_limits - robot.lower_limits).min()
+    assert (
+        np.ptp(angles, axis=0).max()
+        > 0.05 * (robot.upper_limits - robot.lower_limits).min()
+    )
 
 
 @pytest.fixture(scope="module")
@@ -127,10 +145,14 @@ def recorded(recordings: Path) -> dict[str, HumanMotion]:
     return motions
 
 
-@pytest.mark.parametrize("name", ["allegro_left", "hey5", "tiago_arm", "prismatic_fingers"])
+@pytest.mark.parametrize(
+    "name", ["allegro_left", "hey5", "tiago_arm", "prismatic_fingers"]
+)
 def test_it_follows_a_recorded_hand_within_all_limits(
     name: str, recorded: dict[str, HumanMotion]
 ) -> None:
     robot = hand_of(name)
     motion = recorded[robot.side]
-    check_limits(robot, follow(motion.human, robot, motion.q, motion.wrist, motion.dt), motion.dt)
+    check_limits(
+        robot, follow(motion.human, robot, motion.q, motion.wrist, motion.dt), motion.dt
+    )

@@ -24,17 +24,23 @@ from handmap_qp.se3 import transform_points
 HANDS = {name: load_hand(name) for name in hand_names()}
 every_hand = pytest.mark.parametrize("hand", HANDS.values(), ids=HANDS.keys())
 # Mirrored, with followers, with prismatic joints, on an arm, and cut from a robot.
-KINDS = [n for n in ("human_left", "hey5", "panda_gripper", "ur5_allegro", "g1_left") if n in HANDS]
+KINDS = [
+    n
+    for n in ("human_left", "hey5", "panda_gripper", "ur5_allegro", "g1_left")
+    if n in HANDS
+]
 each_kind = pytest.mark.parametrize("hand", [HANDS[name] for name in KINDS], ids=KINDS)
 
 
 def postures(hand: Hand) -> st.SearchStrategy[np.ndarray]:
     """Draw joint angles inside a hand's limits."""
-    shares = st.lists(st.floats(0.0, 1.0), min_size=len(hand.rest), max_size=len(hand.rest)).map(
-        np.array
-    )
+    shares = st.lists(
+        st.floats(0.0, 1.0), min_size=len(hand.rest), max_size=len(hand.rest)
+    ).map(np.array)
     return shares.map(
-        lambda share: hand.lower_limits + share * (hand.upper_limits - hand.lower_limits)
+        lambda share: (
+            hand.lower_limits + share * (hand.upper_limits - hand.lower_limits)
+        )
     )
 
 
@@ -44,20 +50,31 @@ def in_palm(hand: Hand, q: np.ndarray) -> np.ndarray:
 
 
 def test_the_hands_of_the_package_are_there() -> None:
-    assert {"human", "human_left", "three_finger", "allegro_right", "allegro_left"} <= set(HANDS)
+    assert {
+        "human",
+        "human_left",
+        "three_finger",
+        "allegro_right",
+        "allegro_left",
+    } <= set(HANDS)
 
 
 @each_kind
 @given(data=st.data())
-def test_point_jacobian_is_the_derivative_of_the_points(hand: Hand, data: st.DataObject) -> None:
+def test_point_jacobian_is_the_derivative_of_the_points(
+    hand: Hand, data: st.DataObject
+) -> None:
     q, pose = data.draw(postures(hand)), data.draw(poses) if hand.is_floating else None
     step = 1e-6
     slopes = [
-        (hand.points(q + step * e, pose) - hand.points(q - step * e, pose)).ravel() / (2 * step)
+        (hand.points(q + step * e, pose) - hand.points(q - step * e, pose)).ravel()
+        / (2 * step)
         for e in np.eye(len(q))
     ]
     # Central differences: rounding 1e-16 / 1e-6 of metres, truncation 1e-12.
-    np.testing.assert_allclose(hand.point_jacobian(q, pose), np.column_stack(slopes), atol=3e-9)
+    np.testing.assert_allclose(
+        hand.point_jacobian(q, pose), np.column_stack(slopes), atol=3e-9
+    )
 
 
 @each_kind
@@ -80,7 +97,9 @@ def test_a_point_lies_on_its_link_where_the_description_says(hand: Hand) -> None
     points = hand.points(hand.rest)
     for point, position in zip(hand.reference_points, points, strict=True):
         link = hand.frame_pose(point.link, hand.rest)
-        np.testing.assert_allclose(position, link[:3, :3] @ point.xyz + link[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(
+            position, link[:3, :3] @ point.xyz + link[:3, 3], atol=1e-12
+        )
 
 
 @every_hand
@@ -90,7 +109,9 @@ def test_palm_axes_are_anatomical(hand: Hand) -> None:
     tips = hand.with_points("fingertips")
     if "middle" not in {point.finger for point in tips.reference_points}:
         pytest.skip(f"{hand.name} is a gripper, and shut at zero")
-    fingers = [i for i, point in enumerate(tips.reference_points) if point.finger != "thumb"]
+    fingers = [
+        i for i, point in enumerate(tips.reference_points) if point.finger != "thumb"
+    ]
     open_tips = in_palm(tips, stretched)[fingers]
     closed_tips = in_palm(tips, hand.rest)[fingers]
     assert (open_tips[:, 1] > 0.0).all()
@@ -139,7 +160,9 @@ def test_a_wrist_away_from_the_root_carries_the_hand(
     for link in ("palm", "flange", *(point.link for point in hand.reference_points)):
         in_root = data.oMf[model.getFrameId(link, pin.FrameType.BODY)].homogeneous
         expected = pose @ np.linalg.inv(flange) @ in_root
-        np.testing.assert_allclose(hand.link_poses([link], q, pose)[0], expected, atol=1e-9)
+        np.testing.assert_allclose(
+            hand.link_poses([link], q, pose)[0], expected, atol=1e-9
+        )
     np.testing.assert_allclose(hand.frame_pose("wrist", q, pose), pose, atol=1e-12)
     np.testing.assert_allclose(
         hand.frame_pose("palm", q, pose), pose @ hand.wrist_to_palm, atol=1e-12
@@ -172,7 +195,9 @@ def test_points_can_be_chosen_by_set_by_name_and_by_place() -> None:
     own = PointSpec(name="mine", link="palm", xyz=(0.01, 0.02, 0.03))
     hand = load_hand("human", points=("index_tip", own))
     assert [point.name for point in hand.reference_points] == ["index_tip", "mine"]
-    np.testing.assert_allclose(hand.points(hand.rest)[1], [0.01, 0.02, 0.03], atol=1e-12)
+    np.testing.assert_allclose(
+        hand.points(hand.rest)[1], [0.01, 0.02, 0.03], atol=1e-12
+    )
     assert len(load_hand("human", points="landmarks").reference_points) == 21
     for bad in ("no set", ("no_point",), ()):
         with pytest.raises(HandError):
@@ -180,7 +205,9 @@ def test_points_can_be_chosen_by_set_by_name_and_by_place() -> None:
 
 
 @pytest.mark.parametrize(
-    "q", [np.zeros(3), np.zeros((8, 1)), 0.0], ids=["too few", "two-dimensional", "scalar"]
+    "q",
+    [np.zeros(3), np.zeros((8, 1)), 0.0],
+    ids=["too few", "two-dimensional", "scalar"],
 )
 def test_a_posture_of_another_shape_is_rejected(q: np.ndarray) -> None:
     with pytest.raises(InvalidInputError, match="shape"):
@@ -209,7 +236,11 @@ BROKEN = {
     "side": ({"side": "both"}, None, "side"),
     "rest outside limits": ({"rest": {**SPEC.rest, FIRST: 9.0}}, None, f"rest.{FIRST}"),
     "rest of no joint": ({"rest": {**SPEC.rest, "elbow": 0.0}}, None, "rest"),
-    "matched outside limits": ({"matched": {**SPEC.rest, FIRST: 9.0}}, None, f"matched.{FIRST}"),
+    "matched outside limits": (
+        {"matched": {**SPEC.rest, FIRST: 9.0}},
+        None,
+        f"matched.{FIRST}",
+    ),
     "matched of no joint": ({"matched": {**SPEC.rest, "elbow": 0.0}}, None, "matched"),
     "matched of some joints": ({"matched": {FIRST: 0.5}}, None, "matched"),
     "matched of no joints": ({"matched": {}}, None, "matched"),
@@ -229,22 +260,44 @@ BROKEN = {
     ),
     "joint twice": ({"joints": [*SPEC.joints, FIRST]}, None, "joints"),
     "unknown link": (
-        {"points": [{**POINT, "link": "moon"}, *map(msgspec.to_builtins, SPEC.points[1:])]},
+        {
+            "points": [
+                {**POINT, "link": "moon"},
+                *map(msgspec.to_builtins, SPEC.points[1:]),
+            ]
+        },
         None,
         "points[0].link",
     ),
     "palm on no link": (
-        {"palm": {"link": "moon", "distal": [1.0, 0.0, 0.0], "dorsal": [0.0, 0.0, 1.0]}},
+        {
+            "palm": {
+                "link": "moon",
+                "distal": [1.0, 0.0, 0.0],
+                "dorsal": [0.0, 0.0, 1.0],
+            }
+        },
         None,
         "palm.link",
     ),
     "palm askew": (
-        {"palm": {"link": "palm", "distal": [1.0, 0.0, 0.0], "dorsal": [1.0, 0.0, 0.0]}},
+        {
+            "palm": {
+                "link": "palm",
+                "distal": [1.0, 0.0, 0.0],
+                "dorsal": [1.0, 0.0, 0.0],
+            }
+        },
         None,
         "palm.dorsal",
     ),
     "no weight": (
-        {"points": [{**POINT, "weight": 0.0}, *map(msgspec.to_builtins, SPEC.points[1:])]},
+        {
+            "points": [
+                {**POINT, "weight": 0.0},
+                *map(msgspec.to_builtins, SPEC.points[1:]),
+            ]
+        },
         None,
         "points[0].weight",
     ),
@@ -270,7 +323,9 @@ def test_a_broken_description_is_named_by_file_and_key(
 @pytest.mark.parametrize(
     "text", ["", "- 1", "a: [", "\x00"], ids=["empty", "list", "torn", "binary"]
 )
-def test_a_file_that_is_not_a_description_is_rejected(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_not_a_description_is_rejected(
+    tmp_path: Path, text: str
+) -> None:
     path = tmp_path / "hand.yaml"
     path.write_text(text)
     with pytest.raises(HandError, match=r"hand\.yaml"):

@@ -41,10 +41,14 @@ def tip_and_joint_positions(text: str, angles: np.ndarray) -> np.ndarray:
         q[model.joints[model.getJointId(name)].idx_q] = angle
     pin.framesForwardKinematics(model, data, q)
     names = [
-        [*HUMAN_JOINTS[4 * i + 1 : 4 * i + 4], f"{finger}_tip"] for i, finger in enumerate(FINGERS)
+        [*HUMAN_JOINTS[4 * i + 1 : 4 * i + 4], f"{finger}_tip"]
+        for i, finger in enumerate(FINGERS)
     ]
     return np.array(
-        [[data.oMf[model.getFrameId(name)].translation for name in row] for row in names]
+        [
+            [data.oMf[model.getFrameId(name)].translation for name in row]
+            for row in names
+        ]
     )
 
 
@@ -138,13 +142,18 @@ def test_scaling_by_own_lengths_changes_no_shape() -> None:
     ):
         before, after = (
             np.array(
-                [[float(x) for x in e.attrib[key].split()] for e in ET.fromstring(text).iter(path)]
+                [
+                    [float(x) for x in e.attrib[key].split()]
+                    for e in ET.fromstring(text).iter(path)
+                ]
             )
             for text in (HUMAN, scaled_human_urdf(HUMAN, DEFAULT))
         )
         # The file writes some lengths with nine digits, and centres to the micrometre.
         np.testing.assert_allclose(after, before, atol=1e-8)
-    before, after = (shape_poses(text) for text in (HUMAN, scaled_human_urdf(HUMAN, DEFAULT)))
+    before, after = (
+        shape_poses(text) for text in (HUMAN, scaled_human_urdf(HUMAN, DEFAULT))
+    )
     np.testing.assert_allclose(after[0], before[0], atol=1e-8)
     np.testing.assert_allclose(after[1], before[1], atol=1e-8)
 
@@ -153,7 +162,11 @@ def test_thickness_follows_the_length_of_the_hand() -> None:
     long = HumanLengths(bases=1.3 * DEFAULT.bases, segments=1.3 * DEFAULT.segments)
     for path, key in (("cylinder", "radius"), ("sphere", "radius"), ("box", "size")):
         before, after = (
-            [float(x) for e in ET.fromstring(text).iter(path) for x in e.attrib[key].split()]
+            [
+                float(x)
+                for e in ET.fromstring(text).iter(path)
+                for x in e.attrib[key].split()
+            ]
             for text in (HUMAN, scaled_human_urdf(HUMAN, long))
         )
         np.testing.assert_allclose(after, 1.3 * np.array(before), rtol=1e-6)
@@ -170,7 +183,9 @@ def shape_poses(text: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 @given(person=persons(), angles=arrays(float, 20, elements=st.floats(-1.5, 1.5)))
-def test_scaled_hand_has_the_lengths_asked_for(person: HumanLengths, angles: np.ndarray) -> None:
+def test_scaled_hand_has_the_lengths_asked_for(
+    person: HumanLengths, angles: np.ndarray
+) -> None:
     positions = tip_and_joint_positions(scaled_human_urdf(HUMAN, person), angles)
     np.testing.assert_allclose(positions[:, 0], person.bases, atol=1e-9)
     np.testing.assert_allclose(
@@ -180,21 +195,30 @@ def test_scaled_hand_has_the_lengths_asked_for(person: HumanLengths, angles: np.
 
 @settings(max_examples=6)
 @given(person=persons(), name=st.sampled_from(["human", "human_left"]))
-def test_a_person_is_the_hand_of_the_scaled_urdf(person: HumanLengths, name: str) -> None:
+def test_a_person_is_the_hand_of_the_scaled_urdf(
+    person: HumanLengths, name: str
+) -> None:
     hand = load_hand(name, lengths=person, points="landmarks")
     text = scaled_human_urdf(HUMAN, person)
     read = Hand(hand.spec, points="landmarks", urdf_text=text)
     assert hand.urdf_text == read.urdf_text
     for own, other in (
         (hand.model.jointPlacements, read.model.jointPlacements),
-        ([f.placement for f in hand.model.frames], [f.placement for f in read.model.frames]),
+        (
+            [f.placement for f in hand.model.frames],
+            [f.placement for f in read.model.frames],
+        ),
     ):
         np.testing.assert_allclose(
-            [place.homogeneous for place in own], [p.homogeneous for p in other], atol=1e-15
+            [place.homogeneous for place in own],
+            [p.homogeneous for p in other],
+            atol=1e-15,
         )
     q = 0.5 * (hand.lower_limits + hand.upper_limits)
     np.testing.assert_allclose(hand.points(q), read.points(q), atol=1e-15)
-    np.testing.assert_array_equal(hand.with_points("landmarks").points(q), hand.points(q))
+    np.testing.assert_array_equal(
+        hand.with_points("landmarks").points(q), hand.points(q)
+    )
 
 
 @given(person=persons(), angles=arrays(float, 20, elements=st.floats(-1.5, 1.5)))
@@ -224,7 +248,9 @@ def test_scaling_forgets_earlier_scaling(person: HumanLengths) -> None:
 
 @settings(max_examples=15)
 @given(person=persons())
-def test_capsules_and_metacarpals_still_end_at_their_joints(person: HumanLengths) -> None:
+def test_capsules_and_metacarpals_still_end_at_their_joints(
+    person: HumanLengths,
+) -> None:
     text = scaled_human_urdf(HUMAN, person)
     model = pin.buildModelFromXML(text)
     collision = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
@@ -235,11 +261,18 @@ def test_capsules_and_metacarpals_still_end_at_their_joints(person: HumanLengths
             else ("proximal", "middle", "distal")
         )
         for k, bone in enumerate(bones):
-            capsule = collision.geometryObjects[collision.getGeometryId(f"{finger}_{bone}_0")]
+            capsule = collision.geometryObjects[
+                collision.getGeometryId(f"{finger}_{bone}_0")
+            ]
             half = capsule.geometry.halfLength * capsule.placement.rotation[:, 2]
-            start, end = capsule.placement.translation - half, capsule.placement.translation + half
+            start, end = (
+                capsule.placement.translation - half,
+                capsule.placement.translation + half,
+            )
             np.testing.assert_allclose(start, 0.0, atol=1e-9)
-            np.testing.assert_allclose(end, [person.segments[i, k], 0.0, 0.0], atol=1e-9)
+            np.testing.assert_allclose(
+                end, [person.segments[i, k], 0.0, 0.0], atol=1e-9
+            )
     knuckle = ET.fromstring(text).find(".//visual[@name='middle_knuckle']/origin")
     assert knuckle is not None
     np.testing.assert_allclose(
@@ -255,7 +288,9 @@ def test_typical_hand_follows_the_ratios(length: float) -> None:
     middle_tip = positions[FINGERS.index("middle"), -1]
     # Third MCP joint at 0.446 of the length, then 0.266, 0.170 and 0.108.
     np.testing.assert_allclose(middle_tip, [0.0, 0.990 * length, 0.0], atol=1e-9)
-    assert HumanLengths.from_hand_length(length).hand_length == pytest.approx(0.990 * length)
+    assert HumanLengths.from_hand_length(length).hand_length == pytest.approx(
+        0.990 * length
+    )
 
 
 def test_breadth_moves_knuckles_apart_and_nothing_else() -> None:
@@ -296,7 +331,10 @@ def test_left_hand_is_the_scaled_right_hand_mirrored() -> None:
         ({"segments": np.full((5, 3), np.inf)}, "segments: expected finite"),
         ({"segments": np.ones((3, 5))}, "segments: expected finite numbers of shape"),
         ({"rolls": np.zeros(4)}, "rolls: expected finite numbers of shape"),
-        ({"rolls": [0, 0, 0, 0, 12]}, "rolls: expected angles within 45 degrees of 0, got 12 rad"),
+        (
+            {"rolls": [0, 0, 0, 0, 12]},
+            "rolls: expected angles within 45 degrees of 0, got 12 rad",
+        ),
     ],
 )
 def test_bad_lengths(change: dict[str, Any], message: str) -> None:
@@ -352,14 +390,20 @@ def test_synergies_are_the_published_ones() -> None:
     assert tuple(json.loads(file.read_text())["joint_names"]) == HUMAN_JOINTS
     dip = [HUMAN_JOINTS.index(f"{finger}_DIP_flexion") for finger in FINGERS[1:]]
     pip = [HUMAN_JOINTS.index(f"{finger}_PIP_flexion") for finger in FINGERS[1:]]
-    np.testing.assert_allclose(synergies.matrix[dip], 2 / 3 * synergies.matrix[pip], atol=1e-12)
-    np.testing.assert_allclose(synergies.mean[[0, 1]], [-0.98258657, 1.75956782], atol=1e-8)
+    np.testing.assert_allclose(
+        synergies.matrix[dip], 2 / 3 * synergies.matrix[pip], atol=1e-12
+    )
+    np.testing.assert_allclose(
+        synergies.mean[[0, 1]], [-0.98258657, 1.75956782], atol=1e-8
+    )
 
 
 def test_first_synergy_opens_the_fingers() -> None:
     synergies = load_synergies()
     wrist_to_tip = [
-        np.linalg.norm(tip_and_joint_positions(HUMAN, synergies.posture([z]))[1:, -1], axis=1)
+        np.linalg.norm(
+            tip_and_joint_positions(HUMAN, synergies.posture([z]))[1:, -1], axis=1
+        )
         for z in (0, 0.5)
     ]
     assert (wrist_to_tip[1] > wrist_to_tip[0]).all()
@@ -368,14 +412,18 @@ def test_first_synergy_opens_the_fingers() -> None:
 @given(z=arrays(float, 15, elements=st.floats(-2.0, 2.0)))
 def test_coordinates_invert_posture(z: np.ndarray) -> None:
     synergies = load_synergies()
-    np.testing.assert_allclose(synergies.coordinates(synergies.posture(z)), z, atol=1e-10)
+    np.testing.assert_allclose(
+        synergies.coordinates(synergies.posture(z)), z, atol=1e-10
+    )
 
 
 def test_left_out_coordinates_are_zero() -> None:
     synergies = load_synergies()
     np.testing.assert_array_equal(synergies.posture([]), synergies.mean)
     np.testing.assert_allclose(
-        synergies.posture([0.3, -0.2]), synergies.posture([0.3, -0.2] + [0.0] * 13), atol=1e-15
+        synergies.posture([0.3, -0.2]),
+        synergies.posture([0.3, -0.2] + [0.0] * 13),
+        atol=1e-15,
     )
 
 

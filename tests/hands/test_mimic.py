@@ -45,7 +45,9 @@ SPEC = HandSpec(
     wrist=WristSpec(link="palm"),
     joints=ACTIVE,
     rest=dict.fromkeys(ACTIVE, 0.5),
-    points=tuple(PointSpec(name=f"{finger}_tip", link=f"{finger}_tip") for finger in "abcz"),
+    points=tuple(
+        PointSpec(name=f"{finger}_tip", link=f"{finger}_tip") for finger in "abcz"
+    ),
     sets={"fingertips": ("a_tip", "b_tip", "c_tip", "z_tip")},
     reference="fingertips",
 )
@@ -75,16 +77,22 @@ def test_all_joints_follow_the_rules(q: np.ndarray) -> None:
 def test_followers_are_flagged() -> None:
     roles = dict(zip(HAND.all_joint_names, HAND.all_joint_roles, strict=True))
     assert HAND.joint_names == ACTIVE == HAND.all_joint_names[:4]
-    assert {name for name, role in roles.items() if role == "follower"} == FOLLOWERS.keys()
+    assert {
+        name for name, role in roles.items() if role == "follower"
+    } == FOLLOWERS.keys()
 
 
 def test_a_motion_has_all_joints_in_every_row() -> None:
     q = np.array([HAND.rest, HAND.lower_limits, HAND.upper_limits])
-    np.testing.assert_array_equal(HAND.all_joints(q), [HAND.all_joints(row) for row in q])
+    np.testing.assert_array_equal(
+        HAND.all_joints(q), [HAND.all_joints(row) for row in q]
+    )
 
 
 @given(q=angles)
-def test_points_are_those_of_the_plain_model_with_every_joint_set(q: np.ndarray) -> None:
+def test_points_are_those_of_the_plain_model_with_every_joint_set(
+    q: np.ndarray,
+) -> None:
     model = pin.buildModelFromUrdf(str(URDF))
     data, full = model.createData(), np.zeros(model.nq)
     for name, value in zip(HAND.all_joint_names, HAND.all_joints(q), strict=True):
@@ -106,7 +114,9 @@ def test_the_jacobian_holds_the_followers_motion(hand: Hand, q: np.ndarray) -> N
         for e in np.eye(4)
     ]
     # Central differences: rounding error 1e-16 / 1e-6 of metres, truncation 1e-12.
-    np.testing.assert_allclose(hand.point_jacobian(q), np.column_stack(slopes), atol=3e-9)
+    np.testing.assert_allclose(
+        hand.point_jacobian(q), np.column_stack(slopes), atol=3e-9
+    )
 
 
 @every_mount
@@ -118,11 +128,15 @@ def test_a_step_in_the_active_coordinates_keeps_every_rule(
     matrix, offset = hand.expansion
     assert matrix.shape == (hand.model.nv, len(hand.active_columns))
     assert offset.shape == (hand.model.nv,)
-    np.testing.assert_array_equal(matrix[hand.active_columns], np.eye(len(hand.active_columns)))
+    np.testing.assert_array_equal(
+        matrix[hand.active_columns], np.eye(len(hand.active_columns))
+    )
     step = 0.1 * generator.normal(size=len(hand.active_columns))
     start = hand.configuration_vector(q)
     there = pin.integrate(hand.model, start, matrix @ step)
-    np.testing.assert_allclose(there[hand.q_indices], q + step[hand.joint_columns], atol=1e-15)
+    np.testing.assert_allclose(
+        there[hand.q_indices], q + step[hand.joint_columns], atol=1e-15
+    )
     moved = hand.configuration_vector(there[hand.q_indices])
     first = 7 if hand.is_floating else 0
     np.testing.assert_allclose(there[first:], moved[first:], atol=1e-15)
@@ -136,12 +150,16 @@ def test_the_jacobian_of_the_active_coordinates_moves_the_points(
     assert hand.expansion is not None
     workspace = hand.configuration()
     workspace.place_with_jacobians(hand.configuration_vector(q))
-    slope = workspace.point_jacobian() @ (step := generator.normal(size=len(hand.active_columns)))
+    slope = workspace.point_jacobian() @ (
+        step := generator.normal(size=len(hand.active_columns))
+    )
     ends = []
     for sign in (1e-6, -1e-6):
         workspace.place_frames(
             pin.integrate(
-                hand.model, hand.configuration_vector(q), hand.expansion.matrix @ (sign * step)
+                hand.model,
+                hand.configuration_vector(q),
+                hand.expansion.matrix @ (sign * step),
             )
         )
         ends.append(workspace.points.copy())
@@ -167,7 +185,9 @@ def test_inside_the_leaders_limits_no_follower_leaves_its_own(q: np.ndarray) -> 
     for name, value in zip(HAND.all_joint_names, HAND.all_joints(q), strict=True):
         at = model.joints[model.getJointId(name)].idx_q
         assert (
-            model.lowerPositionLimit[at] - 1e-12 <= value <= model.upperPositionLimit[at] + 1e-12
+            model.lowerPositionLimit[at] - 1e-12
+            <= value
+            <= model.upperPositionLimit[at] + 1e-12
         ), name
 
 
@@ -175,7 +195,9 @@ def test_limits_are_the_tightest_of_leader_and_followers() -> None:
     by_name = dict(
         zip(
             ACTIVE,
-            zip(HAND.lower_limits, HAND.upper_limits, HAND.velocity_limits, strict=True),
+            zip(
+                HAND.lower_limits, HAND.upper_limits, HAND.velocity_limits, strict=True
+            ),
             strict=True,
         )
     )
@@ -188,7 +210,9 @@ def test_limits_are_the_tightest_of_leader_and_followers() -> None:
     assert by_name["z_j1"] == pytest.approx((0.0, 1.2, 5.0))
 
 
-def test_a_followers_limit_that_contradicts_its_rule_is_dropped_with_a_warning() -> None:
+def test_a_followers_limit_that_contradicts_its_rule_is_dropped_with_a_warning() -> (
+    None
+):
     with pytest.warns(UserWarning, match="'z_j2' are ignored"):
         hand = Hand(changed(mimic={"z_j2": MimicSpec("z_j1", 1.0)}))
     assert (hand.lower_limits[3], hand.upper_limits[3]) == (0.0, 1.2)
@@ -215,7 +239,9 @@ def test_tightened_limits_map_into_the_followers(
 
 
 @given(generator=generators, count=st.integers(1, 12))
-def test_any_forest_of_rules_resolves(generator: np.random.Generator, count: int) -> None:
+def test_any_forest_of_rules_resolves(
+    generator: np.random.Generator, count: int
+) -> None:
     """Draw joints that follow an earlier joint of a random order, or none.
 
     The file lists them in another order.
@@ -240,7 +266,9 @@ def test_any_forest_of_rules_resolves(generator: np.random.Generator, count: int
     rules = read_mimic_rules(robot)
     active = [name for name in names if name not in direct]
     matrix, offset = expansion_matrix(names, active, rules)
-    q = dict(zip(names, matrix @ generator.normal(size=len(active)) + offset, strict=True))
+    q = dict(
+        zip(names, matrix @ generator.normal(size=len(active)) + offset, strict=True)
+    )
     for follower, (leader, multiplier, shift) in direct.items():
         assert q[follower] == pytest.approx(multiplier * q[leader] + shift, abs=1e-9)
 
@@ -252,16 +280,29 @@ def test_any_forest_of_rules_resolves(generator: np.random.Generator, count: int
         ({"mimic": {"a_j2": MimicSpec("elbow")}}, "'elbow', which does not exist"),
         ({"mimic": {"elbow": MimicSpec("a_j1")}}, "no movable joint 'elbow'"),
         (
-            {"root": "b_l1", "palm": PalmSpec("b_l1", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))},
+            {
+                "root": "b_l1",
+                "palm": PalmSpec("b_l1", (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+            },
             "'c_j2', which does not exist",
         ),
         (
-            {"joints": (*ACTIVE, "a_j2"), "rest": dict.fromkeys((*ACTIVE, "a_j2"), 0.5)},
+            {
+                "joints": (*ACTIVE, "a_j2"),
+                "rest": dict.fromkeys((*ACTIVE, "a_j2"), 0.5),
+            },
             "'a_j2' mimics 'a_j1'",
         ),
         ({"mimic": {"a_j2": MimicSpec("a_j1", float("nan"))}}, "finite"),
     ],
-    ids=["circle", "no leader", "no follower", "leader cut off", "follower set", "no number"],
+    ids=[
+        "circle",
+        "no leader",
+        "no follower",
+        "leader cut off",
+        "follower set",
+        "no number",
+    ],
 )
 def test_rules_that_cannot_be(changes: dict, message: str) -> None:
     with pytest.raises(HandError, match=message):
@@ -270,7 +311,9 @@ def test_rules_that_cannot_be(changes: dict, message: str) -> None:
 
 def test_followers_of_a_locked_leader_are_locked_where_they_then_stand() -> None:
     kept = tuple(name for name in ACTIVE if name != "a_j1")
-    hand = Hand(changed(joints=kept, rest=dict.fromkeys(kept, 0.5), locked={"a_j1": 0.4}))
+    hand = Hand(
+        changed(joints=kept, rest=dict.fromkeys(kept, 0.5), locked={"a_j1": 0.4})
+    )
     np.testing.assert_allclose(
         hand.points(hand.rest)[0], HAND.points([0.4, 0.5, 0.5, 0.5])[0], atol=1e-14
     )

@@ -72,15 +72,26 @@ def full_q(model: pin.Model, angles: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("text", [HUMAN, MIXED], ids=["human", "mixed"])
 @given(seed=arrays(float, 20, elements=st.floats(-1.5, 1.5)))
 def test_the_same_q_gives_the_mirrored_posture(text: str, seed: np.ndarray) -> None:
-    right, left = pin.buildModelFromXML(text), pin.buildModelFromXML(mirrored_urdf(text))
+    right, left = (
+        pin.buildModelFromXML(text),
+        pin.buildModelFromXML(mirrored_urdf(text)),
+    )
     angles = seed[: right.njoints - 1]
-    expected, got = poses(right, full_q(right, angles)), poses(left, full_q(left, angles))
+    expected, got = (
+        poses(right, full_q(right, angles)),
+        poses(left, full_q(left, angles)),
+    )
     np.testing.assert_allclose(got[:, :, 3], expected[:, :, 3] @ MIRROR, atol=1e-12)
-    np.testing.assert_allclose(got[:, :, :3], MIRROR @ expected[:, :, :3] @ MIRROR, atol=1e-12)
+    np.testing.assert_allclose(
+        got[:, :, :3], MIRROR @ expected[:, :, :3] @ MIRROR, atol=1e-12
+    )
 
 
 def test_joint_axes_turn_the_other_way_round() -> None:
-    right, left = pin.buildModelFromXML(HUMAN), pin.buildModelFromXML(mirrored_urdf(HUMAN))
+    right, left = (
+        pin.buildModelFromXML(HUMAN),
+        pin.buildModelFromXML(mirrored_urdf(HUMAN)),
+    )
     q = np.linspace(-0.5, 0.8, 20)
     jacobians = []
     for model in (right, left):
@@ -92,10 +103,17 @@ def test_joint_axes_turn_the_other_way_round() -> None:
 
 
 def test_inertia_is_reflected() -> None:
-    right, left = pin.buildModelFromXML(MIXED), pin.buildModelFromXML(mirrored_urdf(MIXED))
-    np.testing.assert_allclose(left.inertias[1].lever, MIRROR @ right.inertias[1].lever, atol=1e-15)
+    right, left = (
+        pin.buildModelFromXML(MIXED),
+        pin.buildModelFromXML(mirrored_urdf(MIXED)),
+    )
     np.testing.assert_allclose(
-        left.inertias[1].inertia, MIRROR @ right.inertias[1].inertia @ MIRROR, atol=1e-15
+        left.inertias[1].lever, MIRROR @ right.inertias[1].lever, atol=1e-15
+    )
+    np.testing.assert_allclose(
+        left.inertias[1].inertia,
+        MIRROR @ right.inertias[1].inertia @ MIRROR,
+        atol=1e-15,
     )
 
 
@@ -112,7 +130,14 @@ def test_twice_mirrored_is_the_original(text: str) -> None:
 
 def test_limits_names_and_shapes_stay() -> None:
     before, after = ET.fromstring(HUMAN), ET.fromstring(mirrored_urdf(HUMAN))
-    for path in (".//limit", ".//geometry/*", ".//link", ".//parent", ".//child", ".//capsule"):
+    for path in (
+        ".//limit",
+        ".//geometry/*",
+        ".//link",
+        ".//parent",
+        ".//child",
+        ".//capsule",
+    ):
         assert [e.attrib for e in before.iterfind(path)] == [
             e.attrib for e in after.iterfind(path)
         ], path

@@ -96,7 +96,9 @@ def test_the_comparison_notices_a_turned_axis(claw: tuple[ConvertedMjcf, Path]) 
     converted = claw[0]
     axis = joint(converted, "curl").find("axis")
     assert axis is not None
-    turned = converted.text.replace('<axis xyz="1.0 0.0 0.0"', '<axis xyz="1.0 0.001 0.0"')
+    turned = converted.text.replace(
+        '<axis xyz="1.0 0.0 0.0"', '<axis xyz="1.0 0.001 0.0"'
+    )
     assert turned != converted.text
     other = ConvertedMjcf(
         turned, {}, (), converted.model, dict(converted.links), dict(converted.joints)
@@ -138,7 +140,8 @@ def test_limits_efforts_and_damping_are_those_of_the_file(
     claw: tuple[ConvertedMjcf, Path],
 ) -> None:
     limits = {
-        name: joint(claw[0], name).find("limit") for name in ("spread", "push", "curl", "socket_y")
+        name: joint(claw[0], name).find("limit")
+        for name in ("spread", "push", "curl", "socket_y")
     }
     read = {
         name: (float(limit.get("lower", "nan")), float(limit.get("upper", "nan")))
@@ -169,14 +172,18 @@ def test_a_joint_equality_is_a_mimic_rule_about_the_reference(
     assert float(mimic.get("offset", "nan")) == pytest.approx(-0.15, abs=1e-15)
 
 
-def test_the_rule_satisfies_mujocos_own_constraint(claw: tuple[ConvertedMjcf, Path]) -> None:
+def test_the_rule_satisfies_mujocos_own_constraint(
+    claw: tuple[ConvertedMjcf, Path],
+) -> None:
     model = claw[0].model
     data = mujoco.MjData(model)
     for flex in (-0.1, 0.5, 1.4):
         data.qpos[model.joint("flex").qposadr[0]] = flex
         data.qpos[model.joint("curl").qposadr[0]] = 0.8 * flex - 0.15
         mujoco.mj_forward(model, data)
-        rows = np.flatnonzero(data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY))
+        rows = np.flatnonzero(
+            data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+        )
         assert len(rows) == 1
         assert abs(data.efc_pos[rows[0]]) < 1e-14
 
@@ -238,7 +245,9 @@ def test_masses_and_inertias_are_mujocos(claw: tuple[ConvertedMjcf, Path]) -> No
     ours = pin.crba(robot, robot.createData(), q)
     ours = np.triu(ours) + np.triu(ours, 1).T
     mine = [robot.joints[robot.getJointId(name)].idx_v for name in names]
-    np.testing.assert_allclose(ours[np.ix_(mine, mine)], full[np.ix_(at, at)], atol=1e-9)
+    np.testing.assert_allclose(
+        ours[np.ix_(mine, mine)], full[np.ix_(at, at)], atol=1e-9
+    )
 
 
 def test_meshes_lie_where_mujoco_has_them(claw: tuple[ConvertedMjcf, Path]) -> None:
@@ -253,7 +262,9 @@ def test_meshes_lie_where_mujoco_has_them(claw: tuple[ConvertedMjcf, Path]) -> N
     assert shape.geometry.mesh is not None
     assert shape.origin is not None
     mesh = trimesh.load_mesh(file.parent / shape.geometry.mesh.filename)
-    corners = np.array([[0, 0, 0], [20, 0, 0], [0, 30, 0], [0, 0, 40], [20, 30, 10]]) / 1e3
+    corners = (
+        np.array([[0, 0, 0], [20, 0, 0], [0, 30, 0], [0, 0, 40], [20, 30, 10]]) / 1e3
+    )
     turn = pin.rpy.rpyToMatrix(np.zeros(3))
     for angle, axis in zip((0.4, 0.1, 0.2), np.eye(3), strict=True):
         turn = turn @ pin.AngleAxis(angle, axis).toRotationMatrix()
@@ -269,7 +280,9 @@ def test_stl_triangles_survive(tmp_path: Path) -> None:
     triangles = np.random.default_rng(3).normal(size=(7, 3, 3)).astype(np.float32)
     (tmp_path / "a.stl").write_bytes(binary_stl(triangles))
     mesh = trimesh.load_mesh(tmp_path / "a.stl", process=False)
-    np.testing.assert_array_equal(np.asarray(mesh.triangles, dtype=np.float32), triangles)
+    np.testing.assert_array_equal(
+        np.asarray(mesh.triangles, dtype=np.float32), triangles
+    )
 
 
 @pytest.mark.parametrize(
@@ -281,7 +294,9 @@ def test_stl_triangles_survive(tmp_path: Path) -> None:
         ("<mujoco><asset><mesh file='gone.stl'/></asset></mujoco>", "gone.stl"),
     ],
 )
-def test_a_model_without_a_hand_is_one_line(tmp_path: Path, text: str, word: str) -> None:
+def test_a_model_without_a_hand_is_one_line(
+    tmp_path: Path, text: str, word: str
+) -> None:
     file = tmp_path / "model.xml"
     file.write_text(text)
     with pytest.raises(HandError) as caught:
@@ -292,7 +307,10 @@ def test_a_model_without_a_hand_is_one_line(tmp_path: Path, text: str, word: str
 
 
 def test_the_root_tells_what_a_file_is(tmp_path: Path) -> None:
-    assert root_tag(b"<?xml version='1.0'?>\n<!-- <robot> --><mujoco model='a'>") == "mujoco"
+    assert (
+        root_tag(b"<?xml version='1.0'?>\n<!-- <robot> --><mujoco model='a'>")
+        == "mujoco"
+    )
     assert root_tag('<?xml version="1.0"?><robot/>'.encode("utf-16")) == "robot"
     assert root_tag(b"solid cube") == ""
     assert not is_mjcf(tmp_path / "gone.xml")

@@ -28,7 +28,8 @@ each_robot = pytest.mark.parametrize("name", ROBOTS)
 each_missing = pytest.mark.parametrize("name", sorted(missing_hands()))
 # One hand of a package for each way to install it: all others are refused alike.
 one_for_each_reason = pytest.mark.parametrize(
-    "name", sorted({reason: name for name, reason in missing_hands().items()}.values())[:2]
+    "name",
+    sorted({reason: name for name, reason in missing_hands().items()}.values())[:2],
 )
 # How a hand is given to each command that takes one.
 LINES = {
@@ -56,7 +57,9 @@ def test_it_is_the_installed_hands_and_the_missing_ones() -> None:
     assert {"human", "three_finger"} <= set(INSTALLED)
     assert len(files) == 32
     rows = {row["name"]: row["available"] for row in list_hands()}
-    assert rows == {name: f"no: {missing[name]}" if name in missing else "yes" for name in files}
+    assert rows == {
+        name: f"no: {missing[name]}" if name in missing else "yes" for name in files
+    }
     cache = HandCache()
     assert (set(cache.robots), cache.missing) == (set(ROBOTS), missing)
 
@@ -82,7 +85,10 @@ def test_every_command_that_takes_a_hand_is_here() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "name"),
-    [*((command, ROBOTS[0]) for command in LOCAL), *(("hands show", name) for name in ROBOTS[1:])],
+    [
+        *((command, ROBOTS[0]) for command in LOCAL),
+        *(("hands show", name) for name in ROBOTS[1:]),
+    ],
 )
 def test_every_command_loads_every_installed_hand(
     command: str,
@@ -156,11 +162,17 @@ def test_the_wire_says_what_installs_a_missing_hand(name: str) -> None:
 def test_a_file_of_ones_own_may_have_the_name_of_a_missing_hand(tmp_path: Path) -> None:
     file = tmp_path / "hand.yaml"
     text = hand_files()["three_finger"].read_text(encoding="utf-8")
-    (tmp_path / "hand.urdf").write_text(load_hand("three_finger").urdf_text, encoding="utf-8")
+    (tmp_path / "hand.urdf").write_text(
+        load_hand("three_finger").urdf_text, encoding="utf-8"
+    )
     for name in ("three_finger", *sorted(missing_hands())[:1]):
-        file.write_text(re.sub(r"(?m)^name:.*$", f"name: {name}", text), encoding="utf-8")
+        file.write_text(
+            re.sub(r"(?m)^name:.*$", f"name: {name}", text), encoding="utf-8"
+        )
         if name == "three_finger":
-            with pytest.raises(HandError, match="there is already a hand 'three_finger'"):
+            with pytest.raises(
+                HandError, match="there is already a hand 'three_finger'"
+            ):
                 HandCache([file])
         else:
             cache = HandCache([file])

@@ -55,7 +55,10 @@ def results_of(hand: Hand) -> dict[str, Any]:
 
 
 def snapshot(hand: Hand) -> list[np.ndarray]:
-    return [array.copy() for array in arrays_in([*attributes_of(hand).values(), results_of(hand)])]
+    return [
+        array.copy()
+        for array in arrays_in([*attributes_of(hand).values(), results_of(hand)])
+    ]
 
 
 def overwrite(array: np.ndarray) -> None:

@@ -45,17 +45,28 @@ def test_reach_bounds_every_posture(name: str) -> None:
         if not chain.joints:
             continue
         longest = 0.0
-        for q in rng.uniform(robot.lower_limits, robot.upper_limits, size=(60, len(robot.rest))):
+        for q in rng.uniform(
+            robot.lower_limits, robot.upper_limits, size=(60, len(robot.rest))
+        ):
             pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
-            ends = [data.oMi[joint].act(offset) for joint, offset in (chain.knuckle, chain.tip)]
+            ends = [
+                data.oMi[joint].act(offset)
+                for joint, offset in (chain.knuckle, chain.tip)
+            ]
             longest = max(longest, float(np.linalg.norm(ends[1] - ends[0])))
         assert longest <= chain.reach + 1e-4
-        pin.forwardKinematics(robot.model, data, robot.configuration_vector(chain.stretched))
-        ends = [data.oMi[joint].act(offset) for joint, offset in (chain.knuckle, chain.tip)]
+        pin.forwardKinematics(
+            robot.model, data, robot.configuration_vector(chain.stretched)
+        )
+        ends = [
+            data.oMi[joint].act(offset) for joint, offset in (chain.knuckle, chain.tip)
+        ]
         assert np.linalg.norm(ends[1] - ends[0]) == pytest.approx(chain.reach, abs=1e-9)
 
 
-def test_the_reach_of_a_finger_that_is_bent_at_zero_is_the_length_of_its_links() -> None:
+def test_the_reach_of_a_finger_that_is_bent_at_zero_is_the_length_of_its_links() -> (
+    None
+):
     lengths, bends = (0.04, 0.03, 0.02), (0.2, 0.7, -0.5)
     parts = ['<robot name="bent"><link name="palm"/>']
     for i, (bend, before) in enumerate(zip(bends, (0.05, *lengths[:2]), strict=True)):
@@ -88,12 +99,21 @@ def test_the_reach_of_a_finger_that_is_bent_at_zero_is_the_length_of_its_links()
     [
         (
             "human",
-            {finger: f"{finger}_tip" for finger in ("thumb", "index", "middle", "ring", "little")},
+            {
+                finger: f"{finger}_tip"
+                for finger in ("thumb", "index", "middle", "ring", "little")
+            },
         ),
-        ("three_finger", {"thumb": "finger1_tip", "middle": "finger2_tip", "index": "finger3_tip"}),
+        (
+            "three_finger",
+            {"thumb": "finger1_tip", "middle": "finger2_tip", "index": "finger3_tip"},
+        ),
         (
             "allegro_right",
-            {finger: f"{finger}_tip" for finger in ("thumb", "index", "middle", "ring")},
+            {
+                finger: f"{finger}_tip"
+                for finger in ("thumb", "index", "middle", "ring")
+            },
         ),
     ],
 )
@@ -116,7 +136,9 @@ def test_motions_of_a_fingertip_are_derivatives_of_its_place(name: str) -> None:
             ends = np.tile(robot.rest, (2, 1))
             ends[:, column] += -1e-6, 1e-6
             before, after = view.points(ends, [finger.tip])[:, 0]
-            np.testing.assert_allclose(motion[:3, column], (after - before) / 2e-6, atol=1e-7)
+            np.testing.assert_allclose(
+                motion[:3, column], (after - before) / 2e-6, atol=1e-7
+            )
 
 
 @pytest.mark.parametrize("name", HANDS)
@@ -132,7 +154,9 @@ def test_flexing_joints_shorten_a_straight_finger_towards_the_palm(name: str) ->
         for column in flexion.columns:
             closed[column] = limits[int(finger.closing[column] > 0.0)][column]
         lengths = np.linalg.norm(
-            view.points(np.array([straight, closed]), [finger.tip])[:, 0] - flexion.knuckle, axis=1
+            view.points(np.array([straight, closed]), [finger.tip])[:, 0]
+            - flexion.knuckle,
+            axis=1,
         )
         assert lengths[1] < 0.95 * lengths[0]
         if finger.name != THUMB:
@@ -167,7 +191,9 @@ def depth_in(shape: pin.GeometryObject, point: np.ndarray) -> float:
     if isinstance(geometry, coal.Sphere):
         return geometry.radius - float(np.linalg.norm(x))
     if isinstance(geometry, coal.Capsule):
-        on_axis = np.array([0.0, 0.0, np.clip(x[2], -geometry.halfLength, geometry.halfLength)])
+        on_axis = np.array(
+            [0.0, 0.0, np.clip(x[2], -geometry.halfLength, geometry.halfLength)]
+        )
         return geometry.radius - float(np.linalg.norm(x - on_axis))
     corners = (
         geometry.halfSide * list(product((-1.0, 1.0), repeat=3))
@@ -186,8 +212,14 @@ def test_a_pad_lies_inside_its_finger(name: str) -> None:
         joint, tip = chains[finger].tip
         assert 0.003 <= pad.radius <= 0.03
         assert np.linalg.norm(pad.offset - tip) <= 0.0161
-        shapes = [geometry.geometryObjects[i] for i in distal_shapes(chains[finger], geometry)]
-        depths = [depth_in(shape, pad.offset) for shape in shapes if shape.parentJoint == joint]
+        shapes = [
+            geometry.geometryObjects[i] for i in distal_shapes(chains[finger], geometry)
+        ]
+        depths = [
+            depth_in(shape, pad.offset)
+            for shape in shapes
+            if shape.parentJoint == joint
+        ]
         if depths:
             # `find_pads` samples directions, so it overestimates by up to 0.8 mm.
             assert max(depths) == pytest.approx(pad.radius, abs=8e-4)
@@ -198,7 +230,9 @@ def test_pairs_are_of_different_fingers_and_apart_at_rest(name: str) -> None:
     robot = hand(name)
     chains = find_fingers(robot)
     pairs = all_pairs(robot, chains)
-    owner = {joint: finger for finger, chain in chains.items() for joint in chain.joints}
+    owner = {
+        joint: finger for finger, chain in chains.items() for joint in chain.joints
+    }
     shapes, data = pairs.geometry.geometryObjects, pairs.geometry.createData()
     for posture in (robot.rest, np.clip(0.0, robot.lower_limits, robot.upper_limits)):
         vector = robot.configuration_vector(posture)
@@ -233,10 +267,14 @@ def test_placements_follow_every_placing() -> None:
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
         origins = [pose.translation for pose in data.oMi]
         np.testing.assert_array_equal(placements.translations, origins)
-        placed = [pose.act(offset) for pose, offset in zip(data.oMi, offsets, strict=True)]
+        placed = [
+            pose.act(offset) for pose, offset in zip(data.oMi, offsets, strict=True)
+        ]
         np.testing.assert_allclose(placements.points(offsets), placed, atol=1e-15)
         expected = [data.oMi[5].act(offsets[0]), data.oMi[0].act(offsets[1])]
-        np.testing.assert_allclose(placements.points(offsets[:2], [5, 0]), expected, atol=1e-15)
+        np.testing.assert_allclose(
+            placements.points(offsets[:2], [5, 0]), expected, atol=1e-15
+        )
 
 
 def test_moved_by_marks_the_columns_that_change_a_placement() -> None:
@@ -248,5 +286,9 @@ def test_moved_by_marks_the_columns_that_change_a_placement() -> None:
         for column, moves in enumerate(moved_by(robot.model, [joint])[0]):
             step = np.zeros(robot.model.nv)
             step[column] = 1e-3
-            pin.forwardKinematics(robot.model, data, pin.integrate(robot.model, q, step))
-            assert (np.abs(data.oMi[joint].homogeneous - before).max() > 1e-9) == bool(moves)
+            pin.forwardKinematics(
+                robot.model, data, pin.integrate(robot.model, q, step)
+            )
+            assert (np.abs(data.oMi[joint].homogeneous - before).max() > 1e-9) == bool(
+                moves
+            )

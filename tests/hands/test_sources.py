@@ -20,7 +20,9 @@ from handmap_qp.hands.spec import read_hand_spec
 from handmap_qp.hands.urdf import parse_urdf
 
 DATA = Path(__file__).parents[1] / "data" / "urdf"
-DESCRIBED = {name: file for name, file in hand_files().items() if file.parent.name == "described"}
+DESCRIBED = {
+    name: file for name, file in hand_files().items() if file.parent.name == "described"
+}
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **variables: Any) -> None:
@@ -34,18 +36,26 @@ def test_a_robot_of_robot_descriptions_is_described_by_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     urdf = next(iter(sorted(DATA.glob("*.urdf"))))
-    stand_in(monkeypatch, "claw_description", URDF_PATH=str(urdf), PACKAGE_PATH=str(DATA))
+    stand_in(
+        monkeypatch, "claw_description", URDF_PATH=str(urdf), PACKAGE_PATH=str(DATA)
+    )
     out = tmp_path / "hand.yaml"
     HandsInit(Path("robot_descriptions:claw_description"), out=out).run()
-    assert yaml.safe_load(out.read_text())["urdf"] == "robot_descriptions:claw_description"
+    assert (
+        yaml.safe_load(out.read_text())["urdf"] == "robot_descriptions:claw_description"
+    )
     assert load_hand(out).joint_names
     assert "wrote" in capsys.readouterr().out
 
 
 def test_a_variant_is_named_behind_a_dot(monkeypatch: pytest.MonkeyPatch) -> None:
-    stand_in(monkeypatch, "claw_description", URDF_PATH="/a.urdf", URDF_PATH_LEFT="/b.urdf")
+    stand_in(
+        monkeypatch, "claw_description", URDF_PATH="/a.urdf", URDF_PATH_LEFT="/b.urdf"
+    )
     assert source_path("robot_descriptions:claw_description") == Path("/a.urdf")
-    assert source_path("robot_descriptions:claw_description.URDF_PATH_LEFT") == Path("/b.urdf")
+    assert source_path("robot_descriptions:claw_description.URDF_PATH_LEFT") == Path(
+        "/b.urdf"
+    )
     with pytest.raises(HandError, match="expected one of URDF_PATH, URDF_PATH_LEFT"):
         source_path("robot_descriptions:claw_description.URDF_PATH_RIGHT")
 
@@ -63,13 +73,17 @@ def test_an_unknown_name_suggests_near_ones() -> None:
         source_path("robot_descriptions:leap_hand_description")
 
 
-def test_without_the_package_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_package_the_extra_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "robot_descriptions", None)
     with pytest.raises(MissingExtraError, match=r"handmap-qp\[descriptions\]"):
         source_path("robot_descriptions:leap_hand_v1_description")
 
 
-def test_missing_packages_name_what_installs_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_packages_name_what_installs_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def nothing(name: str) -> Any:
         raise importlib.metadata.PackageNotFoundError(name)
 
@@ -100,7 +114,9 @@ def test_descriptions_of_other_packages_are_complete(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["dex3_left", "dex3_right"])
 def test_the_hands_of_the_g1_go_by_their_own_name(name: str) -> None:
-    assert load_hand(name).joint_names == load_hand(name.replace("dex3", "g1")).joint_names
+    assert (
+        load_hand(name).joint_names == load_hand(name.replace("dex3", "g1")).joint_names
+    )
 
 
 @pytest.mark.parametrize(
@@ -133,7 +149,8 @@ def test_files_of_any_encoding_are_read(declared: str, encoding: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", [ACCENTED.encode("latin-1"), b'<?xml version="1.0" encoding="klingon"?><robot/>']
+    "content",
+    [ACCENTED.encode("latin-1"), b'<?xml version="1.0" encoding="klingon"?><robot/>'],
 )
 def test_bytes_of_another_encoding_are_an_error(content: bytes) -> None:
     with pytest.raises(ValueError, match=r"codec|klingon"):

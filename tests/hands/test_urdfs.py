@@ -29,7 +29,11 @@ LEFT_HANDED = ("finger2", "finger3")
 
 def load(name: str, **options: Any) -> Hand:
     try:
-        return Hand(read_hand_spec(urdf_directory() / name / "hand.yaml"), mount="fixed", **options)
+        return Hand(
+            read_hand_spec(urdf_directory() / name / "hand.yaml"),
+            mount="fixed",
+            **options,
+        )
     except MissingExtraError:
         pytest.skip("example-robot-data is not installed")
 
@@ -51,7 +55,9 @@ def test_fk_is_the_published_one(name: str, load_data: LoadData) -> None:
     assert joints == reference["joint_names"]
     for posture in reference["postures"]:
         q, first = posture["q"], 0
-        for finger, tip in zip(posture["joint_origins"], posture["fingertips"], strict=True):
+        for finger, tip in zip(
+            posture["joint_origins"], posture["fingertips"], strict=True
+        ):
             *origins, end = posture["joint_origins"][finger]
             for name_of_joint, origin in zip(joints[first:], origins, strict=False):
                 np.testing.assert_allclose(
@@ -60,13 +66,21 @@ def test_fk_is_the_published_one(name: str, load_data: LoadData) -> None:
             first += len(origins)
             frame = np.array(posture["fingertip_frames"][finger])
             frame[:, 2] *= -1.0 if finger in LEFT_HANDED else 1.0
-            np.testing.assert_allclose(hand.frame_pose(f"{finger}_tip", q)[:3], frame, atol=1e-9)
+            np.testing.assert_allclose(
+                hand.frame_pose(f"{finger}_tip", q)[:3], frame, atol=1e-9
+            )
             np.testing.assert_allclose(end, tip, atol=1e-12)
-            np.testing.assert_allclose(hand.frame_pose(f"{finger}_tip", q)[:3, 3], tip, atol=1e-9)
+            np.testing.assert_allclose(
+                hand.frame_pose(f"{finger}_tip", q)[:3, 3], tip, atol=1e-9
+            )
 
 
-@pytest.mark.parametrize(("name", "grasp"), [("human", "human"), ("three_finger", "robot")])
-def test_contacts_are_those_of_the_cube_grasp(name: str, grasp: str, load_data: LoadData) -> None:
+@pytest.mark.parametrize(
+    ("name", "grasp"), [("human", "human"), ("three_finger", "robot")]
+)
+def test_contacts_are_those_of_the_cube_grasp(
+    name: str, grasp: str, load_data: LoadData
+) -> None:
     reference = load_data("fk_reference")["cube_grasp"][grasp]
     hand = load(name, points="contacts")
     palm = np.array(reference["palm"])
@@ -82,7 +96,9 @@ def test_contacts_are_those_of_the_cube_grasp(name: str, grasp: str, load_data: 
 def test_left_human_is_the_right_one_mirrored(points: str) -> None:
     right, left = load("human", points=points), load("human_left", points=points)
     for q in (right.rest, np.zeros(20), np.linspace(-0.5, 0.9, 20)):
-        np.testing.assert_allclose(left.points(q), right.points(q) * [-1.0, 1.0, 1.0], atol=1e-12)
+        np.testing.assert_allclose(
+            left.points(q), right.points(q) * [-1.0, 1.0, 1.0], atol=1e-12
+        )
     np.testing.assert_array_equal(left.rest, right.rest)
     np.testing.assert_array_equal(left.upper_limits, right.upper_limits)
 
@@ -91,7 +107,13 @@ def test_landmarks_are_mediapipes() -> None:
     names = spec_of("human").sets["landmarks"]
     assert len(names) == 21
     assert names[0] == "wrist"
-    assert names[1:6] == ("thumb_cmc", "thumb_mcp", "thumb_ip", "thumb_tip", "index_mcp")
+    assert names[1:6] == (
+        "thumb_cmc",
+        "thumb_mcp",
+        "thumb_ip",
+        "thumb_tip",
+        "index_mcp",
+    )
     assert spec_of("human").sets["joints"] == names[1:]
     assert spec_of("human").joints == HUMAN_JOINTS
 
@@ -137,7 +159,9 @@ def test_left_allegro_is_the_right_one_mirrored() -> None:
         load("allegro_left", points="fingertips_middle"),
     )
     mirrored = in_palm(right, right.points(right.rest)) * [-1.0, 1.0, 1.0]
-    np.testing.assert_allclose(in_palm(left, left.points(left.rest)), mirrored, atol=1e-6)
+    np.testing.assert_allclose(
+        in_palm(left, left.points(left.rest)), mirrored, atol=1e-6
+    )
 
 
 def test_allegro_fingers_spread_at_rest() -> None:
@@ -145,7 +169,9 @@ def test_allegro_fingers_spread_at_rest() -> None:
     spread = {
         p.finger: x
         for p, x in zip(
-            hand.reference_points, in_palm(hand, hand.points(hand.rest))[:, 0], strict=True
+            hand.reference_points,
+            in_palm(hand, hand.points(hand.rest))[:, 0],
+            strict=True,
         )
     }
     middle = load("allegro_right", points=("index_pip", "ring_pip"))
@@ -155,7 +181,9 @@ def test_allegro_fingers_spread_at_rest() -> None:
 
 
 def collision_geometry(hand: Hand) -> pin.GeometryModel:
-    return pin.buildGeomFromUrdfString(hand.model, hand.urdf_text, pin.GeometryType.COLLISION)
+    return pin.buildGeomFromUrdfString(
+        hand.model, hand.urdf_text, pin.GeometryType.COLLISION
+    )
 
 
 @pytest.mark.parametrize("name", OWN_HANDS)
@@ -173,7 +201,9 @@ def test_bones_are_capsules(name: str) -> None:
 def neighbours(name: str) -> set[frozenset[str]]:
     """Return links connected by a joint; the link between two axes of one joint has no shape."""
     if name == "three_finger":
-        chains = [("palm", f"finger{i}_proximal", f"finger{i}_distal") for i in (1, 2, 3)]
+        chains = [
+            ("palm", f"finger{i}_proximal", f"finger{i}_distal") for i in (1, 2, 3)
+        ]
     else:
         chains = [
             ("palm", *(f"{f}_{bone}" for bone in ("proximal", "middle", "distal")))
@@ -190,12 +220,17 @@ def test_only_neighbours_touch(name: str, posture: str) -> None:
     geometry = collision_geometry(hand)
     geometry.addAllCollisionPairs()
     meeting = neighbours(name)
-    q = hand.configuration_vector(hand.rest if posture == "rest" else np.zeros(len(hand.rest)))
+    q = hand.configuration_vector(
+        hand.rest if posture == "rest" else np.zeros(len(hand.rest))
+    )
     data, shapes = hand.model.createData(), geometry.createData()
     pin.computeDistances(hand.model, data, geometry, shapes, q)
-    for pair, result in zip(geometry.collisionPairs, shapes.distanceResults, strict=True):
+    for pair, result in zip(
+        geometry.collisionPairs, shapes.distanceResults, strict=True
+    ):
         links = [
-            geometry.geometryObjects[i].name.removesuffix("_0") for i in (pair.first, pair.second)
+            geometry.geometryObjects[i].name.removesuffix("_0")
+            for i in (pair.first, pair.second)
         ]
         if frozenset(links) not in meeting:
             assert result.min_distance > 0.0, links

@@ -11,7 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handmap_qp import HumanLengths, InvalidInputError, Recording, load_hand, read_recording
+from handmap_qp import (
+    HumanLengths,
+    InvalidInputError,
+    Recording,
+    load_hand,
+    read_recording,
+)
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import MOST_ITERATIONS, LandmarkFitter, fit_recording
 from handmap_qp.human.landmarks import TIPS, PalmShape, human_name, measure_hand
@@ -26,15 +32,23 @@ def synthetic(
     """Record a hand of known lengths in known motion; return joint angles and wrist poses too."""
     hand = load_hand(human_name(side), points="landmarks", lengths=lengths)
     phase = np.linspace(0.0, 2.0 * np.pi, count)
-    swing = 0.3 * np.minimum(hand.upper_limits - hand.rest, hand.rest - hand.lower_limits)
+    swing = 0.3 * np.minimum(
+        hand.upper_limits - hand.rest, hand.rest - hand.lower_limits
+    )
     q = hand.rest + np.sin(phase[:, None] + np.arange(20)) * swing
     poses = [
         affine(pin.exp3(np.array([s, 0.5 * s, -s])), np.array([0.3 * s, 1.0, 0.1]))
         for s in np.sin(phase)
     ]
-    landmarks = np.array([hand.points(angles, pose) for angles, pose in zip(q, poses, strict=True)])
+    landmarks = np.array(
+        [hand.points(angles, pose) for angles, pose in zip(q, poses, strict=True)]
+    )
     recording = Recording(
-        "synthetic", np.arange(count) / 60.0, landmarks, np.ones(count, dtype=bool), side
+        "synthetic",
+        np.arange(count) / 60.0,
+        landmarks,
+        np.ones(count, dtype=bool),
+        side,
     )
     return recording, q, np.array(poses)
 
@@ -51,13 +65,17 @@ def test_a_hand_is_measured_as_long_as_it_is(side: Side, hand_length: float) -> 
     # The palm's axes are found by fitting its shape to the standard one, so only distances are the
     # person's.
     np.testing.assert_allclose(
-        np.linalg.norm(measured.bases, axis=1), np.linalg.norm(lengths.bases, axis=1), atol=1e-9
+        np.linalg.norm(measured.bases, axis=1),
+        np.linalg.norm(lengths.bases, axis=1),
+        atol=1e-9,
     )
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
 @pytest.mark.parametrize("size", [0.8, 1.0, 1.25])
-def test_a_hand_of_the_standard_shape_is_measured_where_it_is(side: Side, size: float) -> None:
+def test_a_hand_of_the_standard_shape_is_measured_where_it_is(
+    side: Side, size: float
+) -> None:
     """Check the position of every palm joint; distances from the wrist do not determine it."""
     standard = HumanLengths.from_urdf(load_hand("human").urdf_text)
     lengths = HumanLengths(size * standard.bases, size * standard.segments, ROLLS)
@@ -110,7 +128,9 @@ def test_what_cannot_be_fitted_exactly_is_fitted_closest_at_the_tips() -> None:
     # A hand a tenth larger than the model.
     recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.209))
     fitter = LandmarkFitter("right", HumanLengths.from_hand_length(0.19))
-    errors = np.array([fitter.fit(landmarks)[2] for landmarks in recording.landmarks[:20]])
+    errors = np.array(
+        [fitter.fit(landmarks)[2] for landmarks in recording.landmarks[:20]]
+    )
     others = np.setdiff1d(np.arange(21), TIPS)
     assert errors[:, TIPS].mean() < 0.8 * errors[:, others].mean()
 
@@ -127,18 +147,21 @@ def test_samples_without_a_hand_hold_the_posture_before() -> None:
     assert np.isfinite(motion.wrist).all()
     np.testing.assert_array_equal(motion.q[[0, 1]], motion.q[[2, 2]])
     np.testing.assert_array_equal(motion.q[[20, 21]], motion.q[[19, 19]])
-    np.testing.assert_array_equal(motion.wrist[[0, 1, 20, 21]], motion.wrist[[2, 2, 19, 19]])
+    np.testing.assert_array_equal(
+        motion.wrist[[0, 1, 20, 21]], motion.wrist[[2, 2, 19, 19]]
+    )
     assert np.isnan(motion.fit_error[~valid]).all()
 
 
-@pytest.mark.parametrize("scale", [1000.0, 5.0, 0.1, 0.0], ids=["mm", "picture", "tiny", "zeros"])
+@pytest.mark.parametrize(
+    "scale", [1000.0, 5.0, 0.1, 0.0], ids=["mm", "picture", "tiny", "zeros"]
+)
 def test_what_is_not_as_long_as_a_hand_is_not_measured(scale: float) -> None:
     lengths = HumanLengths.from_hand_length(0.19)
     recording, _, _ = synthetic("right", lengths)
     scaled = replace(recording, landmarks=scale * recording.landmarks)
-    message = (
-        rf"landmarks: expected metres .* 0\.12 to 0\.25 m .* got {scale * lengths.hand_length:.3g}$"
-    )
+    got = f"{scale * lengths.hand_length:.3g}"
+    message = rf"landmarks: expected metres .* 0\.12 to 0\.25 m .* got {got}$"
     for use in (measure_hand, fit_recording):
         with pytest.raises(InvalidInputError, match=message):
             use(scaled)
@@ -155,13 +178,18 @@ def test_samples_that_are_not_of_the_hands_size_hold_the_posture_before() -> Non
     assert recording.valid.all()
 
 
-def test_a_size_that_no_sample_bears_out_is_no_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_size_that_no_sample_bears_out_is_no_hand(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     recording, _, _ = synthetic("right", HumanLengths.from_hand_length(0.1))
     # Medians of a tracker that has lost the hand may be like this.
     monkeypatch.setattr(
-        "handmap_qp.human.fit.measure_hand", lambda _: HumanLengths.from_hand_length(0.3)
+        "handmap_qp.human.fit.measure_hand",
+        lambda _: HumanLengths.from_hand_length(0.3),
     )
-    with pytest.raises(InvalidInputError, match="landmarks: expected a hand that keeps its size"):
+    with pytest.raises(
+        InvalidInputError, match="landmarks: expected a hand that keeps its size"
+    ):
         fit_recording(recording)
 
 
@@ -177,7 +205,8 @@ BAD = {
     "nan": np.full((21, 3), np.nan),
     "zeros": np.zeros((21, 3)),
     "one place": np.full((21, 3), 0.3),
-    "mm": 1000.0 * load_hand("human", points="landmarks").points(load_hand("human").rest),
+    "mm": 1000.0
+    * load_hand("human", points="landmarks").points(load_hand("human").rest),
 }
 
 
@@ -200,13 +229,17 @@ def fitters() -> Fitters:
 
 
 @pytest.mark.parametrize("bad", BAD.values(), ids=BAD.keys())
-def test_bad_landmarks_are_rejected_and_change_nothing(fitters: Fitters, bad: Any) -> None:
+def test_bad_landmarks_are_rejected_and_change_nothing(
+    fitters: Fitters, bad: Any
+) -> None:
     for fitter in (fitters.disturbed, fitters.cold):
         with pytest.raises(InvalidInputError, match="landmarks: expected") as caught:
             fitter.fit(bad)
         assert caught.value.argument == "landmarks"
     for sample in fitters.samples:
-        np.testing.assert_array_equal(fitters.disturbed.fit(sample)[0], fitters.calm.fit(sample)[0])
+        np.testing.assert_array_equal(
+            fitters.disturbed.fit(sample)[0], fitters.calm.fit(sample)[0]
+        )
 
 
 def test_other_arguments_are_named() -> None:
@@ -262,7 +295,9 @@ def test_a_first_sample_of_any_posture_is_fitted_exactly(seed: int) -> None:
     hand = load_hand("human", points="landmarks")
     # Near 90 degrees of flexion at the MCP joint, abduction does not move the finger.
     shares = random.uniform(0.1, 0.8, size=20)
-    landmarks = hand.points(hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits))
+    landmarks = hand.points(
+        hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
+    )
     _, pose, error = LandmarkFitter("right").fit(landmarks)
     assert error.max() < 1e-3
     np.testing.assert_allclose(pose, np.eye(4), atol=1e-9)

@@ -25,9 +25,13 @@ pytestmark = pytest.mark.slow
 def recording(lengths: HumanLengths = LENGTHS) -> Recording:
     hand = load_hand("human", points="landmarks", lengths=lengths)
     rng = np.random.default_rng(0)
-    postures = hand.rest + 0.2 * rng.uniform(size=(20, 20)) * (hand.upper_limits - hand.rest)
+    postures = hand.rest + 0.2 * rng.uniform(size=(20, 20)) * (
+        hand.upper_limits - hand.rest
+    )
     landmarks = np.array([hand.points(q) for q in postures])
-    return Recording("anna", np.arange(20) / 60.0, landmarks, np.ones(20, dtype=bool), "right")
+    return Recording(
+        "anna", np.arange(20) / 60.0, landmarks, np.ones(20, dtype=bool), "right"
+    )
 
 
 @pytest.fixture
@@ -88,7 +92,11 @@ BAD = {
     "two bones": ("fingers.index.bones", [0.04, 0.02], "fingers.index.bones"),
     "bone of no length": ("fingers.index.bones", [0.04, 0.02, 0.0], "fingers.*.bones"),
     "bone NaN": ("fingers.index.bones", [0.04, 0.02, float("nan")], "fingers.*.bones"),
-    "bone of text": ("fingers.index.bones", [0.04, 0.02, "short"], "fingers.index.bones[2]"),
+    "bone of text": (
+        "fingers.index.bones",
+        [0.04, 0.02, "short"],
+        "fingers.index.bones[2]",
+    ),
     "roll in degrees": ("fingers.little.roll", 15, "fingers.*.roll"),
     "left hand": ("fingers.index.base", [0.09, 0.09, 0.0], "fingers.*.base"),
     "hand in millimetres": ("fingers.middle.bones", [45.0, 28.0, 25.0], "fingers"),
@@ -97,8 +105,12 @@ BAD = {
 
 
 @pytest.mark.parametrize(("key", "value", "argument"), BAD.values(), ids=BAD.keys())
-def test_what_cannot_be_used_is_named(file: Path, key: str, value: Any, argument: str) -> None:
-    file.write_text(yaml.safe_dump(changed(yaml.safe_load(file.read_text()), key, value)))
+def test_what_cannot_be_used_is_named(
+    file: Path, key: str, value: Any, argument: str
+) -> None:
+    file.write_text(
+        yaml.safe_dump(changed(yaml.safe_load(file.read_text()), key, value))
+    )
     with pytest.raises(InvalidInputError) as caught:
         read_person(file)
     assert caught.value.argument == argument
@@ -106,7 +118,9 @@ def test_what_cannot_be_used_is_named(file: Path, key: str, value: Any, argument
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["", "- 1\n", "{", "\x00", "name: 2020-99-99\n", "&a [*a]"])
+@pytest.mark.parametrize(
+    "text", ["", "- 1\n", "{", "\x00", "name: 2020-99-99\n", "&a [*a]"]
+)
 def test_a_file_that_is_no_description_is_rejected(file: Path, text: str) -> None:
     file.write_text(text)
     with pytest.raises(InvalidInputError, match=r"anna\.yaml"):
@@ -137,7 +151,9 @@ def test_a_folder_that_does_not_exist_is_an_error_and_a_failed_write_leaves_no_f
 def spoilt(recording: Recording, noise: float = 0.002) -> Recording:
     """Add noise, 10 % of samples with one landmark 0.1 m off, and 10 % without a hand."""
     random = np.random.default_rng(3)
-    landmarks = recording.landmarks + random.normal(scale=noise, size=recording.landmarks.shape)
+    landmarks = recording.landmarks + random.normal(
+        scale=noise, size=recording.landmarks.shape
+    )
     outliers = random.random(len(recording)) < 0.1
     for i in np.flatnonzero(outliers):
         direction = random.normal(size=3)
@@ -170,7 +186,9 @@ def test_recordings_of_both_hands_count_together() -> None:
         measure_person()
 
 
-@pytest.mark.parametrize(("gap", "expected"), [(0.018, 0.017), (0.006, 0.012), (0.024, 0.017)])
+@pytest.mark.parametrize(
+    ("gap", "expected"), [(0.018, 0.017), (0.006, 0.012), (0.024, 0.017)]
+)
 def test_touches_correct_the_contact_gap_step_by_step_and_only_between_pinches(
     gap: float, expected: float
 ) -> None:

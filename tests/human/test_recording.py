@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handmap_qp import InvalidInputError, Recording, RecordingError, load_hand, read_recording
+from handmap_qp import (
+    InvalidInputError,
+    Recording,
+    RecordingError,
+    load_hand,
+    read_recording,
+)
 from handmap_qp.human.recording import HumanMotion, mirrored
 
 
@@ -28,7 +34,11 @@ def write(folder: Path, **changes: np.ndarray | None) -> Path:
     path = folder / "hand.npz"
     np.savez(
         path,
-        **{name: value for name, value in {**arrays(), **changes}.items() if value is not None},  # ty: ignore[invalid-argument-type]
+        **{
+            name: value
+            for name, value in {**arrays(), **changes}.items()
+            if value is not None
+        },  # ty: ignore[invalid-argument-type]
     )
     return path
 
@@ -37,7 +47,9 @@ def test_reads_what_was_written(tmp_path: Path) -> None:
     recording = read_recording(write(tmp_path))
     expected = arrays()
     assert (recording.name, recording.side, len(recording)) == ("hand", "right", 5)
-    np.testing.assert_array_equal(recording.landmarks, expected["landmarks"].astype(float))
+    np.testing.assert_array_equal(
+        recording.landmarks, expected["landmarks"].astype(float)
+    )
     np.testing.assert_allclose(recording.steps, 1.0 / 60.0)
 
 
@@ -50,7 +62,9 @@ def test_samples_with_holes_are_not_valid(tmp_path: Path) -> None:
 
 
 def test_the_first_step_is_the_median_of_the_others(tmp_path: Path) -> None:
-    recording = read_recording(write(tmp_path, time=np.array([0.0, 0.01, 0.03, 0.05, 0.5])))
+    recording = read_recording(
+        write(tmp_path, time=np.array([0.0, 0.01, 0.03, 0.05, 0.5]))
+    )
     np.testing.assert_allclose(recording.steps, [0.02, 0.01, 0.02, 0.02, 0.45])
 
 
@@ -128,7 +142,9 @@ def test_a_bad_recording_is_rejected_in_one_line(tmp_path: Path, changes: dict) 
 @pytest.mark.parametrize(
     "content", [b"", b"not a zip", b"PK\x03\x04torn"], ids=["empty", "text", "torn"]
 )
-def test_a_file_that_is_not_a_recording_is_rejected(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_recording_is_rejected(
+    tmp_path: Path, content: bytes
+) -> None:
     path = tmp_path / "hand.npz"
     path.write_bytes(content)
     with pytest.raises(RecordingError, match=r"hand\.npz"):
@@ -155,8 +171,21 @@ def recording(**changes: Any) -> Recording:
 
 
 WRONG = {
-    "time": [None, "x", ["0", "1", "2", "3", "4"], [0.0, np.nan, 2.0, 3.0, 4.0], np.zeros(5), []],
-    "landmarks": [None, "x", np.zeros((5, 21)), np.zeros((4, 21, 3)), np.full((5, 21, 3), 1j)],
+    "time": [
+        None,
+        "x",
+        ["0", "1", "2", "3", "4"],
+        [0.0, np.nan, 2.0, 3.0, 4.0],
+        np.zeros(5),
+        [],
+    ],
+    "landmarks": [
+        None,
+        "x",
+        np.zeros((5, 21)),
+        np.zeros((4, 21, 3)),
+        np.full((5, 21, 3), 1j),
+    ],
     "valid": [None, "x", [True] * 4, [2] * 5, np.zeros(5, dtype=bool), [np.nan] * 5],
     "side": [None, "up", 5, ["right"]],
 }
@@ -214,7 +243,9 @@ def test_real_recordings_are_read(recordings: Path) -> None:
         assert path.stem.endswith(recording.side)
 
 
-@pytest.mark.parametrize("samples", [slice(1, 3), np.array([0, 2]), np.array([True, False, True])])
+@pytest.mark.parametrize(
+    "samples", [slice(1, 3), np.array([0, 2]), np.array([True, False, True])]
+)
 def test_a_part_has_all_columns_of_its_samples(samples: Any) -> None:
     recording = Recording(
         name="small",
@@ -228,6 +259,8 @@ def test_a_part_has_all_columns_of_its_samples(samples: Any) -> None:
     part = recording.part(samples)
     assert (part.name, part.side) == ("small", "left")
     for name in ("time", "landmarks", "valid", "wrist", "confidence"):
-        np.testing.assert_array_equal(getattr(part, name), getattr(recording, name)[samples])
+        np.testing.assert_array_equal(
+            getattr(part, name), getattr(recording, name)[samples]
+        )
     with pytest.raises(InvalidInputError, match="time"):
         recording.part(slice(None, None, -1))

@@ -68,7 +68,9 @@ def test_rows_are_the_derivative_of_the_distances(name: str) -> None:
     )
     errors, small = [], 1e-5
     for _ in range(60):
-        q = hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits), np.eye(4))
+        q = hand.configuration_vector(
+            rng.uniform(hand.lower_limits, hand.upper_limits), np.eye(4)
+        )
         dq = rng.normal(size=len(hand.active_columns))
         dq *= small / np.linalg.norm(dq)
         configuration.place_with_jacobians(q)
@@ -177,7 +179,9 @@ def test_overlapping_links_part() -> None:
     limit, ik = CollisionLimit(hand), PointIk(hand, IkOptions())
     rng, starts = np.random.default_rng(0), 0
     while starts < 5:
-        ik.place(hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits)))
+        ik.place(
+            hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
+        )
         distances = limit.distances(ik.configuration)
         # One pair at a time, because the rows of several pairs may conflict.
         if not (distances.min() < -0.002 and np.sort(distances)[1] > 0.02):
@@ -231,7 +235,9 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
             .replace("<capsule ", "<no_capsule ")
         )
         boxy = Hand(
-            msgspec.structs.replace(hand.spec, directory=tmp_path), mount="fixed", urdf_text=text
+            msgspec.structs.replace(hand.spec, directory=tmp_path),
+            mount="fixed",
+            urdf_text=text,
         )
         configuration, limit = boxy.configuration(), CollisionLimit(boxy)
         for q in (hand.rest, hand.upper_limits):
@@ -245,7 +251,9 @@ def test_a_mesh_that_is_not_there_is_named(tmp_path: Path) -> None:
     hand = load("three_finger")
     text = read_urdf(hand.spec).replace(DISTAL_SHAPE, '<mesh filename="gone.stl"/>')
     with pytest.raises(HandError, match="collision shapes"):
-        CollisionLimit(Hand(msgspec.structs.replace(hand.spec, directory=tmp_path), urdf_text=text))
+        CollisionLimit(
+            Hand(msgspec.structs.replace(hand.spec, directory=tmp_path), urdf_text=text)
+        )
 
 
 def test_a_hand_without_pairs_is_rejected_with_advice() -> None:
@@ -271,25 +279,35 @@ def test_a_link_that_cannot_collide_is_named(link: str, what: str) -> None:
 @pytest.mark.parametrize(
     ("collision", "key"),
     [
-        ({"pairs": [["finger1_distal", "finger2_distal"]], "margin": -1.0}, "collision.margin"),
+        (
+            {"pairs": [["finger1_distal", "finger2_distal"]], "margin": -1.0},
+            "collision.margin",
+        ),
         (
             {"pairs": [["finger1_distal", "finger2_distal"]], "margin": float("nan")},
             "collision.margin",
         ),
         ({"pairs": []}, "collision.pairs"),
         ({"pairs": [["palm", "palm"]]}, "collision.pairs[0]"),
-        ({"pairs": [["palm", "finger1_distal"], ["finger1_distal", "palm"]]}, "collision.pairs[1]"),
+        (
+            {"pairs": [["palm", "finger1_distal"], ["finger1_distal", "palm"]]},
+            "collision.pairs[1]",
+        ),
         ({"pairs": [["palm"]]}, "collision.pairs[0]"),
         ({"pairs": [["palm", "finger1_distal"]], "distance": 1.0}, "collision"),
         ({}, "collision"),
     ],
 )
-def test_a_wrong_block_is_named(collision: dict[str, Any], key: str, tmp_path: Path) -> None:
+def test_a_wrong_block_is_named(
+    collision: dict[str, Any], key: str, tmp_path: Path
+) -> None:
     document = yaml.safe_load(
         (urdf_directory() / "three_finger" / "hand.yaml").read_text(encoding="utf-8")
     )
     file = tmp_path / "hand.yaml"
-    file.write_text(yaml.safe_dump(document | {"collision": collision}), encoding="utf-8")
+    file.write_text(
+        yaml.safe_dump(document | {"collision": collision}), encoding="utf-8"
+    )
     with pytest.raises(HandError) as caught:
         read_hand_spec(file)
     assert caught.value.key == key

@@ -19,7 +19,9 @@ def hand() -> Hand:
     return load_hand("three_finger")
 
 
-def measured_again(distances: ShapeDistances, q: np.ndarray, near: NearPairs | None) -> NearPairs:
+def measured_again(
+    distances: ShapeDistances, q: np.ndarray, near: NearPairs | None
+) -> NearPairs:
     """Measure the pairs within the horizon, given what is known elsewhere."""
     if near is None:
         return distances.measure(q, horizon=HORIZON)
@@ -41,7 +43,8 @@ def test_distances_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
         near = measured_again(measured, vector, near)
         pin.updateGeometryPlacements(hand.model, data, geometry, alone, vector)
         results = [
-            pin.computeDistance(geometry, alone, k) for k in range(len(geometry.collisionPairs))
+            pin.computeDistance(geometry, alone, k)
+            for k in range(len(geometry.collisionPairs))
         ]
         distances = np.array([result.min_distance for result in results])
         assert set(np.flatnonzero(distances <= HORIZON)) <= set(near.pairs)
@@ -50,25 +53,33 @@ def test_distances_are_those_of_each_pair_measured_alone(hand: Hand) -> None:
         np.testing.assert_allclose(found[:, 0], distances[near.pairs], atol=1e-8)
         for row, k in zip(found, near.pairs, strict=True):
             if row[0] > 1e-4:
-                expected = np.concatenate([results[k].normal, results[k].getNearestPoint1()])
+                expected = np.concatenate(
+                    [results[k].normal, results[k].getNearestPoint1()]
+                )
                 # GJK starts from another result; on round shapes the normal is less sure.
                 np.testing.assert_allclose(row[1:], expected, atol=1e-3)
                 seen.add(int(k))
     assert len(seen) > 10
 
 
-def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(hand: Hand) -> None:
+def test_distances_of_all_pairs_do_not_depend_on_what_was_measured_before(
+    hand: Hand,
+) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
     used, fresh = (ShapeDistances(hand.model, geometry) for _ in range(2))
     for posture in (hand.rest, hand.lower_limits, hand.upper_limits):
         q = hand.configuration_vector(posture, np.eye(4))
         used.measure(q, horizon=HORIZON)
-    np.testing.assert_allclose(used.measure(q).bounds, fresh.measure(q).bounds, atol=1e-8)
+    np.testing.assert_allclose(
+        used.measure(q).bounds, fresh.measure(q).bounds, atol=1e-8
+    )
 
 
 def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
     geometry = all_pairs(hand, find_fingers(hand)).geometry
     geometry.removeAllCollisionPairs()
-    near = ShapeDistances(hand.model, geometry).measure(hand.configuration().q, horizon=HORIZON)
+    near = ShapeDistances(hand.model, geometry).measure(
+        hand.configuration().q, horizon=HORIZON
+    )
     assert near.pairs.shape == near.bounds.shape == (0,)
     assert near.found.shape == (0, 7)

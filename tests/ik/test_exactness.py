@@ -102,7 +102,9 @@ def test_the_judge_finds_nothing_in_a_motion_within_all_limits(planted: Any) -> 
     assert checker.worst["acceleration"] == pytest.approx(1.0, abs=1e-6)
 
 
-def test_the_judge_finds_a_position_beyond_a_limit_by_one_rounding(planted: Any) -> None:
+def test_the_judge_finds_a_position_beyond_a_limit_by_one_rounding(
+    planted: Any,
+) -> None:
     checker, hand, q = planted
     at = q.copy()
     at[0] = hand.upper_limits[0]
@@ -135,7 +137,9 @@ def test_the_judge_finds_speed_and_acceleration(planted: Any) -> None:
     assert found(checker) == {"acceleration"}
 
 
-def test_the_judge_counts_by_the_largest_limit_since_the_robot_stood(planted: Any) -> None:
+def test_the_judge_counts_by_the_largest_limit_since_the_robot_stood(
+    planted: Any,
+) -> None:
     checker, _, q = planted
     checker.take(q + 20.0 * 0.01**2, 0.01, 20.0)
     checker.take(q + 20.0 * 0.01**2, 0.01, 1.0)

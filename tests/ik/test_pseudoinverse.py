@@ -41,7 +41,9 @@ def smallest_singular_value(hand: Hand, case: Case) -> float:
 def well_conditioned_cases(hand: Hand, count: int, seed: int) -> list[Case]:
     """Return up to `count` cases without nearly singular directions; singular ones may occur."""
     cases = random_cases(hand, 60, seed=seed)
-    good = (case for case in cases if smallest_singular_value(hand, case) > WELL_CONDITIONED)
+    good = (
+        case for case in cases if smallest_singular_value(hand, case) > WELL_CONDITIONED
+    )
     return list(islice(good, count))
 
 
@@ -52,7 +54,9 @@ def goal_of(hand: Hand, case: Case, rest: np.ndarray | None = None) -> Goal:
     return Goal(case.point_targets, wrist, [(PLAIN.rest_weight, posture)], ())
 
 
-def eq_8(hand: Hand, case: Case, options: IkOptions = PLAIN, damping: float = 0.0) -> np.ndarray:
+def eq_8(
+    hand: Hand, case: Case, options: IkOptions = PLAIN, damping: float = 0.0
+) -> np.ndarray:
     ik = PseudoinverseIk(hand, options, damping=damping)
     ik.place(case.q)
     return ik.step(goal_of(hand, case))
@@ -85,16 +89,25 @@ def test_eq_8_is_the_qp_without_limits_for_vanishing_damping(
     for case in cases:
         expected = eq_8(hand, case)
         factor = 0.02 * min(smallest_singular_value(hand, case), 3.0)
-        near, nearer = (slack_qp(hand, case, weakened(PLAIN, part * factor)) for part in (1.0, 0.5))
+        near, nearer = (
+            slack_qp(hand, case, weakened(PLAIN, part * factor)) for part in (1.0, 0.5)
+        )
         size = max(1.0, np.abs(expected).max())
-        assert np.abs(nearer - expected).max() < 0.3 * np.abs(near - expected).max() + 1e-9 * size
+        assert (
+            np.abs(nearer - expected).max()
+            < 0.3 * np.abs(near - expected).max() + 1e-9 * size
+        )
         # The difference is a series in the squared weights. Subtract its first term, because
         # smaller weights would make the Hessian ill-conditioned.
-        np.testing.assert_allclose((4.0 * nearer - near) / 3.0, expected, atol=1e-6 * size)
+        np.testing.assert_allclose(
+            (4.0 * nearer - near) / 3.0, expected, atol=1e-6 * size
+        )
 
 
 @each_plain_hand
-def test_damped_least_squares_is_the_qp_without_limits(which: tuple[str, str, str | None]) -> None:
+def test_damped_least_squares_is_the_qp_without_limits(
+    which: tuple[str, str, str | None],
+) -> None:
     hand = hand_of(which)
     # Damping by d weighs as much as regularisation d times as strong.
     for case in random_cases(hand, 8, seed=1):
@@ -107,7 +120,9 @@ def test_damped_least_squares_is_the_qp_without_limits(which: tuple[str, str, st
 
 
 @each_plain_hand
-def test_null_space_motion_does_not_move_the_points(which: tuple[str, str, str | None]) -> None:
+def test_null_space_motion_does_not_move_the_points(
+    which: tuple[str, str, str | None],
+) -> None:
     hand = hand_of(which)
     other = hand.rest + 0.3 * (hand.upper_limits - hand.rest)
     for case in well_conditioned_cases(hand, 12, seed=2):
@@ -124,9 +139,12 @@ def test_null_space_motion_does_not_move_the_points(which: tuple[str, str, str |
             )
         # On the true kinematics too, up to the square of the motion.
         before, size = ik.configuration.points.copy(), 1e-4
-        ik.configuration.place_with_jacobians(pin.integrate(hand.model, case.q, size * null))
+        ik.configuration.place_with_jacobians(
+            pin.integrate(hand.model, case.q, size * null)
+        )
         assert (
-            np.abs(ik.configuration.points - before).max() <= size**2 * (null @ null) * 1.0 + 1e-12
+            np.abs(ik.configuration.points - before).max()
+            <= size**2 * (null @ null) * 1.0 + 1e-12
         )
 
 
@@ -153,7 +171,9 @@ def _with_rest(hand: Hand, rest: np.ndarray) -> Hand:
     """Return the same hand with another rest posture."""
     names = dict(zip(hand.joint_names, map(float, rest), strict=True))
     spec = msgspec.structs.replace(hand.spec, rest=names, mirror=False)
-    return Hand(spec, points=hand.reference_points, mount=hand.mount, urdf_text=hand.urdf_text)
+    return Hand(
+        spec, points=hand.reference_points, mount=hand.mount, urdf_text=hand.urdf_text
+    )
 
 
 def test_plain_steps_ignore_limits_and_clipped_ones_hold_them() -> None:
@@ -171,7 +191,9 @@ def test_plain_steps_ignore_limits_and_clipped_ones_hold_them() -> None:
             ik.solve(case.point_targets, case.wrist_target, case.dt)
         q = plain.configuration.q[hand.q_indices]
         broken += bool(((q < hand.lower_limits) | (q > hand.upper_limits)).any())
-        dq = pin.difference(hand.model, case.q, clipped.configuration.q)[hand.active_columns]
+        dq = pin.difference(hand.model, case.q, clipped.configuration.q)[
+            hand.active_columns
+        ]
         assert (dq <= upper + 1e-9).all()
         assert (dq >= lower - 1e-9).all()
     assert broken > 20

@@ -8,7 +8,14 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ik_cases import ARM_JOINTS, HANDS, arm_hand, each_kind_of_hand, hand_of, random_cases
+from ik_cases import (
+    ARM_JOINTS,
+    HANDS,
+    arm_hand,
+    each_kind_of_hand,
+    hand_of,
+    random_cases,
+)
 from strategies import generators
 
 from handmap_qp import HandError, HandMapper, IkOptions, load_hand
@@ -25,7 +32,9 @@ HAND = load_hand("three_finger", mount="floating")
 times = st.floats(min_value=-6, max_value=1).map(lambda exponent: 10.0**exponent)
 
 
-def any_posture(hand: Hand, rng: np.random.Generator, outside: float = 0.5) -> np.ndarray:
+def any_posture(
+    hand: Hand, rng: np.random.Generator, outside: float = 0.5
+) -> np.ndarray:
     angles = rng.uniform(hand.lower_limits - outside, hand.upper_limits + outside)
     return hand.configuration_vector(angles, np.eye(4) if hand.is_floating else None)
 
@@ -40,9 +49,13 @@ def test_the_box_never_contradicts_itself(rng: np.random.Generator, dt: float) -
     for acceleration in (None, 10.0 ** rng.uniform(-2, 4), np.inf):
         for has_velocity_limits in (True, False):
             limits = BoxLimits(
-                hand, has_velocity_limits=has_velocity_limits, max_acceleration=acceleration
+                hand,
+                has_velocity_limits=has_velocity_limits,
+                max_acceleration=acceleration,
             )
-            lower, upper = limits.bounds(any_posture(hand, rng, outside=2.0), dt, velocity)
+            lower, upper = limits.bounds(
+                any_posture(hand, rng, outside=2.0), dt, velocity
+            )
             assert (lower <= upper).all()
             assert not np.isnan([lower, upper]).any()
 
@@ -68,10 +81,14 @@ def test_inside_its_limits_the_box_is_position_and_speed_limits_together(
 
 
 @given(rng=generators)
-def test_from_outside_a_joint_comes_back_as_fast_as_it_may(rng: np.random.Generator) -> None:
+def test_from_outside_a_joint_comes_back_as_fast_as_it_may(
+    rng: np.random.Generator,
+) -> None:
     hand, dt = HAND, 0.01
     angles = hand.upper_limits + rng.uniform(0.001, 1.0, len(hand.joint_names))
-    lower, upper = BoxLimits(hand).bounds(hand.configuration_vector(angles, np.eye(4)), dt)
+    lower, upper = BoxLimits(hand).bounds(
+        hand.configuration_vector(angles, np.eye(4)), dt
+    )
     overshoot = angles - hand.upper_limits
     back = np.minimum(overshoot, hand.velocity_limits * dt)
     np.testing.assert_allclose(upper[hand.joint_columns], -back, atol=1e-15)
@@ -79,19 +96,26 @@ def test_from_outside_a_joint_comes_back_as_fast_as_it_may(rng: np.random.Genera
 
 
 @given(rng=generators)
-def test_from_rest_acceleration_never_stands_against_position(rng: np.random.Generator) -> None:
+def test_from_rest_acceleration_never_stands_against_position(
+    rng: np.random.Generator,
+) -> None:
     # Both limits hold for all commands and sample times, because a joint is never too fast to
     # brake before its limit.
     hand = HAND
     acceleration = 10.0 ** rng.uniform(-1, 3)
-    limits, q = BoxLimits(hand, max_acceleration=acceleration), any_posture(hand, rng, outside=0.0)
+    limits, q = (
+        BoxLimits(hand, max_acceleration=acceleration),
+        any_posture(hand, rng, outside=0.0),
+    )
     velocity = np.zeros(len(hand.active_columns))
     for _ in range(60):
         dt = 10.0 ** rng.uniform(-3, -1)
         lower, upper = limits.bounds(q, dt, velocity)
         # Mostly full speed into one corner: the hardest case for the brakes.
         dq = np.where(rng.random(len(lower)) < 0.9, upper, rng.uniform(lower, upper))
-        assert (np.abs(dq / dt - velocity) <= acceleration * dt * (1.0 + 1e-9) + 1e-9).all()
+        assert (
+            np.abs(dq / dt - velocity) <= acceleration * dt * (1.0 + 1e-9) + 1e-9
+        ).all()
         q, velocity = pin.integrate(hand.model, q, dq), dq / dt
         angles = q[hand.q_indices]
         assert (angles <= hand.upper_limits + 1e-12).all()
@@ -151,16 +175,25 @@ def test_the_hessian_is_near_one(which: tuple[str, str, str | None]) -> None:
     for case in random_cases(hand, 30, seed=9):
         ik.place(case.q)
         near = ik.configuration.points + 0.005
-        wrist = ik.configuration.wrist.homogeneous if case.wrist_target is not None else None
+        wrist = (
+            ik.configuration.wrist.homogeneous
+            if case.wrist_target is not None
+            else None
+        )
         H = ik.problem(near, wrist, case.dt)[0]
-        if not (hand.has_moving_wrist and not hand.is_floating) and hand.name != "panda_gripper":
+        if (
+            not (hand.has_moving_wrist and not hand.is_floating)
+            and hand.name != "panda_gripper"
+        ):
             assert 0.1 < np.median(np.diag(H)[hand.joint_columns]) < 3e3
         assert np.diag(H).max() < 1e6
         assert np.linalg.cond(H) < 1e7
 
 
 @each_kind_of_hand
-def test_limits_hold_from_anywhere_to_anywhere(which: tuple[str, str, str | None]) -> None:
+def test_limits_hold_from_anywhere_to_anywhere(
+    which: tuple[str, str, str | None],
+) -> None:
     hand, ik = hand_of(which), PointIk(hand_of(which), IkOptions())
     for case in random_cases(hand, 30, seed=10):
         ik.place(case.q)
@@ -177,7 +210,9 @@ def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
     # At convergence the gradient is zero for free joints and points outwards for joints at a
     # bound.
     hand, rng, held = load_hand("allegro_right"), np.random.default_rng(12), 0
-    ik = PointIk(hand, IkOptions(solver=solver, max_iterations=100, step_tolerance=1e-8))
+    ik = PointIk(
+        hand, IkOptions(solver=solver, max_iterations=100, step_tolerance=1e-8)
+    )
     for _ in range(30):
         ik.place(any_posture(hand, rng, outside=0.0))
         targets, wrist = (
@@ -189,7 +224,9 @@ def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
             H, c, *_ = ik.problem(targets, wrist, 1.0 / 60.0)
             slope = c / np.diag(H)
             # Measured: 2e-8 for free joints, at least 1.7e-4 for joints at a bound.
-            np.testing.assert_array_equal(result.active, -np.sign(slope) * (np.abs(slope) > 1e-6))
+            np.testing.assert_array_equal(
+                result.active, -np.sign(slope) * (np.abs(slope) > 1e-6)
+            )
             held += np.count_nonzero(result.active)
     assert held > 100
 
@@ -205,7 +242,9 @@ def test_limits_hold_exactly_with_a_solver_that_stops_at_a_tolerance() -> None:
         raw = make_solver("osqp")(H, c, lower, upper)
         assert raw is not None
         violations.append(max((raw - upper).max(), (lower - raw).max()))
-        displacement = ik.solve(case.point_targets, case.wrist_target, case.dt).displacement
+        displacement = ik.solve(
+            case.point_targets, case.wrist_target, case.dt
+        ).displacement
         assert (lower <= displacement).all()
         assert (displacement <= upper).all()
     # Without the clipping this test would fail.
@@ -217,7 +256,9 @@ def test_a_hand_comes_back_into_its_limits_and_stays() -> None:
     ik, rng = PointIk(hand, IkOptions()), np.random.default_rng(0)
     ik.place(any_posture(hand, rng))
     for _ in range(60):
-        ik.solve(ik.configuration.points + 0.05 * rng.normal(size=(4, 3)), None, 1.0 / 60.0)
+        ik.solve(
+            ik.configuration.points + 0.05 * rng.normal(size=(4, 3)), None, 1.0 / 60.0
+        )
     q = ik.configuration.q[hand.q_indices]
     assert (q >= hand.lower_limits).all()
     assert (q <= hand.upper_limits).all()
@@ -232,7 +273,9 @@ def test_a_step_does_not_depend_on_the_steps_before_it() -> None:
         for ik in (warm, cold):
             ik.place(case.q)
             ik.solve(case.point_targets, case.wrist_target, case.dt)
-        np.testing.assert_allclose(warm.configuration.q, cold.configuration.q, atol=1e-9)
+        np.testing.assert_allclose(
+            warm.configuration.q, cold.configuration.q, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("name", ["three_finger", "allegro_right"])
@@ -243,7 +286,9 @@ def test_a_point_of_weight_4_counts_as_four_equal_points(name: str) -> None:
 
     def hand_with(*points: PointSpec) -> Hand:
         sets = {spec.reference: tuple(point.name for point in points)}
-        return Hand(msgspec.structs.replace(spec, points=points, sets=sets), mount="floating")
+        return Hand(
+            msgspec.structs.replace(spec, points=points, sets=sets), mount="floating"
+        )
 
     heavy = hand_with(msgspec.structs.replace(first, weight=4.0), *others)
     copies = (msgspec.structs.replace(first, name=f"copy_{i}") for i in range(4))
@@ -252,11 +297,16 @@ def test_a_point_of_weight_4_counts_as_four_equal_points(name: str) -> None:
         displacements = []
         for one, targets in (
             (heavy, case.point_targets),
-            (fourfold, np.vstack([np.tile(case.point_targets[0], (3, 1)), case.point_targets])),
+            (
+                fourfold,
+                np.vstack([np.tile(case.point_targets[0], (3, 1)), case.point_targets]),
+            ),
         ):
             ik = PointIk(one, IkOptions(max_iterations=1))
             ik.place(case.q)
-            displacements.append(ik.solve(targets, case.wrist_target, case.dt).displacement)
+            displacements.append(
+                ik.solve(targets, case.wrist_target, case.dt).displacement
+            )
         np.testing.assert_allclose(*displacements, atol=1e-9)  # ty: ignore[no-matching-overload]
         assert np.abs(displacements[0]).max() > 1e-6
 
@@ -284,7 +334,9 @@ def test_a_weight_of_1_costs_1_for_10_mm_or_a_tenth_of_a_radian(
     np.testing.assert_allclose(costs[1] - costs[0], rows * (3.0**2 - 1.0**2), rtol=1e-9)
 
 
-def test_a_failed_step_brings_joints_back_into_their_limits_and_moves_no_other() -> None:
+def test_a_failed_step_brings_joints_back_into_their_limits_and_moves_no_other() -> (
+    None
+):
     hand, dt = load_hand("three_finger"), 0.01
     ik = PointIk(hand, IkOptions())
     q = hand.rest.copy()
@@ -311,12 +363,16 @@ def test_an_arm_moves_the_wrist_and_carries_the_palm() -> None:
     q[: len(ARM_JOINTS)] += [0.2, -0.3, 0.4]
     after = ARM.frame_pose("wrist", q)
     assert np.abs(after - before).max() > 0.05
-    np.testing.assert_allclose(ARM.frame_pose("palm", q), after @ ARM.wrist_to_palm, atol=1e-12)
+    np.testing.assert_allclose(
+        ARM.frame_pose("palm", q), after @ ARM.wrist_to_palm, atol=1e-12
+    )
 
 
 def test_an_arm_reaches_a_wrist_pose_while_the_fingers_keep_their_shape() -> None:
     hand = load_hand("three_finger", mount="fixed")
-    ik = PointIk(ARM, IkOptions(max_iterations=100, step_tolerance=1e-9, rest_weight=0.0))
+    ik = PointIk(
+        ARM, IkOptions(max_iterations=100, step_tolerance=1e-9, rest_weight=0.0)
+    )
     start, goal = ARM.rest.copy(), ARM.rest.copy()
     goal[: len(ARM_JOINTS)] += [0.25, 0.2, -0.3]
     ik.place(ARM.configuration_vector(start))
@@ -330,7 +386,9 @@ def test_an_arm_reaches_a_wrist_pose_while_the_fingers_keep_their_shape() -> Non
 def test_points_out_of_the_fingers_reach_are_had_by_the_arm() -> None:
     goal = ARM.rest.copy()
     goal[: len(ARM_JOINTS)] += [0.25, 0.2, -0.3]
-    ik = PointIk(ARM, IkOptions(max_iterations=100, step_tolerance=1e-9, rest_weight=0.01))
+    ik = PointIk(
+        ARM, IkOptions(max_iterations=100, step_tolerance=1e-9, rest_weight=0.01)
+    )
     ik.place(ARM.configuration_vector(ARM.rest))
     assert ik.solve(ARM.points(goal), None, 1.0).status == "converged"
     q = ik.configuration.q[ARM.q_indices]
@@ -342,13 +400,16 @@ def test_points_out_of_the_fingers_reach_are_had_by_the_arm() -> None:
 def test_a_hand_on_an_arm_can_be_mapped_to() -> None:
     mapper = HandMapper(load_hand("human"), ARM, rigid_from="none")
     first = mapper.map_step(mapper.human.rest, np.eye(4))
-    np.testing.assert_allclose(first.command.wrist, ARM.frame_pose("wrist", ARM.rest), atol=1e-3)
+    np.testing.assert_allclose(
+        first.command.wrist, ARM.frame_pose("wrist", ARM.rest), atol=1e-3
+    )
     step = mapper.map_step(mapper.human.rest + 0.05, np.eye(4))
     assert np.isfinite(step.command.q).all()
 
 
 @pytest.mark.parametrize(
-    ("mount", "link"), [("floating", "palm"), ("fixed", "finger1_distal"), ("fixed", "base")]
+    ("mount", "link"),
+    [("floating", "palm"), ("fixed", "finger1_distal"), ("fixed", "base")],
 )
 def test_a_wrist_must_be_where_the_arm_ends(mount: str, link: str) -> None:
     changed = msgspec.structs.replace(ARM.spec.wrist, link=link)

@@ -8,7 +8,14 @@ import pinocchio as pin
 import pytest
 from marks import slow
 
-from handmap_qp import Hand, HandSpec, IkOptions, MissingExtraError, PointSpec, load_hand
+from handmap_qp import (
+    Hand,
+    HandSpec,
+    IkOptions,
+    MissingExtraError,
+    PointSpec,
+    load_hand,
+)
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
@@ -42,7 +49,10 @@ class Case:
     def nearest_between(self, before: np.ndarray, after: np.ndarray) -> float:
         """Return the smallest signed distance on the straight way between two configurations."""
         count = max(2, int(np.abs(after - before).max() / 0.03))
-        return min(self.nearest(before + p * (after - before)) for p in np.arange(1, count) / count)
+        return min(
+            self.nearest(before + p * (after - before))
+            for p in np.arange(1, count) / count
+        )
 
     def limit(self) -> CollisionLimit:
         """Return rows of the pairs within 12 mm."""
@@ -140,7 +150,9 @@ def test_the_hand_can_stop_on_its_line_for_any_sample_times(case: Case) -> None:
             share = max(0.0, 1.0 - dt / left)
             assert (np.abs(velocity) * (1.0 - share) <= most * dt * (1.0 + 1e-9)).all()
             velocity, left = share * velocity, left - dt
-            q = q + dt * (velocity if hand.expansion is None else hand.expansion.matrix @ velocity)
+            q = q + dt * (
+                velocity if hand.expansion is None else hand.expansion.matrix @ velocity
+            )
             assert case.nearest(q) > 0.0
             angles = q[hand.q_indices]
             assert (angles <= hand.upper_limits + 1e-9).all()
@@ -148,7 +160,9 @@ def test_the_hand_can_stop_on_its_line_for_any_sample_times(case: Case) -> None:
     assert stops > 5
 
 
-def test_an_acceleration_limit_while_moving_does_not_lead_to_an_overlap(case: Case) -> None:
+def test_an_acceleration_limit_while_moving_does_not_lead_to_an_overlap(
+    case: Case,
+) -> None:
     # The stop under the limit before counts until one under the new limit is found.
     hand, rng = case.hand, np.random.default_rng(3)
     free, elsewhere = IkOptions(), hand.configuration()
@@ -164,7 +178,9 @@ def test_an_acceleration_limit_while_moving_does_not_lead_to_an_overlap(case: Ca
             before = ik.configuration.q.copy()
             ik.solve(targets, None, 1.0 / 60.0)
             after = ik.configuration.q
-            nearest = min(nearest, case.nearest(after), case.nearest_between(before, after))
+            nearest = min(
+                nearest, case.nearest(after), case.nearest_between(before, after)
+            )
     assert nearest > -TOLERANCE
 
 
@@ -185,14 +201,19 @@ def test_links_that_overlap_at_the_start_can_part() -> None:
 
 @slow
 def test_a_floating_hand_is_guarded_alike(case: Case) -> None:
-    floating, rng = load_hand(case.hand.name, mount="floating"), np.random.default_rng(5)
+    floating, rng = (
+        load_hand(case.hand.name, mount="floating"),
+        np.random.default_rng(5),
+    )
     pairs = all_pairs(floating, find_fingers(floating))
     ik = PointIk(floating, IkOptions(max_acceleration=30.0), contacts=pairs)
     ik.place(floating.configuration_vector(floating.rest))
     nearest, targets = np.inf, ik.configuration.points.copy()
     for i in range(200):
         if i % 10 == 0:
-            targets = ik.configuration.points.mean(axis=0) + 0.05 * rng.normal(size=(1, 3))
+            targets = ik.configuration.points.mean(axis=0) + 0.05 * rng.normal(
+                size=(1, 3)
+            )
             targets = np.tile(targets, (len(ik.configuration.points), 1))
         ik.solve(targets, None, 1.0 / 60.0)
         after = case.hand.configuration_vector(ik.configuration.q[floating.q_indices])
@@ -209,7 +230,9 @@ def test_a_joint_outside_its_limit_by_a_rounding_does_not_move_into_a_link(
         q, joint = case.random_q(rng), rng.integers(len(hand.joint_names))
         q[joint] = np.nextafter(hand.upper_limits[joint], np.inf)
         step = np.zeros(len(q))
-        step[hand.joint_columns[joint]] = -rng.uniform(0.3, 1.0) * hand.velocity_limits[joint] * dt
+        step[hand.joint_columns[joint]] = (
+            -rng.uniform(0.3, 1.0) * hand.velocity_limits[joint] * dt
+        )
         start = hand.configuration_vector(q)
         if case.nearest(start) < 1e-3 or case.nearest(start + step) > -2e-3:
             continue
@@ -238,7 +261,9 @@ def test_a_limit_lowered_while_moving_breaks_no_limit_and_the_stop_is_bounded(
     elsewhere = hand.configuration()
     for high, low in ((20.0, 0.5), (100.0, 1.0), (None, 2.0)):
         ik = PointIk(
-            hand, IkOptions(max_acceleration=high), contacts=case.limit() if avoids else None
+            hand,
+            IkOptions(max_acceleration=high),
+            contacts=case.limit() if avoids else None,
         )
         ik.place(hand.configuration_vector(hand.rest))
         elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
@@ -283,7 +308,10 @@ def test_a_stop_takes_no_longer_and_leads_no_farther_than_stated(case: Case) -> 
 
 def test_a_hand_that_was_held_sets_out_from_rest(case: Case) -> None:
     hand, dt, most = case.hand, 1.0 / 60.0, 10.0
-    ik, elsewhere = PointIk(hand, IkOptions(max_acceleration=most)), hand.configuration()
+    ik, elsewhere = (
+        PointIk(hand, IkOptions(max_acceleration=most)),
+        hand.configuration(),
+    )
     ik.place(hand.configuration_vector(hand.rest))
     elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
     speed_up(ik, elsewhere.points, dt)
@@ -298,7 +326,9 @@ def test_a_hand_that_was_held_sets_out_from_rest(case: Case) -> None:
     before = ik.configuration.q.copy()
     ik.solve(elsewhere.points, None, dt)
     # From rest, x = a dt^2 in one sample.
-    assert 0.0 < np.abs(ik.configuration.q - before).max() <= most * dt**2 * (1.0 + 1e-9)
+    assert (
+        0.0 < np.abs(ik.configuration.q - before).max() <= most * dt**2 * (1.0 + 1e-9)
+    )
 
 
 @pytest.mark.parametrize("shortest", [1e-300, 1e-12, 1e-7])
@@ -306,7 +336,10 @@ def test_after_a_sample_of_no_time_the_acceleration_limit_still_holds(
     case: Case, shortest: float
 ) -> None:
     hand, dt, most = case.hand, 1.0 / 60.0, 10.0
-    ik, elsewhere = PointIk(hand, IkOptions(max_acceleration=most)), hand.configuration()
+    ik, elsewhere = (
+        PointIk(hand, IkOptions(max_acceleration=most)),
+        hand.configuration(),
+    )
     ik.place(hand.configuration_vector(hand.lower_limits))
     elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
     for _ in range(5):
@@ -347,7 +380,9 @@ def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
     shapes = ((joint, down, coal.Sphere(radius)), (0, floor, coal.Box(1.0, 1.0, 0.1)))
     for i, (parent, placement, shape) in enumerate(shapes):
         shape.computeLocalAABB()
-        geometry.addGeometryObject(pin.GeometryObject(f"shape {i}", parent, placement, shape))
+        geometry.addGeometryObject(
+            pin.GeometryObject(f"shape {i}", parent, placement, shape)
+        )
     geometry.addCollisionPair(pin.CollisionPair(0, 1))
     distances = ShapeDistances(model, geometry)
     near = distances.measure(np.array([-angle]))
@@ -394,9 +429,13 @@ def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
     limit, configuration = CollisionLimit(hand), hand.configuration()
     distances = []
     for angle in (0.0, half_turn, -half_turn):
-        configuration.place_with_jacobians(hand.configuration_vector(np.array([angle, 0.0])))
+        configuration.place_with_jacobians(
+            hand.configuration_vector(np.array([angle, 0.0]))
+        )
         distances.append(limit.distances(configuration)[0])
-    np.testing.assert_allclose(distances, clearance + np.array([-arc, 0.0, 0.0]), atol=1e-7)
+    np.testing.assert_allclose(
+        distances, clearance + np.array([-arc, 0.0, 0.0]), atol=1e-7
+    )
     start = limit.measure(configuration.q)
     turn = 2.0 * half_turn * (hand.configuration_vector(np.array([1.0, 0.0])) == 1.0)
     assert limit.is_clear(start, turn) == (share > 1.0)

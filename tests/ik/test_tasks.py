@@ -17,8 +17,14 @@ from handmap_qp.ik.solvers import make_solver, solve_by_daqp
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances, TaskRows
 
 SETTLE = IkOptions(max_iterations=200, step_tolerance=1e-10, has_velocity_limits=False)
-SOME = [which for which in HANDS if which[0] in ("three_finger", "allegro_right", "ur5_allegro")]
-each_hand = pytest.mark.parametrize("which", SOME, ids=lambda which: "-".join(filter(None, which)))
+SOME = [
+    which
+    for which in HANDS
+    if which[0] in ("three_finger", "allegro_right", "ur5_allegro")
+]
+each_hand = pytest.mark.parametrize(
+    "which", SOME, ids=lambda which: "-".join(filter(None, which))
+)
 
 
 class Height:
@@ -63,7 +69,9 @@ def test_the_rows_are_the_derivative_of_the_residual(which: Any) -> None:
 def test_mink_takes_the_same_step_with_further_tasks(which: Any) -> None:
     hand = hand_of(which)
     options = IkOptions(max_iterations=1, speed_weight=0.3, acceleration_weight=0.2)
-    iks = [PointIk(hand, options.replaced(formulation=each)) for each in ("direct", "mink")]
+    iks = [
+        PointIk(hand, options.replaced(formulation=each)) for each in ("direct", "mink")
+    ]
     tasks = (
         PointDistances(AttachedPoints.reference_points(hand), [(0, 1)], [0.01], [8.0]),
         Height(1, 0.1, 50.0),
@@ -75,10 +83,18 @@ def test_mink_takes_the_same_step_with_further_tasks(which: Any) -> None:
         # The second sample starts with a velocity.
         for _ in range(2):
             expected, step = (
-                ik.solve(case.point_targets, case.wrist_target, case.dt, rest=rest, tasks=tasks)
+                ik.solve(
+                    case.point_targets,
+                    case.wrist_target,
+                    case.dt,
+                    rest=rest,
+                    tasks=tasks,
+                )
                 for ik in iks
             )
-            np.testing.assert_allclose(step.displacement, expected.displacement, atol=1e-8)
+            np.testing.assert_allclose(
+                step.displacement, expected.displacement, atol=1e-8
+            )
 
 
 def test_two_fingertips_meet_when_they_are_told_to() -> None:
@@ -86,7 +102,9 @@ def test_two_fingertips_meet_when_they_are_told_to() -> None:
     ik = PointIk(hand, SETTLE)
     ik.place(hand.configuration_vector(hand.rest))
     points, wrist = ik.configuration.points.copy(), ik.configuration.wrist.homogeneous
-    task = PointDistances(AttachedPoints.reference_points(hand), [(0, 1)], [0.01], [100.0])
+    task = PointDistances(
+        AttachedPoints.reference_points(hand), [(0, 1)], [0.01], [100.0]
+    )
     apart = np.linalg.norm(points[0] - points[1])
     ik.solve(points, wrist, 1.0, tasks=[task])
     together = np.linalg.norm(ik.configuration.points[0] - ik.configuration.points[1])
@@ -97,11 +115,16 @@ def test_two_fingertips_meet_when_they_are_told_to() -> None:
 def test_the_end_is_a_minimum_of_the_cost_with_its_tasks() -> None:
     hand, rng = load_hand("allegro_right"), np.random.default_rng(0)
     options = IkOptions(
-        max_iterations=300, step_tolerance=1e-12, has_velocity_limits=False, rest_weight=0.3
+        max_iterations=300,
+        step_tolerance=1e-12,
+        has_velocity_limits=False,
+        rest_weight=0.3,
     )
     ik = PointIk(hand, options)
     ik.place(hand.configuration_vector(hand.rest))
-    points = ik.configuration.points + rng.normal(scale=0.003, size=ik.configuration.points.shape)
+    points = ik.configuration.points + rng.normal(
+        scale=0.003, size=ik.configuration.points.shape
+    )
     wrist, rest = ik.configuration.wrist.homogeneous, hand.rest + 0.02
     points_of = AttachedPoints.reference_points(hand)
     task = PointDistances(points_of, [(0, 1), (0, 2)], [0.06, 0.07], [4.0, 2.0])
@@ -151,9 +174,9 @@ def test_points_in_one_place_can_be_parted() -> None:
     place = (hand.model.njoints - 1, np.array([0.01, 0.0, 0.0]))
     configuration = hand.configuration()
     configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
-    rows = PointDistances(AttachedPoints(hand, [place] * 2), [(0, 1)], [0.01]).linearise(
-        configuration
-    )
+    rows = PointDistances(
+        AttachedPoints(hand, [place] * 2), [(0, 1)], [0.01]
+    ).linearise(configuration)
     assert all(np.isfinite(part).all() for part in rows)
 
 
@@ -170,23 +193,32 @@ def test_points_in_one_place_can_be_parted() -> None:
     ],
     ids=str,
 )
-def test_distances_without_a_meaning_are_rejected_by_name(arguments: Any, name: str) -> None:
+def test_distances_without_a_meaning_are_rejected_by_name(
+    arguments: Any, name: str
+) -> None:
     with pytest.raises(InvalidInputError) as raised:
-        PointDistances(AttachedPoints.reference_points(load_hand("three_finger")), *arguments)
+        PointDistances(
+            AttachedPoints.reference_points(load_hand("three_finger")), *arguments
+        )
     assert raised.value.argument == name
 
 
 @pytest.mark.parametrize("name", ["romeo_right", "ur5_allegro", "three_finger"])
 def test_attached_points_and_their_derivatives_follow_the_hand(name: str) -> None:
     hand, rng = load_hand(name), np.random.default_rng(6)
-    places = [(joint, rng.normal(scale=0.02, size=3)) for joint in range(1, hand.model.njoints)]
+    places = [
+        (joint, rng.normal(scale=0.02, size=3))
+        for joint in range(1, hand.model.njoints)
+    ]
     points = AttachedPoints(hand, places)
     configuration = hand.configuration()
     q = hand.configuration_vector(0.5 * (hand.lower_limits + hand.upper_limits))
     configuration.place_with_jacobians(q)
     positions = points.positions(configuration)
     for (joint, offset), position in zip(places, positions, strict=True):
-        np.testing.assert_allclose(position, configuration.data.oMi[joint].act(offset), atol=1e-12)
+        np.testing.assert_allclose(
+            position, configuration.data.oMi[joint].act(offset), atol=1e-12
+        )
     jacobians = points.jacobians(configuration, positions)
     step = 1e-6
     for column in range(configuration.nv):
@@ -217,7 +249,9 @@ def test_reference_points_are_attached_points() -> None:
 def test_pairs_without_weight_add_nothing_and_the_others_are_those_asked_for() -> None:
     hand = load_hand("allegro_right")
     points = AttachedPoints.reference_points(hand)
-    task = PointDistances(points, [(0, 1), (0, 2), (0, 3)], np.zeros(3), damping=[1.0, 2.0, 3.0])
+    task = PointDistances(
+        points, [(0, 1), (0, 2), (0, 3)], np.zeros(3), damping=[1.0, 2.0, 3.0]
+    )
     distances, weights = np.array([0.01, 0.02, 0.03]), np.array([2.0, 0.0, 5.0])
     configuration = hand.configuration()
     configuration.place_with_jacobians(hand.configuration_vector(hand.rest))

@@ -48,22 +48,30 @@ def placed(hand: Hand, case: Case, options: IkOptions = ONE_STEP) -> PointIk:
     return ik
 
 
-def way_1(ik: PointIk, case: Case, extra_tasks: Sequence[mink.Task] = ()) -> qpsolvers.Problem:
+def way_1(
+    ik: PointIk, case: Case, extra_tasks: Sequence[mink.Task] = ()
+) -> qpsolvers.Problem:
     wrist = None if case.wrist_target is None else pin.SE3(case.wrist_target)
     goal = Goal(case.point_targets, wrist, [(ik.options.rest_weight, ik.hand.rest)], ())
     limits = make_limits(*ik.gate.bounds(case.dt), None)
     configuration = ik.configuration
-    return build_problem(ik.hand, ik.options, configuration, goal, limits, extra_tasks=extra_tasks)
+    return build_problem(
+        ik.hand, ik.options, configuration, goal, limits, extra_tasks=extra_tasks
+    )
 
 
-def way_2(ik: PointIk, case: Case) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def way_2(
+    ik: PointIk, case: Case
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     return ik.problem(case.point_targets, case.wrist_target, case.dt)
 
 
 def step_of(ik: PointIk, case: Case) -> np.ndarray:
     """Return the step of the default formulation in one iteration."""
     ik.solve(case.point_targets, case.wrist_target, case.dt)
-    return pin.difference(ik.hand.model, case.q, ik.configuration.q)[ik.hand.active_columns]
+    return pin.difference(ik.hand.model, case.q, ik.configuration.q)[
+        ik.hand.active_columns
+    ]
 
 
 def relative(actual: np.ndarray, expected: np.ndarray) -> float:
@@ -84,8 +92,12 @@ def test_ways_1_and_2_pose_the_same_problem(
         assert problem.h is not None
         assert relative(np.asarray(problem.P), H) < 1e-9
         assert relative(problem.q, c) < 1e-9
-        np.testing.assert_array_equal(problem.G, np.vstack([np.eye(len(c)), -np.eye(len(c))]))
-        np.testing.assert_allclose(problem.h, np.concatenate([upper, -lower]), atol=1e-9)
+        np.testing.assert_array_equal(
+            problem.G, np.vstack([np.eye(len(c)), -np.eye(len(c))])
+        )
+        np.testing.assert_allclose(
+            problem.h, np.concatenate([upper, -lower]), atol=1e-9
+        )
 
 
 @each_kind_of_hand
@@ -111,7 +123,9 @@ def test_mink_moves_the_hand_as_the_direct_formulation_does(
         avoids_self_collision=hand.spec.collision is not None,
         max_acceleration=acceleration,
     )
-    iks = [PointIk(hand, options.replaced(formulation=each)) for each in ("direct", "mink")]
+    iks = [
+        PointIk(hand, options.replaced(formulation=each)) for each in ("direct", "mink")
+    ]
     for case in random_cases(hand, 4, seed=12):
         for ik in iks:
             ik.place(case.q)
@@ -153,7 +167,9 @@ def test_every_solver_serves_both_formulations(
     for case in random_cases(hand, 6, seed=4):
         expected = step_of(placed(hand, case), case)
         step = step_of(placed(hand, case, options), case)
-        np.testing.assert_allclose(step, expected, atol=ACCURACY.get(solver, INTERIOR_POINT))
+        np.testing.assert_allclose(
+            step, expected, atol=ACCURACY.get(solver, INTERIOR_POINT)
+        )
 
 
 @each_kind_of_hand
@@ -189,7 +205,9 @@ def test_tangent_map_takes_steps_from_one_library_to_the_other(
         expected = mujoco.qpos(workspace.q)
         configuration = mink.Configuration(mujoco.model, mujoco.qpos(case.q))
         # Both libraries agree to first order; 1e-12 is the square of the step.
-        np.testing.assert_allclose(configuration.integrate(T @ dq, 1.0), expected, atol=1e-11)
+        np.testing.assert_allclose(
+            configuration.integrate(T @ dq, 1.0), expected, atol=1e-11
+        )
 
 
 def test_stacked_limits_contradict_each_other_where_the_box_does_not() -> None:
@@ -200,7 +218,9 @@ def test_stacked_limits_contradict_each_other_where_the_box_does_not() -> None:
         assert (lower <= upper).all()
         mujoco.place(case.q)
         answered += (
-            solve_problem(mujoco.problem(case.point_targets, case.wrist_target, case.dt))
+            solve_problem(
+                mujoco.problem(case.point_targets, case.wrist_target, case.dt)
+            )
             is not None
         )
     assert 0 < answered < 40
@@ -211,7 +231,9 @@ def test_a_users_task_joins_the_mink_problem() -> None:
     case = next(random_cases(hand, 1))
     ik = placed(hand, case)
     alone, joined = way_1(ik, case), way_1(ik, case, [DampingTask(hand.model.nv, 3.0)])
-    np.testing.assert_allclose(joined.P - alone.P, 9.0 * np.eye(hand.model.nv), atol=1e-9)
+    np.testing.assert_allclose(
+        joined.P - alone.P, 9.0 * np.eye(hand.model.nv), atol=1e-9
+    )
 
 
 def test_the_configuration_is_all_that_mink_asks_for() -> None:

@@ -40,9 +40,18 @@ def test_replay_records_with_faults(
     assert lost[-1] == pytest.approx(0.015, abs=0.001)
 
 
-def test_replay_leads_the_service(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_leads_the_service(
+    recording: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with serving() as server:
-        command = ["track", "replay", str(recording), "--to", address_of(server), "--robot"]
+        command = [
+            "track",
+            "replay",
+            str(recording),
+            "--to",
+            address_of(server),
+            "--robot",
+        ]
         assert cli.main([*command, "three_finger"]) == 0
         table = capsys.readouterr().out
         assert "three_finger" in table
@@ -74,7 +83,15 @@ def test_a_loop_ends_by_sigterm_and_writes_its_file(
 
     monkeypatch.setattr(Recorder, "put", put_and_end)
     before = signal.signal(signal.SIGTERM, refuse)
-    words = ["track", "replay", str(recording), "--loop", "--record", str(out), "--json"]
+    words = [
+        "track",
+        "replay",
+        str(recording),
+        "--loop",
+        "--record",
+        str(out),
+        "--json",
+    ]
     try:
         assert cli.main([*words, "--speed", "10"]) == 0
         assert signal.getsignal(signal.SIGTERM) is refuse
@@ -116,7 +133,9 @@ def test_every_mistake_is_one_line(
     assert list(tmp_path.iterdir()) == [recording]
 
 
-@pytest.mark.parametrize("words", [["track"], ["track", "--help"], ["track", "replay", "--help"]])
+@pytest.mark.parametrize(
+    "words", [["track"], ["track", "--help"], ["track", "replay", "--help"]]
+)
 def test_help_is_given(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         cli.main(words)

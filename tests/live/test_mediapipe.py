@@ -91,7 +91,9 @@ def test_the_place_of_a_hand_follows_from_its_picture(
     seed: int, place: tuple[float, float, float]
 ) -> None:
     shape = np.random.default_rng(seed).uniform(-0.08, 0.08, size=(21, 3))
-    found = position_in_camera(shape, project(shape + place), FOCAL, (0.5 * WIDTH, 0.5 * HEIGHT))
+    found = position_in_camera(
+        shape, project(shape + place), FOCAL, (0.5 * WIDTH, 0.5 * HEIGHT)
+    )
     np.testing.assert_allclose(found, place, atol=1e-9)
 
 
@@ -137,7 +139,8 @@ def test_samples_are_the_hands_of_the_pictures(stand_in: Path) -> None:
     hands = camera_hands()
     other = hands + np.array([0.2, 0.0, 0.0])
     video = [
-        [seen_hand(b, "Right"), seen_hand(a, "Left")] for a, b in zip(hands, other, strict=True)
+        [seen_hand(b, "Right"), seen_hand(a, "Left")]
+        for a, b in zip(hands, other, strict=True)
     ]
     video[7], video[8] = [], [seen_hand(other[8], "Right")]
     stand_in.write_text(json.dumps(video))
@@ -146,13 +149,19 @@ def test_samples_are_the_hands_of_the_pictures(stand_in: Path) -> None:
     assert [sample.valid for sample in samples] == [i not in (7, 8) for i in range(20)]
     for sample, hand in zip(samples, hands, strict=True):
         if sample.valid:
-            np.testing.assert_allclose(sample.landmarks, hand * (1.0, -1.0, -1.0), atol=1e-9)
+            np.testing.assert_allclose(
+                sample.landmarks, hand * (1.0, -1.0, -1.0), atol=1e-9
+            )
             assert sample.confidence == 0.9
         assert sample.side == "right"
-    np.testing.assert_allclose(np.diff([sample.time for sample in samples]), 0.02, atol=1e-9)
+    np.testing.assert_allclose(
+        np.diff([sample.time for sample in samples]), 0.02, atol=1e-9
+    )
     left = list(MediapipeSource(video=stand_in, side="left", is_paced=False))
     assert [sample.valid for sample in left] == [i != 7 for i in range(20)]
-    np.testing.assert_allclose(left[0].landmarks, other[0] * (1.0, -1.0, -1.0), atol=1e-9)
+    np.testing.assert_allclose(
+        left[0].landmarks, other[0] * (1.0, -1.0, -1.0), atol=1e-9
+    )
 
 
 def test_mirrored_pictures_are_turned_back(stand_in: Path) -> None:
@@ -165,19 +174,28 @@ def test_mirrored_pictures_are_turned_back(stand_in: Path) -> None:
 
 
 def test_the_process_ends_with_its_reader(stand_in: Path) -> None:
-    stand_in.write_text(json.dumps([[seen_hand(hand, "Left")] for hand in camera_hands()]))
+    stand_in.write_text(
+        json.dumps([[seen_hand(hand, "Left")] for hand in camera_hands()])
+    )
     source = iter(MediapipeSource(video=stand_in))
     assert len(list(itertools.islice(source, 3))) == 3
     source.close()  # ty: ignore[missing-attribute]
 
 
 def test_the_command_records_a_video(stand_in: Path, tmp_path: Path) -> None:
-    stand_in.write_text(json.dumps([[seen_hand(hand, "Left")] for hand in camera_hands()]))
+    stand_in.write_text(
+        json.dumps([[seen_hand(hand, "Left")] for hand in camera_hands()])
+    )
     out = tmp_path / "hand.npz"
-    assert cli.main(["track", "mediapipe", "--video", str(stand_in), "--record", str(out)]) == 0
+    assert (
+        cli.main(["track", "mediapipe", "--video", str(stand_in), "--record", str(out)])
+        == 0
+    )
     copy = read_recording(out)
     assert copy.side == "right"
-    np.testing.assert_allclose(copy.landmarks, camera_hands() * (1.0, -1.0, -1.0), atol=1e-9)
+    np.testing.assert_allclose(
+        copy.landmarks, camera_hands() * (1.0, -1.0, -1.0), atol=1e-9
+    )
 
 
 @pytest.mark.parametrize(
@@ -217,7 +235,14 @@ def test_a_missing_or_broken_environment_is_named(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     stand_in.write_text("[[]]")
-    command = ["track", "mediapipe", "--video", str(stand_in), "--record", str(tmp_path / "a.npz")]
+    command = [
+        "track",
+        "mediapipe",
+        "--video",
+        str(stand_in),
+        "--record",
+        str(tmp_path / "a.npz"),
+    ]
     (tmp_path / "modules" / "mediapipe" / "python" / "solutions" / "hands.py").unlink()
     assert cli.main(command) == 2
     assert "mediapipe cannot be imported" in capsys.readouterr().err
@@ -226,7 +251,9 @@ def test_a_missing_or_broken_environment_is_named(
     assert "--install" in capsys.readouterr().err
 
 
-def test_the_environment_is_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_is_the_users(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv(VARIABLE, raising=False)
     monkeypatch.setenv("XDG_DATA_HOME", str(tmp_path))
     assert environment_folder() == tmp_path / "handmap" / "mediapipe"

@@ -21,7 +21,9 @@ from handmap_qp.trackers.injection import inject, parse_faults
 class Listed:
     """A source of samples from a list, which ends by an exception if one is given."""
 
-    def __init__(self, samples: list[HumanSample], end: BaseException | None = None) -> None:
+    def __init__(
+        self, samples: list[HumanSample], end: BaseException | None = None
+    ) -> None:
         self._samples, self._end = samples, end
         self.name, self.rate = "listed", 0.0
         self.side: Side = "right"
@@ -59,7 +61,9 @@ def test_samples_out_of_order_are_counted_and_left_out(tmp_path: Path) -> None:
     assert len(copy) == summary["recorded"] == len(samples) - summary["not_in_order"]
 
 
-@pytest.mark.parametrize("end", [KeyboardInterrupt(), RuntimeError("the source failed")])
+@pytest.mark.parametrize(
+    "end", [KeyboardInterrupt(), RuntimeError("the source failed")]
+)
 def test_what_came_before_an_end_is_written(tmp_path: Path, end: BaseException) -> None:
     file = tmp_path / "cut.npz"
     if isinstance(end, KeyboardInterrupt):
@@ -90,7 +94,9 @@ def test_the_other_hand_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["out.txt", "missing/out.npz"])
-def test_a_place_that_cannot_be_written_is_refused_first(tmp_path: Path, name: str) -> None:
+def test_a_place_that_cannot_be_written_is_refused_first(
+    tmp_path: Path, name: str
+) -> None:
     with pytest.raises(InvalidInputError, match="--record"):
         Recorder(tmp_path / name, "--record")
 

@@ -58,7 +58,9 @@ def test_samples_are_those_of_the_recording() -> None:
     samples = list(Replay(recording))
     assert len(samples) == len(recording)
     assert [sample.valid for sample in samples] == recording.valid.tolist()
-    np.testing.assert_array_equal([sample.landmarks for sample in samples], recording.landmarks)
+    np.testing.assert_array_equal(
+        [sample.landmarks for sample in samples], recording.landmarks
+    )
     assert {sample.side for sample in samples} == {"right"}
 
 
@@ -69,20 +71,28 @@ def test_a_loop_goes_on_without_a_step_in_time() -> None:
     times = np.array([sample.time for sample in samples])
     steps = np.diff(times)
     assert (steps > 0.0).all()
-    np.testing.assert_allclose(steps[count - 1 :: count], np.median(recording.steps), atol=1e-9)
+    np.testing.assert_allclose(
+        steps[count - 1 :: count], np.median(recording.steps), atol=1e-9
+    )
     np.testing.assert_allclose(steps[:count], steps[count : 2 * count], atol=1e-9)
     for i in range(count):
-        np.testing.assert_array_equal(samples[i].landmarks, samples[2 * count + i].landmarks)
+        np.testing.assert_array_equal(
+            samples[i].landmarks, samples[2 * count + i].landmarks
+        )
 
 
 def test_faults_count_in_the_time_of_the_replay(clock: Clock) -> None:
     start = clock.now
     lost = [
         sample.time - start
-        for sample in Replay(moving_hand(), speed=0.5, faults=parse_faults("dropout@1+0.5"))
+        for sample in Replay(
+            moving_hand(), speed=0.5, faults=parse_faults("dropout@1+0.5")
+        )
         if not sample.valid
     ]
-    lost = [time for time in lost if time > 0.5]  # sample 10 of the recording is lost anyway
+    lost = [
+        time for time in lost if time > 0.5
+    ]  # sample 10 of the recording is lost anyway
     assert lost[0] == pytest.approx(1.0, abs=0.04)
     assert lost[-1] == pytest.approx(1.5, abs=0.04)
     assert len(lost) == pytest.approx(15, abs=1)
@@ -91,9 +101,12 @@ def test_faults_count_in_the_time_of_the_replay(clock: Clock) -> None:
 def test_a_fault_of_the_clock_does_not_delay_samples(clock: Clock) -> None:
     start = clock.now
     stamps = [
-        sample.time for sample in Replay(moving_hand(), faults=parse_faults("clock@0.5:1000"))
+        sample.time
+        for sample in Replay(moving_hand(), faults=parse_faults("clock@0.5:1000"))
     ]
-    assert clock.now - start == pytest.approx(moving_hand().time[-1] - moving_hand().time[0])
+    assert clock.now - start == pytest.approx(
+        moving_hand().time[-1] - moving_hand().time[0]
+    )
     assert stamps[-1] == pytest.approx(clock.now + 1000.0)
 
 
@@ -108,7 +121,9 @@ def test_a_late_reader_gets_every_sample(clock: Clock) -> None:
 
 @given(st.floats(0.01, 100.0))
 def test_the_rate_goes_with_the_speed(speed: float) -> None:
-    assert Replay(moving_hand(), speed=speed).rate == pytest.approx(60.0 * speed, rel=0.02)
+    assert Replay(moving_hand(), speed=speed).rate == pytest.approx(
+        60.0 * speed, rel=0.02
+    )
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, 1e-3, 101.0, math.nan, math.inf])
@@ -117,11 +132,15 @@ def test_a_wrong_speed_is_rejected(speed: float) -> None:
         Replay(moving_hand(), speed=speed)
 
 
-def test_samples_of_a_recording_have_its_confidence_and_no_wrist_of_foreign_axes() -> None:
+def test_samples_of_a_recording_have_its_confidence_and_no_wrist_of_foreign_axes() -> (
+    None
+):
     plain = moving_hand()
     shares = np.linspace(0.2, 1.0, len(plain))
     wrist = np.tile(np.eye(4), (len(plain), 1, 1))
-    samples = recording_samples(dataclasses.replace(plain, confidence=shares, wrist=wrist))
+    samples = recording_samples(
+        dataclasses.replace(plain, confidence=shares, wrist=wrist)
+    )
     assert all(sample.wrist is None for sample in samples)
     expected = np.where(plain.valid, shares, 0.0)
     np.testing.assert_array_equal([sample.confidence for sample in samples], expected)

@@ -10,7 +10,14 @@ import numpy as np
 import pytest
 from live_cases import moving_hand
 from patience import wait_until
-from service_tools import PATIENCE, address_of, client_of, connected, lose_sessions, serving
+from service_tools import (
+    PATIENCE,
+    address_of,
+    client_of,
+    connected,
+    lose_sessions,
+    serving,
+)
 
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.live.service import ServiceSink, ServiceSource
@@ -37,16 +44,22 @@ def person() -> Person:
     return measure_person(moving_hand())
 
 
-def test_a_replay_moves_the_robot(server: Server, person: Person, tmp_path: Path) -> None:
+def test_a_replay_moves_the_robot(
+    server: Server, person: Person, tmp_path: Path
+) -> None:
     recording = moving_hand()
-    sink = ServiceSink(address_of(server), "allegro_right", "right", session="chain", person=person)
+    sink = ServiceSink(
+        address_of(server), "allegro_right", "right", session="chain", person=person
+    )
     with client_of(server) as watcher:
         watcher.watch("chain")
         about = watcher.status().about
         assert about is not None
         assert about["preset"] == "teleoperation"
         assert about["teleoperation"]["contact_gap"] == person.contact_gap
-        np.testing.assert_allclose(about["lengths"]["segments"], person.lengths.segments)
+        np.testing.assert_allclose(
+            about["lengths"]["segments"], person.lengths.segments
+        )
         before = watcher.status().q
         recorder = Recorder(tmp_path / "sent.npz")
         summary = run(Replay(recording), [sink, recorder])
@@ -64,11 +77,14 @@ def test_a_replay_moves_the_robot(server: Server, person: Person, tmp_path: Path
     assert refused.value.argument == "--session"
 
 
-def test_a_lost_hand_is_sent_as_such_and_the_robot_holds(server: Server, person: Person) -> None:
+def test_a_lost_hand_is_sent_as_such_and_the_robot_holds(
+    server: Server, person: Person
+) -> None:
     sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
     session = next(iter(server.dispatcher.sessions.entries.values())).session
     summary = run(
-        Replay(moving_hand(), faults=parse_faults("dropout@0.3+0.4,silence@0.8+0.05")), [sink]
+        Replay(moving_hand(), faults=parse_faults("dropout@0.3+0.4,silence@0.8+0.05")),
+        [sink],
     )
     # 0.4 s without a hand is more than the watchdog's 0.25 s.
     assert session.counts["watchdog"] >= 1
@@ -76,7 +92,9 @@ def test_a_lost_hand_is_sent_as_such_and_the_robot_holds(server: Server, person:
     assert summary["sent"] == summary["samples"]
 
 
-def test_samples_that_are_no_hand_are_refused_and_counted(server: Server, person: Person) -> None:
+def test_samples_that_are_no_hand_are_refused_and_counted(
+    server: Server, person: Person
+) -> None:
     sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
     summary = run(Replay(moving_hand(), faults=parse_faults("noise@0.5+9:1")), [sink])
     assert sum(summary["refusals"].values()) > 0
@@ -111,7 +129,9 @@ def test_a_session_is_recorded_from_the_service(
     summaries = []
     source = ServiceSource(address_of(server))  # the only open session
     assert (source.name, source.side) == ("recorded", "right")
-    thread = threading.Thread(target=lambda: summaries.append(run(source, [Recorder(file)])))
+    thread = threading.Thread(
+        target=lambda: summaries.append(run(source, [Recorder(file)]))
+    )
     thread.start()
     run(Replay(recording), [sink])
     thread.join(PATIENCE)  # the source ends with the session
@@ -133,7 +153,10 @@ def test_sessions_that_cannot_be_recorded_are_refused(server: Server) -> None:
     address = address_of(server)
     with pytest.raises(InvalidInputError, match="no session is open"):
         ServiceSource(address)
-    with connected(server, name="angles"), pytest.raises(InvalidInputError, match="led by q"):
+    with (
+        connected(server, name="angles"),
+        pytest.raises(InvalidInputError, match="led by q"),
+    ):
         ServiceSource(address, session="angles")
     with (
         connected(server, name="plain", input="landmarks", hand_length=0.19),
@@ -167,7 +190,9 @@ def test_a_service_that_is_not_there_is_one_line(
 def test_the_status_says_that_the_service_is_silent(
     server: Server, person: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with ServiceSink(address_of(server), "three_finger", "right", person=person) as sink:
+    with ServiceSink(
+        address_of(server), "three_finger", "right", person=person
+    ) as sink:
         assert "waiting" in sink.status()
         samples = iter(recording_samples(moving_hand()))
 

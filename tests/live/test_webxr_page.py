@@ -64,14 +64,18 @@ def open_page(
 ) -> None:
     """Load the page with an emulated headset, changed by `more` before the page's own script."""
     browser.open("about:blank")
-    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=more)["identifier"]
+    added = browser.call("Page.addScriptToEvaluateOnNewDocument", source=more)[
+        "identifier"
+    ]
     browser.open(f"http://127.0.0.1:{server.ports['web']}/{words}#token={token}")
     browser.wait_for("document.querySelector('#left .state')?.textContent")
     browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=added)
 
 
 def text(browser: Browser, selector: str) -> str:
-    return browser.evaluate(f"document.querySelector({json.dumps(selector)}).textContent")
+    return browser.evaluate(
+        f"document.querySelector({json.dumps(selector)}).textContent"
+    )
 
 
 def click(browser: Browser, selector: str) -> None:
@@ -132,17 +136,25 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     with client_of(server) as watcher:
         watcher.watch("webxr-right")
         before = np.array(watcher.status().q)
-        wait_until(lambda: bool(np.abs(np.array(watcher.status().q) - before).max() > 0.05))
-    browser.wait_for("parseInt(document.querySelector('#right .sent').textContent) > 15")
+        wait_until(
+            lambda: bool(np.abs(np.array(watcher.status().q) - before).max() > 0.05)
+        )
+    browser.wait_for(
+        "parseInt(document.querySelector('#right .sent').textContent) > 15"
+    )
     assert int(text(browser, "#right .sent").split()[0]) <= 1.2 * RATE
     followed = ("converged", "limited", "unsettled", "unreachable")
-    wait_until(lambda: text(browser, "#right .robot") in followed)  # after the calibration
+    wait_until(
+        lambda: text(browser, "#right .robot") in followed
+    )  # after the calibration
     assert text(browser, "#right .delay").endswith(" ms")
     assert _is_drawn(browser, "#right canvas")
     # Landmarks at the service are the headset's joints in the order of MediaPipe.
     assert isinstance(LAYOUT, PointLayout)
     expected = webxr_joints("right")[:, LAYOUT.order("right")]
-    for sample in itertools.islice(ServiceSource(address_of(server), session="webxr-right"), 5):
+    for sample in itertools.islice(
+        ServiceSource(address_of(server), session="webxr-right"), 5
+    ):
         assert np.abs(expected - sample.landmarks).max(axis=(1, 2)).min() < 1e-9
     # Losing one hand holds its robot, and the other one goes on.
     browser.evaluate("delete joints.left; delete emulated.hands.left; 0")
@@ -154,7 +166,9 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     wait_for_text(browser, "#right .state", "held until Engage")
     wait_until(lambda: sessions(server)["webxr-right"].mode == "released")
     click(browser, "#right .engage")
-    browser.wait_for("!document.querySelector('#right .state').textContent.includes('held')")
+    browser.wait_for(
+        "!document.querySelector('#right .state').textContent.includes('held')"
+    )
     # An emergency stop is latched until it is cleared on purpose.
     click(browser, "#stop")
     wait_for_text(browser, "#right .state", "emergency stop")
@@ -164,7 +178,9 @@ def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     click(browser, "#right .clear")
     wait_for_text(browser, "#right .state", "held until Engage")
     click(browser, "#right .engage")
-    browser.wait_for("!document.querySelector('#right .state').textContent.includes('held')")
+    browser.wait_for(
+        "!document.querySelector('#right .state').textContent.includes('held')"
+    )
     click(browser, "#left .clear")
     click(browser, "#end")
     wait_for_text(browser, "#state", "Ready")
@@ -222,7 +238,9 @@ def test_a_lost_connection_is_taken_up_again(browser: Browser, server: Server) -
         "state, { childList: true, characterData: true, subtree: true }); })()"
     )
     in_loop(server, cut)
-    browser.wait_for("states.some((each) => each.includes('not connected: the robot holds'))")
+    browser.wait_for(
+        "states.some((each) => each.includes('not connected: the robot holds'))"
+    )
     wait_for_text(browser, "#right .state", "streaming")
     second = wait_until(lambda: sessions(server).get("webxr-right"))
     assert second is not first
@@ -258,8 +276,14 @@ def test_every_hand_is_offered_and_missing_ones_say_what_installs_them(
         " ({ value, text, disabled }) => [value, text, disabled])"
     )
     robots = [name for name in hand_names() if name not in HUMAN_HANDS]
-    missing = [[name, f"{name} ({reason})", True] for name, reason in missing_hands().items()]
-    assert offered == [["", "none", False], *([name, name, False] for name in robots), *missing]
+    missing = [
+        [name, f"{name} ({reason})", True] for name, reason in missing_hands().items()
+    ]
+    assert offered == [
+        ["", "none", False],
+        *([name, name, False] for name in robots),
+        *missing,
+    ]
 
 
 @pytest.mark.parametrize("name", ["leap_rigth", *list(missing_hands())[:1]])
@@ -280,7 +304,9 @@ def test_a_hand_of_the_address_that_cannot_be_led_is_named(
     wait_for_text(browser, "#right .state", "not started")
 
 
-def test_a_headset_without_hand_tracking_is_named(browser: Browser, server: Server) -> None:
+def test_a_headset_without_hand_tracking_is_named(
+    browser: Browser, server: Server
+) -> None:
     open_page(browser, server, more="emulated.hasHands = false;")
     wait_for_text(browser, "#state", "Ready")
     click(browser, "#start-vr")
@@ -296,6 +322,8 @@ def test_a_missing_token_can_be_entered(browser: Browser, server: Server) -> Non
         f"field.value = ' {TOKEN} '; field.dispatchEvent(new Event('change')); }})()"
     )
     wait_for_text(browser, "#state", "Ready")
-    loaded = browser.evaluate("performance.getEntriesByType('resource').map((e) => e.name)")
+    loaded = browser.evaluate(
+        "performance.getEntriesByType('resource').map((e) => e.name)"
+    )
     assert loaded
     assert all(f"127.0.0.1:{server.ports['web']}/" in name for name in loaded)

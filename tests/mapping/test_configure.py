@@ -35,14 +35,23 @@ def sample(phase: float) -> tuple[np.ndarray, np.ndarray]:
         HUMAN.upper_limits - HUMAN.rest, HUMAN.rest - HUMAN.lower_limits
     )
     turn = np.array(
-        [[np.cos(phase), -np.sin(phase), 0.0], [np.sin(phase), np.cos(phase), 0.0], [0.0, 0.0, 1.0]]
+        [
+            [np.cos(phase), -np.sin(phase), 0.0],
+            [np.sin(phase), np.cos(phase), 0.0],
+            [0.0, 0.0, 1.0],
+        ]
     )
     return q, affine(turn, np.array([0.1 * phase, 0.0, 0.3]))
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=str)
-def test_the_motion_goes_on_counting_from_the_same_reference(change: dict[str, Any]) -> None:
-    changed, other = HandMapper(HUMAN, ALLEGRO, "paper"), HandMapper(HUMAN, ALLEGRO, **change)
+def test_the_motion_goes_on_counting_from_the_same_reference(
+    change: dict[str, Any],
+) -> None:
+    changed, other = (
+        HandMapper(HUMAN, ALLEGRO, "paper"),
+        HandMapper(HUMAN, ALLEGRO, **change),
+    )
     # Both start with the robot away from rest, and with different wrist poses.
     start = ALLEGRO.rest + 0.2 * (ALLEGRO.upper_limits - ALLEGRO.rest)
     for mapper in (changed, other):
@@ -51,22 +60,32 @@ def test_the_motion_goes_on_counting_from_the_same_reference(change: dict[str, A
     changed.configure(MappingOptions(**change))
     after, expected = changed.map_step(*sample(0.3)), other.map_step(*sample(0.3))
     np.testing.assert_allclose(after.targets, expected.targets, rtol=0.0, atol=1e-14)
-    np.testing.assert_allclose(after.motion_rigid, expected.motion_rigid, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        after.motion_rigid, expected.motion_rigid, rtol=0.0, atol=1e-14
+    )
 
 
 @pytest.mark.parametrize(
     "ik", [IkOptions(), IkOptions(max_acceleration=30.0)], ids=["plain", "acceleration"]
 )
 @pytest.mark.parametrize("reference", ["first", "previous"])
-def test_configuring_the_present_options_changes_nothing(ik: IkOptions, reference: Any) -> None:
-    touched, untouched = (HandMapper(HUMAN, ALLEGRO, ik=ik, reference=reference) for _ in range(2))
+def test_configuring_the_present_options_changes_nothing(
+    ik: IkOptions, reference: Any
+) -> None:
+    touched, untouched = (
+        HandMapper(HUMAN, ALLEGRO, ik=ik, reference=reference) for _ in range(2)
+    )
     for i in range(12):
         touched.configure(touched.method, ik=touched.ik)
         if i == 6:
             touched.release()
             untouched.release()
-        after, expected = (mapper.map_step(*sample(0.05 * i)) for mapper in (touched, untouched))
-        np.testing.assert_allclose(after.command.q, expected.command.q, rtol=0.0, atol=1e-12)
+        after, expected = (
+            mapper.map_step(*sample(0.05 * i)) for mapper in (touched, untouched)
+        )
+        np.testing.assert_allclose(
+            after.command.q, expected.command.q, rtol=0.0, atol=1e-12
+        )
         assert after.status == expected.status
 
 
@@ -77,7 +96,9 @@ def test_weights_of_the_qp_count_from_the_next_sample() -> None:
     mapper.configure(ik=IkOptions(rest_weight=100.0, has_velocity_limits=False))
     assert mapper.ik.rest_weight == 100.0
     after = mapper.map_step(*sample(0.2)).command.q
-    assert np.abs(after - ALLEGRO.rest).max() < 0.01 * np.abs(before - ALLEGRO.rest).max()
+    assert (
+        np.abs(after - ALLEGRO.rest).max() < 0.01 * np.abs(before - ALLEGRO.rest).max()
+    )
 
 
 def test_a_reference_without_wrist_is_given_up_where_the_wrist_is_needed() -> None:
@@ -86,7 +107,9 @@ def test_a_reference_without_wrist_is_given_up_where_the_wrist_is_needed() -> No
     mapper.map_points(points)
     mapper.configure(MappingOptions(ridge=0.3))
     moved = points + np.array([0.05, 0.0, 0.0])
-    np.testing.assert_allclose(mapper.map_points(moved).motion[:3, 3], (0.05, 0.0, 0.0), atol=1e-12)
+    np.testing.assert_allclose(
+        mapper.map_points(moved).motion[:3, 3], (0.05, 0.0, 0.0), atol=1e-12
+    )
     mapper.configure(MappingOptions(rigid_from="wrist"))
     # The wrist's displacement counts from this sample, which is the reference now.
     np.testing.assert_allclose(
@@ -98,7 +121,10 @@ def test_a_rejected_configuration_changes_nothing() -> None:
     fixed = MappingOptions(rigid_from="none")
     mapper = HandMapper(HUMAN, load_hand("three_finger", mount="fixed"), fixed)
     before = mapper.map_step(*sample(0.0))
-    for wrong in (MappingOptions(rigid_from="points"), MappingOptions(rigid_from="wrist")):
+    for wrong in (
+        MappingOptions(rigid_from="points"),
+        MappingOptions(rigid_from="wrist"),
+    ):
         with pytest.raises(InvalidOptionsError, match="moves the wrist"):
             mapper.configure(wrong, ik=IkOptions(damping=5.0))
     assert (mapper.method, mapper.ik) == (fixed, IkOptions())
@@ -114,7 +140,9 @@ def test_velocity_outlives_a_change_of_method_and_a_lowered_limit() -> None:
         {"ik": IkOptions(max_acceleration=low)},
     )
     for change in changes:
-        mapper = HandMapper(HUMAN, ALLEGRO, "paper", ik=IkOptions(max_acceleration=high))
+        mapper = HandMapper(
+            HUMAN, ALLEGRO, "paper", ik=IkOptions(max_acceleration=high)
+        )
         mapper.map_step(*sample(0.0), dt=dt)
         q, velocity, fastest = mapper.motion.q[ALLEGRO.q_indices], None, 0.0
         for k in range(80):

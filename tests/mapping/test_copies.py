@@ -141,7 +141,13 @@ def test_a_mapper_that_has_not_begun_is_copied(
     points = AttachedPoints(ROBOT, [(1, np.zeros(3)), (2, np.full(3, 0.01))])
     task = PointDistances(points, [(0, 1)], 0.02)
     mapper = HandMapper(
-        HUMAN, ROBOT, "object", tasks=[task], dt=0.02, quat_order="xyzw", joint_tolerance=0.1
+        HUMAN,
+        ROBOT,
+        "object",
+        tasks=[task],
+        dt=0.02,
+        quat_order="xyzw",
+        joint_tolerance=0.1,
     )
     copied = way(mapper)
     assert (copied.dt, copied.quat_order, copied.joint_tolerance) == (0.02, "xyzw", 0.1)
@@ -160,7 +166,9 @@ def test_joint_angles_and_points_are_mapped_the_same(way: Callable[[Any], Any]) 
         q[1::4] = human.rest[1::4] + 0.05 * k
         expected, found = mapper.map_step(q, wrist), copied.map_step(q, wrist)
         np.testing.assert_allclose(found.command.q, expected.command.q, atol=TOLERANCE)
-        np.testing.assert_allclose(found.human_points, human.points(q, wrist), atol=1e-12)
+        np.testing.assert_allclose(
+            found.human_points, human.points(q, wrist), atol=1e-12
+        )
         found = copied.map_points(expected.human_points, wrist)
         expected = mapper.map_points(expected.human_points, wrist)
         np.testing.assert_allclose(found.command.q, expected.command.q, atol=TOLERANCE)
@@ -195,7 +203,9 @@ def test_a_workspace_is_copied_where_it_is(way: Callable[[Any], Any]) -> None:
         way(workspace).point_jacobian()
 
 
-@pytest.mark.parametrize("way", [copy.deepcopy, WAYS["pickle"]], ids=["deepcopy", "pickle"])
+@pytest.mark.parametrize(
+    "way", [copy.deepcopy, WAYS["pickle"]], ids=["deepcopy", "pickle"]
+)
 def test_a_solver_goes_on_from_a_posture_of_its_own(way: Callable[[Any], Any]) -> None:
     mapper = Follower(HandMapper(HUMAN, ALLEGRO, "teleoperation"))
     follow(mapper, FIRST)
@@ -206,7 +216,9 @@ def test_a_solver_goes_on_from_a_posture_of_its_own(way: Callable[[Any], Any]) -
     np.testing.assert_array_equal(solver.configuration.q, q)
     expected = solver.solve(targets, None, 0.02)
     assert found.status == expected.status
-    np.testing.assert_allclose(found.displacement, expected.displacement, atol=TOLERANCE)
+    np.testing.assert_allclose(
+        found.displacement, expected.displacement, atol=TOLERANCE
+    )
     assert copied.collisions is not None
     assert solver.collisions is not None
     apart = copied.collisions.distances(copied.configuration)
@@ -216,7 +228,14 @@ def test_a_solver_goes_on_from_a_posture_of_its_own(way: Callable[[Any], Any]) -
 
 def hands() -> dict[str, Hand]:
     person = load_hand("human", lengths=HumanLengths.from_hand_length(0.17))
-    named = ("three_finger", "hey5", "ur5_allegro", "g1_left", "tiago_arm", "human_left")
+    named = (
+        "three_finger",
+        "hey5",
+        "ur5_allegro",
+        "g1_left",
+        "tiago_arm",
+        "human_left",
+    )
     return {"person": person} | {name: load_hand(name) for name in named}
 
 
@@ -235,8 +254,15 @@ def test_a_hand_is_the_same_hand(name: str, way: Callable[[Any], Any]) -> None:
     np.testing.assert_array_equal(copied.point_jacobian(q), hand.point_jacobian(q))
     np.testing.assert_array_equal(copied.all_joints(q), hand.all_joints(q))
     other = copied.with_points("fingertips_middle").points(q)
-    np.testing.assert_array_equal(other, hand.with_points("fingertips_middle").points(q))
-    for array in (copied.rest, copied.lower_limits, copied.joint_columns, copied.wrist_to_palm):
+    np.testing.assert_array_equal(
+        other, hand.with_points("fingertips_middle").points(q)
+    )
+    for array in (
+        copied.rest,
+        copied.lower_limits,
+        copied.joint_columns,
+        copied.wrist_to_palm,
+    ):
         assert not array.flags.writeable
     assert copied.expansion is None or not copied.expansion.matrix.flags.writeable
     assert copied._scratch is not hand._scratch

@@ -9,7 +9,14 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
-from strategies import affine_motions, linear_maps, motion_of, poses, rotations, translations
+from strategies import (
+    affine_motions,
+    linear_maps,
+    motion_of,
+    poses,
+    rotations,
+    translations,
+)
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.decomposition import decompose, polar, primitives
@@ -28,7 +35,9 @@ def assert_rotation(matrix: np.ndarray) -> None:
 
 
 @given(any_motions, translations)
-def test_deformation_times_rigid_part_is_the_motion(motion: np.ndarray, pivot: np.ndarray) -> None:
+def test_deformation_times_rigid_part_is_the_motion(
+    motion: np.ndarray, pivot: np.ndarray
+) -> None:
     parts = decompose(motion, pivot=pivot)
     # Relative to the translation of T_def, which a pivot metres away from the origin makes large.
     np.testing.assert_allclose(
@@ -50,17 +59,24 @@ def test_the_rigid_part_is_a_proper_rotation_even_where_the_motion_mirrors(
 
 
 @given(any_motions)
-def test_the_stretch_is_symmetric_with_the_stretches_as_eigenvalues(motion: np.ndarray) -> None:
+def test_the_stretch_is_symmetric_with_the_stretches_as_eigenvalues(
+    motion: np.ndarray,
+) -> None:
     parts = decompose(motion)
     np.testing.assert_allclose(parts.stretch, parts.stretch.T, rtol=0.0, atol=1e-14)
     np.testing.assert_allclose(
-        np.sort(parts.stretches), np.linalg.eigvalsh(parts.stretch), rtol=0.0, atol=1e-13
+        np.sort(parts.stretches),
+        np.linalg.eigvalsh(parts.stretch),
+        rtol=0.0,
+        atol=1e-13,
     )
     np.testing.assert_array_equal(parts.deformation[:3, :3], parts.stretch)
 
 
 @given(any_motions)
-def test_stretches_come_largest_first_and_only_the_last_may_be_negative(motion: np.ndarray) -> None:
+def test_stretches_come_largest_first_and_only_the_last_may_be_negative(
+    motion: np.ndarray,
+) -> None:
     stretches = decompose(motion).stretches
     assert (np.diff(np.abs(stretches)) <= 0.0).all()
     assert (stretches[:2] > 0.0).all()
@@ -76,12 +92,17 @@ def test_polar_factors_are_those_of_scipy(linear: np.ndarray) -> None:
 
 
 @given(linear_maps())
-def test_left_and_right_polar_decomposition_share_the_rotation(linear: np.ndarray) -> None:
+def test_left_and_right_polar_decomposition_share_the_rotation(
+    linear: np.ndarray,
+) -> None:
     rotation, right_stretch = scipy.linalg.polar(linear, side="right")
     factors = polar(linear)
     np.testing.assert_allclose(factors.rotation, rotation, rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(
-        factors.rotation @ right_stretch, factors.stretch() @ factors.rotation, rtol=0.0, atol=1e-13
+        factors.rotation @ right_stretch,
+        factors.stretch() @ factors.rotation,
+        rtol=0.0,
+        atol=1e-13,
     )
 
 
@@ -89,7 +110,9 @@ def test_left_and_right_polar_decomposition_share_the_rotation(linear: np.ndarra
 def test_other_stretches_act_along_the_same_axes(linear: np.ndarray) -> None:
     factors = polar(linear)
     squared = factors.stretch(factors.stretches**2)
-    np.testing.assert_allclose(squared, factors.stretch() @ factors.stretch(), rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(
+        squared, factors.stretch() @ factors.stretch(), rtol=0.0, atol=1e-13
+    )
 
 
 @given(rotations, rotations, linear_maps())
@@ -106,12 +129,17 @@ def test_the_rotation_follows_turns_of_either_world(
 
 
 @pytest.mark.parametrize(
-    "linear", [np.zeros((3, 3)), np.diag([1.0, 0.0, 0.0]), np.diag([2.0, 1.0, 0.0]), -np.eye(3)]
+    "linear",
+    [np.zeros((3, 3)), np.diag([1.0, 0.0, 0.0]), np.diag([2.0, 1.0, 0.0]), -np.eye(3)],
 )
-def test_singular_and_fully_mirrored_motions_still_have_a_rotation(linear: np.ndarray) -> None:
+def test_singular_and_fully_mirrored_motions_still_have_a_rotation(
+    linear: np.ndarray,
+) -> None:
     factors = polar(linear)
     assert_rotation(factors.rotation)
-    np.testing.assert_allclose(factors.stretch() @ factors.rotation, linear, rtol=0.0, atol=1e-15)
+    np.testing.assert_allclose(
+        factors.stretch() @ factors.rotation, linear, rtol=0.0, atol=1e-15
+    )
 
 
 # --- the pivot
@@ -144,7 +172,9 @@ def test_the_rigid_part_carries_the_pivot_to_its_image_and_the_deformation_leave
 def test_about_the_world_origin_the_rigid_translation_is_b(motion: np.ndarray) -> None:
     parts = decompose(motion)
     np.testing.assert_array_equal(parts.rigid[:3, 3], motion[:3, 3])
-    np.testing.assert_array_equal(parts.rigid, decompose(motion, pivot=np.zeros(3)).rigid)
+    np.testing.assert_array_equal(
+        parts.rigid, decompose(motion, pivot=np.zeros(3)).rigid
+    )
 
 
 @given(any_motions, translations)
@@ -154,7 +184,9 @@ def test_the_pivot_does_not_change_rotation_or_stretch(
     np.testing.assert_array_equal(
         decompose(motion, pivot=pivot).rotation, decompose(motion).rotation
     )
-    np.testing.assert_array_equal(decompose(motion, pivot=pivot).stretch, decompose(motion).stretch)
+    np.testing.assert_array_equal(
+        decompose(motion, pivot=pivot).stretch, decompose(motion).stretch
+    )
 
 
 @given(affine_motions(), translations, poses)
@@ -162,16 +194,22 @@ def test_parts_do_not_depend_on_where_the_world_lies(
     motion: np.ndarray, pivot: np.ndarray, world: np.ndarray
 ) -> None:
     inverse = np.linalg.inv(world)
-    moved = decompose(world @ motion @ inverse, pivot=transform_points(world, pivot[None])[0])
+    moved = decompose(
+        world @ motion @ inverse, pivot=transform_points(world, pivot[None])[0]
+    )
     parts = decompose(motion, pivot=pivot)
-    np.testing.assert_allclose(moved.rigid, world @ parts.rigid @ inverse, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        moved.rigid, world @ parts.rigid @ inverse, rtol=0.0, atol=1e-12
+    )
     np.testing.assert_allclose(
         moved.deformation, world @ parts.deformation @ inverse, rtol=0.0, atol=1e-11
     )
 
 
 @given(any_motions, translations)
-def test_decomposing_does_not_touch_its_input(motion: np.ndarray, pivot: np.ndarray) -> None:
+def test_decomposing_does_not_touch_its_input(
+    motion: np.ndarray, pivot: np.ndarray
+) -> None:
     given_motion, given_pivot = motion.copy(), pivot.copy()
     decompose(motion, pivot=pivot)
     primitives(motion)
@@ -196,11 +234,15 @@ def test_the_product_of_the_primitives_is_the_motion(motion: np.ndarray) -> None
 
 
 @given(any_motions)
-def test_the_numbers_of_the_primitives_are_those_in_their_matrices(motion: np.ndarray) -> None:
+def test_the_numbers_of_the_primitives_are_those_in_their_matrices(
+    motion: np.ndarray,
+) -> None:
     parts = primitives(motion)
     xy, xz, yz = parts.shear
     shear = np.array([[1.0, xy, xz], [0.0, 1.0, yz], [0.0, 0.0, 1.0]])
-    np.testing.assert_array_equal(parts.translation_motion, motion_of(np.eye(3), parts.translation))
+    np.testing.assert_array_equal(
+        parts.translation_motion, motion_of(np.eye(3), parts.translation)
+    )
     np.testing.assert_allclose(
         parts.rotation_motion[:3, :3],
         rotation_from_quat_wxyz(parts.quat_wxyz),
@@ -208,7 +250,8 @@ def test_the_numbers_of_the_primitives_are_those_in_their_matrices(motion: np.nd
         atol=1e-13,
     )
     np.testing.assert_array_equal(
-        parts.isotropic_scale_motion, motion_of(parts.isotropic_scale * np.eye(3), np.zeros(3))
+        parts.isotropic_scale_motion,
+        motion_of(parts.isotropic_scale * np.eye(3), np.zeros(3)),
     )
     np.testing.assert_array_equal(
         parts.axis_scale_motion, motion_of(np.diag(parts.axis_scales), np.zeros(3))
@@ -219,9 +262,13 @@ def test_the_numbers_of_the_primitives_are_those_in_their_matrices(motion: np.nd
 
 
 @given(any_motions)
-def test_primitives_keep_volume_and_handedness_in_the_isotropic_scale(motion: np.ndarray) -> None:
+def test_primitives_keep_volume_and_handedness_in_the_isotropic_scale(
+    motion: np.ndarray,
+) -> None:
     parts = primitives(motion)
-    assert parts.isotropic_scale**3 == pytest.approx(np.linalg.det(motion[:3, :3]), rel=1e-12)
+    assert parts.isotropic_scale**3 == pytest.approx(
+        np.linalg.det(motion[:3, :3]), rel=1e-12
+    )
     assert np.prod(parts.axis_scales) == pytest.approx(1.0, rel=1e-13)
     assert (parts.axis_scales > 0.0).all()
     assert_rotation(parts.rotation_motion[:3, :3])
@@ -229,7 +276,11 @@ def test_primitives_keep_volume_and_handedness_in_the_isotropic_scale(motion: np
 
 @given(rotations, translations, scales, scales, translations)
 def test_primitives_that_made_a_motion_are_recovered(
-    rotation: np.ndarray, translation: np.ndarray, isotropic: float, ratio: float, shear: np.ndarray
+    rotation: np.ndarray,
+    translation: np.ndarray,
+    isotropic: float,
+    ratio: float,
+    shear: np.ndarray,
 ) -> None:
     axis_scales = np.array([ratio, 1.0, 1.0 / ratio])
     sheared = np.eye(3)
@@ -238,7 +289,9 @@ def test_primitives_that_made_a_motion_are_recovered(
         motion_of(rotation @ sheared @ np.diag(axis_scales) * isotropic, translation)
     )
     np.testing.assert_array_equal(parts.translation, translation)
-    np.testing.assert_allclose(parts.rotation_motion[:3, :3], rotation, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        parts.rotation_motion[:3, :3], rotation, rtol=0.0, atol=1e-12
+    )
     assert parts.isotropic_scale == pytest.approx(isotropic, rel=1e-13)
     np.testing.assert_allclose(parts.axis_scales, axis_scales, rtol=1e-13)
     # A column is up to 125 times as long as the next: the rounding of the larger shows in the shear
@@ -262,7 +315,9 @@ def test_a_translation_is_nothing_but_a_translation(translation: np.ndarray) -> 
 @given(rotations)
 def test_a_rotation_is_nothing_but_a_rotation(rotation: np.ndarray) -> None:
     parts = primitives(motion_of(rotation, np.zeros(3)))
-    np.testing.assert_allclose(parts.rotation_motion[:3, :3], rotation, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        parts.rotation_motion[:3, :3], rotation, rtol=0.0, atol=1e-14
+    )
     for other in (
         parts.translation_motion,
         parts.isotropic_scale_motion,
@@ -276,7 +331,10 @@ def test_a_rotation_is_nothing_but_a_rotation(rotation: np.ndarray) -> None:
 def test_without_shear_the_rotation_is_the_polar_one(rotation: np.ndarray) -> None:
     motion = motion_of(1.7 * rotation, np.zeros(3))
     np.testing.assert_allclose(
-        primitives(motion).rotation_motion[:3, :3], decompose(motion).rotation, rtol=0.0, atol=1e-14
+        primitives(motion).rotation_motion[:3, :3],
+        decompose(motion).rotation,
+        rtol=0.0,
+        atol=1e-14,
     )
 
 
@@ -287,7 +345,12 @@ def test_a_mirrored_motion_has_a_negative_isotropic_scale() -> None:
 
 @pytest.mark.parametrize(
     "linear",
-    [np.zeros((3, 3)), np.diag([1.0, 1.0, 0.0]), np.ones((3, 3)), np.diag([1.0, 1e-14, 1.0])],
+    [
+        np.zeros((3, 3)),
+        np.diag([1.0, 1.0, 0.0]),
+        np.ones((3, 3)),
+        np.diag([1.0, 1e-14, 1.0]),
+    ],
 )
 def test_a_singular_motion_has_no_primitives(linear: np.ndarray) -> None:
     with pytest.raises(InvalidInputError, match="singular"):
@@ -300,7 +363,16 @@ def test_a_singular_motion_has_no_primitives(linear: np.ndarray) -> None:
 @pytest.mark.parametrize("function", [decompose, primitives])
 @pytest.mark.parametrize(
     "motion",
-    [np.eye(3), np.eye(4)[:3], np.zeros(16), "motion", [["1"] * 4] * 4, None, [[1, 2], [3]], {}],
+    [
+        np.eye(3),
+        np.eye(4)[:3],
+        np.zeros(16),
+        "motion",
+        [["1"] * 4] * 4,
+        None,
+        [[1, 2], [3]],
+        {},
+    ],
 )
 def test_an_invalid_motion_is_rejected(function: Any, motion: Any) -> None:
     with pytest.raises(InvalidInputError, match="motion: expected"):
@@ -308,7 +380,10 @@ def test_an_invalid_motion_is_rejected(function: Any, motion: Any) -> None:
 
 
 @given(
-    any_motions, st.integers(0, 3), st.integers(0, 3), st.sampled_from([np.nan, np.inf, -np.inf])
+    any_motions,
+    st.integers(0, 3),
+    st.integers(0, 3),
+    st.sampled_from([np.nan, np.inf, -np.inf]),
 )
 def test_a_motion_must_be_finite_in_every_entry(
     motion: np.ndarray, row: int, column: int, bad: float
@@ -321,7 +396,9 @@ def test_a_motion_must_be_finite_in_every_entry(
 
 
 @given(any_motions, st.integers(0, 3), st.floats(min_value=1e-9, max_value=10.0))
-def test_a_perspective_is_refused(motion: np.ndarray, column: int, change: float) -> None:
+def test_a_perspective_is_refused(
+    motion: np.ndarray, column: int, change: float
+) -> None:
     motion = motion.copy()
     motion[3, column] += change
     with pytest.raises(InvalidInputError, match="last row"):

@@ -43,12 +43,17 @@ def solve_eq_6(
 ) -> np.ndarray:
     """T by least squares on `M t = p`, each point's three rows scaled by the root of its weight."""
     rows = np.repeat(np.ones(len(before)) if weights is None else np.sqrt(weights), 3)
-    t = np.linalg.lstsq(system_of_eq_6(before) * rows[:, None], after.ravel() * rows, rcond=None)[0]
+    t = np.linalg.lstsq(
+        system_of_eq_6(before) * rows[:, None], after.ravel() * rows, rcond=None
+    )[0]
     return np.vstack([t.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])
 
 
 def assert_same_motion(
-    actual: np.ndarray, expected: np.ndarray, points: np.ndarray, relative: float = 1e-13
+    actual: np.ndarray,
+    expected: np.ndarray,
+    points: np.ndarray,
+    relative: float = 1e-13,
 ) -> None:
     """Compare linear parts, relative to the conditioning of the points, and the points' images.
 
@@ -98,7 +103,9 @@ def test_weights_do_not_change_an_exact_fit(
 ) -> None:
     weights = data.draw(weights_for(points))
     assert_same_motion(
-        estimate_motion(points, transform_points(motion, points), weights=weights).motion,
+        estimate_motion(
+            points, transform_points(motion, points), weights=weights
+        ).motion,
         motion,
         points,
     )
@@ -112,7 +119,10 @@ def test_noisy_points_give_the_least_squares_solution_of_eq_6(
     # lstsq takes the points uncentred, with a condition number up to 1e4 larger, which sets the
     # tolerance.
     assert_same_motion(
-        estimate_motion(points, after).motion, solve_eq_6(points, after), points, relative=1e-12
+        estimate_motion(points, after).motion,
+        solve_eq_6(points, after),
+        points,
+        relative=1e-12,
     )
 
 
@@ -124,7 +134,10 @@ def test_weighted_points_give_the_row_weighted_solution_of_eq_6(
     weights = data.draw(weights_for(points))
     expected = solve_eq_6(points, after, weights)
     assert_same_motion(
-        estimate_motion(points, after, weights=weights).motion, expected, points, relative=1e-11
+        estimate_motion(points, after, weights=weights).motion,
+        expected,
+        points,
+        relative=1e-11,
     )
 
 
@@ -142,7 +155,9 @@ def test_hand_sized_points_at_the_origin_agree_with_eq_6_to_1e_10() -> None:
             estimate_motion(before, after).motion, solve_eq_6(before, after), atol=1e-10
         )
         weighted = estimate_motion(before, after, weights=weights)
-        np.testing.assert_allclose(weighted.motion, solve_eq_6(before, after, weights), atol=1e-10)
+        np.testing.assert_allclose(
+            weighted.motion, solve_eq_6(before, after, weights), atol=1e-10
+        )
 
 
 @given(point_sets(least=5), st.data())
@@ -168,7 +183,9 @@ def test_only_the_ratios_of_weights_matter(
     weights = data.draw(weights_for(points))
     scaled = estimate_motion(points, after, weights=factor * weights, ridge=0.1)
     assert_same_motion(
-        scaled.motion, estimate_motion(points, after, weights=weights, ridge=0.1).motion, points
+        scaled.motion,
+        estimate_motion(points, after, weights=weights, ridge=0.1).motion,
+        points,
     )
 
 
@@ -190,8 +207,12 @@ def test_in_another_world_frame_the_motion_is_conjugated(
     plain = estimate_motion(before, after, ridge=ridge)
     moved_before = transform_points(world, before)
     moved = estimate_motion(moved_before, transform_points(world, after), ridge=ridge)
-    assert_same_motion(moved.motion, world @ plain.motion @ np.linalg.inv(world), moved_before)
-    np.testing.assert_allclose(moved.residual_norms, plain.residual_norms, rtol=0.0, atol=1e-12)
+    assert_same_motion(
+        moved.motion, world @ plain.motion @ np.linalg.inv(world), moved_before
+    )
+    np.testing.assert_allclose(
+        moved.residual_norms, plain.residual_norms, rtol=0.0, atol=1e-12
+    )
 
 
 @given(st.data(), poses, st.sampled_from([0.0, 0.1]))
@@ -213,7 +234,9 @@ def test_other_units_scale_the_translation_and_nothing_else(
     plain = estimate_motion(before, after, ridge=ridge)
     scaled = estimate_motion(unit * before, unit * after, ridge=ridge)
     assert_same_motion(
-        motion_of(scaled.motion[:3, :3], scaled.motion[:3, 3] / unit), plain.motion, before
+        motion_of(scaled.motion[:3, :3], scaled.motion[:3, 3] / unit),
+        plain.motion,
+        before,
     )
     np.testing.assert_allclose(
         scaled.residual_norms, unit * plain.residual_norms, rtol=0.0, atol=1e-12 * unit
@@ -225,7 +248,9 @@ def test_the_order_of_the_points_does_not_matter(data: st.DataObject) -> None:
     before, after = noisy_pair(data)
     order = data.draw(st.permutations(range(len(before))))
     shuffled = estimate_motion(before[order], after[order], ridge=0.1)
-    assert_same_motion(shuffled.motion, estimate_motion(before, after, ridge=0.1).motion, before)
+    assert_same_motion(
+        shuffled.motion, estimate_motion(before, after, ridge=0.1).motion, before
+    )
 
 
 # --- results beside T
@@ -249,7 +274,9 @@ def test_the_weighted_misfit_has_no_mean(data: st.DataObject, ridge: float) -> N
     before, after = noisy_pair(data)
     weights = data.draw(weights_for(before))
     estimate = estimate_motion(before, after, weights=weights, ridge=ridge)
-    np.testing.assert_allclose(weights @ estimate.residual_vectors, 0.0, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(
+        weights @ estimate.residual_vectors, 0.0, rtol=0.0, atol=1e-12
+    )
 
 
 @given(point_sets())
@@ -282,25 +309,33 @@ def test_without_a_ridge_points_in_a_plane_are_refused_with_their_singular_value
     with pytest.raises(DegeneratePointsError, match="off a plane") as caught:
         estimate_motion(points, points)
     expected = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    np.testing.assert_allclose(caught.value.singular_values, expected, rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(
+        caught.value.singular_values, expected, rtol=0.0, atol=1e-14
+    )
     assert f"{1e3 * expected[0]:.3g}" in str(caught.value)
 
 
 @given(collinear_point_sets, st.sampled_from([1e-6, 0.1, 1e3]))
-def test_points_on_a_line_are_refused_without_a_prior(points: np.ndarray, ridge: float) -> None:
+def test_points_on_a_line_are_refused_without_a_prior(
+    points: np.ndarray, ridge: float
+) -> None:
     with pytest.raises(DegeneratePointsError, match="on a line") as caught:
         estimate_motion(points, points, ridge=ridge)
     assert caught.value.singular_values.shape == (3,)
 
 
 @given(collinear_point_sets, rotations)
-def test_points_on_a_line_are_enough_with_a_prior(points: np.ndarray, prior: np.ndarray) -> None:
+def test_points_on_a_line_are_enough_with_a_prior(
+    points: np.ndarray, prior: np.ndarray
+) -> None:
     estimate = estimate_motion(points, points @ prior.T, ridge=0.1, prior=prior)
     np.testing.assert_allclose(estimate.motion[:3, :3], prior, rtol=0.0, atol=1e-11)
 
 
 @given(collinear_point_sets, rotations)
-def test_a_prior_alone_does_not_replace_a_ridge(points: np.ndarray, prior: np.ndarray) -> None:
+def test_a_prior_alone_does_not_replace_a_ridge(
+    points: np.ndarray, prior: np.ndarray
+) -> None:
     with pytest.raises(DegeneratePointsError):
         estimate_motion(points, points, prior=prior)
 
@@ -315,13 +350,18 @@ def test_fewer_than_four_points_are_refused_without_a_ridge(count: int) -> None:
 
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 6, 40])
 @pytest.mark.parametrize("place", [0.0, 0.1, 3.7])
-def test_points_that_coincide_leave_the_prior_as_it_is(count: int, place: float) -> None:
+def test_points_that_coincide_leave_the_prior_as_it_is(
+    count: int, place: float
+) -> None:
     # The rounding error of their centroid must not count as a spread.
     generator = np.random.default_rng(count)
     prior = nearest_rotation(generator.normal(size=(3, 3)))
     points = np.full((count, 3), place)
     estimate = estimate_motion(
-        points, points + 0.03 * generator.normal(size=(count, 3)), ridge=0.1, prior=prior
+        points,
+        points + 0.03 * generator.normal(size=(count, 3)),
+        ridge=0.1,
+        prior=prior,
     )
     np.testing.assert_allclose(estimate.motion[:3, :3], prior, rtol=0.0, atol=1e-14)
     for options in ({"ridge": 0.0}, {"ridge": 0.1}):
@@ -344,7 +384,9 @@ def test_a_reused_estimator_equals_estimate_motion(
         )
         prior = data.draw(st.none() | rotations)
         reused = estimator.estimate(after, prior)
-        fresh = estimate_motion(points, after, weights=weights, ridge=ridge, prior=prior)
+        fresh = estimate_motion(
+            points, after, weights=weights, ridge=ridge, prior=prior
+        )
         np.testing.assert_array_equal(reused.motion, fresh.motion)
         np.testing.assert_array_equal(reused.residual_norms, fresh.residual_norms)
 
@@ -381,7 +423,11 @@ def test_results_share_no_memory() -> None:
     points = 0.05 * np.random.default_rng(5).normal(size=(6, 3))
     estimator = MotionEstimator(points)
     first = estimator.estimate(points)
-    first.motion[:], first.residual_norms[:], first.residual_vectors[:] = np.nan, np.nan, np.nan
+    first.motion[:], first.residual_norms[:], first.residual_vectors[:] = (
+        np.nan,
+        np.nan,
+        np.nan,
+    )
     second: MotionEstimate = estimator.estimate(points)
     np.testing.assert_allclose(second.motion, np.eye(4), rtol=0.0, atol=1e-13)
     with pytest.raises(ValueError, match="read-only"):

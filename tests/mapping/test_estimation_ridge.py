@@ -27,7 +27,8 @@ from handmap_qp.se3 import transform_points
 
 ridges = st.floats(min_value=1e-6, max_value=1e3)
 FINGERTIPS = (
-    np.array([[-62, 8, -21], [-22, 52, -8], [4, 58, -3], [27, 50, -5], [50, 30, -12]]) / 1e3
+    np.array([[-62, 8, -21], [-22, 52, -8], [4, 58, -3], [27, 50, -5], [50, 30, -12]])
+    / 1e3
 )
 
 
@@ -35,14 +36,20 @@ def centred(points: np.ndarray, weights: np.ndarray) -> np.ndarray:
     return points - weights @ points / weights.sum()
 
 
-def kabsch_of_scipy(before: np.ndarray, after: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def kabsch_of_scipy(
+    before: np.ndarray, after: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
     return Rotation.align_vectors(
         centred(after, weights), centred(before, weights), weights=weights
     )[0].as_matrix()
 
 
 def solve_augmented(
-    before: np.ndarray, after: np.ndarray, weights: np.ndarray, ridge: float, prior: np.ndarray
+    before: np.ndarray,
+    after: np.ndarray,
+    weights: np.ndarray,
+    ridge: float,
+    prior: np.ndarray,
 ) -> np.ndarray:
     """A by one least-squares problem.
 
@@ -67,16 +74,18 @@ def cost(
     shares = weights / weights.sum()
     x, y = centred(before, weights), centred(after, weights)
     fit = shares @ np.sum((y - x @ A.T) ** 2, axis=1)
-    return float(fit + ridge * (shares @ np.sum(x * x, axis=1)) / 3.0 * np.sum((A - prior) ** 2))
+    return float(
+        fit + ridge * (shares @ np.sum(x * x, axis=1)) / 3.0 * np.sum((A - prior) ** 2)
+    )
 
 
 def noisy_pair(
     data: st.DataObject, points: st.SearchStrategy[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     before = data.draw(points)
-    after = transform_points(data.draw(affine_motions(largest=1.5)), before) + data.draw(
-        noise_like(before, 1e-3)
-    )
+    after = transform_points(
+        data.draw(affine_motions(largest=1.5)), before
+    ) + data.draw(noise_like(before, 1e-3))
     return before, after, data.draw(weights_for(before))
 
 
@@ -111,22 +120,30 @@ def test_no_other_linear_map_costs_less(
     data: st.DataObject, ridge: float, prior: np.ndarray, generator: np.random.Generator
 ) -> None:
     before, after, weights = noisy_pair(data, point_sets() | near_coplanar_point_sets)
-    A = estimate_motion(before, after, weights=weights, ridge=ridge, prior=prior).motion[:3, :3]
+    A = estimate_motion(
+        before, after, weights=weights, ridge=ridge, prior=prior
+    ).motion[:3, :3]
     least = cost(A, before, after, weights, ridge, prior)
     for size in (1e-4, 1e-2, 1.0):
         other = A + size * generator.normal(size=(3, 3))
-        assert cost(other, before, after, weights, ridge, prior) >= least * (1.0 - 1e-12)
+        assert cost(other, before, after, weights, ridge, prior) >= least * (
+            1.0 - 1e-12
+        )
 
 
 @given(st.data(), rotations)
-def test_an_endless_ridge_gives_the_prior(data: st.DataObject, prior: np.ndarray) -> None:
+def test_an_endless_ridge_gives_the_prior(
+    data: st.DataObject, prior: np.ndarray
+) -> None:
     before, after, weights = noisy_pair(data, point_sets())
     estimate = estimate_motion(before, after, weights=weights, ridge=1e14, prior=prior)
     np.testing.assert_allclose(estimate.motion[:3, :3], prior, rtol=0.0, atol=1e-12)
     # The translation is still that of the centroids.
     centroid = weights @ before / weights.sum()
     image = transform_points(estimate.motion, centroid[None])[0]
-    np.testing.assert_allclose(image, weights @ after / weights.sum(), rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(
+        image, weights @ after / weights.sum(), rtol=0.0, atol=1e-13
+    )
 
 
 @given(st.data())
@@ -134,12 +151,18 @@ def test_a_vanishing_ridge_gives_eq_6(data: st.DataObject) -> None:
     before, after, weights = noisy_pair(data, point_sets())
     almost = estimate_motion(before, after, weights=weights, ridge=1e-15).motion
     np.testing.assert_allclose(
-        almost, estimate_motion(before, after, weights=weights).motion, rtol=0.0, atol=1e-9
+        almost,
+        estimate_motion(before, after, weights=weights).motion,
+        rtol=0.0,
+        atol=1e-9,
     )
 
 
 @given(
-    coplanar_point_sets, rotations, st.sampled_from([5e-324, 1e-200, 1e-20, 1e-16, 1e-9]), st.data()
+    coplanar_point_sets,
+    rotations,
+    st.sampled_from([5e-324, 1e-200, 1e-20, 1e-16, 1e-9]),
+    st.data(),
 )
 def test_across_a_plane_the_motion_is_the_prior_however_small_the_ridge(
     points: np.ndarray, prior: np.ndarray, ridge: float, data: st.DataObject
@@ -159,7 +182,10 @@ def test_a_rigid_motion_is_recovered_at_any_ridge(
     # noise (see the bound below).
     spread = np.linalg.norm(points - points.mean(axis=0))
     np.testing.assert_allclose(
-        estimate.motion, pose, rtol=0.0, atol=1e-13 / spread + 1e-14 / (np.sqrt(ridge) * spread)
+        estimate.motion,
+        pose,
+        rtol=0.0,
+        atol=1e-13 / spread + 1e-14 / (np.sqrt(ridge) * spread),
     )
 
 
@@ -190,13 +216,17 @@ def test_with_a_ridge_noise_stretches_no_more_than_its_share_of_the_spread(
     estimate = estimate_motion(
         points, transform_points(pose, points) + noise, ridge=ridge, prior=pose[:3, :3]
     )
-    bound = np.linalg.norm(noise) / (2.0 * np.sqrt(ridge / 3.0) * np.linalg.norm(centred_points))
+    bound = np.linalg.norm(noise) / (
+        2.0 * np.sqrt(ridge / 3.0) * np.linalg.norm(centred_points)
+    )
     assert np.abs(stretches(estimate.motion) - 1.0).max() <= bound + 1e-9
 
 
 def flat_fingertips() -> np.ndarray:
     """Return fingertips flattened to a smallest singular value of 1.4 mm, as measured on hands."""
-    left, values, right = np.linalg.svd(FINGERTIPS - FINGERTIPS.mean(axis=0), full_matrices=False)
+    left, values, right = np.linalg.svd(
+        FINGERTIPS - FINGERTIPS.mean(axis=0), full_matrices=False
+    )
     return (left * (values[0], values[1], 1.4e-3)) @ right
 
 
@@ -207,18 +237,27 @@ def noise_across() -> np.ndarray:
 
 
 def test_without_a_ridge_a_millimetre_of_noise_turns_fingertips_inside_out() -> None:
-    A = estimate_motion(flat_fingertips(), flat_fingertips() + noise_across()).motion[:3, :3]
+    A = estimate_motion(flat_fingertips(), flat_fingertips() + noise_across()).motion[
+        :3, :3
+    ]
     assert np.linalg.det(A) < -0.5
 
 
 def test_without_a_ridge_a_millimetre_of_noise_in_the_plane_shears_fingertips() -> None:
     left, _, right = np.linalg.svd(flat_fingertips(), full_matrices=False)
     along = 5e-3 * np.outer(left[:, 2], right[0])
-    assert stretches(estimate_motion(flat_fingertips(), flat_fingertips() + along).motion)[0] > 3.0
+    assert (
+        stretches(estimate_motion(flat_fingertips(), flat_fingertips() + along).motion)[
+            0
+        ]
+        > 3.0
+    )
 
 
 def test_with_a_ridge_the_same_noise_leaves_the_fingertips_as_they_are() -> None:
-    estimate = estimate_motion(flat_fingertips(), flat_fingertips() + noise_across(), ridge=0.1)
+    estimate = estimate_motion(
+        flat_fingertips(), flat_fingertips() + noise_across(), ridge=0.1
+    )
     assert np.linalg.det(estimate.motion[:3, :3]) > 0.0
     assert 0.9 < stretches(estimate.motion)[2] <= stretches(estimate.motion)[0] < 1.1
 
@@ -289,7 +328,8 @@ def test_points_must_be_finite(row: int, column: int, bad: float) -> None:
 @pytest.mark.parametrize("count", [1, 4, 6])
 def test_points_before_and_after_must_be_as_many(count: int) -> None:
     with pytest.raises(
-        InvalidInputError, match=f"points_after: expected 5 points as in points_before, got {count}"
+        InvalidInputError,
+        match=f"points_after: expected 5 points as in points_before, got {count}",
     ):
         estimate_motion(FINGERTIPS, np.zeros((count, 3)))
 

@@ -59,7 +59,9 @@ def recorded(file: Path) -> HumanMotion:
     return fit_recording(read_recording(file))
 
 
-@pytest.mark.parametrize("points", ["fingertips", "fingertips_middle", "joints", "landmarks"])
+@pytest.mark.parametrize(
+    "points", ["fingertips", "fingertips_middle", "joints", "landmarks"]
+)
 @settings(max_examples=10)
 @given(generator=generators)
 def test_a_hand_mapped_to_itself_returns_its_own_points(
@@ -95,9 +97,17 @@ def test_every_recorded_hand_mapped_to_itself_returns_its_own_joints(
         hand, seen = motion.human.with_points("joints"), np.flatnonzero(motion.valid)
         start = inside(hand, motion.q[seen[0]])
         mapper = HandMapper(
-            hand, hand, ITSELF.replaced(rigid_from=rigid_from), ik=EXACT.replaced(**free)
+            hand,
+            hand,
+            ITSELF.replaced(rigid_from=rigid_from),
+            ik=EXACT.replaced(**free),
         )
-        mapper.reset(start, motion.wrist[seen[0]], robot_q=start, robot_wrist=motion.wrist[seen[0]])
+        mapper.reset(
+            start,
+            motion.wrist[seen[0]],
+            robot_q=start,
+            robot_wrist=motion.wrist[seen[0]],
+        )
         before = start
         for i in seen[::6]:
             q, wrist = inside(hand, motion.q[i]), motion.wrist[i]
@@ -108,7 +118,9 @@ def test_every_recorded_hand_mapped_to_itself_returns_its_own_joints(
             before = q
             step = mapper.map_step(q, wrist)
             error = np.abs(step.points - step.human_points).max()
-            assert error < TENTH_OF_A_MILLIMETRE, f"{file.stem}, sample {i}: {1e3 * error:.3f} mm"
+            assert error < TENTH_OF_A_MILLIMETRE, (
+                f"{file.stem}, sample {i}: {1e3 * error:.3f} mm"
+            )
 
 
 @cache
@@ -129,7 +141,8 @@ def in_unit(hand: Hand, unit: float) -> Hand:
         return unit * x, unit * y, unit * z
 
     points = tuple(
-        msgspec.structs.replace(point, xyz=scaled(point.xyz)) for point in hand.reference_points
+        msgspec.structs.replace(point, xyz=scaled(point.xyz))
+        for point in hand.reference_points
     )
     return Hand(
         msgspec.structs.replace(
@@ -168,7 +181,10 @@ def test_a_fixed_hand_in_another_unit_of_length_takes_the_same_steps(
     options = MappingOptions(rigid_from="none", alignment="palm", residual_gain=0.5)
     here = HandMapper(human, robot, options)
     there = HandMapper(
-        in_unit(human, unit), in_unit(robot, unit), options, ik=weights_in_unit(IkOptions(), unit)
+        in_unit(human, unit),
+        in_unit(robot, unit),
+        options,
+        ik=weights_in_unit(IkOptions(), unit),
     )
     for _ in range(3):
         q, wrist = near_rest(generator, 0.1), little_pose(generator, 0.02)
@@ -176,7 +192,9 @@ def test_a_fixed_hand_in_another_unit_of_length_takes_the_same_steps(
             here.map_step(q, wrist),
             there.map_step(q, motion_of(wrist[:3, :3], unit * wrist[:3, 3])),
         )
-        np.testing.assert_allclose(scaled.targets, unit * step.targets, atol=1e-12 * unit)
+        np.testing.assert_allclose(
+            scaled.targets, unit * step.targets, atol=1e-12 * unit
+        )
         np.testing.assert_allclose(scaled.command.q, step.command.q, atol=1e-8)
 
 
@@ -200,7 +218,10 @@ def test_a_floating_hand_in_another_unit_of_length_ends_in_the_same_posture(
     options = MappingOptions(rigid_from=rigid_from, alignment="palm", residual_gain=0.5)
     here = HandMapper(human, robot, options, ik=ik)
     there = HandMapper(
-        in_unit(human, unit), in_unit(robot, unit), options, ik=weights_in_unit(ik, unit)
+        in_unit(human, unit),
+        in_unit(robot, unit),
+        options,
+        ik=weights_in_unit(ik, unit),
     )
     for _ in range(2):
         q, wrist = near_rest(generator, 0.1), little_pose(generator, 0.02)
@@ -208,17 +229,23 @@ def test_a_floating_hand_in_another_unit_of_length_ends_in_the_same_posture(
             here.map_step(q, wrist),
             there.map_step(q, motion_of(wrist[:3, :3], unit * wrist[:3, 3])),
         )
-        np.testing.assert_allclose(scaled.targets, unit * step.targets, atol=1e-12 * unit)
+        np.testing.assert_allclose(
+            scaled.targets, unit * step.targets, atol=1e-12 * unit
+        )
         np.testing.assert_allclose(scaled.command.q, step.command.q, atol=1e-8)
         np.testing.assert_allclose(
             scaled.command.wrist[:3, :3], step.command.wrist[:3, :3], atol=1e-8
         )
         np.testing.assert_allclose(
-            scaled.command.wrist[:3, 3], unit * step.command.wrist[:3, 3], atol=1e-9 * unit
+            scaled.command.wrist[:3, 3],
+            unit * step.command.wrist[:3, 3],
+            atol=1e-9 * unit,
         )
 
 
-@pytest.mark.parametrize(("rigid_from", "pivot"), [("points", "centroid"), ("wrist", "palm")])
+@pytest.mark.parametrize(
+    ("rigid_from", "pivot"), [("points", "centroid"), ("wrist", "palm")]
+)
 @pytest.mark.parametrize(
     ("robot", "share"),
     [
@@ -255,7 +282,8 @@ def test_a_ridge_bounds_the_stretch_of_recorded_fingertips_and_none_does_not(
         for ridge, found in stretches.items():
             estimator = MotionEstimator(tips[0], ridge=ridge)
             found += [
-                polar(estimator.estimate(points).motion[:3, :3]).stretches for points in tips[::5]
+                polar(estimator.estimate(points).motion[:3, :3]).stretches
+                for points in tips[::5]
             ]
     free, held = np.array(stretches[0.0]), np.array(stretches[0.1])
     assert free.max() > 10.0

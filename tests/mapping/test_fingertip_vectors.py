@@ -18,7 +18,9 @@ KNUCKLE = FingertipVectors(origin="knuckle")
 
 
 def targets_in_palm(step: Any, robot: Any) -> np.ndarray:
-    return transform_points(inverse_pose(step.wrist_target @ robot.wrist_to_palm), step.targets)
+    return transform_points(
+        inverse_pose(step.wrist_target @ robot.wrist_to_palm), step.targets
+    )
 
 
 def straight() -> np.ndarray:
@@ -27,7 +29,9 @@ def straight() -> np.ndarray:
 
 
 @pytest.mark.parametrize(("scale", "tolerance"), [(1.0, 1e-12), (None, 2e-4)])
-def test_a_hand_onto_itself_keeps_its_own_points(scale: float | None, tolerance: float) -> None:
+def test_a_hand_onto_itself_keeps_its_own_points(
+    scale: float | None, tolerance: float
+) -> None:
     rng = np.random.default_rng(1)
     mapper = HandMapper(HUMAN, HUMAN, FingertipVectors(scale=scale, origin="knuckle"))
     for _ in range(5):

@@ -47,10 +47,14 @@ def test_the_matched_posture_of_the_description_is_used(name: str) -> None:
     np.testing.assert_array_equal(pair.matched, given)
     np.testing.assert_allclose(pair.solve_matched(), solved, atol=1e-12)
     # Where the human rests, the robot's points are to be where they are in the given posture.
-    step = HandMapper(HUMAN, own, "teleoperation").map_step(resting_posture(HUMAN), np.eye(4))
+    step = HandMapper(HUMAN, own, "teleoperation").map_step(
+        resting_posture(HUMAN), np.eye(4)
+    )
     palm = step.wrist_target @ pair.robot.wrist_to_palm
     expected = pair.robot.points(given)
-    there = transform_points(inverse_pose(pair.robot.frame_pose("palm", given)), expected)
+    there = transform_points(
+        inverse_pose(pair.robot.frame_pose("palm", given)), expected
+    )
     targets = transform_points(inverse_pose(palm), step.targets)
     np.testing.assert_allclose(targets, there, atol=1e-9)
 
@@ -98,9 +102,13 @@ def test_the_last_point_of_a_finger_has_the_tip_for_its_partner() -> None:
         if not point.name.startswith("contact")
     )
     sets = {"all": tuple(point.name for point in plain)}
-    bare = load_hand(msgspec.structs.replace(robot.spec, points=plain, sets=sets, reference="all"))
+    bare = load_hand(
+        msgspec.structs.replace(robot.spec, points=plain, sets=sets, reference="all")
+    )
     pairs = require_partners(HUMAN, bare, option="method")
-    named = {bare.reference_points[j].name: HUMAN.reference_points[i].name for j, i in pairs}
+    named = {
+        bare.reference_points[j].name: HUMAN.reference_points[i].name for j, i in pairs
+    }
     assert named == {
         "finger1_tip": "thumb_tip",
         "finger2_tip": "middle_tip",
@@ -118,7 +126,8 @@ def test_the_last_point_of_a_finger_has_the_tip_for_its_partner() -> None:
         )
     )
     assert [
-        HUMAN.reference_points[i].name for _, i in require_partners(HUMAN, own, option="method")
+        HUMAN.reference_points[i].name
+        for _, i in require_partners(HUMAN, own, option="method")
     ] == [
         "ring_tip",
         "index_pip",
@@ -127,7 +136,9 @@ def test_the_last_point_of_a_finger_has_the_tip_for_its_partner() -> None:
 
 def test_points_without_a_finger_have_no_partner_and_need_the_preset_object() -> None:
     robot = load_hand("three_finger")
-    points = tuple(msgspec.structs.replace(p, partner=None, finger=None) for p in robot.spec.points)
+    points = tuple(
+        msgspec.structs.replace(p, partner=None, finger=None) for p in robot.spec.points
+    )
     nameless = load_hand(msgspec.structs.replace(robot.spec, points=points))
     with pytest.raises(InvalidOptionsError, match="needs partner points"):
         require_partners(HUMAN, nameless, option="method")
@@ -150,4 +161,6 @@ def test_pads_and_bones_of_a_person_are_those_of_the_scaled_shapes(
         assert quick.radius == pytest.approx(pad.radius, abs=1e-15)
     # In any order, and one finger more than once.
     bones = bone_lengths(human, ["ring", "thumb", "ring"])
-    np.testing.assert_allclose(bones, person.segments.sum(axis=1)[[3, 0, 3]], rtol=1e-12)
+    np.testing.assert_allclose(
+        bones, person.segments.sum(axis=1)[[3, 0, 3]], rtol=1e-12
+    )

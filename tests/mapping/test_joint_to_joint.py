@@ -54,7 +54,10 @@ def test_spreading_fingers_move_sideways_as_the_humans_do(name: str) -> None:
     view, spread = PalmKinematics(robot), human.rest.copy()
     bound, fingers = BoundJointToJoint(human, robot), find_fingers(robot)
     spread[4::4] += 0.2
-    ends = [bound.positions(bound.angles.measure(in_palm(human, q))) for q in (human.rest, spread)]
+    ends = [
+        bound.positions(bound.angles.measure(in_palm(human, q)))
+        for q in (human.rest, spread)
+    ]
     for link in bound.links:
         if link.human[0] and link.finger != "thumb":
             postures = np.tile(robot.rest, (2, 1))
@@ -85,7 +88,9 @@ def test_landmarks_give_the_joint_angles_back(hand: Any) -> None:
     np.testing.assert_allclose(found, hand.rest, atol=1e-3)
 
 
-def test_a_thumb_turned_by_more_than_a_right_angle_is_not_taken_for_one_bent_backwards() -> None:
+def test_a_thumb_turned_by_more_than_a_right_angle_is_not_taken_for_one_bent_backwards() -> (
+    None
+):
     angles = FingerAngles(HUMAN, FINGERS)
     q = HUMAN.rest.copy()
     q[:4] = 2.0, 0.5, 0.3, -0.2
@@ -96,7 +101,9 @@ def test_angles_do_not_depend_on_the_size_of_the_hand() -> None:
     angles = FingerAngles(HUMAN, FINGERS)
     points = in_palm(HUMAN, HUMAN.rest)
     np.testing.assert_allclose(
-        angles.measure(1.3 * points + [0.0, 0.01, 0.0]), angles.measure(points), atol=1e-3
+        angles.measure(1.3 * points + [0.0, 0.01, 0.0]),
+        angles.measure(points),
+        atol=1e-3,
     )
 
 
@@ -114,7 +121,9 @@ def test_a_hand_onto_itself_takes_the_same_posture() -> None:
     rng = np.random.default_rng(2)
     mapper = HandMapper(HUMAN, HUMAN, JointToJoint(), ik=SETTLE)
     for _ in range(10):
-        room = np.minimum(HUMAN.upper_limits - HUMAN.rest, HUMAN.rest - HUMAN.lower_limits)
+        room = np.minimum(
+            HUMAN.upper_limits - HUMAN.rest, HUMAN.rest - HUMAN.lower_limits
+        )
         q = HUMAN.rest + rng.uniform(-0.5, 0.5, len(room)) * room
         step = mapper.map_step(q, little_pose(rng))
         # Each direction of a joint has its own range, which is the same on both hands.
@@ -126,7 +135,9 @@ def test_a_hand_onto_itself_takes_the_same_posture() -> None:
 def test_joints_go_to_the_same_share_of_their_range() -> None:
     mapper = HandMapper(HUMAN, ALLEGRO, JointToJoint(), ik=SETTLE)
     mapper.map_step(closing(0.0), np.eye(4))
-    joints = [ALLEGRO.joint_names.index(f"joint_{k}.0") for k in (1, 2, 3, 5, 6, 7, 9, 10, 11)]
+    joints = [
+        ALLEGRO.joint_names.index(f"joint_{k}.0") for k in (1, 2, 3, 5, 6, 7, 9, 10, 11)
+    ]
     for share in (0.0, 0.3, 0.7, 1.0):
         step = mapper.map_step(closing(share), np.eye(4))
         wanted = share * ALLEGRO.upper_limits[joints]
@@ -138,18 +149,25 @@ def test_joints_go_to_the_same_share_of_their_range() -> None:
     ["allegro_right", "g1_left", "three_finger", "panda_gripper",
      *map(slow, ["allegro_left", "g1_right", "romeo_right", "hey5"])],
 )  # fmt: skip
-def test_a_fist_brings_every_fingertip_nearer_to_the_thumb_or_its_knuckle(name: str) -> None:
+def test_a_fist_brings_every_fingertip_nearer_to_the_thumb_or_its_knuckle(
+    name: str,
+) -> None:
     robot = load_hand(name)
     human = LEFT if robot.side == "left" else HUMAN
     bound = JointToJoint().bind(human, robot)
-    open_angles, fist = np.zeros((len(bound.fingers), 4)), np.zeros((len(bound.fingers), 4))
+    open_angles, fist = (
+        np.zeros((len(bound.fingers), 4)),
+        np.zeros((len(bound.fingers), 4)),
+    )
     for i, columns in enumerate(bound.angles.columns):
         open_angles[i] = fist[i] = human.rest[columns]
         if bound.fingers[i] != "thumb":
             open_angles[i], fist[i] = 0.0, [0.0, *0.9 * human.upper_limits[columns[1:]]]
         else:
             fist[i, 2:] = [1.2, -1.2]
-    before, after = (robot.points(bound.positions(angles)) for angles in (open_angles, fist))
+    before, after = (
+        robot.points(bound.positions(angles)) for angles in (open_angles, fist)
+    )
     nearer = np.linalg.norm(after - after[:1], axis=1)[1:]
     assert (nearer < np.linalg.norm(before - before[:1], axis=1)[1:]).all()
 
@@ -170,7 +188,11 @@ def test_a_pinch_does_not_come_across() -> None:
     # A limit of the method: the human's thumb and index finger touch, the robot's do not.
     q = HUMAN.rest.copy()
     names = HUMAN.joint_names
-    pinching = {"thumb_TM_abduction": 0.0, "thumb_TM_flexion": 0.9, "index_MCP_flexion": 0.9}
+    pinching = {
+        "thumb_TM_abduction": 0.0,
+        "thumb_TM_flexion": 0.9,
+        "index_MCP_flexion": 0.9,
+    }
     for name, angle in pinching.items():
         q[names.index(name)] = angle
     mapper = HandMapper(HUMAN, ALLEGRO, JointToJoint(), ik=SETTLE)
@@ -186,7 +208,9 @@ def test_a_pinch_does_not_come_across() -> None:
 def test_fewer_flexions_take_the_rest_together_and_more_share_them() -> None:
     def led(robot: str, finger: str) -> list[list[int]]:
         bound: BoundJointToJoint = JointToJoint().bind(HUMAN, load_hand(robot))
-        return [np.flatnonzero(x.human).tolist() for x in bound.links if x.finger == finger]
+        return [
+            np.flatnonzero(x.human).tolist() for x in bound.links if x.finger == finger
+        ]
 
     assert led("allegro_right", "index") == [[0], [1], [2], [3]]
     assert led("allegro_right", "thumb") == [[0], [1], [2], [3]]
@@ -202,7 +226,8 @@ def test_joints_are_independent_of_the_hands_place_in_the_world() -> None:
     moved = little_pose(rng, 2.0)
     for share in (0.1, 0.4, 0.8):
         expected, found = (
-            m.map_step(closing(share), w) for m, w in ((here, np.eye(4)), (there, moved))
+            m.map_step(closing(share), w)
+            for m, w in ((here, np.eye(4)), (there, moved))
         )
         np.testing.assert_allclose(found.command.q, expected.command.q, atol=1e-6)
         np.testing.assert_allclose(
@@ -221,7 +246,9 @@ def test_the_arm_of_a_hand_follows_the_wrist() -> None:
     moved = step.command.wrist[:3, 3] - first.command.wrist[:3, 3]
     np.testing.assert_allclose(moved, shift[:3, 3], atol=1e-3)
     fingers = [name in ALLEGRO.joint_names for name in robot.joint_names]
-    np.testing.assert_allclose(step.command.q[fingers], first.command.q[fingers], atol=1e-2)
+    np.testing.assert_allclose(
+        step.command.q[fingers], first.command.q[fingers], atol=1e-2
+    )
 
 
 def test_joint_to_joint_names_its_missing_requirement() -> None:

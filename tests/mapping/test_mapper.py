@@ -26,7 +26,10 @@ THREE = load_hand("three_finger")
 ROBOTS = ("three_finger", "allegro_right", "allegro_left")
 # Enough iterations to converge and no speed limits, for statements about the end of a motion.
 SETTLE = IkOptions(
-    max_iterations=200, step_tolerance=1e-10, error_damping=0.0, has_velocity_limits=False
+    max_iterations=200,
+    step_tolerance=1e-10,
+    error_damping=0.0,
+    has_velocity_limits=False,
 )
 
 
@@ -41,7 +44,10 @@ def small_postures(amount: float = 0.3) -> st.SearchStrategy[np.ndarray]:
     return share.map(
         lambda x: (
             HUMAN.rest
-            + x * np.minimum(HUMAN.upper_limits - HUMAN.rest, HUMAN.rest - HUMAN.lower_limits)
+            + x
+            * np.minimum(
+                HUMAN.upper_limits - HUMAN.rest, HUMAN.rest - HUMAN.lower_limits
+            )
         )
     )
 
@@ -65,8 +71,12 @@ def test_rigid_motion_of_the_human_moves_the_robot_rigidly(pose: np.ndarray) -> 
     after = mapper.map_step(HUMAN.rest, pose)
     np.testing.assert_allclose(after.motion_deformation, np.eye(4), atol=1e-9)
     np.testing.assert_allclose(after.motion_rigid, pose, atol=1e-9)
-    np.testing.assert_allclose(after.targets, transform_points(pose, before.targets), atol=1e-9)
-    np.testing.assert_allclose(after.wrist_target, pose @ before.wrist_target, atol=1e-9)
+    np.testing.assert_allclose(
+        after.targets, transform_points(pose, before.targets), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        after.wrist_target, pose @ before.wrist_target, atol=1e-9
+    )
 
 
 @given(pose=poses, q=small_postures())
@@ -126,7 +136,9 @@ def test_limits_hold_on_a_violent_motion(name: str) -> None:
         assert (command.q <= robot.upper_limits + 1e-12).all()
         if last is not None:
             # 1e-12 rad: the difference of two rounded sums.
-            assert (np.abs(command.q - last.q) <= robot.velocity_limits * 0.01 + 1e-12).all()
+            assert (
+                np.abs(command.q - last.q) <= robot.velocity_limits * 0.01 + 1e-12
+            ).all()
             twist = pin.log6(pin.SE3(last.wrist).actInv(pin.SE3(command.wrist))).vector
             assert (
                 np.linalg.norm(twist[3:])
@@ -136,9 +148,14 @@ def test_limits_hold_on_a_violent_motion(name: str) -> None:
 
 
 def test_map_points_agrees_with_map_step() -> None:
-    by_joints, by_points = HandMapper(HUMAN, THREE, "paper"), HandMapper(HUMAN, THREE, "paper")
+    by_joints, by_points = (
+        HandMapper(HUMAN, THREE, "paper"),
+        HandMapper(HUMAN, THREE, "paper"),
+    )
     for share in (0.0, 0.1, 0.2):
-        pose = affine(pin.exp3(np.array([0.0, share, 0.0])), np.array([share, 0.0, 0.0]))
+        pose = affine(
+            pin.exp3(np.array([0.0, share, 0.0])), np.array([share, 0.0, 0.0])
+        )
         expected = by_joints.map_step(posture(share), pose)
         step = by_points.map_points(HUMAN.points(posture(share), pose), pose)
         np.testing.assert_allclose(step.command.q, expected.command.q, atol=1e-12)
@@ -163,7 +180,9 @@ def test_wrist_pose_is_taken_in_every_form() -> None:
     pose = pin.SE3(pin.exp3(np.array([0.1, 0.2, 0.3])), np.array([0.1, 0.2, 0.3]))
     xyz_quat_xyzw = pin.SE3ToXYZQUAT(pose)
     commands = [
-        HandMapper(HUMAN, THREE, "paper", quat_order="xyzw").map_step(HUMAN.rest, form).command
+        HandMapper(HUMAN, THREE, "paper", quat_order="xyzw")
+        .map_step(HUMAN.rest, form)
+        .command
         for form in (pose, pose.homogeneous, pose.homogeneous.tolist(), xyz_quat_xyzw)
     ]
     for command in commands[1:]:
@@ -197,7 +216,10 @@ def test_bad_wrist_poses_are_refused_and_change_nothing(bad: np.ndarray) -> None
 
 
 def _assert_refused_without_a_trace(q: np.ndarray, wrist: np.ndarray) -> None:
-    disturbed, calm = HandMapper(HUMAN, THREE, "paper"), HandMapper(HUMAN, THREE, "paper")
+    disturbed, calm = (
+        HandMapper(HUMAN, THREE, "paper"),
+        HandMapper(HUMAN, THREE, "paper"),
+    )
     for mapper in (disturbed, calm):
         mapper.map_step(HUMAN.rest, np.eye(4))
     with pytest.raises(InvalidInputError):
@@ -217,7 +239,11 @@ def test_angles_a_little_outside_are_used_and_named() -> None:
 
 
 def test_arguments_are_copied_and_not_changed() -> None:
-    mapper, pose, q = HandMapper(HUMAN, THREE, rigid_from="wrist"), np.eye(4), HUMAN.rest.copy()
+    mapper, pose, q = (
+        HandMapper(HUMAN, THREE, rigid_from="wrist"),
+        np.eye(4),
+        HUMAN.rest.copy(),
+    )
     mapper.map_step(q, pose)
     pose[0, 3] = 0.1
     step = mapper.map_step(q, pose)
@@ -242,7 +268,9 @@ def test_arguments_are_copied_and_not_changed() -> None:
 )
 def test_options_that_make_no_sense_are_refused(options: dict) -> None:
     robot = load_hand("allegro_right", points=("index_tip", "middle_tip"))
-    human = load_hand("human", points=("thumb_tip", "ring_tip", "little_tip", "thumb_ip"))
+    human = load_hand(
+        "human", points=("thumb_tip", "ring_tip", "little_tip", "thumb_ip")
+    )
     with pytest.raises(InvalidOptionsError):
         HandMapper(human, robot, **options)
 
@@ -253,7 +281,10 @@ def test_the_centroids_of_both_hands_are_weighted() -> None:
         hand = load_hand(name, points="fingertips")
         points = hand.reference_points
         return hand.with_points(
-            tuple(msgspec.structs.replace(p, weight=1.0 + 2.0 * k) for k, p in enumerate(points))
+            tuple(
+                msgspec.structs.replace(p, weight=1.0 + 2.0 * k)
+                for k, p in enumerate(points)
+            )
         )
 
     human, robot = weighted("human"), weighted("three_finger")
@@ -272,7 +303,10 @@ def test_a_fixed_wrist_takes_no_rigid_part() -> None:
     with pytest.raises(InvalidOptionsError, match="mount='floating'"):
         HandMapper(HUMAN, load_hand("three_finger", mount="fixed"), "paper")
     mapper = HandMapper(
-        HUMAN, load_hand("three_finger", mount="fixed"), rigid_from="none", alignment="palm"
+        HUMAN,
+        load_hand("three_finger", mount="fixed"),
+        rigid_from="none",
+        alignment="palm",
     )
     mapper.map_step(HUMAN.rest, np.eye(4))
     step = mapper.map_step(posture(0.2), np.eye(4))
@@ -288,11 +322,16 @@ def test_a_time_step_must_be_positive(dt: float) -> None:
 
 def test_reset_puts_the_robot_where_it_is_told() -> None:
     mapper = HandMapper(HUMAN, THREE, "paper", ik=IkOptions(rest_weight=0.0))
-    q, wrist = 0.5 * (THREE.rest + THREE.upper_limits), affine(np.eye(3), np.array([0.0, 0.5, 0.0]))
+    q, wrist = (
+        0.5 * (THREE.rest + THREE.upper_limits),
+        affine(np.eye(3), np.array([0.0, 0.5, 0.0])),
+    )
     mapper.reset(HUMAN.rest, np.eye(4), robot_q=q, robot_wrist=wrist)
     step = mapper.map_step(HUMAN.rest, np.eye(4))
     np.testing.assert_allclose(step.command.q, q, atol=1e-12)
     np.testing.assert_allclose(step.command.wrist, wrist, atol=1e-12)
     with pytest.raises(InvalidInputError):
         mapper.reset(robot_q=THREE.upper_limits + 0.1)
-    np.testing.assert_allclose(mapper.map_step(HUMAN.rest, np.eye(4)).command.q, q, atol=1e-12)
+    np.testing.assert_allclose(
+        mapper.map_step(HUMAN.rest, np.eye(4)).command.q, q, atol=1e-12
+    )

@@ -24,7 +24,9 @@ def case(name: str, seed: int) -> tuple[Hand, np.ndarray, np.ndarray]:
 
 
 # Coupled joints, an arm, and a hand of three fingers.
-@pytest.mark.parametrize("name", ["allegro_right", "hey5", *map(slow, ["ur5_allegro", "g1_left"])])
+@pytest.mark.parametrize(
+    "name", ["allegro_right", "hey5", *map(slow, ["ur5_allegro", "g1_left"])]
+)
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_nearby_is_better(name: str, seed: int) -> None:
     hand, targets, costs = case(name, seed)
@@ -54,10 +56,19 @@ def test_derivatives_are_those_of_the_value(name: str) -> None:
     found, step = distance.at(x), 1e-6
     moves = step * np.eye(len(x))
     ahead, behind = ([distance.at(x + s * move) for move in moves] for s in (1, -1))
-    slopes = [0.5 * (a.value - b.value) / step for a, b in zip(ahead, behind, strict=True)]
-    np.testing.assert_allclose(slopes, found.gradient, atol=1e-6 * np.abs(found.gradient).max())
-    turns = [0.5 * (a.gradient - b.gradient) / step for a, b in zip(ahead, behind, strict=True)]
-    np.testing.assert_allclose(turns, found.hessian, atol=1e-7 * np.abs(found.hessian).max())
+    slopes = [
+        0.5 * (a.value - b.value) / step for a, b in zip(ahead, behind, strict=True)
+    ]
+    np.testing.assert_allclose(
+        slopes, found.gradient, atol=1e-6 * np.abs(found.gradient).max()
+    )
+    turns = [
+        0.5 * (a.gradient - b.gradient) / step
+        for a, b in zip(ahead, behind, strict=True)
+    ]
+    np.testing.assert_allclose(
+        turns, found.hessian, atol=1e-7 * np.abs(found.hessian).max()
+    )
 
 
 def test_a_posture_is_found_again() -> None:

@@ -25,7 +25,13 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.mapping.method import BoundMethod, HumanPose, RobotPosture, TargetMap, Targets
+from handmap_qp.mapping.method import (
+    BoundMethod,
+    HumanPose,
+    RobotPosture,
+    TargetMap,
+    Targets,
+)
 from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
@@ -35,12 +41,17 @@ HUMAN = load_hand("human")
 ALLEGRO = load_hand("allegro_right")
 THREE = load_hand("three_finger")
 SETTLE = IkOptions(
-    max_iterations=200, step_tolerance=1e-10, error_damping=0.0, has_velocity_limits=False
+    max_iterations=200,
+    step_tolerance=1e-10,
+    error_damping=0.0,
+    has_velocity_limits=False,
 )
 CHOICES = [
     MappingOptions(),
     MappingOptions(rigid_from="none"),
-    MappingOptions(rigid_from="wrist", pivot="palm", alignment="palm", residual_gain=1.0),
+    MappingOptions(
+        rigid_from="wrist", pivot="palm", alignment="palm", residual_gain=1.0
+    ),
     MappingOptions(reference="previous"),
     MappingOptions(pivot="world"),
     FingertipVectors(),
@@ -69,7 +80,9 @@ def arrays_of(value: Any, seen: set[int] | None = None) -> Iterator[np.ndarray]:
             else [item.name for item in fields(value)]
         )
         properties = [
-            name for name in dir(type(value)) if isinstance(getattr(type(value), name), property)
+            name
+            for name in dir(type(value))
+            if isinstance(getattr(type(value), name), property)
         ]
         for name in (*names, *properties):
             try:
@@ -153,14 +166,18 @@ class StillMap:
 def test_a_users_method_needs_no_other_change() -> None:
     mapper = HandMapper(HUMAN, THREE, Mirror())
     for share in (0.0, 0.2):
-        step = mapper.map_step(HUMAN.rest + share * (HUMAN.upper_limits - HUMAN.rest), np.eye(4))
+        step = mapper.map_step(
+            HUMAN.rest + share * (HUMAN.upper_limits - HUMAN.rest), np.eye(4)
+        )
     np.testing.assert_array_equal(step.diagnostics["q"], THREE.rest)
     assert step.status == "converged"
     np.testing.assert_allclose(step.command.q, THREE.rest, atol=1e-12)
     palm = step.command.wrist @ THREE.wrist_to_palm
     np.testing.assert_allclose(palm[:3, 3], (0.0, 0.0, 1.0), atol=1e-12)
     assert not step.is_clamped
-    with pytest.raises(InvalidOptionsError, match="diagnostics have no motion: there are q"):
+    with pytest.raises(
+        InvalidOptionsError, match="diagnostics have no motion: there are q"
+    ):
         _ = step.motion
 
 
@@ -196,7 +213,9 @@ def test_tip_vectors_of_a_hand_onto_itself_return_its_own_points() -> None:
         step = mapper.map_step(near_rest(rng, hand=HUMAN), little_pose(rng))
         np.testing.assert_allclose(step.targets, step.human_points, atol=1e-12)
         np.testing.assert_allclose(
-            step.wrist_target[:3, :3] @ step.wrist_target[:3, :3].T, np.eye(3), atol=1e-12
+            step.wrist_target[:3, :3] @ step.wrist_target[:3, :3].T,
+            np.eye(3),
+            atol=1e-12,
         )
 
 
@@ -211,8 +230,12 @@ def test_tip_vectors_are_scaled_in_the_axes_of_the_palm() -> None:
         robot_palm = step.wrist_target @ ALLEGRO.wrist_to_palm
         for name, j in pairs.items():
             k = names.index(name)
-            vector = transform_points(np.linalg.inv(human_palm), step.human_points[k][None])[0]
-            target = transform_points(np.linalg.inv(robot_palm), step.targets[j][None])[0]
+            vector = transform_points(
+                np.linalg.inv(human_palm), step.human_points[k][None]
+            )[0]
+            target = transform_points(np.linalg.inv(robot_palm), step.targets[j][None])[
+                0
+            ]
             np.testing.assert_allclose(target, 1.5 * vector, atol=1e-12)
 
 
@@ -222,7 +245,10 @@ def test_the_palm_follows_the_wrist_in_world_axes_from_any_start() -> None:
     mapper.reset(HUMAN.rest, np.eye(4), robot_wrist=start)
     turn = affine(pin.exp3(np.array([0.0, 0.0, 0.5])), np.array([0.1, 0.0, 0.0]))
     step = mapper.map_step(HUMAN.rest, turn)
-    before, after = start @ ALLEGRO.wrist_to_palm, step.wrist_target @ ALLEGRO.wrist_to_palm
+    before, after = (
+        start @ ALLEGRO.wrist_to_palm,
+        step.wrist_target @ ALLEGRO.wrist_to_palm,
+    )
     np.testing.assert_allclose(after[:3, :3], turn[:3, :3] @ before[:3, :3], atol=1e-12)
     human = turn @ HUMAN.wrist_to_palm - HUMAN.wrist_to_palm
     np.testing.assert_allclose(after[:3, 3] - before[:3, 3], human[:3, 3], atol=1e-12)
@@ -239,7 +265,9 @@ def test_a_fixed_wrist_keeps_its_palm() -> None:
 
 def test_tip_vectors_name_their_missing_requirement() -> None:
     with pytest.raises(InvalidInputError) as raised:
-        HandMapper(HUMAN, ALLEGRO, FingertipVectors()).map_points(HUMAN.points(HUMAN.rest))
+        HandMapper(HUMAN, ALLEGRO, FingertipVectors()).map_points(
+            HUMAN.points(HUMAN.rest)
+        )
     assert raised.value.argument == "wrist_pose"
     with pytest.raises(InvalidOptionsError, match="add `partner`"):
         HandMapper(HUMAN.with_points(("wrist",)), THREE, FingertipVectors())
@@ -252,7 +280,9 @@ def test_tip_vectors_name_their_missing_requirement() -> None:
 
 
 @pytest.mark.parametrize(
-    "method", [m for m in CHOICES if not isinstance(m, FingertipVectors | JointToJoint)], ids=str
+    "method",
+    [m for m in CHOICES if not isinstance(m, FingertipVectors | JointToJoint)],
+    ids=str,
 )
 def test_a_still_human_keeps_the_robot_still_from_any_start(method: Any) -> None:
     # The rest term pulls to the posture of the reference. Another posture would move joints with
@@ -267,8 +297,12 @@ def test_a_still_human_keeps_the_robot_still_from_any_start(method: Any) -> None
     np.testing.assert_allclose(steps[-1].command.q, start, atol=1e-9)
 
 
-def test_a_clutch_bends_no_joint_that_was_stretched_after_a_point_out_of_reach() -> None:
-    mapper = HandMapper(HUMAN, ALLEGRO, MappingOptions(rigid_from="none", stretch_max=np.inf))
+def test_a_clutch_bends_no_joint_that_was_stretched_after_a_point_out_of_reach() -> (
+    None
+):
+    mapper = HandMapper(
+        HUMAN, ALLEGRO, MappingOptions(rigid_from="none", stretch_max=np.inf)
+    )
     wrist = np.eye(4)
     points = HUMAN.points(HUMAN.rest, wrist)
     mapper.map_points(points, wrist)
@@ -281,7 +315,10 @@ def test_a_clutch_bends_no_joint_that_was_stretched_after_a_point_out_of_reach()
 
 
 def test_the_rest_reference_forgets_the_posture_of_the_first_sample() -> None:
-    rng, options = np.random.default_rng(6), MappingOptions(reference="rest", rigid_from="wrist")
+    rng, options = (
+        np.random.default_rng(6),
+        MappingOptions(reference="rest", rigid_from="wrist"),
+    )
     wrist, q = little_pose(rng), near_rest(rng, 0.5, HUMAN)
     targets = []
     for first in (HUMAN.rest, near_rest(rng, 0.8, HUMAN)):
@@ -305,7 +342,11 @@ def test_the_previous_reference_takes_the_wrist_along() -> None:
     # The wrist moves at a constant speed. If every step referred to the first wrist, displacements
     # would add up quadratically.
     mapper = HandMapper(
-        HUMAN, THREE, MappingOptions(reference="previous", rigid_from="wrist"), ik=SETTLE, dt=1.0
+        HUMAN,
+        THREE,
+        MappingOptions(reference="previous", rigid_from="wrist"),
+        ik=SETTLE,
+        dt=1.0,
     )
     first = mapper.map_step(HUMAN.rest, np.eye(4))
     poses = [affine(np.eye(3), np.array([0.01 * i, 0.0, 0.0])) for i in range(1, 11)]
@@ -355,18 +396,28 @@ def test_residual_gain_one_cancels_gain_and_clamping() -> None:
         (lambda m: m.reset(HUMAN.rest), "wrist_pose"),
         (lambda m: m.reset(wrist_pose=np.eye(4)), "human_q"),
         (lambda m: HandMapper(HUMAN, THREE, "paper", dt=cast(float, "x")), "dt"),
-        (lambda m: HandMapper(HUMAN, THREE, "paper", joint_tolerance=-1.0), "joint_tolerance"),
+        (
+            lambda m: HandMapper(HUMAN, THREE, "paper", joint_tolerance=-1.0),
+            "joint_tolerance",
+        ),
         (lambda m: HUMAN.points(["a"] * 20), "q"),
     ],
 )
-def test_an_invalid_argument_is_named_and_changes_nothing(call: Any, argument: str) -> None:
-    mapper, untouched = HandMapper(HUMAN, THREE, "paper"), HandMapper(HUMAN, THREE, "paper")
+def test_an_invalid_argument_is_named_and_changes_nothing(
+    call: Any, argument: str
+) -> None:
+    mapper, untouched = (
+        HandMapper(HUMAN, THREE, "paper"),
+        HandMapper(HUMAN, THREE, "paper"),
+    )
     for each in (mapper, untouched):
         each.map_step(HUMAN.rest, np.eye(4))
     with pytest.raises(InvalidInputError) as raised:
         call(mapper)
     assert raised.value.argument == argument
-    after, expected = (each.map_step(HUMAN.rest + 0.05, np.eye(4)) for each in (mapper, untouched))
+    after, expected = (
+        each.map_step(HUMAN.rest + 0.05, np.eye(4)) for each in (mapper, untouched)
+    )
     np.testing.assert_array_equal(after.command.q, expected.command.q)
 
 

@@ -44,7 +44,10 @@ class Situation:
     def __init__(self, generator: np.random.Generator) -> None:
         self.human_q = [self._posture(HUMAN, generator) for _ in range(2)]
         self.human_wrist = [self._pose(generator) for _ in range(2)]
-        self.robot_q, self.robot_wrist = self._posture(ROBOT, generator), self._pose(generator)
+        self.robot_q, self.robot_wrist = (
+            self._posture(ROBOT, generator),
+            self._pose(generator),
+        )
 
     @staticmethod
     def _posture(hand: Hand, generator: np.random.Generator) -> np.ndarray:
@@ -53,33 +56,42 @@ class Situation:
     @staticmethod
     def _pose(generator: np.random.Generator) -> np.ndarray:
         return motion_of(
-            pin.exp3(generator.uniform(-1.5, 1.5, size=3)), generator.uniform(-1.0, 1.0, size=3)
+            pin.exp3(generator.uniform(-1.5, 1.5, size=3)),
+            generator.uniform(-1.0, 1.0, size=3),
         )
 
     def step(self, options: MappingOptions) -> MapStep:
         """Return the mapper's step at the later sample."""
         mapper = HandMapper(HUMAN, ROBOT, options)
         mapper.reset(
-            self.human_q[0], self.human_wrist[0], robot_q=self.robot_q, robot_wrist=self.robot_wrist
+            self.human_q[0],
+            self.human_wrist[0],
+            robot_q=self.robot_q,
+            robot_wrist=self.robot_wrist,
         )
         return mapper.map_step(self.human_q[1], self.human_wrist[1])
 
     def palms(self) -> tuple[np.ndarray, np.ndarray]:
         """Return palm poses of human and robot at the reference."""
-        return self.human_wrist[0] @ HUMAN.wrist_to_palm, self.robot_wrist @ ROBOT.wrist_to_palm
+        return self.human_wrist[
+            0
+        ] @ HUMAN.wrist_to_palm, self.robot_wrist @ ROBOT.wrist_to_palm
 
 
 def about(linear: np.ndarray, centre: np.ndarray, image: np.ndarray) -> np.ndarray:
     """Return the 4x4 matrix of `s -> linear (s - centre) + image`."""
     return (
-        motion_of(np.eye(3), image) @ motion_of(linear, np.zeros(3)) @ motion_of(np.eye(3), -centre)
+        motion_of(np.eye(3), image)
+        @ motion_of(linear, np.zeros(3))
+        @ motion_of(np.eye(3), -centre)
     )
 
 
 def definition(at: Situation, options: MappingOptions) -> dict[str, np.ndarray]:
     """Compute the mapping by its definition: estimation, decomposition about the pivot, eq. (7)."""
     before, now = (
-        HUMAN.points(q, wrist) for q, wrist in zip(at.human_q, at.human_wrist, strict=True)
+        HUMAN.points(q, wrist)
+        for q, wrist in zip(at.human_q, at.human_wrist, strict=True)
     )
     robot_points = ROBOT.points(at.robot_q, at.robot_wrist)
     human_palm, robot_palm = at.palms()
@@ -92,12 +104,15 @@ def definition(at: Situation, options: MappingOptions) -> dict[str, np.ndarray]:
     flip = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
     R = (left * flip) @ right
     stretches = (
-        np.clip(values * flip, options.stretch_min, options.stretch_max) ** options.deformation_gain
+        np.clip(values * flip, options.stretch_min, options.stretch_max)
+        ** options.deformation_gain
     )
     U = (left * stretches) @ left.T
 
     world = np.array(options.pivot_point or np.zeros(3))
-    c_h = {"centroid": before.mean(axis=0), "palm": human_palm[:3, 3]}.get(options.pivot, world)
+    c_h = {"centroid": before.mean(axis=0), "palm": human_palm[:3, 3]}.get(
+        options.pivot, world
+    )
     c_r = {"centroid": robot_points.mean(axis=0), "palm": robot_palm[:3, 3]}.get(
         options.pivot, world
     )
@@ -116,7 +131,9 @@ def definition(at: Situation, options: MappingOptions) -> dict[str, np.ndarray]:
     )
     image = c_r + options.scale * Q @ (T_rb_c - c_h)
     T_rb_r = about(Q @ T_rb[:3, :3] @ Q.T, c_r, image)
-    T_def_r = about(Q @ T_def[:3, :3] @ Q.T, image, image + options.scale * Q @ (T_c - T_rb_c))
+    T_def_r = about(
+        Q @ T_def[:3, :3] @ Q.T, image, image + options.scale * Q @ (T_c - T_rb_c)
+    )
     targets = transform_points(T_def_r @ T_rb_r, robot_points)
 
     # The residual of the human point of the same name to the imposed motion, in proportion to the
@@ -125,9 +142,12 @@ def definition(at: Situation, options: MappingOptions) -> dict[str, np.ndarray]:
     partners = [names.index(point.name) for point in ROBOT.reference_points]
     misfit = now - transform_points(about(U @ R, c_h, T_c), before)
     sizes = [
-        np.linalg.norm(points - points.mean(axis=0)) for points in (robot_points, before[partners])
+        np.linalg.norm(points - points.mean(axis=0))
+        for points in (robot_points, before[partners])
     ]
-    targets = targets + options.residual_gain * sizes[0] / sizes[1] * misfit[partners] @ Q.T
+    targets = (
+        targets + options.residual_gain * sizes[0] / sizes[1] * misfit[partners] @ Q.T
+    )
     return {
         "motion": T,
         "motion_rigid": T_rb,
@@ -139,7 +159,9 @@ def definition(at: Situation, options: MappingOptions) -> dict[str, np.ndarray]:
 
 def options_of(**choices: Any) -> MappingOptions:
     """Draw options, with the pivot's point where one is needed."""
-    return MappingOptions(**choices, pivot_point=POINT if choices.get("pivot") == "point" else None)
+    return MappingOptions(
+        **choices, pivot_point=POINT if choices.get("pivot") == "point" else None
+    )
 
 
 @rigid_froms
@@ -176,7 +198,9 @@ def test_a_step_equals_the_definition(
     step = at.step(options)
     for name, expected in definition(at, options).items():
         # 1e-9 m, where numbers are near one and the points' condition is near 1e2.
-        np.testing.assert_allclose(getattr(step, name), expected, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(step, name), expected, atol=1e-9, err_msg=name
+        )
 
 
 @rigid_froms
@@ -206,14 +230,20 @@ def test_any_rotation_can_be_the_alignment(
 
 
 @given(generator=generators)
-def test_palm_alignment_is_the_rotation_between_the_palms(generator: np.random.Generator) -> None:
+def test_palm_alignment_is_the_rotation_between_the_palms(
+    generator: np.random.Generator,
+) -> None:
     at = Situation(generator)
     human_palm, robot_palm = at.palms()
-    rows = tuple(tuple(row) for row in (robot_palm[:3, :3] @ human_palm[:3, :3].T).tolist())
+    rows = tuple(
+        tuple(row) for row in (robot_palm[:3, :3] @ human_palm[:3, :3].T).tolist()
+    )
     by_name = at.step(MappingOptions(alignment="palm"))
     by_rotation = at.step(MappingOptions(alignment=rows))  # ty: ignore[invalid-argument-type]
     np.testing.assert_allclose(by_name.targets, by_rotation.targets, atol=1e-12)
-    np.testing.assert_allclose(by_name.wrist_target, by_rotation.wrist_target, atol=1e-12)
+    np.testing.assert_allclose(
+        by_name.wrist_target, by_rotation.wrist_target, atol=1e-12
+    )
 
 
 @pivots
@@ -228,7 +258,9 @@ def test_scale_multiplies_translations_and_nothing_else(
     np.testing.assert_allclose(
         scaled.targets - none.targets, scale * (one.targets - none.targets), atol=1e-9
     )
-    np.testing.assert_allclose(scaled.wrist_target[:3, :3], one.wrist_target[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(
+        scaled.wrist_target[:3, :3], one.wrist_target[:3, :3], atol=1e-12
+    )
 
 
 @pytest.mark.parametrize("residual_gain", [0.25, 1.0])
@@ -238,10 +270,13 @@ def test_the_residual_grows_in_proportion_to_its_gain(
 ) -> None:
     at = Situation(generator)
     none, full, some = (
-        at.step(MappingOptions(residual_gain=gain)) for gain in (0.0, 1.0, residual_gain)
+        at.step(MappingOptions(residual_gain=gain))
+        for gain in (0.0, 1.0, residual_gain)
     )
     np.testing.assert_allclose(
-        some.targets - none.targets, residual_gain * (full.targets - none.targets), atol=1e-12
+        some.targets - none.targets,
+        residual_gain * (full.targets - none.targets),
+        atol=1e-12,
     )
 
 
@@ -266,8 +301,12 @@ def test_the_paper_can_be_had(generator: np.random.Generator) -> None:
         np.testing.assert_allclose(
             step.targets, transform_points(step.motion, robot_points), atol=1e-9
         )
-        np.testing.assert_allclose(step.wrist_target, step.motion_rigid @ at.robot_wrist, atol=1e-9)
-        np.testing.assert_allclose(step.motion_rigid[:3, 3], step.motion[:3, 3], atol=1e-12)
+        np.testing.assert_allclose(
+            step.wrist_target, step.motion_rigid @ at.robot_wrist, atol=1e-9
+        )
+        np.testing.assert_allclose(
+            step.motion_rigid[:3, 3], step.motion[:3, 3], atol=1e-12
+        )
 
 
 @pytest.mark.parametrize(
@@ -276,13 +315,19 @@ def test_the_paper_can_be_had(generator: np.random.Generator) -> None:
         ({"pivot": "point"}, "pivot_point: goes together"),
         ({"pivot_point": POINT}, "pivot_point: goes together"),
         ({"pivot": "point", "pivot_point": (0.0, 1.0)}, "3 finite numbers"),
-        ({"pivot": "point", "pivot_point": (0.0, 1.0, float("nan"))}, "3 finite numbers"),
+        (
+            {"pivot": "point", "pivot_point": (0.0, 1.0, float("nan"))},
+            "3 finite numbers",
+        ),
         ({"pivot": "wrist"}, "centroid, palm, point, world"),
         ({"rigid_from": "palm"}, "points, wrist, none"),
         ({"reference": "last"}, "first, rest, previous"),
         ({"alignment": "robot"}, "one of world, palm"),
         ({"alignment": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}, "matrix of shape (3, 3)"),
-        ({"alignment": ((2.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))}, "rotation"),
+        (
+            {"alignment": ((2.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))},
+            "rotation",
+        ),
         (
             {"alignment": ((float("nan"), 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))},
             "matrix of shape (3, 3)",
@@ -313,7 +358,9 @@ def test_the_paper_can_be_had(generator: np.random.Generator) -> None:
     ],
     ids=str,
 )
-def test_values_without_a_meaning_are_refused_by_name(choices: dict[str, Any], words: str) -> None:
+def test_values_without_a_meaning_are_refused_by_name(
+    choices: dict[str, Any], words: str
+) -> None:
     with pytest.raises(InvalidOptionsError, match=re.escape(words)):
         MappingOptions(**choices)
 
@@ -343,7 +390,9 @@ def test_options_that_contradict_the_hands_are_rejected_with_advice(
     human: dict[str, Any], robot: dict[str, Any], choices: dict[str, Any], words: str
 ) -> None:
     with pytest.raises(InvalidOptionsError, match=re.escape(words)):
-        HandMapper(load_hand("human", **human), load_hand("allegro_right", **robot), **choices)
+        HandMapper(
+            load_hand("human", **human), load_hand("allegro_right", **robot), **choices
+        )
 
 
 def test_numbers_of_numpy_are_taken_as_pythons() -> None:

@@ -30,7 +30,9 @@ def file(tmp_path: Path) -> Path:
     scale=st.floats(0.01, 1.0),
     damping=st.floats(0.01, 2.0),
 )
-def test_a_choice_comes_back_from_its_text(preset: str, scale: float, damping: float) -> None:
+def test_a_choice_comes_back_from_its_text(
+    preset: str, scale: float, damping: float
+) -> None:
     changes = {"scale": scale, "damping": damping}
     if preset == "joint-to-joint":
         del changes["scale"]
@@ -51,7 +53,9 @@ def test_points_and_rotations_come_back_from_the_file(file: Path) -> None:
 
 
 def test_the_command_line_counts_more_than_the_file(file: Path) -> None:
-    file.write_text("preset: teleoperation\npinch_weight: 2.0\ndamping: 0.3\nrest_weight: 0.5\n")
+    file.write_text(
+        "preset: teleoperation\npinch_weight: 2.0\ndamping: 0.3\nrest_weight: 0.5\n"
+    )
     arguments = MappingArguments(options=file, ik=QpFlags(damping=0.4))
     choice = arguments.preset_for(HUMAN, ROBOT)
     assert choice.preset == "teleoperation"
@@ -89,13 +93,21 @@ def test_an_invalid_file_is_one_line(
 
 
 @pytest.mark.parametrize(
-    "text", ["preset: claw", "preset: paper\npinch_weight: 1", "damping: much", "ridge: [1]"]
+    "text",
+    ["preset: claw", "preset: paper\npinch_weight: 1", "damping: much", "ridge: [1]"],
 )
 def test_values_are_checked_as_on_the_command_line(
     file: Path, text: str, capsys: pytest.CaptureFixture[str], recording_file: Any
 ) -> None:
     file.write_text(text)
-    words = ["map", str(recording_file), "--robot", "allegro_right", "--options", str(file)]
+    words = [
+        "map",
+        str(recording_file),
+        "--robot",
+        "allegro_right",
+        "--options",
+        str(file),
+    ]
     assert cli.main(words) == 2
     printed = capsys.readouterr()
     assert printed.err.startswith("handmap: ")
@@ -107,5 +119,7 @@ def recording_file(tmp_path: Path) -> Path:
     """Write a recording of a hand at rest."""
     landmarks = load_hand("human", points="landmarks").points(HUMAN.rest)
     path = tmp_path / "rest.npz"
-    np.savez(path, time=np.arange(3) / 60.0, landmarks=[landmarks] * 3, handedness="right")
+    np.savez(
+        path, time=np.arange(3) / 60.0, landmarks=[landmarks] * 3, handedness="right"
+    )
     return path

@@ -184,7 +184,9 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
         (folder / f"added_{name}.py").write_text(text)
     metadata = folder / "added_method-1.0.dist-info"
     metadata.mkdir()
-    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: added-method\nVersion: 1.0\n")
+    (metadata / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: added-method\nVersion: 1.0\n"
+    )
     (metadata / "entry_points.txt").write_text(ENTRY_POINTS)
     root = Path(__file__).resolve().parents[2]
     paths = [str(folder), str(root), str(root / "tests")]
@@ -196,18 +198,32 @@ def test_python_the_wire_and_the_view_know_them(
 ) -> None:
     command = [sys.executable, "-c", PROGRAM]
     done = subprocess.run(
-        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+        command,
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
-    assert (done.stdout.strip().splitlines()[-1:], done.returncode) == (["all well"], 0), (
-        done.stderr
-    )
+    assert (done.stdout.strip().splitlines()[-1:], done.returncode) == (
+        ["all well"],
+        0,
+    ), done.stderr
 
 
 MAP = "map demo --robot three_finger"
 LINES = (
     (f"{MAP} --preset follow --wrist-share 0.25", 0, "wrote"),
-    (f"{MAP} --preset follow --wrist-share 2", 2, "--wrist-share: expected a number in [0"),
-    (f"{MAP} --preset paper --wrist-share 0.25", 2, "the preset paper has no such option"),
+    (
+        f"{MAP} --preset follow --wrist-share 2",
+        2,
+        "--wrist-share: expected a number in [0",
+    ),
+    (
+        f"{MAP} --preset paper --wrist-share 0.25",
+        2,
+        "the preset paper has no such option",
+    ),
     (f"{MAP} --help", 0, "Share of the wrist's way."),
     ("convert demo::right demo.json", 0, "wrote demo.json"),
     ("map demo.json --robot three_finger --out out.npz", 0, "wrote out.npz"),
@@ -235,12 +251,19 @@ for line in json.loads(sys.argv[1]):
 """
 
 
-def test_the_command_line_knows_them(environment: dict[str, str], tmp_path: Path) -> None:
+def test_the_command_line_knows_them(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
     # One process for all: importing takes most of the time.
     lines = json.dumps([line for line, _, _ in LINES])
     command = [sys.executable, "-c", COMMANDS, lines]
     done = subprocess.run(
-        command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
+        command,
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == 0, done.stderr
     answers = map(json.loads, done.stdout.splitlines())
@@ -248,9 +271,13 @@ def test_the_command_line_knows_them(environment: dict[str, str], tmp_path: Path
         assert (found, text in page) == (code, True), (line, page)
 
 
-def test_one_that_cannot_be_used_is_named_in_one_line(environment: dict[str, str]) -> None:
+def test_one_that_cannot_be_used_is_named_in_one_line(
+    environment: dict[str, str],
+) -> None:
     program = "from handmap_qp import PRESETS; PRESETS['broken']"
     command = [sys.executable, "-c", program]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        command, env=environment, capture_output=True, text=True, check=False
+    )
     assert "PluginError" in done.stderr
     assert "added_method:BROKEN" in done.stderr

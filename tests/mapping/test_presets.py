@@ -17,7 +17,9 @@ from handmap_qp.mapping.methods.teleoperation import Teleoperation
 from handmap_qp.mapping.presets import PRESETS, possible_presets, preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 
-WRIST = affine(rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 1.0, -0.3]))
+WRIST = affine(
+    rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 1.0, -0.3])
+)
 
 
 @pytest.mark.slow
@@ -42,10 +44,15 @@ def test_a_choice_takes_options_of_its_preset_only() -> None:
     assert changed.preset == "teleoperation"
     assert (
         changed.method
-        == preset_choice("teleoperation", 0.017).with_changes({"pinch_weight": 2.0}).method
+        == preset_choice("teleoperation", 0.017)
+        .with_changes({"pinch_weight": 2.0})
+        .method
     )
     assert (changed.ik.damping, changed.ik.rest_weight) == (0.3, fingers.ik.rest_weight)
-    for choice, name in ((fingers, "rigid_from"), (preset_choice("paper"), "pinch_weight")):
+    for choice, name in (
+        (fingers, "rigid_from"),
+        (preset_choice("paper"), "pinch_weight"),
+    ):
         with pytest.raises(InvalidOptionsError, match="has no such option") as raised:
             choice.with_changes({name: 1.0})
         assert raised.value.option == name
@@ -61,7 +68,9 @@ def test_changes_lead_from_one_choice_to_another(first: str, second: str) -> Non
     end = preset_choice(second).with_changes({"rest_weight": 0.9})
     for choice in (start, end):
         if "scale" in choice.method.values:
-            assert choice.with_changes({"scale": 0.5}).changes_to(choice).keys() == {"scale"}
+            assert choice.with_changes({"scale": 0.5}).changes_to(choice).keys() == {
+                "scale"
+            }
     changes = start.changes_to(end)
     assert start.with_changes(changes) == end
     assert ("preset" in changes) == (first != second)
@@ -77,7 +86,9 @@ def test_stages_of_t_compose_and_carry_the_points(preset: str) -> None:
     mapper = HandMapper(human, robot, preset)
     mapper.map_step(human.rest, np.eye(4))
     step = mapper.map_step(np.minimum(human.rest + 0.3, human.upper_limits), WRIST)
-    np.testing.assert_allclose(step.motion_deformation @ step.motion_rigid, step.motion, atol=1e-9)
+    np.testing.assert_allclose(
+        step.motion_deformation @ step.motion_rigid, step.motion, atol=1e-9
+    )
     rotation = step.motion_rigid[:3, :3]
     np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
     used = step.human_points
@@ -126,14 +137,20 @@ def test_pairs_are_found_again_while_they_are_used_and_then_forgotten() -> None:
     assert isinstance(mapper.method, Teleoperation)
 
 
-def test_a_robot_far_from_its_matched_posture_has_the_extension_of_that_posture() -> None:
+def test_a_robot_far_from_its_matched_posture_has_the_extension_of_that_posture() -> (
+    None
+):
     pair = hand_pair(load_hand("human"), load_hand("allegro_right"))
     assert pair.robot_extension.shape == (len(pair.fingers),)
     names = [point.name for point in pair.robot.reference_points]
     tips = [names.index(f"{finger}_tip") for finger in pair.fingers]
     points = pair.robot.points(pair.matched)[tips]
-    knuckles = AttachedPoints(pair.robot, [pair.chains[f].knuckle for f in pair.fingers])
+    knuckles = AttachedPoints(
+        pair.robot, [pair.chains[f].knuckle for f in pair.fingers]
+    )
     placed = pair.robot.configuration()
     placed.place_frames(pair.robot.configuration_vector(pair.matched))
     distances = np.linalg.norm(points - knuckles.positions(placed), axis=1)
-    np.testing.assert_allclose(pair.robot_extension * pair.robot_reach, distances, atol=1e-12)
+    np.testing.assert_allclose(
+        pair.robot_extension * pair.robot_reach, distances, atol=1e-12
+    )

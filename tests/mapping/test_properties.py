@@ -13,7 +13,14 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from mapping_cases import little_pose, near_rest
-from strategies import affine_motions, generators, motion_of, poses, rotations, translations
+from strategies import (
+    affine_motions,
+    generators,
+    motion_of,
+    poses,
+    rotations,
+    translations,
+)
 
 from handmap_qp import HandMapper, IkOptions, load_hand
 from handmap_qp.se3 import transform_points
@@ -24,7 +31,10 @@ QUARTER = ((0.0, -1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 POINT = np.array([0.3, -0.2, 0.5])
 # Enough iterations to converge and no speed limits, for statements about the end of a motion.
 SETTLE = IkOptions(
-    max_iterations=100, step_tolerance=1e-10, error_damping=0.0, has_velocity_limits=False
+    max_iterations=100,
+    step_tolerance=1e-10,
+    error_damping=0.0,
+    has_velocity_limits=False,
 )
 
 rigid_froms = pytest.mark.parametrize("rigid_from", ["points", "wrist", "none"])
@@ -82,9 +92,14 @@ def test_moving_the_humans_world_carries_the_robot_along_or_not_at_all(
         if pivot == "point"
         else [None, None]
     )
-    here, there = (HandMapper(HUMAN, THREE, **choices, pivot_point=point) for point in points)
+    here, there = (
+        HandMapper(HUMAN, THREE, **choices, pivot_point=point) for point in points
+    )
     for q, wrist in samples(generator):
-        step_here, step_there = here.map_step(q, wrist), there.map_step(q, world @ wrist)
+        step_here, step_there = (
+            here.map_step(q, wrist),
+            there.map_step(q, world @ wrist),
+        )
         # Every iterate is the same, not only the end; 1e-8 leaves room for rounding, a metre from
         # the world's origin.
         np.testing.assert_allclose(step_there.command.q, step_here.command.q, atol=1e-8)
@@ -99,7 +114,11 @@ def test_moving_the_humans_world_carries_the_robot_along_or_not_at_all(
 @settings(max_examples=6)
 @given(world=poses, generator=generators)
 def test_with_palm_alignment_the_robots_world_may_lie_anywhere(
-    rigid_from: Any, pivot: Any, reference: Any, world: np.ndarray, generator: np.random.Generator
+    rigid_from: Any,
+    pivot: Any,
+    reference: Any,
+    world: np.ndarray,
+    generator: np.random.Generator,
 ) -> None:
     choices: dict[str, Any] = {
         "rigid_from": rigid_from,
@@ -153,7 +172,9 @@ def test_turning_the_robots_world_and_the_alignment_turns_the_robot(
 @rigid_froms
 @references
 @pytest.mark.parametrize("pivot", ["centroid", "palm", "point", "world"])
-@pytest.mark.parametrize("alignment", ["world", "palm", QUARTER], ids=["world", "palm", "rotation"])
+@pytest.mark.parametrize(
+    "alignment", ["world", "palm", QUARTER], ids=["world", "palm", "rotation"]
+)
 @settings(max_examples=3)
 @given(start=poses, robot_start=poses, generator=generators)
 def test_a_still_human_leaves_the_robot_where_it_is(
@@ -173,7 +194,9 @@ def test_a_still_human_leaves_the_robot_where_it_is(
         "residual_gain": 1.0,
     }
     point = tuple(POINT) if pivot == "point" else None
-    mapper = HandMapper(HUMAN, THREE, **choices, pivot_point=point, ik=IkOptions(rest_weight=0.0))
+    mapper = HandMapper(
+        HUMAN, THREE, **choices, pivot_point=point, ik=IkOptions(rest_weight=0.0)
+    )
     human_q = generator.uniform(HUMAN.lower_limits, HUMAN.upper_limits)
     robot_q = generator.uniform(THREE.lower_limits, THREE.upper_limits)
     mapper.reset(robot_q=robot_q, robot_wrist=robot_start)
@@ -214,9 +237,19 @@ def drift(reference: Any, rounds: int) -> list[float]:
         has_velocity_limits=False,
     )
     mapper = HandMapper(
-        human, THREE, rigid_from="points", pivot="centroid", ridge=0.1, reference=reference, ik=ik
+        human,
+        THREE,
+        rigid_from="points",
+        pivot="centroid",
+        ridge=0.1,
+        reference=reference,
+        ik=ik,
     )
-    home, room, errors = mapper.map_step(human.rest, np.eye(4)), human.upper_limits - human.rest, []
+    home, room, errors = (
+        mapper.map_step(human.rest, np.eye(4)),
+        human.upper_limits - human.rest,
+        [],
+    )
     for i in range(1, 50 * rounds + 1):
         sine, rise = np.sin(2.0 * np.pi * i / 50), 1.0 - np.cos(2.0 * np.pi * i / 50)
         q = human.rest + 0.125 * rise * room
@@ -227,11 +260,15 @@ def drift(reference: Any, rounds: int) -> list[float]:
         )
         step = mapper.map_step(q, wrist)
         if i % 50 == 0:
-            errors.append(float(np.linalg.norm(step.points - home.points, axis=1).max()))
+            errors.append(
+                float(np.linalg.norm(step.points - home.points, axis=1).max())
+            )
     return errors
 
 
-def test_with_the_previous_reference_a_closed_motion_drifts_by_as_much_every_round() -> None:
+def test_with_the_previous_reference_a_closed_motion_drifts_by_as_much_every_round() -> (
+    None
+):
     # T from sample to sample and T from the start are different fits; along a closed path the
     # difference adds up, 0.2 mm here.
     first, *rest = drift("previous", 4)
@@ -260,7 +297,8 @@ def test_a_released_robot_holds_still_and_restarts_from_there(
     mapper.release()
     for _ in range(3):
         step = mapper.map_step(
-            generator.uniform(HUMAN.lower_limits, HUMAN.upper_limits), little_pose(generator, 1.0)
+            generator.uniform(HUMAN.lower_limits, HUMAN.upper_limits),
+            little_pose(generator, 1.0),
         )
         np.testing.assert_array_equal(step.command.q, held.q)
         np.testing.assert_array_equal(step.command.wrist, held.wrist)
@@ -270,7 +308,9 @@ def test_a_released_robot_holds_still_and_restarts_from_there(
     for q, wrist in samples(generator):
         step, expected = mapper.map_step(q, wrist), fresh.map_step(q, wrist)
         np.testing.assert_allclose(step.command.q, expected.command.q, atol=1e-9)
-        np.testing.assert_allclose(step.command.wrist, expected.command.wrist, atol=1e-9)
+        np.testing.assert_allclose(
+            step.command.wrist, expected.command.wrist, atol=1e-9
+        )
 
 
 @given(motion=affine_motions(largest=2.0), generator=generators)

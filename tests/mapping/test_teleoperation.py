@@ -55,7 +55,9 @@ POINTING = posture(index=0.0, middle=1.0, ring=1.0, little=1.0)
 
 
 def settled(mapper: HandMapper, q: np.ndarray, wrist: np.ndarray | None = None) -> Any:
-    return [mapper.map_step(q, np.eye(4) if wrist is None else wrist) for _ in range(80)][-1]
+    return [
+        mapper.map_step(q, np.eye(4) if wrist is None else wrist) for _ in range(80)
+    ][-1]
 
 
 def flexions(robot: Hand, q: np.ndarray) -> dict[str, float]:
@@ -66,7 +68,9 @@ def flexions(robot: Hand, q: np.ndarray) -> dict[str, float]:
         chain = pair.chains[finger]
         configuration = robot.configuration()
         configuration.place_frames(robot.configuration_vector(q))
-        ends = AttachedPoints(robot, [chain.knuckle, chain.tip]).positions(configuration)
+        ends = AttachedPoints(robot, [chain.knuckle, chain.tip]).positions(
+            configuration
+        )
         shares[finger] = float(np.linalg.norm(ends[1] - ends[0])) / chain.reach
     return shares
 
@@ -79,10 +83,14 @@ def test_it_is_the_default_where_fingers_correspond() -> None:
     assert HandMapper(HUMAN, ALLEGRO).ik == IK
     tips = HUMAN.with_points("fingertips")
     assert default_preset(tips, ALLEGRO) == "object"
-    assert default_preset(tips, load_hand("allegro_right", mount="fixed")) == "fixed_wrist"
+    assert (
+        default_preset(tips, load_hand("allegro_right", mount="fixed")) == "fixed_wrist"
+    )
 
 
-@pytest.mark.parametrize("robot", ["allegro_right", *map(slow, ["allegro_left", "hey5", "human"])])
+@pytest.mark.parametrize(
+    "robot", ["allegro_right", *map(slow, ["allegro_left", "hey5", "human"])]
+)
 def test_a_pointing_index_points_and_a_fist_is_a_fist(robot: str) -> None:
     human = load_hand("human_left") if robot == "allegro_left" else HUMAN
     hand = load_hand(robot)
@@ -120,7 +128,9 @@ def test_joint_angles_and_landmarks_of_one_hand_give_the_same_targets() -> None:
         given = by_both.map_landmarks(landmarks, wrist)
         for step in (fitted, given):
             np.testing.assert_allclose(step.targets, expected.targets, atol=1e-9)
-            np.testing.assert_allclose(step.wrist_target, expected.wrist_target, atol=1e-9)
+            np.testing.assert_allclose(
+                step.wrist_target, expected.wrist_target, atol=1e-9
+            )
             np.testing.assert_allclose(step.command.q, expected.command.q, atol=1e-7)
 
 
@@ -131,9 +141,13 @@ def test_moving_the_humans_world_carries_the_wrist_and_leaves_the_joints() -> No
     for _ in range(8):
         q, wrist = near_rest(rng, 0.8, HUMAN), little_pose(rng, 0.3)
         one, other = here.map_step(q, wrist), there.map_step(q, moved @ wrist)
-        np.testing.assert_allclose(other.targets, transform_points(moved, one.targets), atol=1e-9)
+        np.testing.assert_allclose(
+            other.targets, transform_points(moved, one.targets), atol=1e-9
+        )
         np.testing.assert_allclose(other.command.q, one.command.q, atol=1e-6)
-        np.testing.assert_allclose(other.command.wrist, moved @ one.command.wrist, atol=1e-6)
+        np.testing.assert_allclose(
+            other.command.wrist, moved @ one.command.wrist, atol=1e-6
+        )
 
 
 def test_the_resting_human_asks_for_the_matched_posture() -> None:
@@ -188,9 +202,12 @@ def covered(robot: Hand, thickness: float) -> Hand:
 
 
 @pytest.mark.parametrize(
-    ("finger", "cover"), [("index", 0.0), ("middle", 0.0), ("ring", 0.0), ("index", 0.003)]
+    ("finger", "cover"),
+    [("index", 0.0), ("middle", 0.0), ("ring", 0.0), ("index", 0.003)],
 )
-def test_a_pinch_closes_and_an_open_hand_touches_nothing(finger: str, cover: float) -> None:
+def test_a_pinch_closes_and_an_open_hand_touches_nothing(
+    finger: str, cover: float
+) -> None:
     robot = covered(ALLEGRO, cover) if cover else ALLEGRO
     pair = hand_pair(HUMAN, HUMAN)
     ends = AttachedPoints(HUMAN, [pair.chains[THUMB].tip, pair.chains[finger].tip])
@@ -214,8 +231,13 @@ def test_a_pinch_closes_and_an_open_hand_touches_nothing(finger: str, cover: flo
     assert min(gap[0] for gap in apart.pinches.values()) > 0.01
     # An open hand keeps thumb and fingers farther apart than a pinch, and all other links alike.
     of_thumb = np.array(hand_pair(HUMAN, robot).contacts.fingers) == finger
-    assert opened.asked.margins[of_thumb].min() > closed.asked.margins[of_thumb].max() + 0.002
-    np.testing.assert_array_equal(opened.asked.margins == 0.001, closed.asked.margins == 0.001)
+    assert (
+        opened.asked.margins[of_thumb].min()
+        > closed.asked.margins[of_thumb].max() + 0.002
+    )
+    np.testing.assert_array_equal(
+        opened.asked.margins == 0.001, closed.asked.margins == 0.001
+    )
     assert apart.nearest[0] > 0.0
 
 
@@ -246,7 +268,9 @@ def test_limits_hold_and_links_stay_apart_on_a_violent_motion(name: str) -> None
         assert (command.q >= robot.lower_limits - 1e-12).all()
         assert (command.q <= robot.upper_limits + 1e-12).all()
         if last is not None:
-            assert (np.abs(command.q - last) <= robot.velocity_limits * 0.02 + 1e-12).all()
+            assert (
+                np.abs(command.q - last) <= robot.velocity_limits * 0.02 + 1e-12
+            ).all()
         last = command.q
         postures.append(command.q)
     assert (measure_gaps(robot, np.array(postures)).nearest > -0.002).mean() > 0.97
@@ -311,7 +335,9 @@ def test_a_missing_requirement_is_named() -> None:
     assert missing.value.argument == "wrist_pose"
     with pytest.raises(InvalidOptionsError, match="human_points: teleoperation needs"):
         HandMapper(HUMAN.with_points("fingertips"), ALLEGRO, "teleoperation")
-    with pytest.raises(InvalidOptionsError, match="expected one of teleoperation, paper, object"):
+    with pytest.raises(
+        InvalidOptionsError, match="expected one of teleoperation, paper, object"
+    ):
         HandMapper(HUMAN, ALLEGRO, "telepathy")
     contacts = HUMAN.with_points("contacts")
     with pytest.raises(InvalidOptionsError, match="cannot be read from landmarks"):
@@ -319,9 +345,13 @@ def test_a_missing_requirement_is_named() -> None:
 
 
 @pytest.mark.parametrize(
-    "landmarks", [np.zeros((20, 3)), np.full((21, 3), np.nan), "x", [["1"] * 3] * 21], ids=repr
+    "landmarks",
+    [np.zeros((20, 3)), np.full((21, 3), np.nan), "x", [["1"] * 3] * 21],
+    ids=repr,
 )
-def test_landmarks_that_cannot_be_used_are_named_and_change_nothing(landmarks: Any) -> None:
+def test_landmarks_that_cannot_be_used_are_named_and_change_nothing(
+    landmarks: Any,
+) -> None:
     mapper, untouched = HandMapper(HUMAN, ALLEGRO), HandMapper(HUMAN, ALLEGRO)
     good = LANDMARKS.points(HUMAN.rest)
     mapper.map_landmarks(good)
@@ -345,7 +375,9 @@ def test_landmarks_that_cannot_be_used_are_named_and_change_nothing(landmarks: A
     ],
     ids=str,
 )
-def test_choices_without_a_meaning_are_rejected_by_name(options: dict[str, Any], name: str) -> None:
+def test_choices_without_a_meaning_are_rejected_by_name(
+    options: dict[str, Any], name: str
+) -> None:
     with pytest.raises(InvalidOptionsError) as raised:
         Teleoperation(**options)
     assert raised.value.option == name
@@ -366,14 +398,20 @@ def test_scale_shortens_the_way_of_the_palm_and_keeps_its_turn() -> None:
     anchors = np.array([0.01, 0.09, 0.0]), np.array([0.0, 0.1, 0.01])
     points = human.points(human.rest)
     start = HumanPose(points, np.eye(4))
-    turned = affine(rotation_from_rpy(np.array([0.3, -0.2, 0.5])), np.array([0.2, 0.1, -0.3]))
+    turned = affine(
+        rotation_from_rpy(np.array([0.3, -0.2, 0.5])), np.array([0.2, 0.1, -0.3])
+    )
     posture = RobotPosture(robot.rest, robot.points(robot.rest), np.eye(4))
 
     def moved(scale: float) -> tuple[np.ndarray, np.ndarray]:
-        follower = PalmFollower(human, robot, start, posture, anchors[0], anchors[1], scale)
+        follower = PalmFollower(
+            human, robot, start, posture, anchors[0], anchors[1], scale
+        )
         before = follower.palms(start.wrist)[1]
         palm = follower.palms(turned)[1]
-        place, origin = (pose[:3, :3] @ anchors[1] + pose[:3, 3] for pose in (palm, before))
+        place, origin = (
+            pose[:3, :3] @ anchors[1] + pose[:3, 3] for pose in (palm, before)
+        )
         return place - origin, palm[:3, :3]
 
     (full, rotation), (half, same) = moved(1.0), moved(0.5)
@@ -386,7 +424,9 @@ def test_scale_shortens_the_way_of_the_palm_and_keeps_its_turn() -> None:
 def test_the_knuckles_of_both_hands_begin_in_one_place(name: str) -> None:
     robot = load_hand(name)
     mapper, pair = HandMapper(HUMAN, robot), hand_pair(HUMAN, robot)
-    wrist = affine(rotation_from_rpy(np.array([0.4, -0.3, 0.8])), np.array([0.3, 0.1, 1.0]))
+    wrist = affine(
+        rotation_from_rpy(np.array([0.4, -0.3, 0.8])), np.array([0.3, 0.1, 1.0])
+    )
     step = mapper.map_step(OPEN, wrist)
     palm = step.wrist_target @ robot.wrist_to_palm
     human_palm = wrist @ HUMAN.wrist_to_palm
@@ -416,7 +456,9 @@ def test_the_weight_of_the_thumbs_extension_counts_for_the_thumb_alone() -> None
     shares = []
     for weight in (0.0, 2.5, 10.0):
         choices = Teleoperation(thumb_extension_weight=weight, pinch_weight=0.0)
-        shares.append(flexions(ALLEGRO, settled(HandMapper(HUMAN, ALLEGRO, choices), q).command.q))
+        shares.append(
+            flexions(ALLEGRO, settled(HandMapper(HUMAN, ALLEGRO, choices), q).command.q)
+        )
     errors = [abs(share[THUMB] - asked) for share in shares]
     assert errors[0] > 1.5 * errors[1] > 2.0 * errors[2]
     for finger in FINGERS[:3]:

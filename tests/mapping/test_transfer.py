@@ -93,7 +93,11 @@ def image(motion: np.ndarray, point: np.ndarray) -> np.ndarray:
 @pivots
 @given(motion=affine_motions(), wrist=poses, start=poses)
 def test_the_parts_multiply_to_the_motion(
-    rigid_from: Any, pivot: Any, motion: np.ndarray, wrist: np.ndarray, start: np.ndarray
+    rigid_from: Any,
+    pivot: Any,
+    motion: np.ndarray,
+    wrist: np.ndarray,
+    start: np.ndarray,
 ) -> None:
     options = options_of(rigid_from=rigid_from, pivot=pivot, **OPEN)
     transfer = Transfer(options, motion, wrist, start)
@@ -110,15 +114,23 @@ def test_the_rigid_part_carries_the_pivot_and_the_deformation_leaves_it(
     options = options_of(pivot=pivot, **OPEN)
     transfer = Transfer(options, motion, None, start)
     moved = transfer.pivot_image
-    np.testing.assert_allclose(image(transfer.motion_rigid, transfer.human_pivot), moved, atol=1e-8)
-    np.testing.assert_allclose(image(transfer.motion_deformation, moved), moved, atol=1e-9)
+    np.testing.assert_allclose(
+        image(transfer.motion_rigid, transfer.human_pivot), moved, atol=1e-8
+    )
+    np.testing.assert_allclose(
+        image(transfer.motion_deformation, moved), moved, atol=1e-9
+    )
 
 
 @pivots
 @alignments
 @given(pose=poses, start=poses, robot_wrist=poses)
 def test_a_rigid_motion_deforms_nothing(
-    pivot: Any, alignment: Any, pose: np.ndarray, start: np.ndarray, robot_wrist: np.ndarray
+    pivot: Any,
+    alignment: Any,
+    pose: np.ndarray,
+    start: np.ndarray,
+    robot_wrist: np.ndarray,
 ) -> None:
     options = options_of(pivot=pivot, alignment=alignment)
     transfer = Transfer(options, pose, None, start, robot_wrist)
@@ -152,30 +164,48 @@ def test_a_mirrored_motion_never_yields_a_reflection(
     assert transfer.is_clamped
     assert transfer.stretches[2] < 0.0
     for proper in (transfer.motion_rigid, transfer.targets.wrist):
-        np.testing.assert_allclose(proper[:3, :3] @ proper[:3, :3].T, np.eye(3), atol=1e-12)
+        np.testing.assert_allclose(
+            proper[:3, :3] @ proper[:3, :3].T, np.eye(3), atol=1e-12
+        )
         assert np.linalg.det(proper[:3, :3]) > 0.0
     # The mirrored direction is clamped to 0.2, the smallest stretch that is imposed.
-    assert np.linalg.det(transfer.motion_deformation[:3, :3]) >= options.stretch_min**3 - 1e-12
+    assert (
+        np.linalg.det(transfer.motion_deformation[:3, :3])
+        >= options.stretch_min**3 - 1e-12
+    )
 
 
 @given(
-    points=generators.map(lambda generator: generator.normal(scale=0.05, size=(10, 3))), wrist=poses
+    points=generators.map(lambda generator: generator.normal(scale=0.05, size=(10, 3))),
+    wrist=poses,
 )
 def test_mirrored_points_never_turn_the_robots_wrist_inside_out(
     points: np.ndarray, wrist: np.ndarray
 ) -> None:
     mirrored = HUMAN.points(HUMAN.rest, wrist) + points
-    transfer = Transfer(options_of(ridge=0.1), mirrored * (-1.0, 1.0, 1.0), None, wrist, wrist)
-    assert np.linalg.det(transfer.targets.wrist[:3, :3]) == pytest.approx(1.0, abs=1e-12)
+    transfer = Transfer(
+        options_of(ridge=0.1), mirrored * (-1.0, 1.0, 1.0), None, wrist, wrist
+    )
+    assert np.linalg.det(transfer.targets.wrist[:3, :3]) == pytest.approx(
+        1.0, abs=1e-12
+    )
     assert np.linalg.det(transfer.motion_deformation[:3, :3]) > 0.0
 
 
-@given(motion=affine_motions(largest=8.0), low=st.floats(0.2, 1.0), high=st.floats(1.0, 4.0))
-def test_stretches_are_clamped_to_their_range(motion: np.ndarray, low: float, high: float) -> None:
+@given(
+    motion=affine_motions(largest=8.0),
+    low=st.floats(0.2, 1.0),
+    high=st.floats(1.0, 4.0),
+)
+def test_stretches_are_clamped_to_their_range(
+    motion: np.ndarray, low: float, high: float
+) -> None:
     options = options_of(stretch_min=low, stretch_max=high)
     transfer = Transfer(options, motion)
     passed = np.linalg.svd(transfer.motion_deformation[:3, :3], compute_uv=False)
-    np.testing.assert_allclose(passed, np.clip(transfer.stretches, low, high), atol=1e-9)
+    np.testing.assert_allclose(
+        passed, np.clip(transfer.stretches, low, high), atol=1e-9
+    )
     np.testing.assert_allclose(
         transfer.stretches, np.linalg.svd(motion[:3, :3], compute_uv=False), atol=1e-9
     )
@@ -185,12 +215,18 @@ def test_stretches_are_clamped_to_their_range(motion: np.ndarray, low: float, hi
 
 
 @given(motion=affine_motions())
-def test_half_the_deformation_gain_is_the_root_of_the_stretch(motion: np.ndarray) -> None:
+def test_half_the_deformation_gain_is_the_root_of_the_stretch(
+    motion: np.ndarray,
+) -> None:
     def deformation(gain: float) -> np.ndarray:
-        options = options_of(deformation_gain=gain, stretch_min=0.01, stretch_max=np.inf)
+        options = options_of(
+            deformation_gain=gain, stretch_min=0.01, stretch_max=np.inf
+        )
         return Transfer(options, motion).motion_deformation
 
-    np.testing.assert_allclose(deformation(0.5) @ deformation(0.5), deformation(1.0), atol=1e-10)
+    np.testing.assert_allclose(
+        deformation(0.5) @ deformation(0.5), deformation(1.0), atol=1e-10
+    )
     np.testing.assert_allclose(deformation(0.0), np.eye(4), atol=1e-12)
 
 
@@ -206,14 +242,21 @@ def test_the_robots_points_see_the_motion_in_their_own_axes(
     arms = transfer.targets.points - transfer.targets.points.mean(axis=0)
     offsets = transfer.placed
     linear = np.linalg.lstsq(offsets - offsets.mean(axis=0), arms, rcond=None)[0].T
-    np.testing.assert_allclose(np.linalg.svd(linear)[1], np.abs(transfer.stretches), atol=1e-8)
+    np.testing.assert_allclose(
+        np.linalg.svd(linear)[1], np.abs(transfer.stretches), atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("residual_gain", [0.0, 1.0])
 @rigid_froms
 @pivots
 @settings(max_examples=15)
-@given(generator=generators, wrist=poses, start=poses, unit=st.sampled_from([1e-3, 39.37, 1000.0]))
+@given(
+    generator=generators,
+    wrist=poses,
+    start=poses,
+    unit=st.sampled_from([1e-3, 39.37, 1000.0]),
+)
 def test_other_units_of_length_scale_lengths_and_nothing_else(
     residual_gain: float,
     rigid_from: Any,
@@ -235,8 +278,12 @@ def test_other_units_of_length_scale_lengths_and_nothing_else(
     here = Transfer(options, now, wrist, start)
     there = Transfer(options, unit * now, in_unit(wrist, unit), start, unit=unit)
     one, two = here.targets, there.targets
-    np.testing.assert_allclose(two.points, unit * one.points, rtol=1e-9, atol=1e-9 * unit)
-    np.testing.assert_allclose(two.wrist, in_unit(one.wrist, unit), rtol=1e-9, atol=1e-9 * unit)
+    np.testing.assert_allclose(
+        two.points, unit * one.points, rtol=1e-9, atol=1e-9 * unit
+    )
+    np.testing.assert_allclose(
+        two.wrist, in_unit(one.wrist, unit), rtol=1e-9, atol=1e-9 * unit
+    )
     np.testing.assert_allclose(there.stretches, here.stretches, atol=1e-9)
 
 

@@ -35,9 +35,13 @@ def test_points_in_a_plane_or_on_a_line_have_an_ellipse_or_a_segment() -> None:
     centre, axes, semi_axes = enclosing_ellipsoid(triangle)
     np.testing.assert_allclose(centre, [0.0, 0.0, 2.0], atol=1e-9)
     # Steiner's circumscribed ellipse: semi-axes of an affine image of the equilateral triangle.
-    np.testing.assert_allclose(semi_axes, [1.0, 0.8 / np.sin(np.pi / 3), 0.0], atol=1e-7)
+    np.testing.assert_allclose(
+        semi_axes, [1.0, 0.8 / np.sin(np.pi / 3), 0.0], atol=1e-7
+    )
     np.testing.assert_allclose(np.abs(axes[:, 2]), [0.0, 0.0, 1.0], atol=1e-9)
-    centre, _, semi_axes = enclosing_ellipsoid(np.array([[0.0, 0.0, 0.0], [0.0, 0.2, 0.0]]))
+    centre, _, semi_axes = enclosing_ellipsoid(
+        np.array([[0.0, 0.0, 0.0], [0.0, 0.2, 0.0]])
+    )
     np.testing.assert_allclose(centre, [0.0, 0.1, 0.0], atol=1e-9)
     np.testing.assert_allclose(semi_axes, [0.1, 0.0, 0.0], atol=1e-9)
     assert enclosing_ellipsoid(np.zeros((3, 3)))[2].max() == 0.0
@@ -47,7 +51,11 @@ def test_a_motion_along_the_axes_is_recovered_exactly_without_a_ridge() -> None:
     rng = np.random.default_rng(1)
     points = rng.normal(size=(6, 3)) * [0.05, 0.03, 0.02]
     ellipsoid = Ellipsoid(points)
-    turn, ratios, shift = rotation_of(0.4, -0.7, 0.2), np.array([0.6, 1.2, 0.9]), rng.normal(size=3)
+    turn, ratios, shift = (
+        rotation_of(0.4, -0.7, 0.2),
+        np.array([0.6, 1.2, 0.9]),
+        rng.normal(size=3),
+    )
     linear = turn @ ellipsoid.axes @ np.diag(ratios) @ ellipsoid.axes.T
     after = (points - ellipsoid.centre) @ linear.T + ellipsoid.centre + shift
     motion = ellipsoid.motion_to(after)
@@ -93,10 +101,16 @@ def test_small_displacements_move_it_as_its_matrix_says() -> None:
     np.testing.assert_allclose(np.sum(along, axis=0), sphere[:, 6], atol=1e-15)
     inverse = np.linalg.pinv(np.column_stack([sphere[:, :6], *along]))
     way, tiny = rng.normal(size=points.shape), 1e-5
-    ahead, behind = (ellipsoid.motion_to(points + sign * tiny * way) for sign in (1, -1))
+    ahead, behind = (
+        ellipsoid.motion_to(points + sign * tiny * way) for sign in (1, -1)
+    )
     rates = inverse @ way.ravel()
-    np.testing.assert_allclose((ahead.ratios - behind.ratios) / (2 * tiny), rates[6:], rtol=1e-3)
-    np.testing.assert_allclose((ahead.shift - behind.shift) / (2 * tiny), rates[:3], atol=1e-3)
+    np.testing.assert_allclose(
+        (ahead.ratios - behind.ratios) / (2 * tiny), rates[6:], rtol=1e-3
+    )
+    np.testing.assert_allclose(
+        (ahead.shift - behind.shift) / (2 * tiny), rates[:3], atol=1e-3
+    )
 
 
 def test_a_flat_robot_follows_too() -> None:

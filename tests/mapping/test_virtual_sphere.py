@@ -38,12 +38,17 @@ def velocity_map(
     human: tuple[Any, Any, Any], robot: tuple[Any, Any, Any], ratio: float
 ) -> np.ndarray:
     """`J_r^+ A_r S_c A_h^+ J_h`; each hand is its points, Jacobian and centre."""
-    (human_points, human_jacobian, human_centre), (robot_points, robot_jacobian, robot_centre) = (
-        tuple(map(np.asarray, hand)) for hand in (human, robot)
-    )
+    (
+        (human_points, human_jacobian, human_centre),
+        (robot_points, robot_jacobian, robot_centre),
+    ) = (tuple(map(np.asarray, hand)) for hand in (human, robot))
     sphere = np.linalg.pinv(sphere_matrix(human_points, human_centre)) @ human_jacobian
     scaled = np.diag([ratio] * 3 + [1.0] * 4) @ sphere
-    return np.linalg.pinv(robot_jacobian) @ sphere_matrix(robot_points, robot_centre) @ scaled
+    return (
+        np.linalg.pinv(robot_jacobian)
+        @ sphere_matrix(robot_points, robot_centre)
+        @ scaled
+    )
 
 
 # -- the published numbers
@@ -68,7 +73,9 @@ def test_the_map_of_joint_velocities_is_the_published_one(published: Arrays) -> 
     human, robot = published["human"], published["robot"]
     ratio = robot["sphere_radius"] / human["sphere_radius"]
     np.testing.assert_allclose(ratio, robot["k"], rtol=1e-12)
-    np.testing.assert_allclose(np.diag([ratio] * 3 + [1.0] * 4), robot["Sc"], rtol=1e-12)
+    np.testing.assert_allclose(
+        np.diag([ratio] * 3 + [1.0] * 4), robot["Sc"], rtol=1e-12
+    )
     directions = load_synergies().matrix
     led = (human["fingertips"], human["J"], human["sphere_center"])
     for jacobian, expected in (("J", "S_r"), ("J_true", "S_r_with_true_J")):
@@ -78,7 +85,9 @@ def test_the_map_of_joint_velocities_is_the_published_one(published: Arrays) -> 
 
 
 @pytest.mark.parametrize("run", range(3))
-def test_runs_along_a_synergy_are_the_published_ones(run: int, published: Arrays) -> None:
+def test_runs_along_a_synergy_are_the_published_ones(
+    run: int, published: Arrays
+) -> None:
     human, robot = published["human"], published["robot"]
     given, ratio = robot["runs"][run], robot["k"]
     directions = load_synergies().matrix
@@ -93,12 +102,18 @@ def test_runs_along_a_synergy_are_the_published_ones(run: int, published: Arrays
         np.testing.assert_allclose(centres[1], given["center_robot"][i], atol=1e-8)
         points = 1e3 * HUMAN.points(q), 1e3 * THREE.points(posture)
         mapped = velocity_map(
-            (points[0], human["J"], centres[0]), (points[1], robot["J"], centres[1]), ratio
+            (points[0], human["J"], centres[0]),
+            (points[1], robot["J"], centres[1]),
+            ratio,
         )
         moved.append(np.abs(1e3 * HUMAN.point_jacobian(q) - human["J"]).max())
-        sphere = np.linalg.pinv(sphere_matrix(points[0], centres[0])) @ human["J"] @ velocity
+        sphere = (
+            np.linalg.pinv(sphere_matrix(points[0], centres[0])) @ human["J"] @ velocity
+        )
         turning = mapped @ velocity
-        achieved = np.linalg.pinv(sphere_matrix(points[1], centres[1])) @ robot["J"] @ turning
+        achieved = (
+            np.linalg.pinv(sphere_matrix(points[1], centres[1])) @ robot["J"] @ turning
+        )
         q, posture = q + given["dt"] * velocity, posture + given["dt"] * turning
         centres = (
             centres[0] + given["dt"] * sphere[:3],
@@ -108,22 +123,36 @@ def test_runs_along_a_synergy_are_the_published_ones(run: int, published: Arrays
     np.testing.assert_allclose(moved[1:], given["J_stale_error_mm_per_rad"], atol=1e-8)
 
 
-def test_small_displacements_move_the_sphere_as_the_published_pseudoinverse_does() -> None:
+def test_small_displacements_move_the_sphere_as_the_published_pseudoinverse_does() -> (
+    None
+):
     rng = np.random.default_rng(0)
     points = HUMAN.points(HUMAN.rest)
     sphere = Sphere(points)
     inverse = np.linalg.pinv(sphere_matrix(points, sphere.centre))
     for _ in range(5):
         way, tiny = rng.normal(size=points.shape), 1e-6
-        ahead, behind = (sphere.motion_to(points + sign * tiny * way) for sign in (1, -1))
+        ahead, behind = (
+            sphere.motion_to(points + sign * tiny * way) for sign in (1, -1)
+        )
         shift, angles, growth = np.split(inverse @ way.ravel(), [3, 6])
-        np.testing.assert_allclose((ahead.shift - behind.shift) / (2 * tiny), shift, atol=1e-5)
-        np.testing.assert_allclose((ahead.ratios - behind.ratios) / (2 * tiny), growth, atol=1e-4)
+        np.testing.assert_allclose(
+            (ahead.shift - behind.shift) / (2 * tiny), shift, atol=1e-5
+        )
+        np.testing.assert_allclose(
+            (ahead.ratios - behind.ratios) / (2 * tiny), growth, atol=1e-4
+        )
         spin = np.array(
-            [[growth[0], -angles[2], angles[1]], [0, growth[0], -angles[0]], [0, 0, growth[0]]]
+            [
+                [growth[0], -angles[2], angles[1]],
+                [0, growth[0], -angles[0]],
+                [0, 0, growth[0]],
+            ]
         )
         spin[[1, 2, 2], [0, 0, 1]] = angles[2], -angles[1], angles[0]
-        np.testing.assert_allclose((ahead.linear - behind.linear) / (2 * tiny), spin, atol=1e-4)
+        np.testing.assert_allclose(
+            (ahead.linear - behind.linear) / (2 * tiny), spin, atol=1e-4
+        )
 
 
 # -- the smallest ball
@@ -142,7 +171,9 @@ def test_the_ball_encloses_all_points_and_none_is_smaller(count: int) -> None:
         surface = offsets[distances >= radius * (1.0 - 1e-7)]
         rows = np.vstack([surface.T, np.full(len(surface), max(radius, 1.0))])
         shares = nonnegative_solution(rows, np.array([0.0, 0.0, 0.0, max(radius, 1.0)]))
-        np.testing.assert_allclose(rows @ shares, [0, 0, 0, max(radius, 1.0)], atol=1e-6)
+        np.testing.assert_allclose(
+            rows @ shares, [0, 0, 0, max(radius, 1.0)], atol=1e-6
+        )
 
 
 def nonnegative_solution(rows: np.ndarray, wanted: np.ndarray) -> np.ndarray:
@@ -174,13 +205,24 @@ def test_a_similarity_of_the_fingertips_reaches_the_robot_exactly(robot: Any) ->
     first = mapper.map_points(points, pose)
     human_centre, human_radius = enclosing_ball(points)
     robot_centre, robot_radius = enclosing_ball(first.targets)
-    turn, ratio, shift = rotation_of(0.2, -0.3, 0.1), 0.8, np.array([0.004, -0.006, 0.01])
-    step = mapper.map_points(ratio * (points - human_centre) @ turn.T + human_centre + shift, pose)
-    palms = HUMAN.wrist_to_palm[:3, :3], (first.wrist_target @ robot.wrist_to_palm)[:3, :3]
+    turn, ratio, shift = (
+        rotation_of(0.2, -0.3, 0.1),
+        0.8,
+        np.array([0.004, -0.006, 0.01]),
+    )
+    step = mapper.map_points(
+        ratio * (points - human_centre) @ turn.T + human_centre + shift, pose
+    )
+    palms = (
+        HUMAN.wrist_to_palm[:3, :3],
+        (first.wrist_target @ robot.wrist_to_palm)[:3, :3],
+    )
     # Both palms coincide at the reference, so that palm axes are the same axes.
     np.testing.assert_allclose(*palms, atol=1e-9)
     scale = robot_radius / human_radius
-    expected = ratio * (first.targets - robot_centre) @ turn.T + robot_centre + scale * shift
+    expected = (
+        ratio * (first.targets - robot_centre) @ turn.T + robot_centre + scale * shift
+    )
     np.testing.assert_allclose(step.targets, expected, atol=1e-9)
     np.testing.assert_allclose(step.diagnostics["ratios"], [ratio], rtol=1e-9)
     np.testing.assert_allclose(step.diagnostics["size_ratio"], scale, rtol=1e-9)
@@ -220,7 +262,9 @@ def test_the_wrist_carries_the_object_along(method: Any) -> None:
     first = mapper.map_step(HUMAN.rest, np.eye(4))
     moved = little_pose(np.random.default_rng(5), 0.5)
     step = mapper.map_step(HUMAN.rest, moved)
-    np.testing.assert_allclose(step.targets, transform_points(moved, first.targets), atol=1e-9)
+    np.testing.assert_allclose(
+        step.targets, transform_points(moved, first.targets), atol=1e-9
+    )
     np.testing.assert_allclose(step.wrist_target, moved @ first.wrist_target, atol=1e-9)
 
 

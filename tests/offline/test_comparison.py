@@ -81,7 +81,9 @@ def test_take_holds_what_was_not_seen(take: Take) -> None:
     np.testing.assert_array_equal(held_samples(take.recording.valid), index)
     np.testing.assert_array_equal(take.wrist[40:43], take.wrist[[39, 39, 39]])
     assert np.isfinite(take.trace.points).all()
-    np.testing.assert_array_equal(held_samples(np.array([False, True, False])), [1, 1, 1])
+    np.testing.assert_array_equal(
+        held_samples(np.array([False, True, False])), [1, 1, 1]
+    )
 
 
 def test_mirrored_take_is_that_of_the_other_hand(take: Take, tmp_path: Path) -> None:
@@ -116,7 +118,9 @@ def test_own_methods_get_the_palm_of_the_take(take: Take, robot: Hand) -> None:
     assert wrists[1] is not None
     np.testing.assert_array_equal(wrists[0][:30], wrists[1][:30])
     between = wrists[0][-1, :3, :3].T @ wrists[1][-1, :3, :3]
-    assert np.degrees(Rotation.from_matrix(between).magnitude()) == pytest.approx(11.5, abs=1.0)
+    assert np.degrees(Rotation.from_matrix(between).magnitude()) == pytest.approx(
+        11.5, abs=1.0
+    )
 
 
 def test_recording_without_samples_that_count_is_rejected(tmp_path: Path) -> None:
@@ -128,7 +132,9 @@ def test_recording_without_samples_that_count_is_rejected(tmp_path: Path) -> Non
         recording.valid[:10],
         recording.side,
     )
-    with pytest.raises(InvalidInputError, match="short: expected valid samples after the first"):
+    with pytest.raises(
+        InvalidInputError, match="short: expected valid samples after the first"
+    ):
         prepare_take(short)
 
 
@@ -164,7 +170,9 @@ def test_method_that_fails_says_so(take: Take, robot: Hand) -> None:
 
 
 @pytest.mark.slow
-def test_failures_on_some_recordings_are_named(take: Take, robot: Hand, tmp_path: Path) -> None:
+def test_failures_on_some_recordings_are_named(
+    take: Take, robot: Hand, tmp_path: Path
+) -> None:
     other = take_of(tmp_path, "other")
     result = compare_methods([take, other], robot, [FAILING])
     assert result.notes() == [
@@ -174,9 +182,13 @@ def test_failures_on_some_recordings_are_named(take: Take, robot: Hand, tmp_path
 
 
 @pytest.mark.slow
-def test_overall_is_the_mean_over_recordings(take: Take, robot: Hand, tmp_path: Path) -> None:
+def test_overall_is_the_mean_over_recordings(
+    take: Take, robot: Hand, tmp_path: Path
+) -> None:
     file = write_closing(tmp_path, "longer", seconds=1.8)
-    result = compare_methods([take, prepare_take(read_recording(file))], robot, [still()])
+    result = compare_methods(
+        [take, prepare_take(read_recording(file))], robot, [still()]
+    )
     values = [run.values["tip_error_mm"] for run in result.of_method("still")]
     assert values[0] != values[1]
     assert result.overall("still")["tip_error_mm"] == pytest.approx(np.mean(values))
@@ -197,9 +209,13 @@ def test_bad_comparisons_are_rejected(take: Take, robot: Hand, tmp_path: Path) -
 
 
 def test_robot_without_named_fingers_is_rejected(take: Take, robot: Hand) -> None:
-    points = tuple(msgspec.structs.replace(point, finger=None) for point in robot.spec.points)
+    points = tuple(
+        msgspec.structs.replace(point, finger=None) for point in robot.spec.points
+    )
     nameless = Hand(msgspec.structs.replace(robot.spec, points=points))
-    with pytest.raises(InvalidInputError, match="no finger with a human name") as caught:
+    with pytest.raises(
+        InvalidInputError, match="no finger with a human name"
+    ) as caught:
         compare_methods([take], nameless, [still()])
     assert caught.value.argument == "robot"
 
@@ -215,7 +231,8 @@ def test_own_methods_are_presets_and_methods_by_name() -> None:
 
 def test_filter_smooths_and_lags(take: Take, robot: Hand) -> None:
     raw, smooth = (
-        own_method(name).map_take(take, robot) for name in ("teleoperation", "teleoperation+smooth")
+        own_method(name).map_take(take, robot)
+        for name in ("teleoperation", "teleoperation+smooth")
     )
     assert not np.allclose(raw.q, smooth.q, atol=1e-3)
     np.testing.assert_allclose(raw.q[-1], smooth.q[-1], atol=0.3)
@@ -241,7 +258,9 @@ else:
 """
 
 
-def test_outside_program_is_asked_and_run(take: Take, robot: Hand, tmp_path: Path) -> None:
+def test_outside_program_is_asked_and_run(
+    take: Take, robot: Hand, tmp_path: Path
+) -> None:
     (tmp_path / "compare.py").write_text(PROGRAM, encoding="utf-8")
     assert len(robot.joint_names) == 8
     theirs, broken = outside_methods(tmp_path, "three_finger")
@@ -284,9 +303,13 @@ def test_peers_run(take: Take, monkeypatch: pytest.MonkeyPatch) -> None:
     from peers import build
 
     if missing := build.missing_peers():
-        pytest.skip(f"{', '.join(missing)} not built in {build.peers_folder()}: make peers")
+        pytest.skip(
+            f"{', '.join(missing)} not built in {build.peers_folder()}: make peers"
+        )
     robot = load_hand("allegro_right")
-    methods = {method.name: method for method in outside_methods(PEERS, "allegro_right")}
+    methods = {
+        method.name: method for method in outside_methods(PEERS, "allegro_right")
+    }
     assert {"dex-vector", "dexi-dexpilot"} <= methods.keys()
     chosen = [methods["dexi-vector-unfiltered"], methods["dexi-position"]]
     result = compare_methods([take], robot, chosen)

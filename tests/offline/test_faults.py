@@ -55,7 +55,8 @@ def speeds(trajectory: Trajectory, period: float) -> tuple[float, float, float]:
     # However long a hold lasted, the next command comes one period after the one before.
     dt = np.clip(np.diff(trajectory.time[start:]), 0.5 * period, 3.0 * period)
     turns = [
-        np.linalg.norm(pin.log3(wrist[i, :3, :3].T @ wrist[i + 1, :3, :3])) for i in range(len(dt))
+        np.linalg.norm(pin.log3(wrist[i, :3, :3].T @ wrist[i + 1, :3, :3]))
+        for i in range(len(dt))
     ]
     travel = np.linalg.norm(np.diff(wrist[:, :3, 3], axis=0), axis=1)
     return (
@@ -91,7 +92,9 @@ def test_a_recording_without_a_sample_that_makes_sense_is_an_error_that_says_why
     stage: Stage,
 ) -> None:
     zeros = list(inject(stage.samples[:20], parse_faults("zero@0+9")))
-    with pytest.raises(InvalidInputError, match="none of 20; in 20, landmarks lie in one place"):
+    with pytest.raises(
+        InvalidInputError, match="none of 20; in 20, landmarks lie in one place"
+    ):
         stage.run(zeros)
 
 
@@ -100,7 +103,11 @@ def test_holds_are_events_with_name_time_and_duration(stage: Stage) -> None:
     faults = parse_faults("zero@1+0.2,dropout@2.5+0.3")
     holds = find_holds(stage.run(list(inject(stage.samples, faults))))
     assert [hold["rule"] for hold in holds] == ["zero", "missing"]
-    np.testing.assert_allclose([hold["start"] for hold in holds], [1.0, 2.5], atol=stage.period)
+    np.testing.assert_allclose(
+        [hold["start"] for hold in holds], [1.0, 2.5], atol=stage.period
+    )
     # The settling time is part of a hold.
-    np.testing.assert_allclose([hold["duration"] for hold in holds], [0.3, 0.4], atol=0.05)
+    np.testing.assert_allclose(
+        [hold["duration"] for hold in holds], [0.3, 0.4], atol=0.05
+    )
     assert all(hold["samples"] > 10 for hold in holds)

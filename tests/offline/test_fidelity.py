@@ -22,7 +22,13 @@ from handmap_qp.apps.offline.fidelity import (
     sample_workspace,
     workspace_share,
 )
-from handmap_qp.apps.offline.hand_trace import KNUCKLE, TIP, HandTrace, trace_human, trace_robot
+from handmap_qp.apps.offline.hand_trace import (
+    KNUCKLE,
+    TIP,
+    HandTrace,
+    trace_human,
+    trace_robot,
+)
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps, measure_gaps
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import find_fingers
@@ -44,7 +50,9 @@ def allegro() -> Hand:
     return load_hand("allegro_right")
 
 
-def wave(hand: Hand, count: int = 300, amount: float = 0.3, lag: float = 0.0) -> np.ndarray:
+def wave(
+    hand: Hand, count: int = 300, amount: float = 0.3, lag: float = 0.0
+) -> np.ndarray:
     """Return joint angles that oscillate about mid-range, each at its own frequency."""
     middle = 0.5 * (hand.lower_limits + hand.upper_limits)
     half = 0.5 * (hand.upper_limits - hand.lower_limits)
@@ -85,7 +93,11 @@ def scaled(trace: HandTrace, factor: float) -> HandTrace:
     palm = trace.palm.copy()
     palm[:, :3, 3] *= factor
     return HandTrace(
-        trace.names, factor * trace.points, factor * trace.reach, palm, factor * trace.size
+        trace.names,
+        factor * trace.points,
+        factor * trace.reach,
+        palm,
+        factor * trace.size,
     )
 
 
@@ -142,14 +154,18 @@ def test_a_larger_hand_that_does_the_same_is_perfect_too(trace: HandTrace) -> No
         assert result[key] == pytest.approx(0.0, abs=1e-5), key
 
 
-def test_tips_from_the_knuckles_do_not_depend_on_the_palms_origin(trace: HandTrace) -> None:
+def test_tips_from_the_knuckles_do_not_depend_on_the_palms_origin(
+    trace: HandTrace,
+) -> None:
     shift = np.eye(4)
     shift[:3, 3] = [0.01, -0.03, 0.02]
     result = assess(trace, trace._replace(palm=trace.palm @ shift))
     assert result["tip_error_mm"] > 30.0
     assert result["tip_error_knuckles_mm"] == pytest.approx(0.0, abs=1e-9)
     # One finger of five is displaced by 5 mm, so only that finger has an error, of 5 mm.
-    aside = changed(trace, "ring", tip_of(trace, "ring") + np.array([0.003, 0.0, -0.004]))
+    aside = changed(
+        trace, "ring", tip_of(trace, "ring") + np.array([0.003, 0.0, -0.004])
+    )
     found = assess_fidelity(trace, aside, times(trace))
     assert found.fingers["ring"]["tip_error_knuckles_mm"] == pytest.approx(5.0)
     assert found.values["tip_error_knuckles_mm"] == pytest.approx(1.0)
@@ -157,9 +173,14 @@ def test_tips_from_the_knuckles_do_not_depend_on_the_palms_origin(trace: HandTra
 
 def test_tips_from_the_knuckles_are_scaled_by_reach(trace: HandTrace) -> None:
     points = trace.points.copy()
-    points[:, :, TIP] = points[:, :, KNUCKLE] + 1.5 * (points[:, :, TIP] - points[:, :, KNUCKLE])
+    points[:, :, TIP] = points[:, :, KNUCKLE] + 1.5 * (
+        points[:, :, TIP] - points[:, :, KNUCKLE]
+    )
     longer = trace._replace(points=points)
-    alike, other = assess(trace, longer._replace(reach=1.5 * trace.reach)), assess(trace, longer)
+    alike, other = (
+        assess(trace, longer._replace(reach=1.5 * trace.reach)),
+        assess(trace, longer),
+    )
     # The knuckles keep their distances, so that some error remains.
     assert alike["tip_error_knuckles_mm"] < 0.6 * other["tip_error_knuckles_mm"]
 
@@ -178,13 +199,17 @@ def test_a_still_hand_follows_nothing(trace: HandTrace) -> None:
     assert np.isnan(result["latency_ms"])
 
 
-def test_the_first_half_second_and_samples_without_a_hand_do_not_count(trace: HandTrace) -> None:
+def test_the_first_half_second_and_samples_without_a_hand_do_not_count(
+    trace: HandTrace,
+) -> None:
     valid = np.ones(len(trace.palm), dtype=bool)
     valid[100:120] = False
     counts = valid & (times(trace) > 0.495)
     points = np.where(counts[:, None, None, None], trace.points, 1.0)
     wrong = trace._replace(points=points)
-    assert assess(trace, wrong, valid=valid)["tip_error_mm"] == pytest.approx(0.0, abs=1e-9)
+    assert assess(trace, wrong, valid=valid)["tip_error_mm"] == pytest.approx(
+        0.0, abs=1e-9
+    )
     assert assess(trace, wrong)["tip_error_mm"] > 1.0
 
 
@@ -207,7 +232,9 @@ def test_a_turned_finger_gives_its_angle() -> None:
     assert angles_between(a, 2.0 * b) == pytest.approx(np.degrees(0.3))
 
 
-def test_a_turned_object_gives_its_angle_and_a_moved_one_its_distance(trace: HandTrace) -> None:
+def test_a_turned_object_gives_its_angle_and_a_moved_one_its_distance(
+    trace: HandTrace,
+) -> None:
     # After the common reference, all points are rotated about a fixed point and translated.
     motion = np.eye(4)
     motion[:3, :3] = Rotation.from_rotvec([0.15, 0.0, 0.0]).as_matrix()
@@ -218,7 +245,9 @@ def test_a_turned_object_gives_its_angle_and_a_moved_one_its_distance(trace: Han
     points[0] = first.points[0]
     found = object_metrics(first, first._replace(points=points))
     share = 39 / 40
-    assert found["object_rotation_deg"] == pytest.approx(share * np.degrees(0.15), rel=1e-6)
+    assert found["object_rotation_deg"] == pytest.approx(
+        share * np.degrees(0.15), rel=1e-6
+    )
     assert found["object_translation_mm"] == pytest.approx(share * 12.0, rel=1e-6)
     assert found["object_stretch"] == pytest.approx(0.0, abs=1e-6)
 
@@ -230,7 +259,9 @@ def test_a_shifted_signal_gives_its_lag(human: Hand, lag: float) -> None:
     assert latency(one, other, times(one)) == pytest.approx(1e3 * lag, abs=1.0)
 
 
-def test_joints_outside_limits_and_too_fast_are_counted(trace: HandTrace, human: Hand) -> None:
+def test_joints_outside_limits_and_too_fast_are_counted(
+    trace: HandTrace, human: Hand
+) -> None:
     q = wave(human)
     q[200:225] = human.upper_limits + 0.01
     result = assess(trace, trace, hand=human, q=q, human_q=q)
@@ -314,7 +345,9 @@ def test_landmarks_give_the_models_own_trace(human: Hand) -> None:
 def test_the_trackers_wrist_carries_the_palm(human: Hand) -> None:
     q, wrist = wave(human, 80), poses(80)
     landmarks = np.array([human.points(a, w) for a, w in zip(q, wrist, strict=True)])
-    noisy = landmarks + np.random.default_rng(2).normal(scale=0.003, size=landmarks.shape)
+    noisy = landmarks + np.random.default_rng(2).normal(
+        scale=0.003, size=landmarks.shape
+    )
     lengths = HumanLengths.from_urdf(human.urdf_text)
     truth = trace_robot(human, q, wrist)
     offset = np.eye(4)
@@ -337,17 +370,26 @@ def test_the_left_hands_palm_is_a_frame_of_its_own(human: Hand) -> None:
 
 
 @pytest.mark.parametrize("name", ["allegro_right", "three_finger", "human"])
-def test_knuckles_stay_in_the_palm_and_the_reach_is_the_largest_distance(name: str) -> None:
+def test_knuckles_stay_in_the_palm_and_the_reach_is_the_largest_distance(
+    name: str,
+) -> None:
     hand = load_hand(name)
     chains = find_fingers(hand)
     assert "thumb" in chains
     random = np.random.default_rng(3)
-    q = random.uniform(hand.lower_limits, hand.upper_limits, (200, len(hand.joint_names)))
+    q = random.uniform(
+        hand.lower_limits, hand.upper_limits, (200, len(hand.joint_names))
+    )
     trace = trace_robot(hand, q, None, chains)
     # Two fingers of `three_finger` spread about the middle of the palm, with their knuckles.
-    assert np.ptp(trace.local[:, :, KNUCKLE], axis=0).max() < 1e-9 or name == "three_finger"
+    assert (
+        np.ptp(trace.local[:, :, KNUCKLE], axis=0).max() < 1e-9
+        or name == "three_finger"
+    )
     assert trace.extension.max() <= 1.0 + 1e-3
-    stretched = trace_robot(hand, np.array([c.stretched for c in chains.values()]), None, chains)
+    stretched = trace_robot(
+        hand, np.array([c.stretched for c in chains.values()]), None, chains
+    )
     assert np.diag(stretched.extension) == pytest.approx(1.0, abs=1e-6)
 
 

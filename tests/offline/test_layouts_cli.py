@@ -21,11 +21,15 @@ from handmap_qp.trackers.layouts.tables import load_layout
 pytestmark = pytest.mark.slow
 
 
-def write_hand(path: Path, name: str = "webxr25", *, count: int = 30, side: str = "right") -> Path:
+def write_hand(
+    path: Path, name: str = "webxr25", *, count: int = 30, side: str = "right"
+) -> Path:
     """Half a second of a right hand that closes, in a layout's own form."""
     layout, human = load_layout(name), sized_human("right")
     values = [
-        layout.write_posture(human, (0.4 + share) * human.rest, affine(np.eye(3), np.zeros(3)))
+        layout.write_posture(
+            human, (0.4 + share) * human.rest, affine(np.eye(3), np.zeros(3))
+        )
         for share in np.linspace(0.0, 0.8, count)
     ]
     arrays: dict[str, Any] = {"time": np.arange(count) / 60.0}
@@ -44,7 +48,11 @@ def test_layouts_are_listed_and_shown(capsys: pytest.CaptureFixture[str]) -> Non
     assert tuple(row["name"] for row in rows) == tuple(LAYOUTS)
     assert run("layouts", "openxr26", "--json") == 0
     shown = json.loads(capsys.readouterr().out)
-    assert shown["entries"][10] == {"index": 10, "joint": "index tip", "landmark": "index_tip"}
+    assert shown["entries"][10] == {
+        "index": 10,
+        "joint": "index tip",
+        "landmark": "index_tip",
+    }
     assert "back of the hand along +y" in shown["wrist pose"][1]
     assert run("layouts", "manus") == 0
     text = capsys.readouterr().out
@@ -72,23 +80,48 @@ def test_every_convention_is_drawn(name: str, tmp_path: Path) -> None:
     assert blue > 300  # landmarks of both hands
 
 
-def test_a_file_in_a_layout_is_mapped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_in_a_layout_is_mapped(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     hand = write_hand(tmp_path / "hand.npz")
     out = tmp_path / "out.npz"
-    command = ("map", hand, "--layout", "webxr25", "--robot", "three_finger", "--out", out)
+    command = (
+        "map",
+        hand,
+        "--layout",
+        "webxr25",
+        "--robot",
+        "three_finger",
+        "--out",
+        out,
+    )
     assert run(*command, "--json") == 0
     assert json.loads(capsys.readouterr().out)["samples"] == 30
     assert np.load(out)["q"].shape[0] == 30
-    assert run("calibrate", hand, "--layout", "webxr25", "--out", tmp_path / "me.yaml") == 0
+    assert (
+        run("calibrate", hand, "--layout", "webxr25", "--out", tmp_path / "me.yaml")
+        == 0
+    )
     assert "hand length" in capsys.readouterr().out
 
 
-def test_angles_are_of_the_person(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_angles_are_of_the_person(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     hand = write_hand(tmp_path / "hand.npz", "angles20")
     person = Person("large", HumanLengths.from_hand_length(0.23), 0.015)
     write_person(person, tmp_path / "large.yaml")
     out = tmp_path / "out.npz"
-    command = ("map", hand, "--layout", "angles20", "--robot", "allegro_right", "--out", out)
+    command = (
+        "map",
+        hand,
+        "--layout",
+        "angles20",
+        "--robot",
+        "allegro_right",
+        "--out",
+        out,
+    )
     assert run(*command, "--person", tmp_path / "large.yaml", "--json") == 0
     summary = json.loads(capsys.readouterr().out)
     # Bones are those of the person, to the millionth part of a millimetre.
@@ -98,7 +131,10 @@ def test_angles_are_of_the_person(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 MISTAKES = {
     "no layout": (("--layout", "webxr"), "did you mean webxr25?"),
-    "another layout": (("--layout", "openxr26"), "has the shape of manus25, visionpro25, webxr25"),
+    "another layout": (
+        ("--layout", "openxr26"),
+        "has the shape of manus25, visionpro25, webxr25",
+    ),
     "no landmarks": ((), "the shape of --layout manus25 or visionpro25 or webxr25"),
     "other side": (("--layout", "webxr25", "--side", "left"), "is of a right hand"),
     "mirror of the same": (("--layout", "webxr25", "--mirror"), "leave it out"),
@@ -117,7 +153,9 @@ def test_mistakes_are_one_line(
     assert expected in message
 
 
-def test_the_other_hand_needs_mirror(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_other_hand_needs_mirror(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     hand = write_hand(tmp_path / "hand.npz", "mediapipe21")
     out = tmp_path / "out.npz"
     assert run("map", hand, "--robot", "allegro_left", "--out", out) == 2

@@ -37,7 +37,11 @@ def turning_hand(count: int = 120, rate: float = 60.0) -> Recording:
 @pytest.mark.parametrize("cutoff", [2.0, 6.0])
 def test_the_cutoff_passes_at_half_and_without_phase(cutoff: float) -> None:
     time = np.arange(2000) / 250.0
-    for share, expected in ((0.25, 1.0 / (1.0 + 0.25**4)), (1.0, 0.5), (2.0, 1.0 / 17.0)):
+    for share, expected in (
+        (0.25, 1.0 / (1.0 + 0.25**4)),
+        (1.0, 0.5),
+        (2.0, 1.0 / 17.0),
+    ):
         angle = 2.0 * np.pi * share * cutoff * time
         waves = np.stack([np.sin(angle), np.cos(angle)], axis=1)
         found = whittaker(time, waves, np.ones(2000), cutoff)[500:1500]
@@ -63,7 +67,10 @@ def test_a_turning_hand_keeps_its_size_also_in_a_gap() -> None:
     landmarks[~valid] = np.nan
     found = look_ahead(replace(given, valid=valid, landmarks=landmarks))
     assert found.valid.all()
-    bones = [np.linalg.norm(np.diff(r.landmarks[:, 5:9], axis=1), axis=2) for r in (found, given)]
+    bones = [
+        np.linalg.norm(np.diff(r.landmarks[:, 5:9], axis=1), axis=2)
+        for r in (found, given)
+    ]
     np.testing.assert_allclose(bones[0], bones[1], atol=1e-6)
     error = np.linalg.norm(found.landmarks - given.landmarks, axis=2)
     # 7 mm would be the sag of the chord that lines between landmarks are.
@@ -115,7 +122,9 @@ def test_both_ways_have_less_lag_and_keep_every_limit() -> None:
     recording = Recording("fist", time, landmarks, np.ones(count), "right")
     choice = preset_choice("teleoperation", 0.015)
     own = load_hand("human")
-    online = map_recording(HandMapper(own, robot, choice.method, ik=choice.ik), recording)
+    online = map_recording(
+        HandMapper(own, robot, choice.method, ik=choice.ik), recording
+    )
     ahead = map_both_ways(own, robot, choice.method, choice.ik, recording)
 
     def lag(q: np.ndarray) -> float:
@@ -125,7 +134,9 @@ def test_both_ways_have_less_lag_and_keep_every_limit() -> None:
         wave = np.exp(2j * np.pi * pace * time)[part]
         # Flexion of the middle finger: joints 5 to 7 of the Allegro.
         bend = q[part, 5:8].sum(axis=1)
-        human_sum, robot_sum = (np.sum((x - x.mean()) * wave.conj()) for x in (share[part], bend))
+        human_sum, robot_sum = (
+            np.sum((x - x.mean()) * wave.conj()) for x in (share[part], bend)
+        )
         return float(np.angle(human_sum * robot_sum.conj()) / (2.0 * np.pi * pace))
 
     assert lag(online.q) > 0.015

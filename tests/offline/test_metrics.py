@@ -23,7 +23,10 @@ def test_every_metric_is_one_of_fidelity() -> None:
     human = load_hand("human", points="landmarks")
     amounts = np.linspace(0.0, 0.8, 100)
     landmarks = np.array(
-        [human.points(np.clip(a, human.lower_limits, human.upper_limits)) for a in amounts]
+        [
+            human.points(np.clip(a, human.lower_limits, human.upper_limits))
+            for a in amounts
+        ]
     )
     landmarks = np.array([transform_points(np.eye(4), points) for points in landmarks])
     trace = trace_human(landmarks, HumanLengths.from_hand_length(0.19))

@@ -26,11 +26,15 @@ RATE = 50.0
 TURN = Rotation.from_euler("XYZ", [0.4, -0.9, 2.0]).as_matrix()
 # Knuckles of index, middle, ring and little finger in the palm: x to the little finger's side of a
 # right hand, y distal, z dorsal.
-KNUCKLES = np.array([[-0.03, 0.09, 0.0], [-0.01, 0.095, 0.0], [0.01, 0.09, 0.0], [0.03, 0.08, 0.0]])
+KNUCKLES = np.array(
+    [[-0.03, 0.09, 0.0], [-0.01, 0.095, 0.0], [0.01, 0.09, 0.0], [0.03, 0.08, 0.0]]
+)
 BONES = (0.045, 0.028, 0.022)
 
 
-def hand(bend: tuple[float, ...], fan: float = 0.0, thumb: tuple[float, ...] = ()) -> np.ndarray:
+def hand(
+    bend: tuple[float, ...], fan: float = 0.0, thumb: tuple[float, ...] = ()
+) -> np.ndarray:
     """Return landmarks of a right hand, shape (21, 3).
 
     `bend` is the angle at each joint of the four fingers [deg]; straight fingers continue the
@@ -46,7 +50,9 @@ def hand(bend: tuple[float, ...], fan: float = 0.0, thumb: tuple[float, ...] = (
         point, chain = knuckle, [knuckle]
         for joint, length in enumerate(BONES):
             turn = np.radians(angle) * (joint + 1)
-            point = point + length * (np.cos(turn) * along + np.sin(turn) * np.array([0, 0, -1.0]))
+            point = point + length * (
+                np.cos(turn) * along + np.sin(turn) * np.array([0, 0, -1.0])
+            )
             chain.append(point)
         landmarks[5 + 4 * finger : 9 + 4 * finger] = chain
     return landmarks
@@ -84,7 +90,9 @@ def test_flexion_is_the_sum_of_the_joint_angles() -> None:
 def test_spread_is_the_angle_between_index_and_little_finger() -> None:
     outward = [np.degrees(np.arctan2(knuckle[0], knuckle[1])) for knuckle in KNUCKLES]
     own = outward[3] - outward[0]
-    spreads = measure_posture(np.stack([OPEN, FAN, hand((5, 5, 5, 5), fan=-30.0)])).spread
+    spreads = measure_posture(
+        np.stack([OPEN, FAN, hand((5, 5, 5, 5), fan=-30.0)])
+    ).spread
     np.testing.assert_allclose(spreads, [own, own + 30.0, own - 60.0], atol=0.2)
 
 
@@ -106,7 +114,9 @@ def test_measures_do_not_depend_on_place_or_side() -> None:
 
 def test_every_pose_is_found_in_its_own_stretch() -> None:
     parts = {"open": OPEN, "spread": FAN, "pointing": POINTING, "fist": FIST}
-    parts |= {f"{name} pinch": pinch(i) for i, name in enumerate(("index", "middle", "ring"))}
+    parts |= {
+        f"{name} pinch": pinch(i) for i, name in enumerate(("index", "middle", "ring"))
+    }
     parts["little pinch"] = pinch(3)
     assert tuple(parts) == POSES
     recording = recording_of(*((part, 0.4) for part in parts.values()))
@@ -131,7 +141,9 @@ def test_touch_in_a_fist_or_of_two_fingers_is_no_pinch() -> None:
     both[12] = both[8] + [0.0, 0.009, 0.0]
     for touch in (fist, both, pinch(0, gap=PINCH_GAP + 0.001)):
         assert find_poses(recording_of((touch, 1.0)))["index pinch"] is None
-    assert find_poses(recording_of((pinch(0, gap=PINCH_GAP - 0.001), 1.0)))["index pinch"]
+    assert find_poses(recording_of((pinch(0, gap=PINCH_GAP - 0.001), 1.0)))[
+        "index pinch"
+    ]
 
 
 def test_clearest_sample_wins() -> None:
@@ -172,7 +184,9 @@ def test_start_and_lost_samples_are_not_used() -> None:
 
 
 def test_wrong_shape_is_named() -> None:
-    with pytest.raises(InvalidInputError, match=r"landmarks: expected shape \(T, 21, 3\)") as error:
+    with pytest.raises(
+        InvalidInputError, match=r"landmarks: expected shape \(T, 21, 3\)"
+    ) as error:
         measure_posture(np.zeros((21, 3)))
     assert error.value.argument == "landmarks"
 
@@ -191,7 +205,11 @@ def test_poses_of_the_model_of_the_human() -> None:
 def test_real_recordings_show_what_their_notes_say(recordings: Path) -> None:
     poses = {
         name: find_poses(read_recording(recordings / f"{name}.npz"))
-        for name in ("quest3_webxr_right", "leap110_free_right", "leap_pinch_move_right")
+        for name in (
+            "quest3_webxr_right",
+            "leap110_free_right",
+            "leap_pinch_move_right",
+        )
     }
     assert poses["quest3_webxr_right"]["pointing"] is not None
     assert poses["leap110_free_right"]["fist"] is not None

@@ -22,13 +22,19 @@ def closing(count: int = 40) -> Recording:
     closed = HUMAN.rest + 0.5 * (HUMAN.upper_limits - HUMAN.rest)
     # Landmarks that repeat exactly would be frozen data.
     shares = np.minimum(np.arange(count) / (count / 2), 1.0 + 1e-9 * np.arange(count))
-    landmarks = [HUMAN.points(HUMAN.rest + share * (closed - HUMAN.rest)) for share in shares]
+    landmarks = [
+        HUMAN.points(HUMAN.rest + share * (closed - HUMAN.rest)) for share in shares
+    ]
     valid = np.ones(count, dtype=bool)
     valid[10:13] = False
-    return Recording("closing", np.arange(count) / 60.0, np.array(landmarks), valid, "right")
+    return Recording(
+        "closing", np.arange(count) / 60.0, np.array(landmarks), valid, "right"
+    )
 
 
-def mapped(speed: float, ik: IkOptions | None = None, upper: float | None = None) -> Trajectory:
+def mapped(
+    speed: float, ik: IkOptions | None = None, upper: float | None = None
+) -> Trajectory:
     spec = load_hand("three_finger").spec
     limits = {joint: LimitSpec(velocity=speed, upper=upper) for joint in spec.joints}
     robot = load_hand(msgspec.structs.replace(spec, limits=limits))
@@ -44,7 +50,10 @@ def test_a_slow_hand_is_held_and_a_quick_one_is_not() -> None:
     assert (held[moved > 0.3 - 1e-9]).mean() > 0.95
     summary = summarise(slow)
     assert summary["speed_limited_share"] > 0.5
-    assert summary["speed_limited_share"] == slow.at_speed_limit[slow.valid].any(axis=1).mean()
+    assert (
+        summary["speed_limited_share"]
+        == slow.at_speed_limit[slow.valid].any(axis=1).mean()
+    )
     assert not slow.at_speed_limit[~slow.valid].any()
     assert not quick.at_speed_limit.any()
     assert summarise(quick)["speed_limited_joints"] == []
@@ -57,7 +66,9 @@ def test_a_joint_at_a_position_limit_is_not_held_by_its_speed() -> None:
 
 
 @pytest.mark.parametrize(("speed", "is_noted"), [(0.3, True), (1000.0, False)])
-def test_a_large_share_is_one_line_with_joint_and_limit(speed: float, is_noted: bool) -> None:
+def test_a_large_share_is_one_line_with_joint_and_limit(
+    speed: float, is_noted: bool
+) -> None:
     summary = summarise(mapped(speed))
     assert len(notes(summary)) == is_noted
     assert table_rows(summary)["samples held by a speed limit"].endswith(" %")

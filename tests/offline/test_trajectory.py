@@ -22,8 +22,12 @@ def test_the_motions_sample_times_bound_the_speed() -> None:
     dt = np.where(np.arange(len(motion.time)) % 2 == 0, 0.001, 0.02)
     motion = replace(motion, time=np.cumsum(dt), dt=dt)
     robot, tracked = load_hand("three_finger"), load_hand("human", points="landmarks")
-    landmarks = [tracked.points(q, at) for q, at in zip(motion.q, motion.wrist, strict=True)]
-    recording = Recording("waving", motion.time, np.array(landmarks), motion.valid, "right")
+    landmarks = [
+        tracked.points(q, at) for q, at in zip(motion.q, motion.wrist, strict=True)
+    ]
+    recording = Recording(
+        "waving", motion.time, np.array(landmarks), motion.valid, "right"
+    )
     for mapped in (
         map_motion(HandMapper(HUMAN, robot, "paper", dt=1e3), motion),
         map_recording(HandMapper(tracked, robot, "paper", dt=1e3), recording),

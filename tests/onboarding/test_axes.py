@@ -27,7 +27,9 @@ SHARED = shared_hands_folder()
 LEAP_PIP = {"index": "dip", "middle": "dip_2", "ring": "dip_3"}
 
 
-def found_in(made: MadeHand, side: Side | None = None, file: Path = Path("x.urdf")) -> Detection:
+def found_in(
+    made: MadeHand, side: Side | None = None, file: Path = Path("x.urdf")
+) -> Detection:
     return detect_text(made.urdf, file, side=side)
 
 
@@ -45,7 +47,9 @@ def tips(found: Detection) -> dict[str | None, str]:
 
 @settings(max_examples=12)
 @given(generator=generators)
-def test_axes_side_and_fingers_of_hands_made_at_random(generator: np.random.Generator) -> None:
+def test_axes_side_and_fingers_of_hands_made_at_random(
+    generator: np.random.Generator,
+) -> None:
     made = make_hand(generator)
     found = found_in(made)
     palm = found.spec.palm
@@ -70,16 +74,22 @@ def test_axes_of_odd_hands_are_right_and_nothing_wrong_is_certain() -> None:
         assert degrees(found.spec.palm.dorsal, made.dorsal) < 20.0, kind
         assert degrees(found.spec.palm.distal, made.distal) < 20.0, kind
         assert found.spec.side == made.side or "side" not in certain(found), kind
-        is_named = all(made.tips.get(str(one)) == tip for one, tip in tips(found).items())
+        is_named = all(
+            made.tips.get(str(one)) == tip for one, tip in tips(found).items()
+        )
         assert is_named or "fingers" not in certain(found), kind
-        assert "thumb" not in certain(found) or tips(found)["thumb"] == made.tips["thumb"], kind
+        assert (
+            "thumb" not in certain(found) or tips(found)["thumb"] == made.tips["thumb"]
+        ), kind
 
 
 @pytest.mark.parametrize("seed", [5, 6])
 def test_followers_beyond_a_spread_joint_show_the_flexion(seed: int) -> None:
     """The leader is before the spread joint, and its followers beyond: the leader flexes."""
     kind = "coupled"
-    made = make_odd_hand(np.random.default_rng([0, seed, list(ODDITIES).index(kind)]), kind)
+    made = make_odd_hand(
+        np.random.default_rng([0, seed, list(ODDITIES).index(kind)]), kind
+    )
     found = found_in(made)
     assert found.spec.side == made.side
     assert degrees(found.spec.palm.dorsal, made.dorsal) < 5.0
@@ -99,7 +109,9 @@ def test_a_given_side_turns_the_palm_over_and_renames_no_finger(tmp_path: Path) 
     other: Side = "left" if made.side == "right" else "right"
     right, wrong = found_in(made, made.side, file), found_in(made, other, file)
     assert (wrong.spec.side, tips(wrong)) == (other, tips(right))
-    np.testing.assert_allclose(wrong.spec.palm.dorsal, -np.array(right.spec.palm.dorsal))
+    np.testing.assert_allclose(
+        wrong.spec.palm.dorsal, -np.array(right.spec.palm.dorsal)
+    )
     # The fingers rest on the palm's side, whichever that is.
     for found in (right, wrong):
         hand = load_hand(found.spec)
@@ -121,13 +133,17 @@ def test_a_side_that_contradicts_clear_flexion_is_a_guess() -> None:
 def test_what_is_derived_is_not_surer() -> None:
     generator = np.random.default_rng(11)
     for _ in range(6):
-        sure = {clue.what: clue.confidence for clue in found_in(make_hand(generator)).clues}
+        sure = {
+            clue.what: clue.confidence for clue in found_in(make_hand(generator)).clues
+        }
         assert sure["rest"] <= sure["dorsal"]
         assert sure["palm origin"] <= sure["distal"]
         assert sure["index_tip"] <= max(sure["fingers"], 0.3)
 
 
-@pytest.mark.skipif(SHARED is None, reason="LEAP and SVH are not here: set HANDMAP_HANDS")
+@pytest.mark.skipif(
+    SHARED is None, reason="LEAP and SVH are not here: set HANDMAP_HANDS"
+)
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_leap_is_as_its_drawing_says(side: str) -> None:
     assert SHARED is not None
@@ -145,7 +161,9 @@ def test_leap_is_as_its_drawing_says(side: str) -> None:
     assert found.spec.rest["13"] < -0.1
 
 
-@pytest.mark.skipif(SHARED is None, reason="LEAP and SVH are not here: set HANDMAP_HANDS")
+@pytest.mark.skipif(
+    SHARED is None, reason="LEAP and SVH are not here: set HANDMAP_HANDS"
+)
 def test_svh_is_as_its_drawing_says() -> None:
     assert SHARED is not None
     found = detect(SHARED / "schunk_hand" / "schunk_svh_hand_right.urdf")
@@ -190,7 +208,9 @@ def two_hands(apart: float) -> str:
     for k in range(2):
         made = make_hand(generator)
         text = made.urdf[made.urdf.index(">") + 1 : made.urdf.rindex("</robot>")]
-        parts.append(text.replace('name="', f'name="h{k}').replace('link="', f'link="h{k}'))
+        parts.append(
+            text.replace('name="', f'name="h{k}').replace('link="', f'link="h{k}')
+        )
         links.append(f"h{k}{made.palm}")
         parts.append(
             f'<joint name="on{k}" type="fixed"><parent link="base"/><child link="{links[k]}"/>'
@@ -201,7 +221,9 @@ def two_hands(apart: float) -> str:
 
 def test_two_hands_on_one_base_are_refused() -> None:
     text = two_hands(0.6)
-    with pytest.raises(HandError, match=r"two hands on one base: .*; choose one with --root") as e:
+    with pytest.raises(
+        HandError, match=r"two hands on one base: .*; choose one with --root"
+    ) as e:
         detect_text(text, Path("two.urdf"))
     for link in e.value.value:
         assert detect_text(text, Path("two.urdf"), root=link).spec.palm.link == link
@@ -233,7 +255,9 @@ def test_notes_about_many_joints_are_one() -> None:
 
 def test_a_name_has_its_side_once() -> None:
     made = make_hand(np.random.default_rng(6))
-    robot = made.urdf.replace(made.urdf.partition('"')[2].partition('"')[0], "shadow_right", 1)
+    robot = made.urdf.replace(
+        made.urdf.partition('"')[2].partition('"')[0], "shadow_right", 1
+    )
     above = (
         '<link name="arm"/><joint name="A1" type="revolute"><parent link="arm"/>'
         f'<child link="{made.palm}"/><axis xyz="1 0 0"/>'

@@ -13,10 +13,23 @@ import pytest
 import yaml
 
 from handmap_qp import HandError, load_hand
-from handmap_qp.apps.onboarding.check import Report, _check_arm, _check_wrist, check_hand
-from handmap_qp.apps.onboarding.collision_pairs import find_collision_pairs, with_collision_pairs
+from handmap_qp.apps.onboarding.check import (
+    Report,
+    _check_arm,
+    _check_wrist,
+    check_hand,
+)
+from handmap_qp.apps.onboarding.collision_pairs import (
+    find_collision_pairs,
+    with_collision_pairs,
+)
 from handmap_qp.apps.onboarding.detect import detect, detect_text
-from handmap_qp.apps.onboarding.measure import make_fist, measure_arm, measure_pinches, try_motion
+from handmap_qp.apps.onboarding.measure import (
+    make_fist,
+    measure_arm,
+    measure_pinches,
+    try_motion,
+)
 from handmap_qp.apps.onboarding.picture import _Scene
 from handmap_qp.apps.onboarding.write import write_hand
 from handmap_qp.hands.sources import urdf_directory
@@ -70,7 +83,9 @@ def test_a_right_description_has_no_warning(made: MadeHand, tmp_path: Path) -> N
     assert {"Pads", "Pinches", "Fingers", "Size"} <= report.tables().keys()
 
 
-def test_a_palm_turned_over_brings_the_fist_to_the_back(made: MadeHand, tmp_path: Path) -> None:
+def test_a_palm_turned_over_brings_the_fist_to_the_back(
+    made: MadeHand, tmp_path: Path
+) -> None:
     path = described(tmp_path, made.urdf)
     palm = yaml.safe_load(path.read_text())["palm"]
     palm["dorsal"] = [-value for value in palm["dorsal"]]
@@ -100,7 +115,9 @@ def test_names_are_compared_with_fingers(made: MadeHand, tmp_path: Path) -> None
     points = {point["name"]: point for point in document["points"]}
     one, other = points["index_tip"], points["middle_tip"]
     one["link"], other["link"] = other["link"], one["link"]
-    found = warnings_of(check(described(tmp_path, made.urdf, points=document["points"])))
+    found = warnings_of(
+        check(described(tmp_path, made.urdf, points=document["points"]))
+    )
     assert "named middle" in found["points.index_tip"]
     assert "order of their knuckles" in found["points"]
 
@@ -115,7 +132,9 @@ def test_limits_in_degrees_are_one_finding(made: MadeHand, tmp_path: Path) -> No
     # What `hands init` writes has the true limits.
     limits = yaml.safe_load(described(tmp_path, text).read_text())["limits"]
     true = [float(upper) for upper in re.findall(r'upper="([^"]+)"', made.urdf)]
-    assert sorted(one["upper"] for one in limits.values()) == pytest.approx(sorted(true), rel=1e-3)
+    assert sorted(one["upper"] for one in limits.values()) == pytest.approx(
+        sorted(true), rel=1e-3
+    )
 
 
 @pytest.mark.parametrize("tag", ["visual", "collision"])
@@ -127,7 +146,9 @@ def test_missing_meshes_are_counted(made: MadeHand, tmp_path: Path, tag: str) ->
     assert found["urdf"].startswith(f"1 of 1 {tag} meshes are missing: palm.stl")
 
 
-def test_a_pair_of_links_that_do_not_exist_is_found(made: MadeHand, tmp_path: Path) -> None:
+def test_a_pair_of_links_that_do_not_exist_is_found(
+    made: MadeHand, tmp_path: Path
+) -> None:
     pairs = {"pairs": [["moon", made.palm]]}
     found = warnings_of(check(described(tmp_path, made.urdf, collision=pairs)))
     assert "'moon' is not a link" in found["collision.pairs[0]"]
@@ -153,7 +174,9 @@ def with_joint(made: MadeHand, kind: str, *, is_above: bool) -> str:
 @pytest.mark.parametrize(
     "change", ["named as links", "floating", "planar", "floating above", "planar above"]
 )
-def test_odd_urdfs_are_found_checked_and_drawn(made: MadeHand, tmp_path: Path, change: str) -> None:
+def test_odd_urdfs_are_found_checked_and_drawn(
+    made: MadeHand, tmp_path: Path, change: str
+) -> None:
     kind, _, above = change.partition(" ")
     if change == "named as links":
         text = named_as_links(made.urdf)
@@ -203,7 +226,10 @@ def test_a_thumb_that_opposes_nothing_is_found(made: MadeHand, tmp_path: Path) -
 @pytest.mark.slow
 def test_an_arm_does_not_hide_what_the_hand_reaches() -> None:
     """The same hand alone and on its arm reaches the same postures."""
-    alone, on_arm = try_motion(load_hand("g1_left")), try_motion(load_hand("g1_arm_left"))
+    alone, on_arm = (
+        try_motion(load_hand("g1_left")),
+        try_motion(load_hand("g1_arm_left")),
+    )
     for one, other in zip(alone, on_arm, strict=True):
         assert other.error == pytest.approx(one.error, abs=0.003)
 
@@ -218,7 +244,9 @@ def test_the_picture_shows_all_points() -> None:
 @pytest.mark.skipif(SHARED is None, reason="LEAP is not here: set HANDMAP_HANDS")
 def test_axes_of_leap_that_were_called_certain_are_refuted(tmp_path: Path) -> None:
     assert SHARED is not None
-    write_hand(detect(SHARED / "leap_hand" / "leap_hand_right.urdf"), tmp_path / "leap.yaml")
+    write_hand(
+        detect(SHARED / "leap_hand" / "leap_hand_right.urdf"), tmp_path / "leap.yaml"
+    )
     document = yaml.safe_load((tmp_path / "leap.yaml").read_text())
     distal, dorsal = np.array([0.93, -0.36, -0.01]), np.array([-0.21, -0.56, 0.8])
     distal /= np.linalg.norm(distal)
@@ -242,7 +270,9 @@ def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
     assert limit.distances(configuration).min() > collision.margin
     links = {frozenset(pair) for pair in collision.pairs}
     # Thumb and every fingertip; index and ring are no neighbours.
-    assert {frozenset({"link_15.0_tip", f"link_{i}.0_tip"}) for i in (3, 7, 11)} <= links
+    assert {
+        frozenset({"link_15.0_tip", f"link_{i}.0_tip"}) for i in (3, 7, 11)
+    } <= links
     assert frozenset({"link_3.0_tip", "link_11.0_tip"}) not in links
 
 
@@ -262,7 +292,9 @@ def test_a_hand_without_shapes_has_no_pairs(made: MadeHand, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("shape", ["star", "chain"])
-def test_many_links_beside_the_fingers_are_no_obstacle(made: MadeHand, shape: str) -> None:
+def test_many_links_beside_the_fingers_are_no_obstacle(
+    made: MadeHand, shape: str
+) -> None:
     """Sensors and bolts: 1,500 links on the palm, or in a row."""
     parts = []
     for i in range(1500):
@@ -284,7 +316,9 @@ def test_a_chain_that_crashes_urdf_readers_is_refused(made: MadeHand) -> None:
         for i in range(5000)
     ]
     with pytest.raises(HandError, match="chain of 5000 links; expected at most 2000"):
-        detect_text(made.urdf.replace("</robot>", "".join(parts) + "</robot>"), Path("x.urdf"))
+        detect_text(
+            made.urdf.replace("</robot>", "".join(parts) + "</robot>"), Path("x.urdf")
+        )
 
 
 def test_the_reach_of_an_arm_is_a_line_with_a_scale() -> None:

@@ -79,7 +79,9 @@ def test_what_is_written_is_what_was_found(name: str, tmp_path: Path) -> None:
 
 def test_every_answer_has_its_evidence_in_the_file(tmp_path: Path) -> None:
     found = detect(DATA / "seven_fingers.urdf")
-    text = " ".join(line.strip().lstrip("# ") for line in hand_text(found, tmp_path).splitlines())
+    text = " ".join(
+        line.strip().lstrip("# ") for line in hand_text(found, tmp_path).splitlines()
+    )
     for clue in found.clues:
         if clue.what not in ("thumb", "fingers"):
             assert clue.how in text, clue.what
@@ -134,7 +136,14 @@ WRONG: dict[str, tuple[dict[str, Any], str, str]] = {
     ),
     "other side": ({"side": "left"}, "side", "side: right"),
     "in millimetres": (
-        {"palm": {"link": "palm", "xyz": [-90, 0, 0], "distal": [1, 0, 0], "dorsal": [0, 0, 1]}},
+        {
+            "palm": {
+                "link": "palm",
+                "xyz": [-90, 0, 0],
+                "distal": [1, 0, 0],
+                "dorsal": [0, 0, 1],
+            }
+        },
         "palm.xyz",
         "metres",
     ),
@@ -176,9 +185,13 @@ def test_fingers_in_the_wrong_order_are_found(tmp_path: Path) -> None:
     document = yaml.safe_load(hand_text(chained_mimics(), tmp_path))
     index, ring = document["points"][1], document["points"][3]
     index["link"], ring["link"] = ring["link"], index["link"]
-    report = check_hand(str(described(tmp_path, {"points": document["points"]})), has_motion=False)
+    report = check_hand(
+        str(described(tmp_path, {"points": document["points"]})), has_motion=False
+    )
     wrong = {
-        finding.where: finding.change for finding in report.findings if finding.level == "warning"
+        finding.where: finding.change
+        for finding in report.findings
+        if finding.level == "warning"
     }
     assert "finger: ring" in wrong["points.index_tip"]
     assert "finger: index" in wrong["points.ring_tip"]
@@ -199,7 +212,11 @@ def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
     spec = load_hand("three_finger").spec
     upper = {joint: 1.4 for joint in spec.joints if "distal" in joint}
     limits = {j: LimitSpec(velocity=speed, upper=upper.get(j)) for j in spec.joints}
-    spread = {j: LimitSpec(velocity=speed, lower=-1.0, upper=1.0) for j in limits if "spread" in j}
+    spread = {
+        j: LimitSpec(velocity=speed, lower=-1.0, upper=1.0)
+        for j in limits
+        if "spread" in j
+    }
     hand = load_hand(msgspec.structs.replace(spec, limits=limits | spread))
     findings = [*_check_speeds(hand, {})]
     if count == 0:
@@ -237,7 +254,9 @@ def test_reach_is_that_of_a_planar_finger() -> None:
     first, second, _ = measure_reach(hand)
     assert (first.directions, second.directions) == (2, 3)
     # Yoshikawa's measure of a planar arm of two links is l1 l2 |sin q2|.
-    assert first.manipulability == pytest.approx(0.05 * 0.05 * np.sin(hand.rest[1]), rel=1e-6)
+    assert first.manipulability == pytest.approx(
+        0.05 * 0.05 * np.sin(hand.rest[1]), rel=1e-6
+    )
     # Two positions of its tip are at most twice its length apart.
     assert 0.15 < first.span <= 0.2
 
@@ -272,7 +291,9 @@ def test_the_standard_motion_is_inside_the_human_limits_and_moves() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["one_finger", "chained_mimics"])
-def test_a_picture_is_drawn_whether_there_are_shapes_or_not(name: str, tmp_path: Path) -> None:
+def test_a_picture_is_drawn_whether_there_are_shapes_or_not(
+    name: str, tmp_path: Path
+) -> None:
     from matplotlib.image import imread
 
     text = (DATA / f"{name}.urdf").read_text()
@@ -298,10 +319,15 @@ def test_pictures_lie_beside_their_descriptions(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_init_and_check_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_init_and_check_commands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "new" / "hand.yaml"
     HandsInit(
-        urdf=urdf_directory() / "three_finger" / "hand.urdf", name="mine", out=out, json=True
+        urdf=urdf_directory() / "three_finger" / "hand.urdf",
+        name="mine",
+        out=out,
+        json=True,
     ).run()
     said = json.loads(capsys.readouterr().out)
     assert (said["name"], said["out"]) == ("mine", str(out))
@@ -326,15 +352,25 @@ FINGER = """<body name="base_{0}" pos="{1} {2} 0" euler="0 0 {3}">
 <geom type="capsule" size=".007" fromto="0 0 0 0 .03 0"/></body></body>"""
 
 
-def test_init_takes_an_mjcf_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    places = {"index": (-0.03, 0.04, 0.0), "middle": (0.0, 0.04, 0.0), "ring": (0.03, 0.04, 0.0)}
+def test_init_takes_an_mjcf_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = {
+        "index": (-0.03, 0.04, 0.0),
+        "middle": (0.0, 0.04, 0.0),
+        "ring": (0.03, 0.04, 0.0),
+    }
     fingers = [FINGER.format(name, *place) for name, place in places.items()]
     model = tmp_path / "scene.xml"
-    model.write_text(CLAW % "".join([*fingers, FINGER.format("thumb", -0.03, -0.03, 1.2)]))
+    model.write_text(
+        CLAW % "".join([*fingers, FINGER.format("thumb", -0.03, -0.03, 1.2)])
+    )
     out = tmp_path / "made" / "claw.yaml"
     HandsInit(model, side="right", out=out).run()
     printed = capsys.readouterr().out
-    assert f"wrote {out.parent / 'scene.urdf'}, with the kinematics of {model}" in printed
+    assert (
+        f"wrote {out.parent / 'scene.urdf'}, with the kinematics of {model}" in printed
+    )
     assert ": each has no speed limit in the URDF: 5 is assumed" in printed
     hand = load_hand(out)
     assert hand.spec.urdf == "scene.urdf"

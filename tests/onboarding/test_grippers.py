@@ -68,7 +68,9 @@ def test_mimic_rules_close_the_loops_of_a_gripper(tmp_path: Path, unit: str) -> 
             slope, offset = 1.0, 0.0
             if (rule := rules[name]) is not None:
                 assert rule.get("joint") == "left_driver"
-                slope, offset = (float(rule.get(key, "nan")) for key in ("multiplier", "offset"))
+                slope, offset = (
+                    float(rule.get(key, "nan")) for key in ("multiplier", "offset")
+                )
             data.qpos[model.jnt_qposadr[joint]] = slope * position + offset
         mujoco.mj_forward(model, data)
         closing = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
@@ -77,7 +79,9 @@ def test_mimic_rules_close_the_loops_of_a_gripper(tmp_path: Path, unit: str) -> 
 
 
 def test_a_gripper_of_four_bars_has_two_fingers(tmp_path: Path) -> None:
-    found = detect_text(_converted(tmp_path, _gripper()).text, tmp_path / "gripper.urdf")
+    found = detect_text(
+        _converted(tmp_path, _gripper()).text, tmp_path / "gripper.urdf"
+    )
     assert found.spec.joints == ("left_driver",)
     assert {point.link for point in found.spec.points if "tip" in point.name} == {
         "left_pad",
@@ -95,5 +99,8 @@ def test_a_gripper_of_four_bars_has_two_fingers(tmp_path: Path) -> None:
 
 def test_a_loop_with_two_degrees_of_freedom_is_left_out(tmp_path: Path) -> None:
     converted = _converted(tmp_path, _gripper(elbow=ELBOW))
-    assert "2 connect constraint(s) close loops, which a URDF cannot: left out" in converted.notes
+    assert (
+        "2 connect constraint(s) close loops, which a URDF cannot: left out"
+        in converted.notes
+    )
     assert converted.text.count("<mimic") == 1

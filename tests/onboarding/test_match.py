@@ -27,11 +27,15 @@ HUMAN = load_hand("human", points="landmarks")
 def own(tmp_path: Path) -> Path:
     """A hand.yaml of the user's own, with comments."""
     file = tmp_path / "hand.yaml"
-    file.write_text(f"# Mine.\nextends: {THREE}  # a hand of the package\nname: mine\n# The end.\n")
+    file.write_text(
+        f"# Mine.\nextends: {THREE}  # a hand of the package\nname: mine\n# The end.\n"
+    )
     return file
 
 
-@pytest.mark.parametrize("name", ["romeo_right", "three_finger", "allegro_left", "ur5_allegro"])
+@pytest.mark.parametrize(
+    "name", ["romeo_right", "three_finger", "allegro_left", "ur5_allegro"]
+)
 def test_positions_are_inside_the_limits_and_near_the_solution(name: str) -> None:
     robot = load_hand(name)
     match = match_hand(robot)
@@ -66,7 +70,9 @@ def test_a_written_posture_is_read_again_and_comments_stay(own: Path) -> None:
     ],
 )
 @pytest.mark.parametrize("newline", ["\n", slow("\r\n")])
-def test_an_existing_posture_is_replaced_in_its_place(own: Path, old: str, newline: str) -> None:
+def test_an_existing_posture_is_replaced_in_its_place(
+    own: Path, old: str, newline: str
+) -> None:
     text = own.read_text()
     around = (text, "\n# About the side.\nside: left  # really\n")
     match = match_hand(load_hand(own))
@@ -75,7 +81,9 @@ def test_an_existing_posture_is_replaced_in_its_place(own: Path, old: str, newli
         write_matched(match, own)
         raw = own.read_bytes().decode()
         assert raw == (around[0] + match.text + around[1]).replace("\n", newline)
-    assert read_hand_spec(own).matched == {row["joint"]: row["matched"] for row in match.rows}
+    assert read_hand_spec(own).matched == {
+        row["joint"]: row["matched"] for row in match.rows
+    }
 
 
 def test_a_file_without_a_last_newline_or_of_flow_style_is_safe(own: Path) -> None:
@@ -100,7 +108,9 @@ def test_a_posture_of_another_hand_is_not_written(own: Path) -> None:
     assert own.read_text() == before
 
 
-@pytest.mark.parametrize("hand", ["romeo_right", str(ROMEO), str(ROMEO.parent), "nowhere.yaml"])
+@pytest.mark.parametrize(
+    "hand", ["romeo_right", str(ROMEO), str(ROMEO.parent), "nowhere.yaml"]
+)
 def test_files_of_the_package_are_never_written(hand: str) -> None:
     with pytest.raises(InvalidInputError) as caught:
         own_file(hand)
@@ -131,11 +141,16 @@ def test_the_persons_hand_is_taken_into_account() -> None:
     with pytest.raises(InvalidInputError):
         match_hand(robot, human_length=-1.0)
     # Thumb and fingers of a real person are longer in proportion than the standard hand's.
-    assert np.abs(match_hand(robot, human_length=0.19).q - match_hand(robot).q).max() > 0.01
+    assert (
+        np.abs(match_hand(robot, human_length=0.19).q - match_hand(robot).q).max()
+        > 0.01
+    )
 
 
 @pytest.mark.slow
-def test_the_command_prints_draws_and_writes(own: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_draws_and_writes(
+    own: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     picture = own.with_name("match.png")
     command = ["hands", "match", str(own), "--json"]
     assert cli.main([*command, "--write", "--picture", str(picture)]) == 0

@@ -48,8 +48,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("text", [VECTOR, DEXPILOT, POSITION], ids=["vector", "dexpilot", "points"])
-def test_links_become_reference_points_of_a_hand_that_maps(folder: Path, text: str) -> None:
+@pytest.mark.parametrize(
+    "text", [VECTOR, DEXPILOT, POSITION], ids=["vector", "dexpilot", "points"]
+)
+def test_links_become_reference_points_of_a_hand_that_maps(
+    folder: Path, text: str
+) -> None:
     (folder / "config.yml").write_text(text)
     assert cli.main(["hands", "migrate", "config.yml"]) == 0
     hand = load_hand(folder / "hand.yaml", points="fingertips")
@@ -74,7 +78,9 @@ def test_links_become_reference_points_of_a_hand_that_maps(folder: Path, text: s
 def test_points_besides_the_tips_are_taken_over(folder: Path) -> None:
     (folder / "config.yml").write_text(POSITION)
     assert cli.main(["hands", "migrate", "config.yml"]) == 0
-    points = {point.name: point.link for point in load_hand(folder / "hand.yaml").spec.points}
+    points = {
+        point.name: point.link for point in load_hand(folder / "hand.yaml").spec.points
+    }
     assert (points["thumb_mcp"], points["index_pip"]) == ("link_14.0", "link_2.0")
 
 
@@ -94,14 +100,32 @@ def test_settings_without_a_counterpart_are_named(
         (None, "cannot be read"),
         ("a: [", "is not YAML"),
         ("hand: 1", "expected a table `retargeting`"),
-        (VECTOR.replace("vector", "claw"), "type: expected vector, position or DexPilot"),
-        (VECTOR.replace("[4, 8, 12, 16]", "[4, 8, 12]"), "expected 4 indices of landmarks"),
-        (VECTOR.replace("[4, 8, 12, 16]", "[4, 8, 12, 61]"), "expected 4 indices of landmarks"),
+        (
+            VECTOR.replace("vector", "claw"),
+            "type: expected vector, position or DexPilot",
+        ),
+        (
+            VECTOR.replace("[4, 8, 12, 16]", "[4, 8, 12]"),
+            "expected 4 indices of landmarks",
+        ),
+        (
+            VECTOR.replace("[4, 8, 12, 16]", "[4, 8, 12, 61]"),
+            "expected 4 indices of landmarks",
+        ),
         (VECTOR.replace("link_3.0_tip", "link_99"), "no link 'link_99'"),
-        (VECTOR.replace("link_3.0_tip", "palm_link"), "no joint moves the link 'palm_link'"),
+        (
+            VECTOR.replace("link_3.0_tip", "palm_link"),
+            "no joint moves the link 'palm_link'",
+        ),
         (VECTOR.replace("allegro.urdf", "absent.urdf"), "give the file by --urdf"),
-        (DEXPILOT.replace("finger_tip_link_names", "tips"), "expected a list of link names"),
-        (VECTOR.replace("  urdf_path: allegro.urdf\n", ""), "urdf_path: expected a path"),
+        (
+            DEXPILOT.replace("finger_tip_link_names", "tips"),
+            "expected a list of link names",
+        ),
+        (
+            VECTOR.replace("  urdf_path: allegro.urdf\n", ""),
+            "urdf_path: expected a path",
+        ),
     ],
 )
 def test_a_configuration_that_cannot_be_used_is_one_line(

@@ -33,7 +33,11 @@ def sure(found: Detection, what: str) -> float:
 
 def tips(found: Detection) -> dict[str | None, str]:
     """Return the fingertip's link by finger."""
-    return {point.finger: point.link for point in found.spec.points if point.name.endswith("_tip")}
+    return {
+        point.finger: point.link
+        for point in found.spec.points
+        if point.name.endswith("_tip")
+    }
 
 
 @pytest.mark.slow
@@ -42,7 +46,11 @@ def test_detection_agrees_with_hand_written_descriptions(name: str) -> None:
     hand = load_hand(name, points="fingertips")
     found = detect_text(hand.urdf_text, urdf_path(hand.spec))
     assert tips(found) == {point.finger: point.link for point in hand.reference_points}
-    by_name = {point.finger: point for point in found.spec.points if point.name.endswith("_tip")}
+    by_name = {
+        point.finger: point
+        for point in found.spec.points
+        if point.name.endswith("_tip")
+    }
     for point in hand.reference_points:
         np.testing.assert_allclose(by_name[point.finger].xyz, point.xyz, atol=1e-4)
     assert found.spec.side == hand.side
@@ -66,7 +74,11 @@ def test_a_hand_on_a_robot_is_found(
 ) -> None:
     found = detect(urdf, root=root)
     hand = load_hand(found.spec)
-    assert (hand.side, len(tips(found)), len(hand.joint_names)) == (side, fingers, count)
+    assert (hand.side, len(tips(found)), len(hand.joint_names)) == (
+        side,
+        fingers,
+        count,
+    )
 
 
 @pytest.mark.slow
@@ -101,12 +113,18 @@ def test_motors_that_move_no_finger_are_locked() -> None:
       "little": "f3_tip", "finger6": "f4_l3", "finger7": "f5_tip"}, "right"),
     ("one_finger", {"index": "one_l3"}, "right"),
 ], ids=lambda value: value if isinstance(value, str) else "")  # fmt: skip
-def test_fingers_of_hands_made_for_the_tests(name: str, fingers: dict[str, str], side: str) -> None:
+def test_fingers_of_hands_made_for_the_tests(
+    name: str, fingers: dict[str, str], side: str
+) -> None:
     found = detect(DATA / f"{name}.urdf")
     assert (tips(found), found.spec.side) == (fingers, side)
     if name != "one_finger":
         assert (
-            min(sure(found, what) for what in ("palm", "thumb", "distal", "dorsal", "side")) >= 0.6
+            min(
+                sure(found, what)
+                for what in ("palm", "thumb", "distal", "dorsal", "side")
+            )
+            >= 0.6
         )
     assert found.spec.palm.distal == (1.0, 0.0, 0.0)
     assert found.spec.palm.dorsal == (0.0, 0.0, 1.0)
@@ -157,15 +175,21 @@ def test_names_and_the_order_of_the_file_do_not_matter(
     other = detect_text(text, urdf_path(hand.spec))
     # Without kinematic evidence for the side, the finger names are arbitrary too.
     if sure(plain, "side") > 0.5:
-        assert tips(other) == {finger: new[link] for finger, link in tips(plain).items()}
+        assert tips(other) == {
+            finger: new[link] for finger, link in tips(plain).items()
+        }
         assert other.spec.side == plain.spec.side
     else:
         assert tips(other)["thumb"] == new[tips(plain)["thumb"]]
-    np.testing.assert_allclose(other.spec.palm.distal, plain.spec.palm.distal, atol=1e-6)
-    np.testing.assert_allclose(other.spec.palm.dorsal, plain.spec.palm.dorsal, atol=1e-6)
-    assert {new[joint]: value for joint, value in plain.spec.rest.items()} == pytest.approx(
-        other.spec.rest
+    np.testing.assert_allclose(
+        other.spec.palm.distal, plain.spec.palm.distal, atol=1e-6
     )
+    np.testing.assert_allclose(
+        other.spec.palm.dorsal, plain.spec.palm.dorsal, atol=1e-6
+    )
+    assert {
+        new[joint]: value for joint, value in plain.spec.rest.items()
+    } == pytest.approx(other.spec.rest)
 
 
 def renamed(text: str, generator: np.random.Generator) -> tuple[dict[str, str], str]:
@@ -197,12 +221,16 @@ def test_a_rest_posture_is_inside_the_limits_and_closes_the_hand(
     generator: np.random.Generator,
 ) -> None:
     name = str(
-        generator.choice(["chained_mimics", "continuous_joints", "seven_fingers", "absent_limits"])
+        generator.choice(
+            ["chained_mimics", "continuous_joints", "seven_fingers", "absent_limits"]
+        )
     )
     hand = load_hand(detect(DATA / f"{name}.urdf").spec)
     assert (hand.rest > hand.lower_limits).all()
     assert (hand.rest < hand.upper_limits).all()
-    moved = hand.points(hand.rest) - hand.points(np.clip(0.0, hand.lower_limits, hand.upper_limits))
+    moved = hand.points(hand.rest) - hand.points(
+        np.clip(0.0, hand.lower_limits, hand.upper_limits)
+    )
     assert (moved @ np.array(hand.spec.palm.dorsal) < -0.01).all()
 
 
@@ -213,11 +241,15 @@ def test_a_rest_posture_is_inside_the_limits_and_closes_the_hand(
     ("malformed", "not valid XML"),
     ("nan_limits", "'j1' has <limit lower='nan'>"),
 ])  # fmt: skip
-def test_a_urdf_that_cannot_be_used_gets_one_clear_line(name: str, message: str) -> None:
+def test_a_urdf_that_cannot_be_used_gets_one_clear_line(
+    name: str, message: str
+) -> None:
     path = DATA / f"{name}.urdf"
     with pytest.raises(HandError) as caught:
         detect(path)
-    assert re.fullmatch(rf"{re.escape(str(path))}: .*{re.escape(message)}.*", str(caught.value))
+    assert re.fullmatch(
+        rf"{re.escape(str(path))}: .*{re.escape(message)}.*", str(caught.value)
+    )
 
 
 @pytest.mark.parametrize(("urdf", "root", "message"), [
@@ -242,7 +274,9 @@ def urdf_of(*joints: str) -> str:
     links = dict.fromkeys(name for row in rows for name in row[1:3])
     text = "".join(f'<link name="{name}"/>' for name in links)
     for name, parent, child, x, y, z, *leader in rows:
-        mimic = f'<mimic joint="{leader[0]}" multiplier="{leader[1]}"/>' if leader else ""
+        mimic = (
+            f'<mimic joint="{leader[0]}" multiplier="{leader[1]}"/>' if leader else ""
+        )
         kind = "fixed" if name.startswith("end") else "revolute"
         limits = (
             '<limit lower="-2" upper="1.5" effort="1" velocity="1"/>'
@@ -271,7 +305,9 @@ def test_a_metacarpal_that_carries_two_fingers_is_no_palm() -> None:
             f"end_{name} {name}_2 {name}_tip 0.03 0 0",
         )
     ]
-    found = detect_text(urdf_of("arch0 palm arch 0.01 0 0", *fingers), DATA / "x.urdf", thumb="i_1")
+    found = detect_text(
+        urdf_of("arch0 palm arch 0.01 0 0", *fingers), DATA / "x.urdf", thumb="i_1"
+    )
     assert found.spec.palm.link == "palm"
     assert len(tips(found)) == 4
     assert "arch0" in found.spec.joints
@@ -284,7 +320,8 @@ def test_the_bar_of_a_linkage_is_no_finger() -> None:
         line
         for name, y, sign in (("a", 0.03, 1), ("b", -0.03, 1))
         for line in (
-            f"{name}_crank palm {name}_1 0.02 {y} 0" + ("" if name == "a" else " a_crank 1"),
+            f"{name}_crank palm {name}_1 0.02 {y} 0"
+            + ("" if name == "a" else " a_crank 1"),
             f"{name}_finger {name}_1 {name}_2 0.05 0 0 a_crank -1",
             f"end_{name} {name}_2 {name}_tip 0.03 0 0",
             f"{name}_bar palm {name}_3 0.02 {y} {0.02 * sign} a_crank 1",

@@ -36,19 +36,25 @@ def urdf() -> str:
 
 
 def test_the_example_by_hand_loads_and_passes_its_check(tmp_path: Path) -> None:
-    (example,) = re.findall(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (example,) = re.findall(
+        r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL
+    )
     (tmp_path / "hand.yaml").write_text(example, encoding="utf-8")
     (tmp_path / "hand.urdf").write_text(urdf(), encoding="utf-8")
     hand = load_hand(tmp_path / "hand.yaml")
     assert hand.name == "my_hand"
     report = check_hand(str(tmp_path / "hand.yaml"), has_motion=False)
-    wrong = [finding for finding in report.findings if finding.level in ("error", "warning")]
+    wrong = [
+        finding for finding in report.findings if finding.level in ("error", "warning")
+    ]
     assert [finding for finding in wrong if finding.where != "points"] == []
 
 
 def test_the_reference_is_that_of_the_code() -> None:
     page = runpy.run_path(str(DOCS / "hand_yaml.py"), run_name="hand_yaml")
-    assert page["page"]() == PAGE.read_text(encoding="utf-8"), "run python docs/hand_yaml.py"
+    assert page["page"]() == PAGE.read_text(encoding="utf-8"), (
+        "run python docs/hand_yaml.py"
+    )
 
 
 def test_every_key_has_a_meaning() -> None:

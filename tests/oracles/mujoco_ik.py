@@ -68,7 +68,9 @@ class MujocoIk:
         model: MuJoCo's model; its sites are the reference points.
     """
 
-    def __init__(self, hand: Hand, options: IkOptions, *, shrink: float = SHRINK) -> None:
+    def __init__(
+        self, hand: Hand, options: IkOptions, *, shrink: float = SHRINK
+    ) -> None:
         self.hand = hand
         self.options = options
         self.shrink = shrink
@@ -77,7 +79,9 @@ class MujocoIk:
         # Mimic joints are joints of their own here, as in Pinocchio's model; the tangent map
         # couples them to their leaders.
         names = [name for name in hand.model.names if name in hand.all_joint_names]
-        self._q_indices = np.array([self.model.joint(name).qposadr[0] for name in names])
+        self._q_indices = np.array(
+            [self.model.joint(name).qposadr[0] for name in names]
+        )
         self._v_indices = np.array([self.model.joint(name).dofadr[0] for name in names])
         self._hand_q = np.array(
             [hand.model.joints[hand.model.getJointId(name)].idx_q for name in names]
@@ -87,7 +91,9 @@ class MujocoIk:
         )
         self._points = [
             mink.FrameTask(f"{_MOUNT}/{point.name}", "site", cost, 0.0)
-            for point, cost in zip(hand.reference_points, options.point_costs(hand), strict=True)
+            for point, cost in zip(
+                hand.reference_points, options.point_costs(hand), strict=True
+            )
         ]
         self._wrist = mink.FrameTask(
             hand.spec.wrist.link, "body", *options.wrist_costs, gain=shrink
@@ -148,19 +154,29 @@ class MujocoIk:
         tasks: list[mink.Task] = [*self._points, self._rest]
         errors = []
         for task, target in zip(self._points, point_targets, strict=True):
-            here = self._configuration.get_transform_frame_to_world(task.frame_name, "site")
+            here = self._configuration.get_transform_frame_to_world(
+                task.frame_name, "site"
+            )
             near = here.translation() + self.shrink * (target - here.translation())
-            task.set_target(mink.SE3.from_rotation_and_translation(here.rotation(), near))
+            task.set_target(
+                mink.SE3.from_rotation_and_translation(here.rotation(), near)
+            )
             errors.append(task.cost[:3] * (target - here.translation()))
         if wrist_target is not None:
             self._wrist.set_target(mink.SE3.from_matrix(wrist_target))
             tasks.append(self._wrist)
-            errors.append(self._wrist.cost * self._wrist.compute_error(self._configuration))
+            errors.append(
+                self._wrist.cost * self._wrist.compute_error(self._configuration)
+            )
         # mink's DampingTask excludes the floating base, and its lm_damping grows with the squared
         # error.
         problem, T = (
             mink.build_ik(
-                self._configuration, tasks, self.shrink * dt, damping=0.0, limits=self._limits
+                self._configuration,
+                tasks,
+                self.shrink * dt,
+                damping=0.0,
+                limits=self._limits,
             ),
             self.tangent_map(),
         )
@@ -169,21 +185,28 @@ class MujocoIk:
         lever[self.hand.joint_columns] -= self.options.rest_weight**2
         lever[: 3 if self.hand.is_floating else 0] = 0.0
         error = np.linalg.norm(np.concatenate(errors))
-        damping = self.options.damping**2 + self.options.error_damping * error * np.sqrt(
-            np.maximum(lever, 0.0)
+        damping = (
+            self.options.damping** 2
+            + self.options.error_damping * error * np.sqrt(np.maximum(lever, 0.0))
         )
         G = None if problem.G is None else np.asarray(problem.G) @ T
         h = None if problem.h is None else problem.h / self.shrink
-        return qpsolvers.Problem(P + np.diag(damping), T.T @ problem.q / self.shrink, G, h)
+        return qpsolvers.Problem(
+            P + np.diag(damping), T.T @ problem.q / self.shrink, G, h
+        )
 
     @property
     def _root(self) -> str:
         return self.model.body(int(self.model.jnt_bodyid[0])).name
 
     def _make_limits(self) -> list[mink.Limit]:
-        limits: list[mink.Limit] = [mink.ConfigurationLimit(self.model, gain=self.shrink)]
+        limits: list[mink.Limit] = [
+            mink.ConfigurationLimit(self.model, gain=self.shrink)
+        ]
         if self.options.has_velocity_limits:
-            speeds = dict(zip(self.hand.joint_names, self.hand.velocity_limits, strict=True))
+            speeds = dict(
+                zip(self.hand.joint_names, self.hand.velocity_limits, strict=True)
+            )
             limits.append(mink.VelocityLimit(self.model, speeds))
             if self.hand.is_floating:
                 wrist = self.hand.spec.wrist

@@ -63,7 +63,9 @@ def said() -> list[tuple[str, int, int]]:
 
 @pytest.fixture(scope="module")
 def result(
-    quick: None, said: list[tuple[str, int, int]], tmp_path_factory: pytest.TempPathFactory
+    quick: None,
+    said: list[tuple[str, int, int]],
+    tmp_path_factory: pytest.TempPathFactory,
 ) -> FiguresResult:
     folder = tmp_path_factory.mktemp("figures") / "new" / "folder"
     return run_figures(folder, progress=lambda *words: said.append(words))
@@ -79,9 +81,14 @@ def rows_of(file: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(lines))
 
 
-def test_every_figure_comes_as_png_svg_and_numbers(result: FiguresResult, folder: Path) -> None:
+def test_every_figure_comes_as_png_svg_and_numbers(
+    result: FiguresResult, folder: Path
+) -> None:
     expected = sorted(
-        [*(f"{name}.{kind}" for name in NAMES for kind in ("csv", "png", "svg")), *TABLES]
+        [
+            *(f"{name}.{kind}" for name in NAMES for kind in ("csv", "png", "svg")),
+            *TABLES,
+        ]
     )
     assert [file.name for file in result.files] == expected
     assert sorted(file.name for file in folder.iterdir()) == expected
@@ -131,15 +138,21 @@ def test_the_table_of_numbers_is_the_experiments(result: FiguresResult) -> None:
     row = next(
         row
         for row in result.numbers
-        if (row["robot hand"], row["object motion"], row["synergy"]) == ("ours", "rigid", 2)
+        if (row["robot hand"], row["object motion"], row["synergy"])
+        == ("ours", "rigid", 2)
     )
-    for column, setting in (("gamma 0.5", Setting(2, 0.5, 20)), ("50 steps", Setting(2, steps=50))):
+    for column, setting in (
+        ("gamma 0.5", Setting(2, 0.5, 20)),
+        ("50 steps", Setting(2, steps=50)),
+    ):
         assert row[column] == pytest.approx(
             1e3 * object_error(run_experiment(paper_scene("ours"), setting))
         )
 
 
-def test_progress_goes_to_the_end(result: FiguresResult, said: list[tuple[str, int, int]]) -> None:
+def test_progress_goes_to_the_end(
+    result: FiguresResult, said: list[tuple[str, int, int]]
+) -> None:
     total = 2 + len(NAMES)
     assert [done for _, done, _ in said] == list(range(total + 1))
     assert {of for *_, of in said} == {total}
@@ -157,12 +170,16 @@ def light(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paper, "most_contacts", lambda _: 7)
     for table in ("claim_rows", "number_rows"):
         monkeypatch.setattr(
-            paper, table, lambda *_: [{"the paper claims": "this", "we find": 1.0, "holds": "yes"}]
+            paper,
+            table,
+            lambda *_: [{"the paper claims": "this", "we find": 1.0, "holds": "yes"}],
         )
 
 
 @pytest.mark.usefixtures("light")
-def test_a_failure_keeps_earlier_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_keeps_earlier_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "figures"
     folder.mkdir()
     (folder / "report.md").write_text("old")
@@ -190,11 +207,15 @@ def test_the_same_numbers_give_the_same_files(tmp_path: Path) -> None:
     for name in ("one", "other"):
         run_figures(tmp_path / name)
     for file in (tmp_path / "one").iterdir():
-        assert file.read_bytes() == (tmp_path / "other" / file.name).read_bytes(), file.name
+        assert file.read_bytes() == (tmp_path / "other" / file.name).read_bytes(), (
+            file.name
+        )
 
 
 @pytest.mark.usefixtures("light")
-def test_the_command_prints_the_claims(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_the_claims(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     Figures(out=tmp_path / "new").run()
     out = capsys.readouterr().out
     assert "the paper claims" in out
@@ -210,7 +231,10 @@ def test_a_box_is_closed_and_looks_outwards() -> None:
     triangles = box_triangles(np.eye(4), np.array([1.0, 2.0, 3.0]))
     corners = triangles.vertices
     volume = (
-        np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6.0
+        np.einsum(
+            "ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])
+        ).sum()
+        / 6.0
     )
     assert volume == pytest.approx(6.0)
     assert (np.einsum("nci,nci->nc", triangles.normals, corners) > 0.0).all()

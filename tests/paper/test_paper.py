@@ -63,10 +63,13 @@ def run(scene: Scene, synergy: int, **choices: Any) -> Run:
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
 @pytest.mark.parametrize("model", MODELS)
-def test_error_against_gamma(scene: Scene, table: dict[str, Any], model: str, synergy: int) -> None:
+def test_error_against_gamma(
+    scene: Scene, table: dict[str, Any], model: str, synergy: int
+) -> None:
     expected = table["object_error"][model]["gamma"][synergy - 1]
     runs = [
-        run(scene, synergy, gamma=gamma, steps=table["gamma_steps"]) for gamma in table["gammas"]
+        run(scene, synergy, gamma=gamma, steps=table["gamma_steps"])
+        for gamma in table["gammas"]
     ]
     found = [object_error(one, MODELS[model]) for one in runs]
     assert all(map(agrees, found, expected)), (found, expected)
@@ -80,7 +83,8 @@ def test_error_against_the_number_of_steps(
 ) -> None:
     expected = table["object_error"][model]["steps"][synergy - 1]
     found = [
-        object_error(run(scene, synergy, steps=steps), MODELS[model]) for steps in table["steps"]
+        object_error(run(scene, synergy, steps=steps), MODELS[model])
+        for steps in table["steps"]
     ]
     assert all(map(agrees, found, expected)), (found, expected)
 
@@ -107,7 +111,9 @@ def test_distance_of_the_points_from_their_targets(
 
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
-def test_T_from_the_first_configuration(scene: Scene, table: dict[str, Any], synergy: int) -> None:
+def test_T_from_the_first_configuration(
+    scene: Scene, table: dict[str, Any], synergy: int
+) -> None:
     found = object_error(run(scene, synergy, start="first"))
     assert agrees(found, table["at_50_steps"]["closed_loop"][synergy - 1])
 
@@ -119,7 +125,9 @@ def test_one_metre_from_the_origin(
 ) -> None:
     far = object_error(run(scene.moved(METRE), synergy, pivot=pivot))
     assert agrees(far, table["at_50_steps"][f"one_metre_off_{pivot}"][synergy - 1])
-    assert far == pytest.approx(object_error(run(scene, synergy, pivot=pivot)), abs=1e-9)
+    assert far == pytest.approx(
+        object_error(run(scene, synergy, pivot=pivot)), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
@@ -151,7 +159,9 @@ def test_our_hand_differs_by_its_joints_only(scene: Scene) -> None:
         one, other = run(scene, synergy), run(ours, synergy)
         assert object_error(other) == pytest.approx(object_error(one), abs=1e-5)
         # Its Jacobian differs, so the compliance of its joints has another effect.
-        assert object_error(other, UNIT) == pytest.approx(object_error(one, UNIT), rel=0.06)
+        assert object_error(other, UNIT) == pytest.approx(
+            object_error(one, UNIT), rel=0.06
+        )
 
 
 # -- the scene
@@ -160,7 +170,9 @@ def test_our_hand_differs_by_its_joints_only(scene: Scene) -> None:
 def test_the_toolbox_hand_reaches_its_contacts_at_its_angles(scene: Scene) -> None:
     published = reference_grasp("three_finger")
     np.testing.assert_allclose(scene.robot.q, published.published_q)
-    np.testing.assert_allclose(scene.robot.points, published.published_points, atol=1e-9)
+    np.testing.assert_allclose(
+        scene.robot.points, published.published_points, atol=1e-9
+    )
     np.testing.assert_allclose(scene.robot.normals, published.grasp.normals, atol=1e-9)
 
 
@@ -174,9 +186,13 @@ def test_the_arc_has_the_papers_length_and_height() -> None:
 
 def test_without_a_synergy_everything_goes_with_the_wrist(scene: Scene) -> None:
     still = run(scene, 1, gamma=0.0)
-    np.testing.assert_allclose(still.robot.q, np.tile(scene.robot.q, (51, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        still.robot.q, np.tile(scene.robot.q, (51, 1)), atol=1e-9
+    )
     for poses in object_poses(still):
-        np.testing.assert_allclose(poses[:, :3, 3] - scene.human.centre, wrist_arc(50), atol=1e-9)
+        np.testing.assert_allclose(
+            poses[:, :3, 3] - scene.human.centre, wrist_arc(50), atol=1e-9
+        )
     assert still.point_rms < 1e-9
 
 
@@ -228,7 +244,10 @@ def test_the_experiment_equals_the_mapper(scene: Scene) -> None:
     )
     human = own.human
     mapper.reset(
-        human.q[0], human.wrist[0], robot_q=scene.robot.q, robot_wrist=scene.robot.wrist_pose
+        human.q[0],
+        human.wrist[0],
+        robot_q=scene.robot.q,
+        robot_wrist=scene.robot.wrist_pose,
     )
     for k in range(1, 21):
         step = mapper.map_step(human.q[k], human.wrist[k])
@@ -245,7 +264,9 @@ def test_force_changes_are_in_balance(scene: Scene, synergy: int) -> None:
     step = in_hand_step(scene, Setting(synergy=synergy))
     for forces in (step.human_forces, step.robot_forces):
         assert np.abs(forces).max() > 1e-6
-        np.testing.assert_allclose(forces.sum(axis=0), 0.0, atol=1e-9 * np.abs(forces).max())
+        np.testing.assert_allclose(
+            forces.sum(axis=0), 0.0, atol=1e-9 * np.abs(forces).max()
+        )
 
 
 def test_the_unit_of_force_cancels_in_motions(scene: Scene) -> None:
@@ -278,11 +299,13 @@ def test_objects_move_in_comparable_directions(is_rigid: bool) -> None:
 def test_gamma_matters_more_than_the_step(scene: Scene, model: str) -> None:
     for synergy in SYNERGIES:
         by_gamma = [
-            object_error(run(scene, synergy, gamma=g, steps=20), MODELS[model]) for g in GAMMAS[::3]
+            object_error(run(scene, synergy, gamma=g, steps=20), MODELS[model])
+            for g in GAMMAS[::3]
         ]
         assert (np.diff(by_gamma) > 0.0).all()
         by_steps = [
-            object_error(run(scene, synergy, steps=n), MODELS[model]) for n in (10, 20, 50, 100)
+            object_error(run(scene, synergy, steps=n), MODELS[model])
+            for n in (10, 20, 50, 100)
         ]
         assert max(by_steps) / min(by_steps) < 1.3 < 5.0 < by_gamma[-1] / by_gamma[0]
 
@@ -300,6 +323,11 @@ def test_the_seven_contacts_miss_a_linear_motion_by_millimetres() -> None:
     # Eq. (5) is an assumption: over the whole path the residuals are a few millimetres, for
     # contacts 50 mm apart.
     done = run(paper_scene("ours"), 3)
-    before, after = done.human.points[0], human_motion(paper_scene("ours"), done.setting).points[-1]
-    fitted = np.linalg.lstsq(np.column_stack([before, np.ones(7)]), after, rcond=None)[0]
+    before, after = (
+        done.human.points[0],
+        human_motion(paper_scene("ours"), done.setting).points[-1],
+    )
+    fitted = np.linalg.lstsq(np.column_stack([before, np.ones(7)]), after, rcond=None)[
+        0
+    ]
     assert 1e-3 < rms(after - np.column_stack([before, np.ones(7)]) @ fitted) < 20e-3

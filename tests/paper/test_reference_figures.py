@@ -33,7 +33,9 @@ def motion_from(rows: list[list[float]]) -> np.ndarray:
 
 def assert_close(actual: np.ndarray, expected: Any, relative: float = 1e-8) -> None:
     """Assert equality relative to the largest entry, as single entries may be rounding errors."""
-    np.testing.assert_allclose(actual, expected, rtol=0.0, atol=relative * np.abs(expected).max())
+    np.testing.assert_allclose(
+        actual, expected, rtol=0.0, atol=relative * np.abs(expected).max()
+    )
 
 
 def system_of_eq_6(points: np.ndarray) -> np.ndarray:
@@ -56,9 +58,9 @@ def pivot_of(
 def test_the_data_say_where_they_come_from(figures: dict[str, Any]) -> None:
     assert "SynGrasp 2.2" in figures["source"]
     assert figures["units"] == "mm and rad"
-    assert {name for name, case in figures["cases"].items() if case["rank_M"] == 12} == set(
-        FULL_RANK
-    )
+    assert {
+        name for name, case in figures["cases"].items() if case["rank_M"] == 12
+    } == set(FULL_RANK)
 
 
 @pytest.mark.parametrize("variant", ["raw", "inc", "cinc"])
@@ -140,19 +142,33 @@ def test_robot_targets_and_joint_steps_are_the_toolbox_ones(
     # The tolerance on differences follows from the rounding of the targets.
     lengths = np.abs(targets).max()
     np.testing.assert_allclose(
-        targets - rigid_targets, expected["splits"][split]["dp"], rtol=0.0, atol=1e-11 * lengths
+        targets - rigid_targets,
+        expected["splits"][split]["dp"],
+        rtol=0.0,
+        atol=1e-11 * lengths,
     )
-    np.testing.assert_allclose(dq, expected["splits"][split]["dq"], rtol=1e-8, atol=1e-12 * lengths)
+    np.testing.assert_allclose(
+        dq, expected["splits"][split]["dq"], rtol=1e-8, atol=1e-12 * lengths
+    )
 
 
 @pytest.mark.parametrize("case", ["exact_affine", "big_syn1_arc_rot30"])
-def test_from_points_to_joint_steps_in_one_go(figures: dict[str, Any], case: str) -> None:
-    points, robot_points = np.array(figures["cases"][case]["p"]), np.array(figures["robot_points"])
+def test_from_points_to_joint_steps_in_one_go(
+    figures: dict[str, Any], case: str
+) -> None:
+    points, robot_points = (
+        np.array(figures["cases"][case]["p"]),
+        np.array(figures["robot_points"]),
+    )
     motion = estimate_motion(points, figures["cases"][case]["f"]).motion
     parts = decompose(motion, pivot=points.mean(axis=0))
-    dp = transform_points(motion, robot_points) - transform_points(parts.rigid, robot_points)
+    dp = transform_points(motion, robot_points) - transform_points(
+        parts.rigid, robot_points
+    )
     dq = np.linalg.pinv(np.array(figures["robot_J"])) @ dp.ravel()
-    assert_close(dq, figures["cases"][case]["variants"]["raw"]["splits"]["centroid_h"]["dq"])
+    assert_close(
+        dq, figures["cases"][case]["variants"]["raw"]["splits"]["centroid_h"]["dq"]
+    )
 
 
 def test_a_mirrored_motion_keeps_a_rotation_where_the_toolbox_has_a_reflection(
@@ -171,13 +187,18 @@ def test_a_mirrored_motion_keeps_a_rotation_where_the_toolbox_has_a_reflection(
     assert np.linalg.det(parts.rotation) == pytest.approx(1.0)
 
 
-def test_a_mirrored_motion_leads_to_the_same_targets_all_the_same(figures: dict[str, Any]) -> None:
+def test_a_mirrored_motion_leads_to_the_same_targets_all_the_same(
+    figures: dict[str, Any],
+) -> None:
     expected = figures["cases"][MIRRORED]["variants"]["raw"]
     for split in SPLITS:
         T = motion_from(expected["T"])
         robot_points = np.array(figures["robot_points"])
-        pivot = pivot_of(split, T, np.array(figures["cases"][MIRRORED]["p"]), robot_points)
+        pivot = pivot_of(
+            split, T, np.array(figures["cases"][MIRRORED]["p"]), robot_points
+        )
         parts = decompose(T, pivot=pivot)
         assert_close(
-            transform_points(parts.deformation @ parts.rigid, robot_points), expected["p_f"]
+            transform_points(parts.deformation @ parts.rigid, robot_points),
+            expected["p_f"],
         )

@@ -23,8 +23,13 @@ def lines(file: Path) -> list[dict[str, Any]]:
 def test_who_opened_changed_and_stopped_a_session_is_kept(tmp_path: Path) -> None:
     keys, file = tmp_path / "keys", tmp_path / "audit.jsonl"
     make_keys(keys, ["alice", "bob"])
-    alice, bob = ((keys / f"{name}.key_secret", keys / "server.key") for name in ("alice", "bob"))
-    with serving(keys=keys, audit=file) as server, client_of(server, keys=alice) as client:
+    alice, bob = (
+        (keys / f"{name}.key_secret", keys / "server.key") for name in ("alice", "bob")
+    )
+    with (
+        serving(keys=keys, audit=file) as server,
+        client_of(server, keys=alice) as client,
+    ):
         client.open("three_finger", name="lab", preset="paper", is_shared=True)
         client.step(q=human_q(), wrist=np.eye(4))
         client.configure(ik={"rest_weight": 0.3})
@@ -60,7 +65,12 @@ def test_clients_without_keys_are_known_by_their_address(tmp_path: Path) -> None
             page.send(json.dumps({"type": "stop", "protocol": 2, "seq": 1}))
             page.recv()
     found = lines(file)
-    assert [entry["by"] for entry in found] == ["server", "127.0.0.1", "127.0.0.1", "web@127.0.0.1"]
+    assert [entry["by"] for entry in found] == [
+        "server",
+        "127.0.0.1",
+        "127.0.0.1",
+        "web@127.0.0.1",
+    ]
     assert found[-1]["event"] == "stop"
     assert found[-1]["session"] == ""
 

@@ -31,7 +31,10 @@ def start(fields: str, before: str = "") -> subprocess.Popen[str]:
         f"Serve({fields}).run()"
     )
     return subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 
@@ -65,14 +68,18 @@ def test_serve_ends_while_it_loads_a_hand() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name)
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, signal.SIGINT], ids=lambda number: number.name
+)
 def test_serve_reports_readiness_and_ends_on_a_signal(number: signal.Signals) -> None:
     process = start(PORTS)
     try:
         assert process.stdout is not None
         ready = json.loads(process.stdout.readline())
         assert set(ready["ports"]) == {"requests", "stream", "health", "web"}
-        with Client(f"tcp://127.0.0.1:{ready['ports']['requests']}", timeout=PATIENCE) as client:
+        with Client(
+            f"tcp://127.0.0.1:{ready['ports']['requests']}", timeout=PATIENCE
+        ) as client:
             client.open("three_finger", preset="paper")
             assert client.step(q=human_q(), wrist=np.eye(4)).status == "converged"
             process.send_signal(number)
@@ -100,11 +107,14 @@ def test_the_schema_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert "$defs" in json.loads(capsys.readouterr().out)
 
 
-def test_keys_are_made_and_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_keys_are_made_and_reported(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     Keys(tmp_path / "keys", client=("left",)).run()
     assert capsys.readouterr().out.count("wrote") == 5
     (public, secret), (server, _) = (
-        load_certificate(tmp_path / "keys" / name) for name in ("left.key_secret", "server.key")
+        load_certificate(tmp_path / "keys" / name)
+        for name in ("left.key_secret", "server.key")
     )
     assert [len(key or b"") for key in (public, secret, server)] == [40, 40, 40]
 
@@ -114,13 +124,25 @@ def test_keys_are_made_and_reported(tmp_path: Path, capsys: pytest.CaptureFixtur
     [
         ({"host": "0.0.0.0"}, InvalidOptionsError, "keys"),
         ({"web": True, "web_host": "0.0.0.0"}, InvalidOptionsError, "token"),
-        ({"web": True, "web_token_file": Path("missing")}, InvalidInputError, "cannot be read"),
+        (
+            {"web": True, "web_token_file": Path("missing")},
+            InvalidInputError,
+            "cannot be read",
+        ),
         ({"hand": (Path("missing.yaml"),)}, ValueError, "cannot be read"),
         ({"keys": Path("missing")}, InvalidInputError, "handmap keys"),
         ({"state": Path("missing/state")}, InvalidInputError, "cannot be used"),
         ({"sessions": 0}, InvalidOptionsError, "^sessions: expected 1 to 128, got 0"),
-        ({"sessions": 129}, InvalidOptionsError, "^sessions: expected 1 to 128, got 129"),
-        ({"rate": float("nan")}, InvalidOptionsError, "^rate: expected a number > 0, got nan"),
+        (
+            {"sessions": 129},
+            InvalidOptionsError,
+            "^sessions: expected 1 to 128, got 129",
+        ),
+        (
+            {"rate": float("nan")},
+            InvalidOptionsError,
+            "^rate: expected a number > 0, got nan",
+        ),
         ({"port": -1}, InvalidInputError, "^port: expected 0 to 65535, got -1"),
         ({"stream_port": 70000}, InvalidInputError, "^stream_port: expected"),
         ({"health_port": -2}, InvalidInputError, "^health_port: expected"),
@@ -150,7 +172,9 @@ def test_without_its_packages_the_extra_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name in [name for name in sys.modules if name.startswith("handmap_qp.apps.service.")]:
+    for name in [
+        name for name in sys.modules if name.startswith("handmap_qp.apps.service.")
+    ]:
         monkeypatch.delitem(sys.modules, name)
     for name in ("zmq", "zmq.auth"):
         monkeypatch.setitem(sys.modules, name, None)
@@ -180,4 +204,7 @@ def test_the_words_of_the_command_line_fit() -> None:
         Path("state"),
         500.0,
     )
-    assert tyro.cli(Keys, args=["keys", "--client", "left", "right"]).client == ("left", "right")
+    assert tyro.cli(Keys, args=["keys", "--client", "left", "right"]).client == (
+        "left",
+        "right",
+    )

@@ -100,7 +100,9 @@ def test_a_copy_works_without_the_package(server: Server, tmp_path: Path) -> Non
 def test_poses_survive_the_wire(matrix: np.ndarray) -> None:
     pose = Pose.of(matrix)
     assert np.allclose(pose.matrix, matrix, atol=1e-12)
-    assert np.allclose(Pose.of([*pose.position, *pose.quat_xyzw]).matrix, matrix, atol=1e-12)
+    assert np.allclose(
+        Pose.of([*pose.position, *pose.quat_xyzw]).matrix, matrix, atol=1e-12
+    )
 
 
 def test_an_array_of_another_shape_is_not_a_pose() -> None:
@@ -111,7 +113,9 @@ def test_an_array_of_another_shape_is_not_a_pose() -> None:
 def test_asyncio_is_the_same(server: Server) -> None:
     async def main() -> None:
         async with AsyncClient(address_of(server), timeout=PATIENCE) as client:
-            await client.open("three_finger", mapping={"rigid_from": "wrist"}, watchdog=10.0)
+            await client.open(
+                "three_finger", mapping={"rigid_from": "wrist"}, watchdog=10.0
+            )
             # Calls of several tasks take turns, and each gets its answer.
             commands = await asyncio.gather(
                 *(client.step(q=human_q(0.01 * i), wrist=WRIST) for i in range(20))
@@ -142,7 +146,8 @@ def test_a_cancelled_call_does_not_disturb_later_calls(server: Server) -> None:
                 await asyncio.sleep(0.0)
                 call.cancel()
                 cancelled += isinstance(
-                    (await asyncio.gather(call, return_exceptions=True))[0], asyncio.CancelledError
+                    (await asyncio.gather(call, return_exceptions=True))[0],
+                    asyncio.CancelledError,
                 )
             assert cancelled
             assert (await client.step(q=human_q(), wrist=WRIST, time=7.0)).time == 7.0
@@ -309,8 +314,16 @@ def test_every_argument_of_open_reaches_the_server(server: Server) -> None:
         state = client.status()
     about = state.about
     assert about is not None
-    assert (opened.name, opened.q, state.is_released) == ("every-argument", (0.1,) * 8, True)
-    assert (about["input"], about["side"], about["mount"]) == ("points", "left", "floating")
+    assert (opened.name, opened.q, state.is_released) == (
+        "every-argument",
+        (0.1,) * 8,
+        True,
+    )
+    assert (about["input"], about["side"], about["mount"]) == (
+        "points",
+        "left",
+        "floating",
+    )
     assert (about["mapping"]["ridge"], about["ik"]["damping"]) == (0.3, 0.2)
     assert about["has_detail"]
     assert about["is_shared"]

@@ -36,7 +36,9 @@ def server() -> Iterator[Server]:
 
 
 @pytest.mark.parametrize("matrix", NO_POSES.values(), ids=NO_POSES.keys())
-def test_a_matrix_that_is_no_pose_is_not_made_one(server: Server, matrix: np.ndarray) -> None:
+def test_a_matrix_that_is_no_pose_is_not_made_one(
+    server: Server, matrix: np.ndarray
+) -> None:
     # The client must reject it, because any matrix has a nearest quaternion to send.
     with connected(server) as client:
         before = client.step(q=human_q(), wrist=WRIST)

@@ -75,7 +75,9 @@ def lead_away(tracker: Client, driver: Client) -> Command:
     return wait_until(go_on)
 
 
-def test_a_tracker_that_only_sends_is_reopened_where_its_robot_is(server: Server) -> None:
+def test_a_tracker_that_only_sends_is_reopened_where_its_robot_is(
+    server: Server,
+) -> None:
     with connected(server, name="lab") as tracker, driver_of(server, "lab") as driver:
         before = lead_away(tracker, driver)
         lose_sessions(server)
@@ -104,19 +106,29 @@ def test_a_restarted_server_continues_or_changes_the_epoch(
 
 
 def test_sessions_keep_the_names_that_the_server_gave_them(free_port: int) -> None:
-    left, right = (Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE) for _ in range(2))
+    left, right = (
+        Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE) for _ in range(2)
+    )
     with serving(LOCAL, port=free_port):
         names = [client.open("three_finger").name for client in (left, right)]
         for client in (left, right):
             client.step(q=human_q(), wrist=WRIST)
     with serving(LOCAL, port=free_port), left, right:
-        found = {client: client.step(q=human_q(), wrist=WRIST).name for client in (right, left)}
+        found = {
+            client: client.step(q=human_q(), wrist=WRIST).name
+            for client in (right, left)
+        }
     assert [found[left], found[right]] == names
 
 
 @pytest.mark.parametrize("by", ["its client", "another"])
-def test_a_robot_that_was_let_go_is_not_taken_hold_of_again(server: Server, by: str) -> None:
-    with connected(server, name="lab", is_shared=True) as tracker, client_of(server) as other:
+def test_a_robot_that_was_let_go_is_not_taken_hold_of_again(
+    server: Server, by: str
+) -> None:
+    with (
+        connected(server, name="lab", is_shared=True) as tracker,
+        client_of(server) as other,
+    ):
         tracker.step(q=human_q(), wrist=WRIST)
         other.watch("lab")
         (tracker if by == "its client" else other).release()
@@ -137,7 +149,10 @@ def test_a_session_that_begins_anew_has_another_epoch(server: Server) -> None:
 
 
 def test_a_refused_sample_is_reported_at_the_next_one(server: Server) -> None:
-    with client_of(server) as nobody, pytest.raises(RuntimeError, match="open a session"):
+    with (
+        client_of(server) as nobody,
+        pytest.raises(RuntimeError, match="open a session"),
+    ):
         nobody.send(q=human_q(), wrist=WRIST)
 
     def refused() -> int:
@@ -179,7 +194,9 @@ def test_an_idle_session_comes_back_where_it_was(server: Server) -> None:
         assert_no_jump(tracker, before, after)
 
 
-def test_a_tracker_that_only_sends_and_was_idle_keeps_name_and_posture(server: Server) -> None:
+def test_a_tracker_that_only_sends_and_was_idle_keeps_name_and_posture(
+    server: Server,
+) -> None:
     with client_of(server) as tracker:
         name = tracker.open("three_finger").name
         with driver_of(server, name) as driver:
@@ -201,15 +218,22 @@ def test_a_reset_takes_hold_again_for_good(server: Server) -> None:
         assert tracker.step(q=human_q(), wrist=WRIST).status != "released"
 
 
-def test_a_release_that_only_the_watchdog_told_of_outlives_the_server(free_port: int) -> None:
-    tracker, other = (Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE) for _ in range(2))
+def test_a_release_that_only_the_watchdog_told_of_outlives_the_server(
+    free_port: int,
+) -> None:
+    tracker, other = (
+        Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE) for _ in range(2)
+    )
     with serving(LOCAL, port=free_port), other:
         tracker.open("three_finger", name="lab", is_shared=True)
         before = tracker.step(q=human_q(), wrist=WRIST)
         other.watch("lab")
         other.release()
         wait_until(
-            lambda: (command := tracker.latest(0.1)) is not None and "released" in command.flags
+            lambda: (
+                (command := tracker.latest(0.1)) is not None
+                and "released" in command.flags
+            )
         )
     with serving(LOCAL, port=free_port), tracker:
         after = tracker.step(q=human_q(2.0), wrist=WRIST)
@@ -220,7 +244,9 @@ def test_a_session_that_is_lost_twice_keeps_the_last_posture(server: Server) -> 
     with connected(server, name="lab", watchdog=10.0) as tracker:
         # Empty the stream, so that the client must remember the command.
         last = wait_until(
-            lambda: tracker.step(q=human_q(), wrist=WRIST) and tracker.latest(timeout=0.1)
+            lambda: (
+                tracker.step(q=human_q(), wrist=WRIST) and tracker.latest(timeout=0.1)
+            )
         )
         for reopened in (1, 2):
             # As by a restart without --state.
@@ -301,15 +327,23 @@ def test_a_client_restores_its_running_session_with_its_secret(server: Server) -
         after = tracker.step(q=human_q(), wrist=WRIST)
         assert (after.epoch, tracker.reopened) == (before.epoch, 1)
         # Neither a repetition with an older number nor another name is its session.
-        for request in (payload | {"seq": 1}, payload | {"seq": 10**6, "name": "other"}):
-            steps = tracker._ask(request | {"protocol": 2}, clock.monotonic() + PATIENCE)
+        for request in (
+            payload | {"seq": 1},
+            payload | {"seq": 10**6, "name": "other"},
+        ):
+            steps = tracker._ask(
+                request | {"protocol": 2}, clock.monotonic() + PATIENCE
+            )
             reply = tracker._run(steps)
             assert isinstance(reply, Error)
             assert (reply.code, reply.field) == ("invalid", "session")
 
 
 def test_records_do_not_hold_secrets(tmp_path: Path) -> None:
-    with serving(state=tmp_path / "state") as server, connected(server, name="lab") as client:
+    with (
+        serving(state=tmp_path / "state") as server,
+        connected(server, name="lab") as client,
+    ):
         secret = client._addressee["session"]
         written = b"".join(file.read_bytes() for file in tmp_path.iterdir())
         assert secret.encode() not in written

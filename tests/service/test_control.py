@@ -47,7 +47,17 @@ CLIENTS = ("a", "b")
 EVENTS = (
     *itertools.product(
         CLIENTS,
-        ("open", "restore", "sample", "status", "stop", "clear", "clutch", "release", "close"),
+        (
+            "open",
+            "restore",
+            "sample",
+            "status",
+            "stop",
+            "clear",
+            "clutch",
+            "release",
+            "close",
+        ),
     ),
     ("-", "wait"),
     ("-", "restart"),
@@ -134,7 +144,10 @@ class World:
                 name="lab", restore=kind == "restore", is_shared=self.setting.is_shared
             )
             return msgspec.structs.replace(
-                request, seq=seq, session=secret, robot_q=(0.0,) * 8 if by_name else None
+                request,
+                seq=seq,
+                session=secret,
+                robot_q=(0.0,) * 8 if by_name else None,
             )
         if kind == "sample":
             made = self.sample(self.now, human_q(0.7 * seq))
@@ -162,13 +175,24 @@ class World:
         else:
             # Whoever has no session of its own tries by name.
             answers = [self.send(client, self._request(client, kind, by_name=False))]
-            if answers[0]["type"] == "error" and kind in ("stop", "clear", "clutch", "release"):
-                answers.append(self.send(client, self._request(client, kind, by_name=True)))
+            if answers[0]["type"] == "error" and kind in (
+                "stop",
+                "clear",
+                "clutch",
+                "release",
+            ):
+                answers.append(
+                    self.send(client, self._request(client, kind, by_name=True))
+                )
         is_done = any(answer["type"] != "error" for answer in answers)
         self._check_owner(client, kind, is_done=is_done)
         self._check_stop(client, kind, number, is_done=is_done and before is not None)
         after = self._posture()
-        if posture is not None and after is not None and kind not in ("open", "restore"):
+        if (
+            posture is not None
+            and after is not None
+            and kind not in ("open", "restore")
+        ):
             has_moved = not np.array_equal(posture, after)
             self.seen["moved"] += has_moved
             is_led = kind == "sample" and client == self.owner and not self.is_stopped
@@ -202,23 +226,33 @@ class World:
             self._is_open = False
         elif kind in ("sample", "status") and is_done:
             assert client == self.owner, "a stranger led the robot"
-        if client == self.owner and self.session is not None and kind not in ("open", "restore"):
+        if (
+            client == self.owner
+            and self.session is not None
+            and kind not in ("open", "restore")
+        ):
             self._heard = self.now
         if self.session is not None:
             assert self.session.owner == self._owner_of(self.owner)
 
-    def _check_stop(self, client: str, kind: str, number: int, *, is_done: bool) -> None:
+    def _check_stop(
+        self, client: str, kind: str, number: int, *, is_done: bool
+    ) -> None:
         """Assert that a stop is in force until somebody who may has cleared it."""
         if kind == "stop" and is_done:
             self.is_stopped = True
             self.seen["stopped"] += 1
         elif kind == "clear" and is_done:
             may = client == self.owner or self.setting.is_shared
-            assert may or (self.setting.has_supervisor and client == "b"), "cleared by a stranger"
+            assert may or (self.setting.has_supervisor and client == "b"), (
+                "cleared by a stranger"
+            )
             self.is_stopped = False
             self.seen["cleared"] += 1
         if self.session is not None:
-            assert (self.session.mode == "stopped") == self.is_stopped, "a stop that does not stop"
+            assert (self.session.mode == "stopped") == self.is_stopped, (
+                "a stop that does not stop"
+            )
             if self.is_stopped and number:
                 assert self.session._stop == number
 
@@ -244,7 +278,10 @@ class World:
             return min(round(self.now - time, 6), 1.01 * LEASE)
 
         return (
-            tuple((secret in there.entries, there._ended.get(secret)) for secret in secrets),
+            tuple(
+                (secret in there.entries, there._ended.get(secret))
+                for secret in secrets
+            ),
             running
             and (
                 owners.index(running.owner),
@@ -254,7 +291,8 @@ class World:
                 age(running.last_request),
                 self.now > running._watchdog.last_sample,
             ),
-            record and (owners.index(record.owner), record.stop > 0, record.is_released),
+            record
+            and (owners.index(record.owner), record.stop > 0, record.is_released),
             tuple(sorted(age(time) for time in there._last_heard.values())),
             ("", *clients).index(self.owner),
             (self.is_stopped, age(self._heard), self._is_open),
@@ -271,10 +309,14 @@ def explore(monkeypatch: pytest.MonkeyPatch) -> Iterator[Search]:
     hands = prepare_hands(opening(), CACHE)
     monkeypatch.setattr(sessions, "prepare_hands", lambda *_: hands)
     monkeypatch.setattr(sessions, "report", lambda *_, **__: None)
-    monkeypatch.setattr("handmap_qp.apps.service.dispatch.Throttle.report", lambda *_, **__: None)
+    monkeypatch.setattr(
+        "handmap_qp.apps.service.dispatch.Throttle.report", lambda *_, **__: None
+    )
     monkeypatch.setattr("handmap_qp.apps.service.dispatch.version", lambda _: "0")
     numbers = itertools.count(1)
-    monkeypatch.setattr("handmap_qp.apps.service.session._new_epoch", lambda: next(numbers))
+    monkeypatch.setattr(
+        "handmap_qp.apps.service.session._new_epoch", lambda: next(numbers)
+    )
     loop = asyncio.new_event_loop()
 
     def replay(setting: Setting, path: Path) -> World:
@@ -320,7 +362,9 @@ SETTINGS = {
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_every_sequence_has_one_owner_no_stray_motion_and_stops(explore: Search, name: str) -> None:
+def test_every_sequence_has_one_owner_no_stray_motion_and_stops(
+    explore: Search, name: str
+) -> None:
     seen = explore(SETTINGS[name])
     # The search came by what it is about.
     modes = ("waiting", "following", "released", "hold", "stopped")
@@ -417,20 +461,25 @@ def test_who_may_continue_a_session(is_attended: bool, is_rival: bool) -> None:
 
     # A key is the same owner with any secret, from any address.
     assert keyed == Caller("there", "alice").owner(other)
-    assert may(keyed, alice.owner(other)) == ("busy" if is_attended and is_rival else "")
+    assert may(keyed, alice.owner(other)) == (
+        "busy" if is_attended and is_rival else ""
+    )
     assert may(keyed, bob.owner("a secret")) == may(keyed, plain) == "denied"
     # Without keys the secret counts. Others wait for the end of the lease, with a key too.
     assert may(plain, Caller("there").owner("a secret")) == (
         "busy" if is_attended and is_rival else ""
     )
     for stranger in (page.owner(other), bob.owner("a secret"), page.owner("")):
-        assert may(plain, stranger) == may("", stranger) == ("busy" if is_attended else "")
+        assert (
+            may(plain, stranger) == may("", stranger) == ("busy" if is_attended else "")
+        )
 
 
 def test_owners_are_digests_that_do_not_collide() -> None:
     secret = "a-secret-of-the-tests"
     owners = {
-        Caller("here", key).owner(secret) for key in ("", secret, "key:", "secret:", "\udcff")
+        Caller("here", key).owner(secret)
+        for key in ("", secret, "key:", "secret:", "\udcff")
     }
     assert len(owners) == 5
     assert not any(secret in owner for owner in owners)

@@ -14,7 +14,16 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
-from service_tools import CACHE, PERIOD, SECRET, Sampler, human_q, make_session, opening, streamed
+from service_tools import (
+    CACHE,
+    PERIOD,
+    SECRET,
+    Sampler,
+    human_q,
+    make_session,
+    opening,
+    streamed,
+)
 
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import JsonLines, log
@@ -40,7 +49,11 @@ class Desk:
         self.published: list[dict[str, Any]] = []
         self.metrics, self.store = Metrics(), store or PostureStore(None)
         self.dispatcher = Dispatcher(
-            Settings(**caps), CACHE, self.metrics, store=self.store, clock=lambda: self.now
+            Settings(**caps),
+            CACHE,
+            self.metrics,
+            store=self.store,
+            clock=lambda: self.now,
         )
         self.sessions = self.dispatcher.sessions
         self.sessions.publish.append(
@@ -88,7 +101,9 @@ def test_rates_are_capped_for_each_connection_and_recover() -> None:
     sample = Sampler()
 
     def flood(peer: str) -> list[str]:
-        return [answer["type"] for _ in range(100) for answer in here.take(sample(), peer)]
+        return [
+            answer["type"] for _ in range(100) for answer in here.take(sample(), peer)
+        ]
 
     with desk({"rate": 40.0}) as here:
         # A burst of a quarter of a second, and one error for the rest.
@@ -165,7 +180,9 @@ def test_a_session_that_fails_leaves_the_others_their_watchdogs(
     here.wait(0.3)
     assert sessions[1].mode == "hold"
     (line,) = [
-        json.loads(text) for text in logged.getvalue().splitlines() if "ZeroDivisionError" in text
+        json.loads(text)
+        for text in logged.getvalue().splitlines()
+        if "ZeroDivisionError" in text
     ]
     assert (line["event"], line["level"]) == ("failed", "error")
     assert "in burst" in line["traceback"]
@@ -194,7 +211,9 @@ def test_postures_are_noted_at_each_command_only_with_a_file(
         assert store.notes == (11 if file else 0)
         # The posture is known without a file too: at a takeover, and after the end.
         here.wait(2.0 * LEASE)
-        again = msgspec.structs.replace(opening(name="lab", restore=True), session=secret)
+        again = msgspec.structs.replace(
+            opening(name="lab", restore=True), session=secret
+        )
         session = asyncio.run(here.sessions.open(again, b"", Caller()))
         assert session.record.q == tuple(last["q"])
         here.sessions.end(secret, "no_session", "test")

@@ -11,7 +11,15 @@ import numpy as np
 import pytest
 import zmq
 from patience import wait_until
-from service_tools import LOCAL, bare_connection, client_of, code_of, human_q, serving, skip
+from service_tools import (
+    LOCAL,
+    bare_connection,
+    client_of,
+    code_of,
+    human_q,
+    serving,
+    skip,
+)
 from zmq.auth import load_certificate
 
 from handmap_qp import cli
@@ -35,7 +43,9 @@ REJECTED = {
 def is_admitted(server: Server, keys: KeyFiles | None) -> bool:
     """Connect; return whether the handshake succeeds."""
     with bare_connection(server, keys) as (_, next_event):
-        end = wait_until(lambda: {next_event()} & {zmq.EVENT_HANDSHAKE_SUCCEEDED, *REJECTED})
+        end = wait_until(
+            lambda: {next_event()} & {zmq.EVENT_HANDSHAKE_SUCCEEDED, *REJECTED}
+        )
     return not end & REJECTED
 
 
@@ -69,7 +79,10 @@ def test_secret_keys_are_for_their_owner_alone_and_stay(tmp_path: Path) -> None:
     assert len(make_keys(tmp_path / "keys", ["a", "c"])) == 3
     assert secrets[0].read_bytes() == before
     secrets[0].chmod(0o644)
-    with pytest.raises(InvalidInputError, match="others can read"), serving(keys=tmp_path / "keys"):
+    with (
+        pytest.raises(InvalidInputError, match="others can read"),
+        serving(keys=tmp_path / "keys"),
+    ):
         pass
 
 
@@ -103,7 +116,10 @@ def test_the_keys_are_those_that_lie_in_the_folder_now(tmp_path: Path) -> None:
     make_keys(tmp_path, ["a", "b"])
     clients = tmp_path / "clients"
     keys = ClientKeys(clients)
-    a, b = load_certificate(tmp_path / "a.key")[0], load_certificate(tmp_path / "b.key")[0]
+    a, b = (
+        load_certificate(tmp_path / "a.key")[0],
+        load_certificate(tmp_path / "b.key")[0],
+    )
     assert keys.read() == {a, b}
     assert keys.callback("*", a)
     (clients / "a.key").unlink()
@@ -140,7 +156,10 @@ def test_a_file_without_a_key_is_logged_once_and_the_others_count(
 def test_without_a_client_nothing_is_served(tmp_path: Path) -> None:
     make_keys(tmp_path, ["a"])
     (tmp_path / "clients" / "a.key").write_bytes(b"torn")
-    with pytest.raises(InvalidInputError, match="expected a client's key"), serving(keys=tmp_path):
+    with (
+        pytest.raises(InvalidInputError, match="expected a client's key"),
+        serving(keys=tmp_path),
+    ):
         pass
 
 
@@ -165,7 +184,10 @@ def test_another_key_may_stop_a_robot_but_not_clear_or_lead_it(tmp_path: Path) -
             with pytest.raises(ServiceError) as raised:
                 other.clear(number)
             assert code_of(raised) == ("denied", "name")
-            with client_of(server, keys=bob) as taker, pytest.raises(ServiceError) as raised:
+            with (
+                client_of(server, keys=bob) as taker,
+                pytest.raises(ServiceError) as raised,
+            ):
                 taker.open("three_finger", name="lab", preset="paper", restore=True)
             assert code_of(raised) == ("denied", "name")
         supervisor.watch("lab")
@@ -199,7 +221,10 @@ def test_a_key_is_the_owner_with_another_secret_too(tmp_path: Path) -> None:
     with serving(**choices) as server:
         for seconds in (0.0, 2.0 * LEASE):
             skip(server, seconds)
-            with client_of(server, keys=bob) as other, pytest.raises(ServiceError, match="denied"):
+            with (
+                client_of(server, keys=bob) as other,
+                pytest.raises(ServiceError, match="denied"),
+            ):
                 other.open("three_finger", name="lab", preset="paper", restore=True)
         with client_of(server, keys=alice) as third:
             third.open("three_finger", name="lab", preset="paper", restore=True)
@@ -212,7 +237,8 @@ def test_a_supervisor_must_have_a_key(tmp_path: Path, name: str) -> None:
     asyncio.run(Server(replace(LOCAL, keys=tmp_path, supervisor=("alice",))).stop())
     for keys in (tmp_path, None):
         with pytest.raises(
-            InvalidOptionsError, match="supervisor: expected the name of a client in keys"
+            InvalidOptionsError,
+            match="supervisor: expected the name of a client in keys",
         ):
             Server(Settings(keys=keys, supervisor=("alice", name)))
 

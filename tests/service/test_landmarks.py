@@ -10,7 +10,12 @@ from person_cases import worn
 from service_tools import CACHE, Sampler, human_q, make_session, opening, run_now
 
 from handmap_qp import load_hand
-from handmap_qp.apps.service.opening import CALIBRATION_SAMPLES, Calibration, Hands, prepare_hands
+from handmap_qp.apps.service.opening import (
+    CALIBRATION_SAMPLES,
+    Calibration,
+    Hands,
+    prepare_hands,
+)
 from handmap_qp.apps.service.session import Session
 from handmap_qp.client.messages import PROTOCOL, Configure
 from handmap_qp.errors import RefusedError
@@ -26,7 +31,9 @@ SETTLING_SAMPLES = 10
 """More samples than the guard waits for after a fault."""
 
 
-def landmarks_of(scale: float = 1.0, phase: float = 0.0) -> tuple[tuple[float, ...], ...]:
+def landmarks_of(
+    scale: float = 1.0, phase: float = 0.0
+) -> tuple[tuple[float, ...], ...]:
     """Return landmarks of the model's hand [m], multiplied by a scale."""
     points = CACHE.human("right", "landmarks").points(human_q(phase), np.eye(4))
     return tuple(map(tuple, (scale * points).tolist()))
@@ -54,7 +61,9 @@ def test_landmarks_are_measured_first_and_then_mapped(recordings: Any) -> None:
     commands = []
     for i, k in enumerate(seen):
         landmarks = tuple(map(tuple, recording.landmarks[k].tolist()))
-        commands.append(session.step(sample(i * PERIOD, landmarks=landmarks), i * PERIOD))
+        commands.append(
+            session.step(sample(i * PERIOD, landmarks=landmarks), i * PERIOD)
+        )
     states = [command.status for command in commands]
     assert states[:30] == ["calibrating"] * 30
     assert "calibrating" not in states[31:]
@@ -62,7 +71,9 @@ def test_landmarks_are_measured_first_and_then_mapped(recordings: Any) -> None:
     assert commands[-1].detail is not None
 
 
-def test_landmarks_that_are_no_hand_are_refused_at_once_and_the_session_is_as_it_was() -> None:
+def test_landmarks_that_are_no_hand_are_refused_at_once_and_the_session_is_as_it_was() -> (
+    None
+):
     session, sample = make_session(input="landmarks"), Sampler()
     good = CALIBRATION_SAMPLES // 2
     for i in range(good):
@@ -76,7 +87,9 @@ def test_landmarks_that_are_no_hand_are_refused_at_once_and_the_session_is_as_it
     # The watchdog ignores them, and the samples collected before still count.
     assert session.tick(good * PERIOD + session.request.watchdog) is not None
     for i in range(good, CALIBRATION_SAMPLES + SETTLING_SAMPLES):
-        session.step(sample(2.0 + i * PERIOD, landmarks=landmarks_of()), 2.0 + i * PERIOD)
+        session.step(
+            sample(2.0 + i * PERIOD, landmarks=landmarks_of()), 2.0 + i * PERIOD
+        )
     assert session.mode == "following"
 
 
@@ -109,9 +122,13 @@ def test_a_known_hand_needs_no_measuring() -> None:
     hands: Hands = prepare_hands(request, CACHE)
     assert not hands.needs_measuring
     assert hands.lengths is not None
-    session = Session(request, hands, "test", 0.0, calibration=Calibration(request, CACHE, run_now))
+    session = Session(
+        request, hands, "test", 0.0, calibration=Calibration(request, CACHE, run_now)
+    )
     landmarks = hands.mapper.human.with_points("landmarks").points(human_q())
-    command = session.step(Sampler()(landmarks=tuple(map(tuple, landmarks.tolist()))), 0.1)
+    command = session.step(
+        Sampler()(landmarks=tuple(map(tuple, landmarks.tolist()))), 0.1
+    )
     assert command.status != "calibrating"
 
 
@@ -145,7 +162,9 @@ def test_a_hand_of_another_size_is_not_mapped(scale: float, is_known: bool) -> N
     assert (raised.value.code, raised.value.field) == ("invalid", "landmarks")
     np.testing.assert_array_equal(session.posture[0], before)
     times = [1.0 + i * PERIOD for i in range(SETTLING_SAMPLES)]
-    commands = [session.step(sample(time, landmarks=landmarks_of()), time) for time in times]
+    commands = [
+        session.step(sample(time, landmarks=landmarks_of()), time) for time in times
+    ]
     assert commands[-1].status == "converged"
     assert session.counts["steps"] > counts
 
@@ -156,7 +175,9 @@ def test_a_release_during_the_measurement_holds_after_it() -> None:
     session.release()
     before = session.posture[0].copy()
     commands = [
-        session.step(sample(i * PERIOD, landmarks=landmarks_of(phase=0.05 * i)), i * PERIOD)
+        session.step(
+            sample(i * PERIOD, landmarks=landmarks_of(phase=0.05 * i)), i * PERIOD
+        )
         for i in range(1, CALIBRATION_SAMPLES + 10)
     ]
     assert commands[-1].status == "released"
@@ -206,7 +227,9 @@ def contact_gap_of(session: Session) -> float:
     return options.contact_gap
 
 
-@pytest.mark.parametrize(("time_from", "is_found"), [("server", True), ("client", False)])
+@pytest.mark.parametrize(
+    ("time_from", "is_found"), [("server", True), ("client", False)]
+)
 def test_stamps_that_run_faster_than_samples_arrive_are_named_on_the_servers_clock(
     time_from: str, is_found: bool
 ) -> None:
@@ -219,7 +242,9 @@ def test_stamps_that_run_faster_than_samples_arrive_are_named_on_the_servers_clo
             human.rest + 0.1 * np.sin(0.1 * i) * (human.upper_limits - human.rest)
         )
         landmarks = tuple(map(tuple, points.tolist()))
-        rules.append(session.step(sample(2.0 * i * PERIOD, landmarks=landmarks), i * PERIOD).rule)
+        rules.append(
+            session.step(sample(2.0 * i * PERIOD, landmarks=landmarks), i * PERIOD).rule
+        )
     assert set(rules) == ({"", "time"} if is_found else {""})
     if is_found:
         assert 0.5 < rules.index("time") * PERIOD < 1.6

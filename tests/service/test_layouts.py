@@ -52,7 +52,9 @@ def follow_by(session: Session, samples: list[dict[str, Any]]) -> np.ndarray:
     """Send samples at 60 Hz; return the postures commanded, shape (T, n)."""
     postures = []
     for i, each in enumerate(samples):
-        step = Step(protocol=PROTOCOL, seq=i + 2, session=SECRET, time=i * PERIOD, **each)
+        step = Step(
+            protocol=PROTOCOL, seq=i + 2, session=SECRET, time=i * PERIOD, **each
+        )
         postures.append(session.step(step, i * PERIOD).q)
     return np.array(postures)
 
@@ -63,13 +65,20 @@ def test_a_layout_moves_the_robot_as_its_landmarks_do(name: str) -> None:
     hands = [values_of(layout, landmarks_at(0.08 * i)) for i in range(15)]
     read = [layout.read(np.array(values), time=0.0, side="right") for values in hands]
     assert all((sample.wrist is not None) == layout.has_wrist for sample in read)
-    choices: dict[str, Any] = {"input": "landmarks", "hand_length": LENGTH, "has_detail": True}
+    choices: dict[str, Any] = {
+        "input": "landmarks",
+        "hand_length": LENGTH,
+        "has_detail": True,
+    }
     direct = make_session(preset="teleoperation", **choices)
     through = make_session(preset="teleoperation", layout=name, **choices)
     expected = follow_by(
         direct,
         [
-            {"landmarks": tuple(map(tuple, each.landmarks.tolist())), "wrist": to_pose(each.wrist)}
+            {
+                "landmarks": tuple(map(tuple, each.landmarks.tolist())),
+                "wrist": to_pose(each.wrist),
+            }
             for each in read
         ],
     )
@@ -115,7 +124,9 @@ def test_a_wrist_beside_the_values_is_in_the_axes_of_the_layout() -> None:
         ({"input": "points", "layout": "webxr25"}, "layout"),
     ],
 )
-def test_a_layout_that_cannot_be_is_refused(choices: dict[str, Any], field: str) -> None:
+def test_a_layout_that_cannot_be_is_refused(
+    choices: dict[str, Any], field: str
+) -> None:
     request = opening(**choices)
     with pytest.raises(RefusedError) as raised:
         Session(request, prepare_hands(request, CACHE), "test", 0.0)

@@ -17,7 +17,14 @@ from handmap_qp.apps.service import schema
 from handmap_qp.apps.service.decoding import decode_request, encode_reply
 from handmap_qp.apps.service.samples import to_matrix, to_pose
 from handmap_qp.apps.service.schema import CODES, FLAGS, json_schema, schema_text
-from handmap_qp.client.messages import PROTOCOL, AnyReply, AnyRequest, Error, Sample, Step
+from handmap_qp.client.messages import (
+    PROTOCOL,
+    AnyReply,
+    AnyRequest,
+    Error,
+    Sample,
+    Step,
+)
 from handmap_qp.mapping.presets import known_options
 
 STEP: dict[str, Any] = {
@@ -52,7 +59,10 @@ MISTAKES = {
     ),
     "half a wrist": (STEP | {"wrist": {"position": [0, 0, 0]}}, "wrist"),
     "unknown field": (STEP | {"angles": [0.0]}, "angles"),
-    "missing field": ({key: value for key, value in STEP.items() if key != "time"}, "time"),
+    "missing field": (
+        {key: value for key, value in STEP.items() if key != "time"},
+        "time",
+    ),
     "unknown type": (STEP | {"type": "jump"}, "type"),
     "no number of the request": (STEP | {"seq": 0}, "seq"),
     "unknown choice": (OPEN | {"side": "up"}, "side"),
@@ -84,8 +94,12 @@ def test_a_sample_is_a_step_without_an_answer() -> None:
     assert isinstance(request, Step)
 
 
-@pytest.mark.parametrize("message", [STEP | {"protocol": 9}, STEP | {"protocol": 9, "new": 1}])
-def test_another_version_of_the_messages_is_named_as_such(message: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "message", [STEP | {"protocol": 9}, STEP | {"protocol": 9, "new": 1}]
+)
+def test_another_version_of_the_messages_is_named_as_such(
+    message: dict[str, Any],
+) -> None:
     answer = decode_request(msgspec.msgpack.encode(message))
     assert isinstance(answer, Error)
     assert (answer.code, answer.field, answer.seq) == ("protocol", "protocol", 7)
@@ -111,11 +125,14 @@ def test_a_truncated_or_altered_message_is_read_or_refused(data: st.DataObject) 
 @pytest.mark.parametrize("place", range(0, 130, 3))
 def test_text_that_is_no_utf8_is_refused(place: int) -> None:
     # At any place, also where only the number of the request is decoded.
-    payload = bytearray(msgspec.msgpack.encode(STEP | {"session": "s" * 60, "other": "x"}))
+    payload = bytearray(
+        msgspec.msgpack.encode(STEP | {"session": "s" * 60, "other": "x"})
+    )
     payload[place : place + 2] = b"\xff\xfe"
     assert isinstance(decode_request(bytes(payload)), Error)
     assert isinstance(
-        decode_request(json.dumps(STEP).encode().replace(b"s", b"\xff"), is_json=True), Error
+        decode_request(json.dumps(STEP).encode().replace(b"s", b"\xff"), is_json=True),
+        Error,
     )
 
 

@@ -36,9 +36,14 @@ def numbers_of(kind: type[Any]) -> st.SearchStrategy[dict[str, float]]:
 )
 @example(mapping={"deformation_gain": 1e200}, ik={}, reference="first", seed=0)
 @example(
-    mapping={"deformation_gain": 10.0, "stretch_max": np.inf}, ik={}, reference="first", seed=0
+    mapping={"deformation_gain": 10.0, "stretch_max": np.inf},
+    ik={},
+    reference="first",
+    seed=0,
 )
-@example(mapping={"scale": 1e308}, ik={"point_weight": 1e308}, reference="previous", seed=0)
+@example(
+    mapping={"scale": 1e308}, ik={"point_weight": 1e308}, reference="previous", seed=0
+)
 def test_options_that_are_taken_can_be_followed(
     mapping: dict[str, float], ik: dict[str, float], reference: str, seed: int
 ) -> None:
@@ -52,7 +57,9 @@ def test_options_that_are_taken_can_be_followed(
         before = session.posture[0].copy()
         wrist = Pose(tuple(random.normal(size=3).tolist()), (0.0, 0.0, 0.0, 1.0))
         try:
-            session.step(sample(i * PERIOD, human_q(random.normal()), wrist), i * PERIOD)
+            session.step(
+                sample(i * PERIOD, human_q(random.normal()), wrist), i * PERIOD
+            )
         except RefusedError:
             # A tolerance of nothing refuses samples.
             continue
@@ -95,7 +102,11 @@ FIXED = {"mount": "fixed", "mapping": {"rigid_from": "none"}}
             "ik.avoids_self_collision",
         ),
         ({}, {"ik": {"rest_weight": 1e300}}, "ik"),
-        ({}, {"ik": {"max_acceleration": 0.0}, "mapping": {"ridge": 0.2}}, "ik.max_acceleration"),
+        (
+            {},
+            {"ik": {"max_acceleration": 0.0}, "mapping": {"ridge": 0.2}},
+            "ik.max_acceleration",
+        ),
         (FIXED, {"mapping": {"rigid_from": "points"}}, "mapping.rigid_from"),
     ],
     ids=str,
@@ -113,7 +124,9 @@ def test_the_options_at_fault_are_named(
         assert raised.value.field == field
 
 
-def test_the_solver_does_not_go_round_in_circles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_solver_does_not_go_round_in_circles(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     iterations = []
 
     def counting(*problem: Any, **settings: Any) -> Any:
@@ -137,7 +150,9 @@ def test_the_solver_does_not_go_round_in_circles(monkeypatch: pytest.MonkeyPatch
     for i in range(20):
         wrist = Pose(tuple(random.normal(size=3).tolist()), (0.0, 0.0, 0.0, 1.0))
         assert (
-            session.step(sample(i * PERIOD, human_q(random.normal()), wrist), i * PERIOD).status
+            session.step(
+                sample(i * PERIOD, human_q(random.normal()), wrist), i * PERIOD
+            ).status
             != "failed"
         )
     # Only some versions of DAQP cycle here; none may go on.
@@ -150,7 +165,9 @@ def test_options_change_on_the_way_and_the_robot_does_not_jump() -> None:
         session.step(sample(i * PERIOD, human_q(0.1 * i)), i * PERIOD)
     now, before = 20 * PERIOD, session.posture[0].copy()
     session.configure(
-        change(mapping={"deformation_gain": 0.0}, ik={"rest_weight": 1.0}, has_detail=True)
+        change(
+            mapping={"deformation_gain": 0.0}, ik={"rest_weight": 1.0}, has_detail=True
+        )
     )
     np.testing.assert_array_equal(session.posture[0], before)
     command = session.step(sample(now, human_q(1.0)), now)
@@ -162,7 +179,11 @@ def test_options_change_on_the_way_and_the_robot_does_not_jump() -> None:
     np.testing.assert_allclose(command.detail.motion_deformation, np.eye(4), atol=0.5)
     about = session.state(1, "", 0, now).about
     assert about is not None
-    assert (about.mapping["deformation_gain"], about.mapping["ridge"], about.ik["rest_weight"]) == (
+    assert (
+        about.mapping["deformation_gain"],
+        about.mapping["ridge"],
+        about.ik["rest_weight"],
+    ) == (
         0.0,
         0.1,
         1.0,
@@ -181,7 +202,9 @@ def test_options_change_on_the_way_and_the_robot_does_not_jump() -> None:
         ({"mapping": {"residual_gain": 1.0, "pivot": "point"}}, "mapping"),
     ],
 )
-def test_options_that_cannot_be_change_nothing(changes: dict[str, Any], field: str) -> None:
+def test_options_that_cannot_be_change_nothing(
+    changes: dict[str, Any], field: str
+) -> None:
     session, sample = make_session(), Sampler()
     session.step(sample(), 0.0)
     before = session.state(1, "", 0, 0.0).about

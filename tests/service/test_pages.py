@@ -25,7 +25,9 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
 
 
 def get(server: Server, path: str) -> tuple[http.client.HTTPResponse, bytes]:
-    connection = http.client.HTTPConnection("127.0.0.1", server.ports["web"], timeout=PATIENCE)
+    connection = http.client.HTTPConnection(
+        "127.0.0.1", server.ports["web"], timeout=PATIENCE
+    )
     try:
         connection.request("GET", path)
         response = connection.getresponse()
@@ -42,15 +44,28 @@ def test_every_file_is_served_with_its_type(server: Server) -> None:
         response, body = get(server, f"/{file.name}")
         assert response.status == 200
         assert body == file.read_bytes()
-        assert response.headers["Content-Type"] == f"{kinds[file.suffix]}; charset=utf-8"
+        assert (
+            response.headers["Content-Type"] == f"{kinds[file.suffix]}; charset=utf-8"
+        )
         assert "default-src 'none'" in response.headers["Content-Security-Policy"]
         assert response.headers["X-Content-Type-Options"] == "nosniff"
-    assert get(server, "/")[1] == get(server, "/?right=hey5")[1] == get(server, "/index.html")[1]
+    assert (
+        get(server, "/")[1]
+        == get(server, "/?right=hey5")[1]
+        == get(server, "/index.html")[1]
+    )
 
 
 @pytest.mark.parametrize(
     "path",
-    ["/favicon.ico", "/../pages.py", "/%2e%2e/pages.py", "/page.js/", "//page.js", "/x" * 99],
+    [
+        "/favicon.ico",
+        "/../pages.py",
+        "/%2e%2e/pages.py",
+        "/page.js/",
+        "//page.js",
+        "/x" * 99,
+    ],
 )
 def test_nothing_else_is_served(server: Server, path: str) -> None:
     response, body = get(server, path)
@@ -62,7 +77,10 @@ def test_files_name_each_other_and_nothing_outside() -> None:
     names = {file.name for file in FILES.iterdir()}
     for file in FILES.iterdir():
         text = file.read_text(encoding="utf-8")
-        assert set(re.findall(r"""(?:from|src=|href=) ?["'](?:\./)?([^"']+)["']""", text)) <= names
+        assert (
+            set(re.findall(r"""(?:from|src=|href=) ?["'](?:\./)?([^"']+)["']""", text))
+            <= names
+        )
         # Addresses in the page's advice name no host but localhost.
         assert set(re.findall(r"https?://(\w*)", text)) <= {"", "localhost"}
         assert "innerHTML" not in text

@@ -67,8 +67,16 @@ def about(session: Session) -> About:
         ({"ik": {"damping": 0.3}}, "teleoperation", None),
         ({"mapping": {"rigid_from": "wrist"}}, "paper", IkOptions()),
         ({"human_points": "fingertips"}, "object", PRESETS["object"].ik),
-        (FIXED | {"human_points": "fingertips", "mapping": {"rigid_from": "none"}}, "paper", None),
-        ({"preset": "object", "mapping": {"ridge": 0.4}}, "object", PRESETS["object"].ik),
+        (
+            FIXED | {"human_points": "fingertips", "mapping": {"rigid_from": "none"}},
+            "paper",
+            None,
+        ),
+        (
+            {"preset": "object", "mapping": {"ridge": 0.4}},
+            "object",
+            PRESETS["object"].ik,
+        ),
     ],
     ids=str,
 )
@@ -95,7 +103,10 @@ def test_the_preset_follows_from_hands_and_options(
     [
         ({"preset": "teleoperation", "mapping": {"scale": 2.0}}, "mapping.scale"),
         ({"preset": "object", "teleoperation": {"ridge": 0.2}}, "teleoperation.ridge"),
-        ({"mapping": {"scale": 2.0}, "teleoperation": {"ridge": 0.2}}, "teleoperation.ridge"),
+        (
+            {"mapping": {"scale": 2.0}, "teleoperation": {"ridge": 0.2}},
+            "teleoperation.ridge",
+        ),
         ({"teleoperation": {"pinch": 2.0}}, "teleoperation.pinch"),
         ({"teleoperation": {"pinch_weight": "much"}}, "teleoperation.pinch_weight"),
         ({"teleoperation": {"residual_gain": 2.0}}, "teleoperation.residual_gain"),
@@ -104,7 +115,9 @@ def test_the_preset_follows_from_hands_and_options(
     ],
     ids=str,
 )
-def test_options_of_another_preset_are_refused_by_name(choices: dict[str, Any], field: str) -> None:
+def test_options_of_another_preset_are_refused_by_name(
+    choices: dict[str, Any], field: str
+) -> None:
     session, sample = make_session(preset=None), Sampler()
     session.step(sample(), 0.0)
     if "preset" not in choices and "mapping" in choices:
@@ -155,7 +168,10 @@ def test_an_unknown_preset_is_refused() -> None:
 
 
 def test_a_preset_brings_its_own_options_and_the_robot_goes_on() -> None:
-    session, sample = make_session(teleoperation={"pinch_weight": 1.0}, preset=None), Sampler()
+    session, sample = (
+        make_session(teleoperation={"pinch_weight": 1.0}, preset=None),
+        Sampler(),
+    )
     now = follow(session, sample, 0.0)
     session.configure(change(ik={"damping": 0.4}))
     assert about(session).teleoperation["pinch_weight"] == 1.0
@@ -207,7 +223,8 @@ def test_commands_describe_t_of_every_preset(preset: Any) -> None:
     assert command.residual > 0.0
     assert len(command.point_error) == len(detail.targets) == len(detail.points)
     motion, rigid, deformation = (
-        np.array(getattr(detail, name)) for name in ("motion", "motion_rigid", "motion_deformation")
+        np.array(getattr(detail, name))
+        for name in ("motion", "motion_rigid", "motion_deformation")
     )
     if preset != "object":
         np.testing.assert_allclose(deformation @ rigid, motion, atol=1e-9)
@@ -230,7 +247,9 @@ def lengths(recording: Recording) -> Lengths:
     return found
 
 
-def landmarks_of(recording: Recording, index: int) -> tuple[tuple[float, float, float], ...]:
+def landmarks_of(
+    recording: Recording, index: int
+) -> tuple[tuple[float, float, float], ...]:
     return to_points(recording.landmarks[index])
 
 
@@ -248,7 +267,9 @@ def test_a_robot_anywhere_closes_to_the_fist_it_is_shown_first(
 ) -> None:
     recording, index = fist_of(recordings)
     hand = CACHE.robot(robot, None, None)
-    begin = {"lower": hand.lower_limits, "upper": hand.upper_limits, "rest": hand.rest}[start]
+    begin = {"lower": hand.lower_limits, "upper": hand.upper_limits, "rest": hand.rest}[
+        start
+    ]
     session = make_session(
         robot=robot,
         preset=None,
@@ -284,7 +305,9 @@ def reach_shares(robot: Any, q: np.ndarray) -> np.ndarray:
     configuration = robot.configuration()
     configuration.place_frames(robot.configuration_vector(q))
     for chain in find_fingers(robot).values():
-        ends = AttachedPoints(robot, [chain.knuckle, chain.tip]).positions(configuration)
+        ends = AttachedPoints(robot, [chain.knuckle, chain.tip]).positions(
+            configuration
+        )
         shares.append(np.linalg.norm(ends[1] - ends[0]) / chain.reach)
     return np.array(shares)
 
@@ -295,7 +318,9 @@ def test_landmarks_are_mapped_as_they_come(
     recording: Recording, lengths: Lengths, preset: Any, has_wrist: bool
 ) -> None:
     session, sample = (
-        make_session(preset=preset, input="landmarks", lengths=lengths, has_detail=True),
+        make_session(
+            preset=preset, input="landmarks", lengths=lengths, has_detail=True
+        ),
         Sampler(),
     )
     hands, choice = session._hands, session._choice
@@ -340,7 +365,12 @@ def measured_session(gap: float, **choices: Any) -> Session:
 
 @pytest.mark.parametrize(
     ("gap", "expected"),
-    [(0.016, 0.016), (0.002, 0.012), (0.022, 0.020), (0.05, Teleoperation().contact_gap)],
+    [
+        (0.016, 0.016),
+        (0.002, 0.012),
+        (0.022, 0.020),
+        (0.05, Teleoperation().contact_gap),
+    ],
 )
 def test_the_contact_gap_is_measured_where_thumb_and_finger_touched(
     gap: float, expected: float

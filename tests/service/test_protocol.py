@@ -33,7 +33,9 @@ DATA = Path(__file__).resolve().parents[1] / "data" / "clients"
 @pytest.fixture(scope="module")
 def yesterday() -> Iterator[ModuleType]:
     """Import the client of version 1, as it was."""
-    spec = importlib.util.spec_from_file_location("client_of_protocol_1", DATA / "protocol_1.py")
+    spec = importlib.util.spec_from_file_location(
+        "client_of_protocol_1", DATA / "protocol_1.py"
+    )
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -45,7 +47,10 @@ def yesterday() -> Iterator[ModuleType]:
 
 def test_the_client_of_version_1_still_works(yesterday: ModuleType) -> None:
     assert yesterday.PROTOCOL == 1
-    with serving() as server, yesterday.Client(address_of(server), timeout=PATIENCE) as client:
+    with (
+        serving() as server,
+        yesterday.Client(address_of(server), timeout=PATIENCE) as client,
+    ):
         opened = client.open("three_finger", name="lab", preset="paper", is_shared=True)
         first = client.step(q=human_q(), wrist=np.eye(4))
         assert first.joint_names == opened.joint_names
@@ -64,7 +69,9 @@ def test_the_client_of_version_1_still_works(yesterday: ModuleType) -> None:
             assert watcher.status().is_released
 
 
-def test_it_learns_of_a_stop_although_it_does_not_know_one(yesterday: ModuleType) -> None:
+def test_it_learns_of_a_stop_although_it_does_not_know_one(
+    yesterday: ModuleType,
+) -> None:
     with (
         serving() as server,
         yesterday.Client(address_of(server), timeout=PATIENCE) as client,
@@ -88,7 +95,9 @@ def test_the_client_of_version_1_reopens_a_lost_session(
     # It reopens with another secret, so without keys it is a new owner.
     make_keys(tmp_path, ["alice"])
     keys = tmp_path if has_keys else None
-    files = (tmp_path / "alice.key_secret", tmp_path / "server.key") if has_keys else None
+    files = (
+        (tmp_path / "alice.key_secret", tmp_path / "server.key") if has_keys else None
+    )
     with (
         serving(keys=keys) as server,
         yesterday.Client(address_of(server), timeout=PATIENCE, keys=files) as client,
@@ -108,9 +117,17 @@ def test_after_a_restart_the_client_of_version_1_waits_for_the_lease_without_key
 ) -> None:
     make_keys(tmp_path, ["alice"])
     keys = tmp_path if has_keys else None
-    files = (tmp_path / "alice.key_secret", tmp_path / "server.key") if has_keys else None
-    choices: dict[str, Any] = {"port": free_port, "keys": keys, "state": tmp_path / "state"}
-    client = yesterday.Client(f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE, keys=files)
+    files = (
+        (tmp_path / "alice.key_secret", tmp_path / "server.key") if has_keys else None
+    )
+    choices: dict[str, Any] = {
+        "port": free_port,
+        "keys": keys,
+        "state": tmp_path / "state",
+    }
+    client = yesterday.Client(
+        f"tcp://127.0.0.1:{free_port}", timeout=PATIENCE, keys=files
+    )
     with serving(**choices):
         client.open("three_finger", name="lab", preset="paper")
         before = client.step(q=human_q(), wrist=np.eye(4))

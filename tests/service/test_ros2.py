@@ -51,11 +51,15 @@ class Node:
         self.callbacks["timer"] = callback
 
     def get_clock(self) -> Any:
-        return types.SimpleNamespace(now=lambda: types.SimpleNamespace(to_msg=lambda: STAMP))
+        return types.SimpleNamespace(
+            now=lambda: types.SimpleNamespace(to_msg=lambda: STAMP)
+        )
 
     def get_logger(self) -> Any:
         lines = self.published.setdefault("log", [])
-        return types.SimpleNamespace(warning=lambda line, throttle_duration_sec: lines.append(line))
+        return types.SimpleNamespace(
+            warning=lambda line, throttle_duration_sec: lines.append(line)
+        )
 
 
 DEFAULTS = {"JointState": {"velocity": [], "effort": []}, "Header": {"frame_id": ""}}
@@ -143,14 +147,18 @@ def command(**changes: Any) -> Command:
     return Command(**{**fields, **changes})
 
 
-def test_it_is_as_short_as_the_readme_says_and_runs_on_the_python_of_ros(code: str) -> None:
+def test_it_is_as_short_as_the_readme_says_and_runs_on_the_python_of_ros(
+    code: str,
+) -> None:
     assert len([line for line in code.splitlines() if line.strip()]) <= 40
     files = Path(handmap_qp.client.__file__).parent.glob("*.py")
     for source in (code, *(file.read_text(encoding="utf-8") for file in files)):
         ast.parse(source, feature_version=(3, 10))
 
 
-def test_a_sample_is_ordered_by_name_and_keeps_pose_and_time(bridge: dict[str, Any]) -> None:
+def test_a_sample_is_ordered_by_name_and_keeps_pose_and_time(
+    bridge: dict[str, Any],
+) -> None:
     joints = over_the_wire(joint_state(["c", "a", "b"], np.array([3.0, 1.0, 2.0])))
     wrist = over_the_wire(pose_stamped([0.1, 0.2, 0.3], [0.0, 0.0, 0.6, 0.8]))
     sample = bridge["to_sample"](joints, wrist, ("a", "b", "c"))
@@ -164,14 +172,22 @@ def test_a_sample_is_ordered_by_name_and_keeps_pose_and_time(bridge: dict[str, A
 
 def test_a_command_becomes_a_joint_state_by_name(bridge: dict[str, Any]) -> None:
     message = over_the_wire(bridge["to_joint_state"](command(), STAMP))
-    assert dict(zip(message.name, message.position, strict=True)) == {"b": 0.25, "a": -0.5}
+    assert dict(zip(message.name, message.position, strict=True)) == {
+        "b": 0.25,
+        "a": -0.5,
+    }
     assert message.header.stamp.sec == 12
 
 
 def test_a_command_becomes_a_pose_with_its_scalar_last(bridge: dict[str, Any]) -> None:
     message = over_the_wire(bridge["to_pose_stamped"](command(), STAMP))
     orientation = message.pose.orientation
-    assert (orientation.x, orientation.y, orientation.z, orientation.w) == (0.0, 0.0, 0.6, 0.8)
+    assert (orientation.x, orientation.y, orientation.z, orientation.w) == (
+        0.0,
+        0.0,
+        0.6,
+        0.8,
+    )
     assert (message.pose.position.x, message.pose.position.z) == (0.1, 0.3)
     assert message.header.frame_id == "handmap"
 
@@ -192,9 +208,13 @@ def test_the_node_carries_samples_in_and_commands_out(bridge: dict[str, Any]) ->
         assert not node.published["robot/joint_commands"], (
             "nothing goes out before the wrist is known"
         )
-        node.callbacks["human/wrist"](pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]))
+        node.callbacks["human/wrist"](
+            pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+        )
         node.callbacks["human/joint_states"](joint_state(names, human_q()))
-        wait_until(lambda: node.callbacks["timer"]() or node.published["robot/joint_commands"])
+        wait_until(
+            lambda: node.callbacks["timer"]() or node.published["robot/joint_commands"]
+        )
         state = node.published["robot/joint_commands"][0]
         assert tuple(state.name) == server_joints(client)
         assert node.published["robot/wrist_command"]
@@ -203,10 +223,14 @@ def test_the_node_carries_samples_in_and_commands_out(bridge: dict[str, Any]) ->
         assert tuple(seen.joint_names) == server_joints(client)
 
 
-def test_an_unusable_sample_is_logged_and_the_node_continues(bridge: dict[str, Any]) -> None:
+def test_an_unusable_sample_is_logged_and_the_node_continues(
+    bridge: dict[str, Any],
+) -> None:
     with serving() as server, client_of(server) as client:
         node = bridge["Bridge"](client, "three_finger")
-        node.callbacks["human/wrist"](pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]))
+        node.callbacks["human/wrist"](
+            pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+        )
         node.callbacks["human/joint_states"](joint_state(["elbow"], np.zeros(1)))
         assert "KeyError" in node.published["log"][0]
         node.callbacks["timer"]()
@@ -218,9 +242,14 @@ def test_a_node_that_was_started_first_waits_for_the_server(
     with Client(f"tcp://127.0.0.1:{free_port}", timeout=0.05) as client:
         node = bridge["Bridge"](client, "three_finger")
         node.callbacks["timer"]()
-        node.callbacks["human/wrist"](pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]))
+        node.callbacks["human/wrist"](
+            pose_stamped([0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
+        )
         node.callbacks["human/joint_states"](joint_state([], np.zeros(0)))
-        assert ["ServiceTimeoutError" in line for line in node.published["log"]] == [True, True]
+        assert ["ServiceTimeoutError" in line for line in node.published["log"]] == [
+            True,
+            True,
+        ]
         client.timeout = 20.0
         with serving(port=free_port):
             node.callbacks["timer"]()

@@ -31,7 +31,9 @@ def angles(robot: Hand, generator: np.random.Generator) -> np.ndarray:
 
 def wrist_twist(robot: Hand, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Displacement of the wrist's joint, as the QP bounds it, shape (6,)."""
-    start, end = (robot.configuration_vector(robot.rest, wrist) for wrist in (before, after))
+    start, end = (
+        robot.configuration_vector(robot.rest, wrist) for wrist in (before, after)
+    )
     return pin.difference(robot.model, start, end)[:6]
 
 
@@ -42,7 +44,9 @@ def test_no_joint_goes_faster_than_its_share_of_the_limit(
     guard = CommandedRobot(ROBOT, angles(ROBOT, generator), np.eye(4))
     before = guard.q.copy()
     guard.advance(angles(ROBOT, generator), None, dt, share)
-    assert (np.abs(guard.q - before) <= ROBOT.velocity_limits * dt * share + 1e-12).all()
+    assert (
+        np.abs(guard.q - before) <= ROBOT.velocity_limits * dt * share + 1e-12
+    ).all()
 
 
 @given(generators, poses, poses, times)
@@ -54,7 +58,10 @@ def test_the_wrist_keeps_its_limits(
     wrist = guard.wrist
     assert wrist is not None
     limits = (
-        np.repeat([ROBOT.spec.wrist.max_linear_speed, ROBOT.spec.wrist.max_angular_speed], 3) * dt
+        np.repeat(
+            [ROBOT.spec.wrist.max_linear_speed, ROBOT.spec.wrist.max_angular_speed], 3
+        )
+        * dt
     )
     # The logarithm of a pose loses half its digits near half a turn.
     assert (np.abs(wrist_twist(ROBOT, before, wrist)) <= limits + 1e-7).all()
@@ -76,10 +83,17 @@ def test_what_is_within_the_limits_passes_unchanged(
 def test_a_far_posture_is_reached_in_the_time_that_the_slowest_needs(
     generator: np.random.Generator, before: np.ndarray, wanted: np.ndarray
 ) -> None:
-    guard, goal = CommandedRobot(ROBOT, angles(ROBOT, generator), before), angles(ROBOT, generator)
+    guard, goal = (
+        CommandedRobot(ROBOT, angles(ROBOT, generator), before),
+        angles(ROBOT, generator),
+    )
     joints = np.abs(goal - guard.q) / ROBOT.velocity_limits
-    speeds = np.repeat([ROBOT.spec.wrist.max_linear_speed, ROBOT.spec.wrist.max_angular_speed], 3)
-    slowest = max(joints.max(), (np.abs(wrist_twist(ROBOT, before, wanted)) / speeds).max())
+    speeds = np.repeat(
+        [ROBOT.spec.wrist.max_linear_speed, ROBOT.spec.wrist.max_angular_speed], 3
+    )
+    slowest = max(
+        joints.max(), (np.abs(wrist_twist(ROBOT, before, wanted)) / speeds).max()
+    )
     steps = int(np.ceil(slowest / 0.02 - 1e-6)) + 1
     is_there = [guard.advance(goal, wanted, 0.02) for _ in range(steps)]
     assert is_there[-1]
@@ -91,7 +105,10 @@ class Ways:
 
     def __init__(self, hand: Hand) -> None:
         self.hand, self.pairs = hand, all_pairs(hand, find_fingers(hand))
-        self._distances, self._placed = CollisionLimit(hand, pairs=self.pairs), hand.configuration()
+        self._distances, self._placed = (
+            CollisionLimit(hand, pairs=self.pairs),
+            hand.configuration(),
+        )
 
     def nearest(self, before: np.ndarray, after: np.ndarray, count: int) -> float:
         """Return the smallest distance on a way, its end included [m]."""
@@ -106,7 +123,10 @@ class Ways:
         """Return two postures, clear of overlaps, with another link between them."""
         while True:
             start, goal = angles(self.hand, generator), angles(self.hand, generator)
-            is_clear = self.nearest(goal, start, 1) > 0.0 and self.nearest(start, goal, 1) > 0.0
+            is_clear = (
+                self.nearest(goal, start, 1) > 0.0
+                and self.nearest(start, goal, 1) > 0.0
+            )
             if is_clear and self.nearest(start, goal, 12) < -2e-3:
                 return start, goal
 
@@ -118,7 +138,11 @@ def test_a_slew_never_leads_through_a_link(most: float | None) -> None:
     worst, fastest, arrivals = np.inf, 0.0, 0
     for _ in range(5):
         start, goal = ways.ends(generator)
-        guard, velocity, is_there = CommandedRobot(FIXED, start), np.zeros_like(goal), False
+        guard, velocity, is_there = (
+            CommandedRobot(FIXED, start),
+            np.zeros_like(goal),
+            False,
+        )
         guard.obey(ik)
         for k in range(150):
             before, dt = guard.q, generator.uniform(0.004, 0.03)
@@ -196,7 +220,11 @@ def test_a_fixed_wrist_stays_where_the_urdf_has_it() -> None:
     assert np.allclose(np.asarray(guard.wrist), expected, atol=1e-15)
 
 
-@given(st.lists(st.tuples(st.floats(-1e6, 1e6), st.floats(0.0, 0.2)), min_size=1, max_size=30))
+@given(
+    st.lists(
+        st.tuples(st.floats(-1e6, 1e6), st.floats(0.0, 0.2)), min_size=1, max_size=30
+    )
+)
 def test_the_servers_clock_grants_no_more_time_than_has_passed(
     arrivals: list[tuple[float, float]],
 ) -> None:

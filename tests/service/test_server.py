@@ -51,7 +51,9 @@ def server() -> Iterator[Server]:
         yield running
 
 
-def ask(server: Server, *payloads: bytes, kind: int = zmq.DEALER) -> list[dict[str, Any]]:
+def ask(
+    server: Server, *payloads: bytes, kind: int = zmq.DEALER
+) -> list[dict[str, Any]]:
     """Send payloads unchanged; return their answers."""
     with zmq.Context() as context, context.socket(kind) as socket:
         socket.linger, socket.rcvtimeo = 0, int(1e3 * PATIENCE)
@@ -67,7 +69,9 @@ def encoded(request: Request) -> bytes:
     return msgspec.msgpack.encode(request)
 
 
-def test_a_step_names_joints_as_the_urdf_does_and_bears_its_number(server: Server) -> None:
+def test_a_step_names_joints_as_the_urdf_does_and_bears_its_number(
+    server: Server,
+) -> None:
     with connected(server) as client:
         command = client.step(q=human_q(), wrist=WRIST, time=12.5)
         assert command.joint_names[0] == "f1_proximal"
@@ -121,7 +125,9 @@ def test_a_req_socket_will_do(server: Server) -> None:
 
 
 @pytest.mark.parametrize(
-    "payload", [b"", b"\xc1", b"GET / HTTP/1.1\r\n\r\n", b"\x80", b"\x93\x01\x02"], ids=repr
+    "payload",
+    [b"", b"\xc1", b"GET / HTTP/1.1\r\n\r\n", b"\x80", b"\x93\x01\x02"],
+    ids=repr,
 )
 def test_garbage_is_answered_with_an_error(server: Server, payload: bytes) -> None:
     (answer,) = ask(server, payload)
@@ -130,13 +136,16 @@ def test_garbage_is_answered_with_an_error(server: Server, payload: bytes) -> No
 
 def test_a_guessed_session_is_refused(server: Server) -> None:
     (answer,) = ask(
-        server, encoded(msgspec.structs.replace(Sampler()(), session="somebody-elses-one"))
+        server,
+        encoded(msgspec.structs.replace(Sampler()(), session="somebody-elses-one")),
     )
     assert answer["code"] == "no_session"
 
 
 def test_secrets_have_to_be_long(server: Server) -> None:
-    (answer,) = ask(server, encoded(msgspec.structs.replace(opening(), session="short")))
+    (answer,) = ask(
+        server, encoded(msgspec.structs.replace(opening(), session="short"))
+    )
     assert (answer["code"], answer["field"]) == ("invalid", "session")
 
 
@@ -163,7 +172,9 @@ def test_the_stream_reports_an_unusable_sample(server: Server) -> None:
 def test_the_stream_has_the_commands_of_the_watchdog(server: Server) -> None:
     with connected(server, watchdog=0.05) as client:
         client.step(q=human_q(), wrist=WRIST)
-        wait_until(lambda: (command := client.latest(0.1)) and "watchdog" in command.flags)
+        wait_until(
+            lambda: (command := client.latest(0.1)) and "watchdog" in command.flags
+        )
 
 
 def test_release_clutch_reset_close(server: Server) -> None:
@@ -183,7 +194,10 @@ def test_release_clutch_reset_close(server: Server) -> None:
 
 
 def test_restore_takes_a_session_over_where_it_is(server: Server) -> None:
-    with connected(server, name="mine", watchdog=10.0) as first, client_of(server) as second:
+    with (
+        connected(server, name="mine", watchdog=10.0) as first,
+        client_of(server) as second,
+    ):
         last = [first.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
         with pytest.raises(ServiceError) as raised:
             second.open("three_finger", name="mine")
@@ -226,8 +240,13 @@ def test_restore_needs_something_to_restore(server: Server) -> None:
 
 
 @pytest.mark.parametrize("wants_restore", [True, False])
-def test_a_restarted_server_restores_on_request_only(tmp_path: Path, wants_restore: bool) -> None:
-    with serving(state=tmp_path / "state") as before, connected(before, name="mine") as client:
+def test_a_restarted_server_restores_on_request_only(
+    tmp_path: Path, wants_restore: bool
+) -> None:
+    with (
+        serving(state=tmp_path / "state") as before,
+        connected(before, name="mine") as client,
+    ):
         last = [client.step(q=human_q(0.2 * i), wrist=WRIST) for i in range(10)][-1]
     with serving(state=tmp_path / "state") as after, client_of(after) as client:
         # The owner may be on its way back.
@@ -270,7 +289,9 @@ def test_a_client_above_the_rate_limit_gets_an_error() -> None:
         assert code_of(raised)[0] == "rate"
 
 
-def test_a_message_that_is_too_long_costs_the_connection_and_nothing_else(server: Server) -> None:
+def test_a_message_that_is_too_long_costs_the_connection_and_nothing_else(
+    server: Server,
+) -> None:
     with bare_connection(server) as (socket, next_event):
         socket.send(b"x" * 20_000)
         wait_until(lambda: next_event() == zmq.EVENT_DISCONNECTED)
@@ -295,7 +316,9 @@ def test_simulated_time_needs_leave(server: Server) -> None:
         connected(other, time_from="client") as client,
     ):
         client.step(q=human_q(), wrist=WRIST, time=0.0)
-        assert client.step(q=human_q(), wrist=WRIST, time=0.02).dt == pytest.approx(0.02)
+        assert client.step(q=human_q(), wrist=WRIST, time=0.02).dt == pytest.approx(
+            0.02
+        )
 
 
 @pytest.mark.parametrize("port", [-2, -1, 65536, 10**9, 10**30])
@@ -325,9 +348,13 @@ def test_metrics_and_health_are_told_on_loopback() -> None:
         for _ in range(3):
             client.step(q=human_q(), wrist=WRIST)
         base = f"http://127.0.0.1:{server.ports['health']}"
-        health = json.loads(urllib.request.urlopen(f"{base}/health", timeout=PATIENCE).read())
+        health = json.loads(
+            urllib.request.urlopen(f"{base}/health", timeout=PATIENCE).read()
+        )
         assert (health["status"], health["sessions"]) == ("ok", 1)
-        text = urllib.request.urlopen(f"{base}/metrics", timeout=PATIENCE).read().decode()
+        text = (
+            urllib.request.urlopen(f"{base}/metrics", timeout=PATIENCE).read().decode()
+        )
         assert "handmap_steps_total 3" in text
         assert "handmap_step_seconds_count 3" in text
         for request in (
@@ -341,14 +368,20 @@ def test_metrics_and_health_are_told_on_loopback() -> None:
 
 
 def test_a_taken_port_is_said(server: Server) -> None:
-    with pytest.raises(InvalidInputError, match="in use"), serving(port=server.ports["requests"]):
+    with (
+        pytest.raises(InvalidInputError, match="in use"),
+        serving(port=server.ports["requests"]),
+    ):
         pass
 
 
-def test_only_what_was_ready_has_stopped(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_what_was_ready_has_stopped(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
     events: list[str] = []
     monkeypatch.setattr(
-        "handmap_qp.apps.service.server.report", lambda level, event, **data: events.append(event)
+        "handmap_qp.apps.service.server.report",
+        lambda level, event, **data: events.append(event),
     )
     for taken in ("port", "stream_port", "health_port"):
         choice: dict[str, Any] = {taken: server.ports["requests"]}

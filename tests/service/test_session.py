@@ -59,7 +59,11 @@ def changes_for(choices: dict[str, Any], phase: float) -> Configure:
         {"ik": {"has_velocity_limits": False}},
         {"return_after": 0.1, "resume": "clutch"},
         {"preset": "teleoperation"},
-        {"preset": "teleoperation", "ik": {"has_velocity_limits": False}, "return_after": 0.1},
+        {
+            "preset": "teleoperation",
+            "ik": {"has_velocity_limits": False},
+            "return_after": 0.1,
+        },
     ],
     ids=str,
 )
@@ -85,7 +89,8 @@ def test_joints_keep_their_speed_limits_whatever_comes(
         if command is not None:
             # Exact up to rounding. No command accounts for more time than has passed, or max_dt.
             assert (
-                speeds(session, last, command, min(now - moved_at, 1.0 / 30.0)) <= 1.0 + 1e-6
+                speeds(session, last, command, min(now - moved_at, 1.0 / 30.0))
+                <= 1.0 + 1e-6
             ).all()
             last, moved_at = np.array(command.q), now
         assert np.array_equal(session.posture[0], last)
@@ -221,7 +226,9 @@ def test_a_sample_that_fails_half_way_does_not_make_the_robot_jump(
 def test_points_need_no_joint_angles() -> None:
     session, sample = make_session(input="points", robot_wrist=HERE), Sampler()
     human = CACHE.human("right", None)
-    motion = [tuple(map(tuple, human.points(human_q(0.1 * i)).tolist())) for i in range(10)]
+    motion = [
+        tuple(map(tuple, human.points(human_q(0.1 * i)).tolist())) for i in range(10)
+    ]
     commands = [
         session.step(sample(points=points, wrist=None), i * PERIOD)
         for i, points in enumerate(motion)
@@ -249,7 +256,10 @@ def test_details_hold_every_stage() -> None:
 
 
 def test_a_fixed_wrist_is_told_and_not_taken() -> None:
-    session, sample = make_session(mount="fixed", mapping={"rigid_from": "none"}), Sampler()
+    session, sample = (
+        make_session(mount="fixed", mapping={"rigid_from": "none"}),
+        Sampler(),
+    )
     command = session.step(sample(), 0.1)
     assert command.wrist is not None
     with pytest.raises(RefusedError) as raised:
@@ -275,7 +285,9 @@ OPENINGS = {
 
 
 @pytest.mark.parametrize(("choices", "field"), OPENINGS.values(), ids=OPENINGS.keys())
-def test_what_cannot_be_opened_is_refused_by_field(choices: dict[str, Any], field: str) -> None:
+def test_what_cannot_be_opened_is_refused_by_field(
+    choices: dict[str, Any], field: str
+) -> None:
     with pytest.raises(RefusedError) as raised:
         make_session(**choices)
     assert raised.value.field == field

@@ -21,18 +21,32 @@ def server() -> Iterator[Server]:
         yield running
 
 
-def test_anyone_may_watch_and_only_a_shared_session_may_be_steered(server: Server) -> None:
-    with connected(server, name="shared", is_shared=True) as owner, client_of(server) as other:
+def test_anyone_may_watch_and_only_a_shared_session_may_be_steered(
+    server: Server,
+) -> None:
+    with (
+        connected(server, name="shared", is_shared=True) as owner,
+        client_of(server) as other,
+    ):
         state = other.watch("shared")
         assert state.about is not None
-        assert (state.about["robot"], state.about["has_detail"]) == ("three_finger", False)
+        assert (state.about["robot"], state.about["has_detail"]) == (
+            "three_finger",
+            False,
+        )
         sent = owner.step(q=human_q(), wrist=WRIST, time=3.0)
         seen = wait_until(lambda: other.latest(0.1))
         assert (seen.q, seen.time, seen.detail) == (sent.q, 3.0, None)
-        other.configure(mapping={"ridge": 0.5}, ik={"rest_weight": 0.0}, has_detail=True)
+        other.configure(
+            mapping={"ridge": 0.5}, ik={"rest_weight": 0.0}, has_detail=True
+        )
         about = owner.status().about
         assert about is not None
-        assert (about["mapping"]["ridge"], about["ik"]["rest_weight"], about["ik"]["damping"]) == (
+        assert (
+            about["mapping"]["ridge"],
+            about["ik"]["rest_weight"],
+            about["ik"]["damping"],
+        ) == (
             0.5,
             0.0,
             0.1,
@@ -45,10 +59,17 @@ def test_anyone_may_watch_and_only_a_shared_session_may_be_steered(server: Serve
 
 
 def test_a_session_that_is_not_shared_is_its_clients_alone(server: Server) -> None:
-    with connected(server, name="private", watchdog=10.0) as owner, client_of(server) as other:
+    with (
+        connected(server, name="private", watchdog=10.0) as owner,
+        client_of(server) as other,
+    ):
         owner.step(q=human_q(), wrist=WRIST)
         assert other.watch("private").mode == "following"
-        for steer in (other.clutch, other.release, lambda: other.configure(mapping={"ridge": 0.5})):
+        for steer in (
+            other.clutch,
+            other.release,
+            lambda: other.configure(mapping={"ridge": 0.5}),
+        ):
             with pytest.raises(ServiceError) as raised:
                 steer()
             assert code_of(raised) == ("denied", "name")

@@ -90,7 +90,10 @@ def test_a_clutch_on_the_way_back_takes_hold_where_the_robot_is_then() -> None:
         now += PERIOD
         command = session.step(sample(0.0, human_q(2.0)), now)
         assert "slewing" not in command.flags
-    assert np.linalg.norm(session.robot.points(*session.posture) - before, axis=1).max() < 1e-3
+    assert (
+        np.linalg.norm(session.robot.points(*session.posture) - before, axis=1).max()
+        < 1e-3
+    )
 
 
 def test_a_robot_said_to_be_elsewhere_on_the_way_back_waits_there() -> None:
@@ -103,12 +106,16 @@ def test_a_robot_said_to_be_elsewhere_on_the_way_back_waits_there() -> None:
     assert (held.status, held.q) == ("hold", tuple(there.tolist()))
 
 
-def test_a_session_goes_on_from_a_former_one_with_its_epoch_and_released_if_it_was() -> None:
+def test_a_session_goes_on_from_a_former_one_with_its_epoch_and_released_if_it_was() -> (
+    None
+):
     session, sample = make_session(), Sampler()
     now = follow(session, sample, 0.0)
     session.release()
     request = opening()
-    after = Session(request, prepare_hands(request, CACHE), "test", now, former=session.record)
+    after = Session(
+        request, prepare_hands(request, CACHE), "test", now, former=session.record
+    )
     command = after.step(sample(0.0, human_q(2.0)), now + PERIOD)
     assert (command.q, command.epoch, command.status) == (
         session.record.q,
@@ -121,7 +128,10 @@ def test_a_session_goes_on_from_a_former_one_with_its_epoch_and_released_if_it_w
 
 
 def test_return_to_rest_is_slow_and_ends_there() -> None:
-    session, sample = make_session(watchdog=0.1, return_after=0.3, return_speed=0.2), Sampler()
+    session, sample = (
+        make_session(watchdog=0.1, return_after=0.3, return_speed=0.2),
+        Sampler(),
+    )
     now = follow(session, sample, 0.0)
     assert not np.array_equal(session.posture[0], session.robot.rest)
     last, told, states = session.posture[0].copy(), now, []
@@ -142,7 +152,10 @@ def test_return_to_rest_is_slow_and_ends_there() -> None:
 
 
 def test_after_a_return_the_next_sample_is_the_reference() -> None:
-    session, sample = make_session(watchdog=0.1, return_after=0.0, return_speed=1.0), Sampler()
+    session, sample = (
+        make_session(watchdog=0.1, return_after=0.0, return_speed=1.0),
+        Sampler(),
+    )
     now = follow(session, sample, 0.0)
     wrist = session.posture[1]
     for _ in range(400):
@@ -191,7 +204,9 @@ def test_a_return_does_not_count_as_a_further_trip_of_the_watchdog() -> None:
 
 
 @pytest.mark.parametrize("limit", [20.0, 80.0])
-def test_a_robot_that_hears_no_samples_brakes_within_its_acceleration_limit(limit: float) -> None:
+def test_a_robot_that_hears_no_samples_brakes_within_its_acceleration_limit(
+    limit: float,
+) -> None:
     session, sample = make_session(ik={"max_acceleration": limit}), Sampler()
     now = follow(session, sample, 0.0, 30)
     last = np.array(session.posture[0])
@@ -241,7 +256,9 @@ def test_a_limit_lowered_while_the_robot_moves_leads_no_joint_out_of_its_limits(
     for k in range(90):
         now += PERIOD
         command = (
-            session.step(sample(now, human_q(4.5)), now) if cause == "step" else session.tick(now)
+            session.step(sample(now, human_q(4.5)), now)
+            if cause == "step"
+            else session.tick(now)
         )
         if command is None:
             continue
@@ -273,7 +290,10 @@ def test_a_takeover_of_a_robot_that_brakes_goes_on_braking() -> None:
     session.stop()
     command = session.tick(now := now + PERIOD)
     assert command is not None
-    last, velocity = np.array(command.q), session.motion.velocity[session.robot.joint_columns]
+    last, velocity = (
+        np.array(command.q),
+        session.motion.velocity[session.robot.joint_columns],
+    )
     assert np.abs(velocity).max() > 0.2
     request = opening(ik={"max_acceleration": most})
     after = Session(
@@ -296,7 +316,10 @@ def test_a_takeover_of_a_robot_that_brakes_goes_on_braking() -> None:
 def test_a_return_with_an_acceleration_limit_ends_at_rest_and_stands() -> None:
     session, sample = (
         make_session(
-            watchdog=0.1, return_after=0.1, return_speed=1.0, ik={"max_acceleration": 20.0}
+            watchdog=0.1,
+            return_after=0.1,
+            return_speed=1.0,
+            ik={"max_acceleration": 20.0},
         ),
         Sampler(),
     )

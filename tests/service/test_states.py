@@ -22,8 +22,13 @@ def test_a_sample_ends_silence_and_keeps_a_release(state: SessionState) -> None:
 
 
 @every_state
-def test_release_and_clutch_change_the_release_and_nothing_else(state: SessionState) -> None:
-    released, clutched = next_state(state, Event.RELEASE), next_state(state, Event.CLUTCH)
+def test_release_and_clutch_change_the_release_and_nothing_else(
+    state: SessionState,
+) -> None:
+    released, clutched = (
+        next_state(state, Event.RELEASE),
+        next_state(state, Event.CLUTCH),
+    )
     assert released.is_released
     assert not clutched.is_released
     assert released.is_silent == clutched.is_silent == state.is_silent
@@ -33,7 +38,11 @@ def test_release_and_clutch_change_the_release_and_nothing_else(state: SessionSt
 @every_state
 def test_a_reset_ends_silence_and_release(state: SessionState) -> None:
     after = next_state(state, Event.RESET)
-    expected = SessionState.WAITING if state is SessionState.WAITING else SessionState.FOLLOWING
+    expected = (
+        SessionState.WAITING
+        if state is SessionState.WAITING
+        else SessionState.FOLLOWING
+    )
     assert after is expected
 
 
@@ -54,7 +63,9 @@ def test_only_an_engaged_hold_starts_a_return(state: SessionState) -> None:
 
 
 @given(st.lists(st.sampled_from([event for event in Event if event is not Event.STOP])))
-def test_the_watchdog_never_acts_before_the_first_sample_or_release(events: list[Event]) -> None:
+def test_the_watchdog_never_acts_before_the_first_sample_or_release(
+    events: list[Event],
+) -> None:
     state, has_begun = SessionState.WAITING, False
     for event in events:
         state = next_state(state, event)

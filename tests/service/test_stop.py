@@ -37,7 +37,9 @@ from handmap_qp.errors import RefusedError
 pytestmark = pytest.mark.slow
 
 
-def test_a_stopped_robot_holds_whatever_comes_until_it_is_cleared_and_clutched() -> None:
+def test_a_stopped_robot_holds_whatever_comes_until_it_is_cleared_and_clutched() -> (
+    None
+):
     session, sample = make_session(watchdog=0.1, return_after=0.1), Sampler()
     now = follow(session, sample, 0.0)
     session.stop()

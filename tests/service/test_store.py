@@ -26,7 +26,11 @@ WRIST = np.arange(16.0).reshape(4, 4)
 
 def record(name: str, q: np.ndarray, wrist: np.ndarray | None) -> Record:
     return Record(
-        name, "hand", tuple(q.tolist()), None if wrist is None else tuple(wrist.ravel().tolist()), 7
+        name,
+        "hand",
+        tuple(q.tolist()),
+        None if wrist is None else tuple(wrist.ravel().tolist()),
+        7,
     )
 
 
@@ -101,7 +105,10 @@ def test_another_robots_posture_is_refused(tmp_path: Path) -> None:
 
 
 def test_one_server_at_a_time(tmp_path: Path) -> None:
-    with PostureStore(tmp_path / "state"), pytest.raises(InvalidInputError, match="another server"):
+    with (
+        PostureStore(tmp_path / "state"),
+        pytest.raises(InvalidInputError, match="another server"),
+    ):
         PostureStore(tmp_path / "state")
 
 
@@ -121,7 +128,9 @@ def test_another_database_is_left_alone(tmp_path: Path) -> None:
     assert (tmp_path / "state").read_bytes() == before
 
 
-def test_a_file_of_a_former_version_is_named_as_such_and_left_alone(tmp_path: Path) -> None:
+def test_a_file_of_a_former_version_is_named_as_such_and_left_alone(
+    tmp_path: Path,
+) -> None:
     former = b"handmap_qp postures 1\n" + bytes(1000)
     (tmp_path / "state").write_bytes(former)
     with pytest.raises(InvalidInputError, match=r"former version.*emergency stops"):
@@ -159,14 +168,20 @@ def test_without_room_it_is_said_and_nothing_is_left_that_a_later_start_would_re
         "except ValueError as error: print(error)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, timeout=PATIENCE, capture_output=True, text=True
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        timeout=PATIENCE,
+        capture_output=True,
+        text=True,
     )
     assert done.stdout.startswith("state: cannot be used"), done.stderr
     with PostureStore(tmp_path / "state") as store:
         store.note(record("left", Q, None))
 
 
-def test_lost_postures_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_postures_are_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     logged: list[dict[str, object]] = []
     monkeypatch.setattr(
         "handmap_qp.apps.service.store.report",
@@ -181,7 +196,9 @@ def test_lost_postures_are_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     with PostureStore(state) as store:
         assert store.find("right", "hand", 3) is not None
         assert store.find("left", "hand", 3) is None
-    assert logged == [{"event": "state_damaged", "file": str(state), "postures_lost": 1}]
+    assert logged == [
+        {"event": "state_damaged", "file": str(state), "postures_lost": 1}
+    ]
 
 
 def test_a_damaged_file_is_refused(tmp_path: Path) -> None:

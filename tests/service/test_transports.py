@@ -44,7 +44,12 @@ from handmap_qp.apps.service import logs
 from handmap_qp.apps.service import server as server_module
 from handmap_qp.apps.service.connection_gate import cost_of, count_frames
 from handmap_qp.apps.service.decoding import decode_request
-from handmap_qp.apps.service.keys import ClientKeys, make_keys, read_server_keys, read_token
+from handmap_qp.apps.service.keys import (
+    ClientKeys,
+    make_keys,
+    read_server_keys,
+    read_token,
+)
 from handmap_qp.apps.service.schema import schema_text
 from handmap_qp.apps.service.server import Server, run_server
 from handmap_qp.apps.service.states import LEASE
@@ -55,7 +60,9 @@ from handmap_qp.errors import InvalidInputError
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "service.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "service.md").read_text(
+    encoding="utf-8"
+)
 PATIENCE = 20.0
 """Longest wait of a test that fails [s]."""
 
@@ -69,10 +76,17 @@ def complaint(capsys: pytest.CaptureFixture[str], *words: str | Path) -> str:
 
 @pytest.mark.parametrize(
     "text",
-    [b"", b"garbage", b'    public-key = "a"\n    secret-key = "b"\n', bytes(range(256))],
+    [
+        b"",
+        b"garbage",
+        b'    public-key = "a"\n    secret-key = "b"\n',
+        bytes(range(256)),
+    ],
     ids=repr,
 )
-def test_a_file_that_is_no_key_is_to_be_deleted_first(tmp_path: Path, text: bytes) -> None:
+def test_a_file_that_is_no_key_is_to_be_deleted_first(
+    tmp_path: Path, text: bytes
+) -> None:
     make_keys(tmp_path, ["a"])
     (tmp_path / "server.key_secret").write_bytes(text)
     with pytest.raises(
@@ -99,13 +113,18 @@ def test_a_client_that_was_shut_out_is_admitted_again(
     assert not keys.callback("*", a)
     capsys.readouterr()
     assert cli.main(words) == 0
-    assert capsys.readouterr().out == f"wrote {tmp_path}/clients/a.key, which admits a again\n"
+    assert (
+        capsys.readouterr().out
+        == f"wrote {tmp_path}/clients/a.key, which admits a again\n"
+    )
     assert keys.callback("*", a)
     assert cli.main(words) == 0
     assert capsys.readouterr().out == "wrote nothing: all keys exist\n"
 
 
-def test_names_of_clients_are_checked_before_anything_is_written(tmp_path: Path) -> None:
+def test_names_of_clients_are_checked_before_anything_is_written(
+    tmp_path: Path,
+) -> None:
     with pytest.raises(InvalidInputError, match=r"'\.\./bad'"):
         make_keys(tmp_path / "keys", ["good", "../bad"])
     assert not (tmp_path / "keys").exists()
@@ -119,7 +138,9 @@ def test_a_file_in_place_of_the_folder_of_keys_is_named(tmp_path: Path) -> None:
             use(file)
 
 
-def test_a_token_is_for_its_owner_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_token_is_for_its_owner_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "token"
     file.write_text("a-token-of-the-tests\n", encoding="utf-8")
     file.chmod(0o640)
@@ -129,10 +150,14 @@ def test_a_token_is_for_its_owner_alone(tmp_path: Path, capsys: pytest.CaptureFi
     file.chmod(0o600)
     assert read_token(file) == "a-token-of-the-tests"
     file.write_bytes(b"\xff\xfe")
-    assert "token: cannot be read" in complaint(capsys, "serve", "--web", "--web-token-file", file)
+    assert "token: cannot be read" in complaint(
+        capsys, "serve", "--web", "--web-token-file", file
+    )
 
 
-def test_a_refused_key_is_logged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_key_is_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     logged: list[tuple[str, object]] = []
     monkeypatch.setattr(
         logs, "report", lambda level, event, **data: logged.append((event, data["key"]))
@@ -176,9 +201,13 @@ def test_a_host_that_cannot_be_listened_on_is_reported(tmp_path: Path) -> None:
         pass
 
 
-@pytest.mark.parametrize("web", [{}, {**WEB, "web_host": "localhost"}], ids=["zeromq", "web"])
+@pytest.mark.parametrize(
+    "web", [{}, {**WEB, "web_host": "localhost"}], ids=["zeromq", "web"]
+)
 def test_the_ready_line_tells_where_websocket_is(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, web: dict[str, Any]
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    web: dict[str, Any],
 ) -> None:
     # Stop the server as soon as it is ready.
     monkeypatch.setattr(gc, "freeze", lambda: signal.raise_signal(signal.SIGTERM))
@@ -211,7 +240,10 @@ def test_the_server_may_open_as_many_files_as_the_system_allows(
     try:
         resource.setrlimit(resource.RLIMIT_NOFILE, (min(256, before[1]), before[1]))
         run_server(LOCAL, "error")
-        assert resource.getrlimit(resource.RLIMIT_NOFILE) == (min(before[1], 65536), before[1])
+        assert resource.getrlimit(resource.RLIMIT_NOFILE) == (
+            min(before[1], 65536),
+            before[1],
+        )
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
     assert "ready" in capsys.readouterr().out
@@ -282,12 +314,17 @@ def test_what_a_name_may_be_is_said_in_words() -> None:
         encode({"type": "status", "protocol": PROTOCOL, "seq": 1, "name": "a/b"})
     )
     assert isinstance(answer, Error)
-    assert (answer.field, answer.message) == ("name", "expected 1 to 64 of A-Z a-z 0-9 _ . -")
+    assert (answer.field, answer.message) == (
+        "name",
+        "expected 1 to 64 of A-Z a-z 0-9 _ . -",
+    )
 
 
 @pytest.mark.parametrize("kind", ["step", "sample", "reset", "close"])
 def test_a_request_by_name_that_needs_the_secret_says_so(kind: str) -> None:
-    answer = decode_request(encode({"type": kind, "name": "lab", "protocol": PROTOCOL, "seq": 1}))
+    answer = decode_request(
+        encode({"type": kind, "name": "lab", "protocol": PROTOCOL, "seq": 1})
+    )
     assert isinstance(answer, Error)
     assert answer.field == "name"
     assert "you may only watch" in answer.message
@@ -349,7 +386,9 @@ def test_a_flood_of_topics_ends_its_connection_and_disturbs_no_other() -> None:
 def test_readers_are_capped_and_counted_out() -> None:
     with serving(sessions=1) as server, ExitStack() as sockets:
         address = ("127.0.0.1", server.ports["stream"])
-        readers = [sockets.enter_context(socket.create_connection(address)) for _ in range(4)]
+        readers = [
+            sockets.enter_context(socket.create_connection(address)) for _ in range(4)
+        ]
         assert all(reader.recv(1) for reader in readers)
         with socket.create_connection(address) as another:
             assert not _reads(another)
@@ -381,16 +420,24 @@ def _has_ended(connection: socket.socket) -> bool:
 
 
 @pytest.mark.parametrize("has_keys", [False, True], ids=["open", "keys"])
-@pytest.mark.parametrize(("number", "size"), [(3, 0), (5000, 0), (10**5, 0), (10**4, 10**4)])
+@pytest.mark.parametrize(
+    ("number", "size"), [(3, 0), (5000, 0), (10**5, 0), (10**4, 10**4)]
+)
 def test_a_message_of_many_parts_ends_its_connection_and_delays_no_stop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, has_keys: bool, number: int, size: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    has_keys: bool,
+    number: int,
+    size: int,
 ) -> None:
     keys = None
     if has_keys:
         make_keys(tmp_path, ["a"])
         keys = (tmp_path / "a.key_secret", tmp_path / "server.key")
     parts = count()
-    monkeypatch.setattr(server_module, "cost_of", lambda frame: (next(parts), cost_of(frame))[1])
+    monkeypatch.setattr(
+        server_module, "cost_of", lambda frame: (next(parts), cost_of(frame))[1]
+    )
     with (
         serving(keys=tmp_path if has_keys else None) as server,
         client_of(server, keys=keys) as client,
@@ -409,13 +456,19 @@ def test_a_message_of_many_parts_ends_its_connection_and_delays_no_stop(
         assert next(parts) < 1000
 
 
-def test_a_turn_reads_a_bounded_number_of_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_turn_reads_a_bounded_number_of_parts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     turns: list[int] = []
     monkeypatch.setattr(
-        server_module, "cost_of", lambda frame: (turns.append(turns.pop() + 1), cost_of(frame))[1]
+        server_module,
+        "cost_of",
+        lambda frame: (turns.append(turns.pop() + 1), cost_of(frame))[1],
     )
     drain = Server._drain
-    monkeypatch.setattr(Server, "_drain", lambda server: (turns.append(0), drain(server))[1])
+    monkeypatch.setattr(
+        Server, "_drain", lambda server: (turns.append(0), drain(server))[1]
+    )
     with (
         serving() as server,
         zmq.Context() as context,
@@ -467,7 +520,11 @@ def test_frames_are_counted_wherever_their_bytes_are_cut(
 
 @pytest.mark.parametrize(
     "greeting",
-    [b"\x01\x00" * 40, b"\xff" + bytes(80), b"\xff" + bytes(8) + b"\x7f\x01\x05" + bytes(70)],
+    [
+        b"\x01\x00" * 40,
+        b"\xff" + bytes(80),
+        b"\xff" + bytes(8) + b"\x7f\x01\x05" + bytes(70),
+    ],
     ids=["1.0", "1.0 with eight bytes of length", "2.0"],
 )
 def test_an_older_protocol_is_refused(greeting: bytes) -> None:

@@ -25,7 +25,9 @@ def watchdog(return_after: float | None = RETURN_AFTER) -> Watchdog:
 
 
 @pytest.mark.parametrize("state", SessionState, ids=lambda state: state.name)
-def test_silence_is_due_after_the_timeout_and_only_in_active_states(state: SessionState) -> None:
+def test_silence_is_due_after_the_timeout_and_only_in_active_states(
+    state: SessionState,
+) -> None:
     dog = watchdog(None)
     dog.feed(1.0)
     assert dog.event(state, 1.0 + TIMEOUT, is_at_rest=False) is None
@@ -74,12 +76,20 @@ def test_a_return_after_no_time_follows_the_silence_at_once() -> None:
 
 def test_a_session_that_is_released_or_waits_will_not_return() -> None:
     will = {state for state in SessionState if watchdog().will_return(state)}
-    assert will == {SessionState.FOLLOWING, SessionState.HOLDING, SessionState.RETURNING}
+    assert will == {
+        SessionState.FOLLOWING,
+        SessionState.HOLDING,
+        SessionState.RETURNING,
+    }
 
 
 @pytest.mark.parametrize("state", SILENT, ids=lambda state: state.name)
-@given(waits=st.lists(st.floats(min_value=1e-3, max_value=0.3), min_size=1, max_size=40))
-def test_commands_are_repeated_once_a_period(state: SessionState, waits: list[float]) -> None:
+@given(
+    waits=st.lists(st.floats(min_value=1e-3, max_value=0.3), min_size=1, max_size=40)
+)
+def test_commands_are_repeated_once_a_period(
+    state: SessionState, waits: list[float]
+) -> None:
     dog, now = watchdog(), 100.0
     held(dog, now)
     assert dog.take_turn(state, now)
@@ -93,7 +103,9 @@ def test_commands_are_repeated_once_a_period(state: SessionState, waits: list[fl
             assert now - last < period
 
 
-@pytest.mark.parametrize("state", [SessionState.WAITING, *ACTIVE], ids=lambda state: state.name)
+@pytest.mark.parametrize(
+    "state", [SessionState.WAITING, *ACTIVE], ids=lambda state: state.name
+)
 def test_no_command_is_repeated_while_samples_arrive(state: SessionState) -> None:
     assert not watchdog().take_turn(state, 1e6)
 

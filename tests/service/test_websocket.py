@@ -64,18 +64,26 @@ def run(
         scheme = "wss" if "ssl" in choices else "ws"
         async with (
             asyncio.timeout(PATIENCE),
-            connect(f"{scheme}://127.0.0.1:{server.ports['web']}", **choices) as connection,
+            connect(
+                f"{scheme}://127.0.0.1:{server.ports['web']}", **choices
+            ) as connection,
         ):
             await work(connection)
 
     asyncio.run(main())
 
 
-async def ask(connection: ClientConnection, message: Any, is_json: bool = False) -> dict[str, Any]:
+async def ask(
+    connection: ClientConnection, message: Any, is_json: bool = False
+) -> dict[str, Any]:
     await connection.send(ENCODE[is_json](message))
     answer = await connection.recv()
     assert isinstance(answer, str) == is_json
-    return json.loads(answer) if isinstance(answer, str) else msgspec.msgpack.decode(answer)
+    return (
+        json.loads(answer)
+        if isinstance(answer, str)
+        else msgspec.msgpack.decode(answer)
+    )
 
 
 async def nothing(_: ClientConnection) -> None:
@@ -96,7 +104,9 @@ def test_a_session_over_websocket(is_json: bool) -> None:
         )
         refused = await ask(connection, sample(q=[0.0, 1.0]), is_json)
         assert (refused["code"], refused["field"]) == ("invalid", "q")
-        closed = await ask(connection, Close(protocol=PROTOCOL, seq=9, session=SECRET), is_json)
+        closed = await ask(
+            connection, Close(protocol=PROTOCOL, seq=9, session=SECRET), is_json
+        )
         assert closed["type"] == "done"
 
     with serving(**WEB) as server:
@@ -107,18 +117,26 @@ def test_a_session_over_websocket(is_json: bool) -> None:
 def test_a_stream_over_websocket(is_json: bool) -> None:
     async def work(connection: ClientConnection) -> None:
         name = (await ask(connection, opening(), is_json))["name"]
-        refused = await ask(connection, Subscribe(protocol=PROTOCOL, seq=2, name="nobody"), is_json)
+        refused = await ask(
+            connection, Subscribe(protocol=PROTOCOL, seq=2, name="nobody"), is_json
+        )
         assert refused["field"] == "name"
-        assert (await ask(connection, Subscribe(protocol=PROTOCOL, seq=2, name=name), is_json))[
-            "type"
-        ] == "done"
+        assert (
+            await ask(
+                connection, Subscribe(protocol=PROTOCOL, seq=2, name=name), is_json
+            )
+        )["type"] == "done"
         sample = Sampler()
         for i in range(50):
-            await connection.send(ENCODE[is_json](streamed(sample(float(i), human_q(0.01 * i)))))
+            await connection.send(
+                ENCODE[is_json](streamed(sample(float(i), human_q(0.01 * i))))
+            )
         while True:
             message = await connection.recv()
             command = (
-                json.loads(message) if isinstance(message, str) else msgspec.msgpack.decode(message)
+                json.loads(message)
+                if isinstance(message, str)
+                else msgspec.msgpack.decode(message)
             )
             if command["time"] == 49.0:
                 break
@@ -132,7 +150,9 @@ def test_garbage_is_answered_and_the_connection_stays() -> None:
         for message in (b"\xc1", "{", "[]", b""):
             await connection.send(message)
             assert b"invalid" in (await connection.recv(decode=False))
-        assert (await ask(connection, Status(protocol=PROTOCOL, seq=1)))["type"] == "state"
+        assert (await ask(connection, Status(protocol=PROTOCOL, seq=1)))[
+            "type"
+        ] == "state"
 
     with serving(**WEB) as server:
         run(work, server)
@@ -157,7 +177,9 @@ def test_a_client_that_vanishes_leaves_the_robot_held() -> None:
 
     async def look(connection: ClientConnection) -> None:
         for seq in itertools.count(50):
-            state = await ask(connection, Status(protocol=PROTOCOL, seq=seq, session=SECRET))
+            state = await ask(
+                connection, Status(protocol=PROTOCOL, seq=seq, session=SECRET)
+            )
             if state["mode"] == "hold":
                 break
             await asyncio.sleep(0.01)
@@ -179,7 +201,9 @@ def test_a_client_that_vanishes_leaves_the_robot_held() -> None:
         ("null", False),
     ],
 )
-def test_pages_from_elsewhere_may_not_connect(origin: str | None, is_admitted: bool) -> None:
+def test_pages_from_elsewhere_may_not_connect(
+    origin: str | None, is_admitted: bool
+) -> None:
     with serving(**WEB, web_origin=("https://headset.example",)) as server:
         if is_admitted:
             run(nothing, server, origin=None if origin is None else Origin(origin))
@@ -222,7 +246,12 @@ def test_tls(tmp_path: Path) -> None:
     files = {"web_certificate": certificate, "web_key": key}
     with serving(**WEB, **files, web_token_file=token_file(tmp_path, TOKEN)) as server:
         trusting = ssl.create_default_context(cafile=str(certificate))
-        run(nothing, server, ssl=trusting, additional_headers={"Authorization": f"Bearer {TOKEN}"})
+        run(
+            nothing,
+            server,
+            ssl=trusting,
+            additional_headers={"Authorization": f"Bearer {TOKEN}"},
+        )
         with pytest.raises(ssl.SSLError):
             run(nothing, server, ssl=ssl.create_default_context())
 
@@ -232,10 +261,16 @@ def test_settings_that_cannot_be_used_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidOptionsError, match="together"):
         Settings(**WEB, **certificate).checked()
     short = token_file(tmp_path, "short")
-    with pytest.raises(InvalidOptionsError, match="16"), serving(**WEB, web_token_file=short):
+    with (
+        pytest.raises(InvalidOptionsError, match="16"),
+        serving(**WEB, web_token_file=short),
+    ):
         pass
     missing = WEB | certificate | {"web_key": tmp_path / "key.pem"}
-    with pytest.raises(InvalidInputError, match="cannot be read"), serving(LOCAL, **missing):
+    with (
+        pytest.raises(InvalidInputError, match="cannot be read"),
+        serving(LOCAL, **missing),
+    ):
         pass
 
 
@@ -248,11 +283,16 @@ def test_idle_connections_leave_a_place_for_the_stop() -> None:
             driver = await stack.enter_async_context(connect(address))
             name = (await ask(driver, opening()))["name"]
             await ask(driver, Subscribe(protocol=PROTOCOL, seq=2, name=name))
-            idle = [await stack.enter_async_context(connect(address)) for _ in range(128)]
+            idle = [
+                await stack.enter_async_context(connect(address)) for _ in range(128)
+            ]
             operator = await stack.enter_async_context(connect(address))
             assert (await ask(operator, stop))["type"] == "done"
             # The reader of a stream keeps its place before connections that do nothing.
-            while msgspec.msgpack.decode(await driver.recv(decode=False))["status"] != "stopped":
+            while (
+                msgspec.msgpack.decode(await driver.recv(decode=False))["status"]
+                != "stopped"
+            ):
                 pass
             await asyncio.gather(*(connection.wait_closed() for connection in idle[:2]))
 
@@ -265,7 +305,9 @@ def test_a_connection_that_does_nothing_is_ended() -> None:
         name = (await ask(reader, opening()))["name"]
         await ask(reader, Subscribe(protocol=PROTOCOL, seq=2, name=name))
         # The session ends, but not the connection that reads its stream.
-        while msgspec.msgpack.decode(await reader.recv(decode=False))["type"] != "error":
+        while (
+            msgspec.msgpack.decode(await reader.recv(decode=False))["type"] != "error"
+        ):
             pass
         async with connect(f"ws://127.0.0.1:{server.ports['web']}") as idle:
             await idle.wait_closed()
@@ -315,7 +357,10 @@ def test_fragments_and_pings_within_the_limits_are_taken() -> None:
         status = msgspec.msgpack.encode(Status(protocol=PROTOCOL, seq=1))
         for _ in range(100):
             await connection.send([status[i : i + 1] for i in range(len(status))])
-            assert msgspec.msgpack.decode(await connection.recv(decode=False))["type"] == "state"
+            assert (
+                msgspec.msgpack.decode(await connection.recv(decode=False))["type"]
+                == "state"
+            )
         for _ in range(40):
             await (await connection.ping())
 

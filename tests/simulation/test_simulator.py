@@ -74,7 +74,9 @@ def held(
     ],
     ids=lambda shape: type(shape).__name__,
 )
-def test_a_free_object_falls_as_galileo_said(shape: Box | Sphere | Cylinder | MeshShape) -> None:
+def test_a_free_object_falls_as_galileo_said(
+    shape: Box | Sphere | Cylinder | MeshShape,
+) -> None:
     grasp = cube_grasp()
     simulator = Simulator(grasp.hand, Body(shape, MASS))
     simulator.reset(grasp.q, grasp.wrist_pose, FAR)
@@ -92,7 +94,9 @@ def test_forces_on_the_object_are_its_weight_once_it_rests() -> None:
     contacts = simulator.contacts()
     np.testing.assert_allclose(contacts.forces.sum(axis=0), -WEIGHT[:3], atol=2e-3)
     arms = contacts.points - simulator.object_pose[:3, 3]
-    np.testing.assert_allclose(np.cross(arms, contacts.forces).sum(axis=0), 0.0, atol=2e-4)
+    np.testing.assert_allclose(
+        np.cross(arms, contacts.forces).sum(axis=0), 0.0, atol=2e-4
+    )
 
 
 def test_momentum_changes_by_the_impulse_of_contacts_and_gravity() -> None:
@@ -113,7 +117,9 @@ def test_momentum_changes_by_the_impulse_of_contacts_and_gravity() -> None:
 
 @settings(max_examples=4)
 @given(st.floats(0.3, 1.5), st.floats(2.0, 10.0))
-def test_contact_forces_stay_in_their_friction_cones(friction: float, force: float) -> None:
+def test_contact_forces_stay_in_their_friction_cones(
+    friction: float, force: float
+) -> None:
     simulator, grasp, offset = held(Physics(friction=friction, torsion=0.0), force)
     assert grasp.wrist_pose is not None
     target = grasp.wrist_pose.copy()
@@ -122,7 +128,9 @@ def test_contact_forces_stay_in_their_friction_cones(friction: float, force: flo
         simulator.follow(grasp.q + offset, target, 0.02)
         contacts = simulator.contacts()
         normal = contacts.normal_forces
-        tangential = np.linalg.norm(contacts.forces - normal[:, None] * contacts.normals, axis=1)
+        tangential = np.linalg.norm(
+            contacts.forces - normal[:, None] * contacts.normals, axis=1
+        )
         assert (normal >= -1e-9).all()
         assert (tangential <= friction * normal * (1.0 + 1e-6) + 1e-9).all()
 
@@ -188,7 +196,10 @@ def test_soft_synergies_are_springs_in_series() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "compliance", "synergies", "stiffness"),
-    [("position", None, np.eye(8)[:, [0, 1, 3, 6]], np.inf), ("torque", SOFT, SYNERGIES, 2.0)],
+    [
+        ("position", None, np.eye(8)[:, [0, 1, 3, 6]], np.inf),
+        ("torque", SOFT, SYNERGIES, 2.0),
+    ],
     ids=["servos", "soft"],
 )
 def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
@@ -213,7 +224,9 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
     frames = grasp.hand.link_poses(links, q, simulator.wrist)
     contacts = tuple(
         Contact(link, tuple(f[:3, :3].T @ (p - f[:3, 3])), tuple(f[:3, :3].T @ n))
-        for link, f, p, n in zip(links, frames, start.points, start.normals, strict=True)
+        for link, f, p, n in zip(
+            links, frames, start.points, start.normals, strict=True
+        )
     )
     now = Grasp(grasp.hand, q, pose, contacts, simulator.wrist)
     predicted = quasistatic(
@@ -232,7 +245,9 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
         wanted = 0.01 * predicted.contact_forces[:, column]
         cosine = forces @ wanted / np.linalg.norm(forces) / np.linalg.norm(wanted)
         assert cosine > 0.95, column
-        assert np.linalg.norm(forces) == pytest.approx(np.linalg.norm(wanted), rel=0.25), column
+        assert np.linalg.norm(forces) == pytest.approx(
+            np.linalg.norm(wanted), rel=0.25
+        ), column
         moved = simulator.object_pose[:3, 3] - base
         error = np.linalg.norm(moved - 0.01 * predicted.object_motion[:3, column])
         assert error < 1e-4, column
@@ -347,7 +362,13 @@ def test_impossible_bodies_and_starts_are_refused() -> None:
         simulator.reset(grasp.q[1:], grasp.wrist_pose, FAR)
     with pytest.raises(InvalidInputError, match="three contacts"):
         holding_forces(
-            Grasp(grasp.hand, grasp.q, grasp.object_pose, grasp.contacts[:2], grasp.wrist_pose),
+            Grasp(
+                grasp.hand,
+                grasp.q,
+                grasp.object_pose,
+                grasp.contacts[:2],
+                grasp.wrist_pose,
+            ),
             WEIGHT,
             1.0,
         )

@@ -26,7 +26,11 @@ def simulator(robot: str = "three_finger") -> Simulator:
 
 
 def test_the_stand_in_goes_where_the_commands_say() -> None:
-    with serving() as server, client_of(server) as tracker, Client(address_of(server)) as driver:
+    with (
+        serving() as server,
+        client_of(server) as tracker,
+        Client(address_of(server)) as driver,
+    ):
         tracker.open("three_finger", name="lab", preset="paper")
         stand_in = StandIn(simulator(), driver, "lab")
         reports: list[Report] = []
@@ -50,7 +54,9 @@ def test_the_stand_in_goes_where_the_commands_say() -> None:
                 tracker.step(q=np.full(20, 0.2), wrist=wrist)
                 time.sleep(0.02)
                 return (
-                    bool(reports) and reports[-1].commands > 20 and reports[-1].wrist_error < 5e-3
+                    bool(reports)
+                    and reports[-1].commands > 20
+                    and reports[-1].wrist_error < 5e-3
                 )
 
             wait_until(has_arrived, "the stand-in does not arrive")
@@ -62,18 +68,34 @@ def test_the_stand_in_goes_where_the_commands_say() -> None:
 
 
 def test_a_session_of_another_robot_is_refused() -> None:
-    with serving() as server, client_of(server) as tracker, Client(address_of(server)) as driver:
+    with (
+        serving() as server,
+        client_of(server) as tracker,
+        Client(address_of(server)) as driver,
+    ):
         tracker.open("three_finger", name="lab", preset="paper")
         stand_in = StandIn(simulator("allegro_right"), driver, "lab")
-        worker = threading.Timer(0.1, lambda: tracker.step(q=np.full(20, 0.2), wrist=np.eye(4)))
+        worker = threading.Timer(
+            0.1, lambda: tracker.step(q=np.full(20, 0.2), wrist=np.eye(4))
+        )
         worker.start()
         with pytest.raises(InvalidInputError, match="the robot of the session"):
             stand_in.run(PATIENCE, print)
         worker.join()
 
 
-def test_a_session_that_does_not_exist_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_session_that_does_not_exist_is_one_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     with serving() as server:
-        words = ["simulate", "--serve", "gone", "--server", address_of(server), "--duration", "1"]
+        words = [
+            "simulate",
+            "--serve",
+            "gone",
+            "--server",
+            address_of(server),
+            "--duration",
+            "1",
+        ]
         assert cli.main(words) == 2
     assert "--serve" in capsys.readouterr().err

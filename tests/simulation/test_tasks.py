@@ -16,11 +16,21 @@ from handmap_qp import HandError, InvalidInputError, cli, load_hand
 from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow, find_pinch
 from handmap_qp.apps.simulation.page import travel, write_page
-from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics, parse_object, turn_up
+from handmap_qp.apps.simulation.physics import (
+    Body,
+    MeshShape,
+    Physics,
+    parse_object,
+    turn_up,
+)
 from handmap_qp.apps.simulation.pictures import Stage, film, picture
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
-from handmap_qp.apps.simulation.trials import describe_trial, random_trials, success_rate
+from handmap_qp.apps.simulation.trials import (
+    describe_trial,
+    random_trials,
+    success_rate,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
 
@@ -84,7 +94,12 @@ def test_what_is_not_gripped_falls(pinching: PinchScene, trial: PinchTrial) -> N
 def test_trials_repeat_with_their_seed(pinching: PinchScene) -> None:
     one, same, other = (random_trials(20, seed) for seed in (3, 3, 4))
     for a, b in zip(one, same, strict=True):
-        assert (a.offset, a.yaw, a.mass, a.friction) == (b.offset, b.yaw, b.mass, b.friction)
+        assert (a.offset, a.yaw, a.mass, a.friction) == (
+            b.offset,
+            b.yaw,
+            b.mass,
+            b.friction,
+        )
         assert type(a.shape) is type(b.shape)
     assert [t.mass for t in one] != [t.mass for t in other]
     assert all(0.02 <= trial.size <= 0.045 for trial in one)
@@ -115,7 +130,9 @@ def test_a_pinch_is_found_in_landmarks() -> None:
     assert time[window.start] == pytest.approx(0.25, abs=0.02)
     landmarks[:, 8] = landmarks[:, 4] + np.array([0.08, 0.0, 0.0])
     with pytest.raises(InvalidInputError, match="no pinch"):
-        find_pinch(Recording("open", time, landmarks, np.ones(200, dtype=bool), "right"))
+        find_pinch(
+            Recording("open", time, landmarks, np.ones(200, dtype=bool), "right")
+        )
 
 
 def load_landmarks() -> np.ndarray:
@@ -149,7 +166,9 @@ def test_pictures_and_films_show_the_object(episode: Episode, tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_page_plays_both_hands_without_a_network(episode: Episode, tmp_path: Path) -> None:
+def test_a_page_plays_both_hands_without_a_network(
+    episode: Episode, tmp_path: Path
+) -> None:
     page, counts = tmp_path / "run.html", []
     episodes = {"robot": episode, "again": episode}
     write_page(page, episodes, UP, "a <run>", counts.append)
@@ -198,11 +217,15 @@ def test_a_mesh_is_its_convex_hull_about_its_centre(tmp_path: Path) -> None:
     solid.export(file)
     shape = parse_object(str(file))
     assert isinstance(shape, MeshShape)
-    np.testing.assert_allclose(np.ptp(shape.points, axis=0), (0.02, 0.02, 0.06), atol=1e-6)
+    np.testing.assert_allclose(
+        np.ptp(shape.points, axis=0), (0.02, 0.02, 0.06), atol=1e-6
+    )
     np.testing.assert_allclose(shape.points.mean(axis=0), 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("text", ["", "box", "box:", "box:-1", "sphere:1x2", "gone.stl", "box:0"])
+@pytest.mark.parametrize(
+    "text", ["", "box", "box:", "box:-1", "sphere:1x2", "gone.stl", "box:0"]
+)
 def test_other_words_are_no_objects(text: str) -> None:
     with pytest.raises(InvalidInputError):
         parse_object(text)
@@ -214,7 +237,10 @@ def test_other_words_are_no_objects(text: str) -> None:
         ([], "RECORDING: expected a recording"),
         (["demo::right", "--serve", "lab"], "RECORDING"),
         (["--serve", "lab", "--trials", "5"], "--trials"),
-        (["demo::right", "--trials", "5", "--mass", "0.2"], "--trials: draws object, mass"),
+        (
+            ["demo::right", "--trials", "5", "--mass", "0.2"],
+            "--trials: draws object, mass",
+        ),
         (["demo::right", "--trials", "5", "--out", "a.npz"], "--trials"),
         (["demo::right", "--out", "a.txt"], "--out"),
         (["demo::right", "--html", "a.txt"], "--html"),
@@ -244,10 +270,19 @@ def test_the_command_counts_every_trial_and_writes_a_simulation(
     found = json.loads(capsys.readouterr().out)
     assert [row["trials"] for row in found["rows"]] == [2]
     drawn = [describe_trial(trial) for trial in random_trials(2, 0)]
-    assert [{k: v for k, v in trial.items() if k != "held"} for trial in found["trials"]] == drawn
+    assert [
+        {k: v for k, v in trial.items() if k != "held"} for trial in found["trials"]
+    ] == drawn
     assert cli.main([*words, "--out", str(out)]) == 0
     columns = np.load(out)
-    assert set(columns) >= {"time", "q", "command", "wrist", "object_pose", "normal_force"}
+    assert set(columns) >= {
+        "time",
+        "q",
+        "command",
+        "wrist",
+        "object_pose",
+        "normal_force",
+    }
     assert str(columns["robot"]) == "panda_gripper"
     assert columns["q"].shape == (len(columns["time"]), len(columns["joint_names"]))
 
@@ -255,7 +290,9 @@ def test_the_command_counts_every_trial_and_writes_a_simulation(
 def test_a_hand_without_shapes_cannot_touch() -> None:
     hand = load_hand("three_finger")
     text = re.sub(r"<collision[ >].*?</collision>", "", hand.urdf_text, flags=re.DOTALL)
-    text = re.sub(r"<collision_checking>.*?</collision_checking>", "", text, flags=re.DOTALL)
+    text = re.sub(
+        r"<collision_checking>.*?</collision_checking>", "", text, flags=re.DOTALL
+    )
     with pytest.raises(HandError, match="no collision shapes"):
         Simulator(Hand(hand.spec, urdf_text=text), Body(CUBE))
 
@@ -267,7 +304,9 @@ def test_the_squeeze_term_keeps_the_wanted_force(
     """Both pads press with it, whatever the command's overlap."""
     outcome = pinching.run(PinchTrial(), force)
     assert outcome.is_held
-    assert outcome.episode.at.normal_force[-10:].mean() == pytest.approx(2.0 * force, rel=0.1)
+    assert outcome.episode.at.normal_force[-10:].mean() == pytest.approx(
+        2.0 * force, rel=0.1
+    )
     assert lifted.episode.at.normal_force[-10:].mean() > 3.0 * force
 
 

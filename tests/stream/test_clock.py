@@ -61,7 +61,14 @@ def test_a_repeated_stamp_is_a_duplicate_and_takes_no_time() -> None:
 
 def test_late_samples_are_out_of_order_and_never_make_the_next_step_longer() -> None:
     ticks = run([*regular(100), 1.01, 1.0, 1.04, 1.035, 1.05])
-    assert [tick.rule for tick in ticks[99:]] == ["", "", "disorder", "", "disorder", ""]
+    assert [tick.rule for tick in ticks[99:]] == [
+        "",
+        "",
+        "disorder",
+        "",
+        "disorder",
+        "",
+    ]
     # The stamps say 30 ms, and the late sample's command has taken one period of them.
     assert ticks[102].dt == pytest.approx(PERIOD, rel=0.1)
     assert ticks[102].elapsed == pytest.approx(3 * PERIOD)
@@ -97,7 +104,10 @@ def test_jitter_does_not_shorten_the_time_that_speeds_are_computed_over() -> Non
 
 def rates(stamps: np.ndarray, arrivals: np.ndarray) -> list[float | None]:
     check = RateCheck()
-    return [check.update(*pair) for pair in zip(stamps.tolist(), arrivals.tolist(), strict=True)]
+    return [
+        check.update(*pair)
+        for pair in zip(stamps.tolist(), arrivals.tolist(), strict=True)
+    ]
 
 
 @pytest.mark.parametrize("rate", [10.0, 2.0, 0.5, -1.0])
@@ -111,7 +121,9 @@ def test_stamps_that_run_at_another_rate_are_found_and_so_is_their_end(
     assert arrivals[found][0] <= 1.6
     assert found[(arrivals > 1.7) & (arrivals < 3.0)].all()
     assert not found[arrivals > 4.1].any()
-    wrong = [each for each in rates(stamps[arrivals < 3.0], arrivals[arrivals < 3.0]) if each]
+    wrong = [
+        each for each in rates(stamps[arrivals < 3.0], arrivals[arrivals < 3.0]) if each
+    ]
     np.testing.assert_allclose(wrong, rate, atol=0.1 * abs(rate))
 
 
@@ -121,7 +133,9 @@ def test_delays_of_a_network_are_no_other_rate() -> None:
     # Stalls of 0.2 to 2 s, each with a burst behind it; a clock that is set; a lasting delay.
     arrivals = stamps + late
     for start, duration in ((2.0, 0.2), (5.0, 0.6), (8.0, 2.0)):
-        arrivals = np.where(stamps >= start, np.maximum(arrivals, start + duration), arrivals)
+        arrivals = np.where(
+            stamps >= start, np.maximum(arrivals, start + duration), arrivals
+        )
     arrivals = np.maximum.accumulate(arrivals + np.where(stamps > 14.0, 0.4, 0.0))
     assert set(rates(stamps, arrivals)) == {None}
     # A clock that is set forth and back, and delays that are often long.
@@ -129,7 +143,11 @@ def test_delays_of_a_network_are_no_other_rate() -> None:
     assert set(rates(swinging, stamps)) == {None}
     for seed in range(5):
         random = np.random.default_rng(seed)
-        delayed = stamps + random.exponential(0.1, len(stamps)) * (random.random(len(stamps)) < 0.3)
+        delayed = stamps + random.exponential(0.1, len(stamps)) * (
+            random.random(len(stamps)) < 0.3
+        )
         assert set(rates(stamps, np.maximum.accumulate(delayed))) == {None}
     for shift in (-3600.0, 0.7, 3600.0):
-        assert set(rates(stamps + np.where(stamps > 16.0, shift, 0.0), arrivals)) == {None}
+        assert set(rates(stamps + np.where(stamps > 16.0, shift, 0.0), arrivals)) == {
+            None
+        }

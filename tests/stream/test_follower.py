@@ -7,7 +7,14 @@ import pytest
 from faulty_recordings import DEMO, faulty
 from marks import slow
 
-from handmap_qp import Follower, HandMapper, InvalidInputError, Method, Teleoperation, load_hand
+from handmap_qp import (
+    Follower,
+    HandMapper,
+    InvalidInputError,
+    Method,
+    Teleoperation,
+    load_hand,
+)
 from handmap_qp.human.recording import Recording, recording_samples
 
 HUMAN = load_hand("human", points="landmarks")
@@ -15,7 +22,9 @@ HUMAN = load_hand("human", points="landmarks")
 FAULTS = "dropout@0.3+0.3,jump@0.8+0.2,outlier@1.3+0.05"
 
 
-@pytest.mark.parametrize("robot", ["three_finger", *map(slow, ["allegro_right", "panda_gripper"])])
+@pytest.mark.parametrize(
+    "robot", ["three_finger", *map(slow, ["allegro_right", "panda_gripper"])]
+)
 @pytest.mark.parametrize(
     "method",
     [
@@ -24,7 +33,9 @@ FAULTS = "dropout@0.3+0.3,jump@0.8+0.2,outlier@1.3+0.05"
         pytest.param(Teleoperation(scale=0.5), id="half_scale", marks=pytest.mark.slow),
     ],
 )
-def test_a_recording_gives_the_steps_of_its_stream(robot: str, method: Method | str) -> None:
+def test_a_recording_gives_the_steps_of_its_stream(
+    robot: str, method: Method | str
+) -> None:
     samples, hand = recording_samples(faulty(FAULTS)), load_hand(robot)
     live = Follower(HandMapper(HUMAN, hand, method))
     expected = [live.map_sample(sample) for sample in samples]
@@ -51,7 +62,10 @@ def test_a_clutch_between_samples_counts() -> None:
     """Targets known from the reference before are not used after a clutch."""
     samples = recording_samples(DEMO.part(slice(0, 40)))
     hand = load_hand("three_finger")
-    live, follower = Follower(HandMapper(HUMAN, hand)), Follower(HandMapper(HUMAN, hand))
+    live, follower = (
+        Follower(HandMapper(HUMAN, hand)),
+        Follower(HandMapper(HUMAN, hand)),
+    )
     steps = follower.map_samples(samples)
     for i, sample in enumerate(samples):
         if i == 20:

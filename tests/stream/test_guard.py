@@ -24,12 +24,16 @@ RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")
 
 
-def moving(count: int = 240, rate: float = RATE, noise: float = 3e-4) -> list[HumanSample]:
+def moving(
+    count: int = 240, rate: float = RATE, noise: float = 3e-4
+) -> list[HumanSample]:
     """Return a hand that travels at up to 0.6 m/s, closes and opens."""
     random, samples = np.random.default_rng(1), []
     for i in range(count):
         t = i / rate
-        q = HUMAN.rest + 0.3 * (1.0 - np.cos(2.0 * t)) * 0.5 * (HUMAN.upper_limits - HUMAN.rest)
+        q = HUMAN.rest + 0.3 * (1.0 - np.cos(2.0 * t)) * 0.5 * (
+            HUMAN.upper_limits - HUMAN.rest
+        )
         wrist = np.eye(4)
         wrist[:3, 3] = 0.2 * np.sin(3.0 * t), 0.3, 0.1 * np.cos(2.0 * t)
         landmarks = HUMAN.points(q, wrist) + random.normal(scale=noise, size=(21, 3))
@@ -95,7 +99,9 @@ def test_a_fault_is_named_at_its_first_sample_and_the_hand_is_followed_again(
     assert set(RULES) >= {verdict.rule for verdict in verdicts if verdict.rule}
 
 
-@pytest.mark.parametrize("fault", ["jump@2+0.016:0.2", "outlier@2+0.016:0.1", "flip@2+0.016"])
+@pytest.mark.parametrize(
+    "fault", ["jump@2+0.016:0.2", "outlier@2+0.016:0.1", "flip@2+0.016"]
+)
 def test_a_single_bad_sample_costs_that_sample_alone(fault: str) -> None:
     verdicts = faulty(fault)
     assert sum(verdict.is_held for verdict in verdicts) == 1
@@ -123,7 +129,9 @@ def test_late_and_repeated_samples_are_skipped_and_the_next_one_is_rejoined() ->
 @pytest.mark.parametrize("shift", [-100.0, 100.0])
 def test_a_clock_jump_is_named_and_followed(shift: float) -> None:
     verdicts = faulty(f"clock@2:{shift:g}")
-    assert [i for i, verdict in enumerate(verdicts) if verdict.rule] == [round(2 * RATE)]
+    assert [i for i, verdict in enumerate(verdicts) if verdict.rule] == [
+        round(2 * RATE)
+    ]
     assert verdicts[round(2 * RATE)].rule == "clock_jump"
     assert not any(verdict.is_held for verdict in verdicts)
 
@@ -135,13 +143,18 @@ def test_noise_is_learnt_and_followed_after_half_a_second() -> None:
 
 
 def test_a_hand_of_another_size_is_not_followed() -> None:
-    samples = [replace(sample, landmarks=2.5 * sample.landmarks) for sample in moving(10)]
-    assert {(verdict.rule, verdict.is_held) for verdict in judged(samples)} == {("size", True)}
+    samples = [
+        replace(sample, landmarks=2.5 * sample.landmarks) for sample in moving(10)
+    ]
+    assert {(verdict.rule, verdict.is_held) for verdict in judged(samples)} == {
+        ("size", True)
+    }
 
 
 def test_a_wrist_at_the_origin_is_no_zero_pose() -> None:
     samples = [
-        replace(sample, landmarks=sample.landmarks - sample.landmarks[0]) for sample in moving(60)
+        replace(sample, landmarks=sample.landmarks - sample.landmarks[0])
+        for sample in moving(60)
     ]
     assert {verdict.rule for verdict in judged(samples)} == {""}
 
@@ -150,7 +163,9 @@ def test_the_other_hand_is_an_error_and_changes_nothing() -> None:
     guard, samples = StreamGuard(HUMAN), moving(3)
     guard.check(samples[0])
     before = guard.state
-    with pytest.raises(InvalidInputError, match="side: expected samples of a right hand"):
+    with pytest.raises(
+        InvalidInputError, match="side: expected samples of a right hand"
+    ):
         guard.check(replace(samples[1], side="left"))
     assert guard.state is before
 
@@ -162,15 +177,23 @@ def test_verdicts_depend_on_neither_the_origin_of_time_nor_that_of_the_world(
 ) -> None:
     samples = list(inject(moving(60), parse_faults("jump@0.4+0.1:0.2")))
     moved = [
-        HumanSample(start + sample.time, "right", sample.landmarks + shift) for sample in samples
+        HumanSample(start + sample.time, "right", sample.landmarks + shift)
+        for sample in samples
     ]
     assert [v.rule for v in judged(moved)] == [v.rule for v in judged(samples)]
 
 
-def test_real_recordings_break_rules_only_where_the_tracker_fails(recordings: Path) -> None:
+def test_real_recordings_break_rules_only_where_the_tracker_fails(
+    recordings: Path,
+) -> None:
     known = {
         # The tracker found the hand again elsewhere, and caught up within 0.1 s.
-        "leap110_free_right": [(6.47, "jump"), (7.42, "jump"), (9.36, "jump"), (9.63, "jump")],
+        "leap110_free_right": [
+            (6.47, "jump"),
+            (7.42, "jump"),
+            (9.36, "jump"),
+            (9.63, "jump"),
+        ],
         "leap_hmd_right": [(7.20, "jump")],
         "quest3_webxr_left": [(3.76, "missing")],
         "quest3_webxr_right": [],
@@ -187,4 +210,6 @@ def test_real_recordings_break_rules_only_where_the_tracker_fails(recordings: Pa
             if verdict.is_held and (i == 0 or not verdicts[i - 1].is_held)
         ]
         assert [rule for _, rule in begins] == [rule for _, rule in expected], name
-        np.testing.assert_allclose([t for t, _ in begins], [t for t, _ in expected], atol=0.006)
+        np.testing.assert_allclose(
+            [t for t, _ in begins], [t for t, _ in expected], atol=0.006
+        )

@@ -49,7 +49,9 @@ def test_motion_of_many_samples_is_that_of_each() -> None:
     sights, last = measure(None, time, recording.landmarks, shortest), None
     for i, sight in enumerate(sights):
         assert sight.is_after(last)
-        (own,) = measure(last, time[i : i + 1], recording.landmarks[i : i + 1], shortest[:1])
+        (own,) = measure(
+            last, time[i : i + 1], recording.landmarks[i : i + 1], shortest[:1]
+        )
         assert own.size == pytest.approx(sight.size)
         assert (own.is_zero, own.is_same) == (sight.is_zero, sight.is_same)
         if own.change is not None and sight.change is not None:
@@ -73,7 +75,9 @@ def test_the_change_of_a_palms_speed_is_its_acceleration_at_any_times(
 ) -> None:
     times = np.cumsum([0.0, *steps])
     palm, (a, v) = DEMO.landmarks[0], np.array([acceleration, speed])
-    first, second, third = (first_track(t, palm + v * t + 0.5 * a * t**2) for t in times)
+    first, second, third = (
+        first_track(t, palm + v * t + 0.5 * a * t**2) for t in times
+    )
     change = change_between(first, second, steps[0])
     # A first motion has nothing to be compared with.
     assert change.palm == change.turn == change.fingers == 0.0
@@ -86,12 +90,20 @@ def test_the_change_of_a_palms_speed_is_its_acceleration_at_any_times(
     assert change.fingers < 1e-6
 
 
-def test_a_turn_is_measured_about_its_axis_and_fingers_in_the_axes_of_the_palm() -> None:
+def test_a_turn_is_measured_about_its_axis_and_fingers_in_the_axes_of_the_palm() -> (
+    None
+):
     hand, turning, dt = DEMO.landmarks[0], np.array([3.0, -4.0, 5.0]), 0.02
     rotation = exp3(dt * turning)
     moved = hand.copy()
-    moved[8] += rotation.T @ [0.0, 0.0, 0.004]  # of the index fingertip, in the world after it
-    change = change_between(first_track(0.0, hand), first_track(dt, moved @ rotation.T), dt)
+    moved[8] += rotation.T @ [
+        0.0,
+        0.0,
+        0.004,
+    ]  # of the index fingertip, in the world after it
+    change = change_between(
+        first_track(0.0, hand), first_track(dt, moved @ rotation.T), dt
+    )
     np.testing.assert_allclose(change.track.turning, turning, atol=1e-9)
     speeds = np.linalg.norm(change.track.bending, axis=1)
     assert speeds[8] == pytest.approx(0.2)

@@ -36,14 +36,18 @@ def still(count: int = 180, shift: float = 0.0, turn: float = 0.0) -> list[Human
     for i in range(count):
         share = 1.0 if i >= count // 2 else 0.0
         q = HUMAN.rest + share * 0.3 * (HUMAN.upper_limits - HUMAN.rest)
-        wrist = affine(pin.exp3(np.array([0.0, share * turn, 0.0])), np.array([0.1, 0.2, 0.3]))
+        wrist = affine(
+            pin.exp3(np.array([0.0, share * turn, 0.0])), np.array([0.1, 0.2, 0.3])
+        )
         wrist[0, 3] += share * shift + 1e-7 * (i % 2)
         samples.append(HumanSample(i / RATE, "right", HUMAN.points(q, wrist)))
     return samples
 
 
 def mapped(
-    samples: list[HumanSample], rejoin: RejoinKind = "glide", method: Any = "teleoperation"
+    samples: list[HumanSample],
+    rejoin: RejoinKind = "glide",
+    method: Any = "teleoperation",
 ) -> list[MapStep]:
     follower = Follower(HandMapper(HUMAN, ROBOT, method), rejoin=rejoin)
     return [follower.map_sample(sample) for sample in samples]
@@ -60,7 +64,9 @@ def lost_between(shift: float = 0.0, turn: float = 0.0) -> list[HumanSample]:
 
 @pytest.mark.parametrize("rejoin", ["glide", "clutch"])
 @pytest.mark.parametrize("method", ["teleoperation", "object", "paper"])
-def test_the_robot_holds_and_comes_back_at_a_limited_speed(rejoin: RejoinKind, method: str) -> None:
+def test_the_robot_holds_and_comes_back_at_a_limited_speed(
+    rejoin: RejoinKind, method: str
+) -> None:
     steps = mapped(lost_between(0.15, 1.0), rejoin, method)
     status = [step.status for step in steps]
     held = [i for i, each in enumerate(status) if each == "held"]
@@ -68,7 +74,9 @@ def test_the_robot_holds_and_comes_back_at_a_limited_speed(rejoin: RejoinKind, m
     assert held[0] == round(1.75 * RATE)
     for i in held:
         np.testing.assert_array_equal(steps[i].command.q, steps[held[0] - 1].command.q)
-        np.testing.assert_array_equal(steps[i].command.wrist, steps[held[0] - 1].command.wrist)
+        np.testing.assert_array_equal(
+            steps[i].command.wrist, steps[held[0] - 1].command.wrist
+        )
         assert steps[i].rule in ("missing", "settling")
     assert status[held[-1] + 1] == "gliding"
     after = steps[held[-1] :]
@@ -79,7 +87,10 @@ def test_the_robot_holds_and_comes_back_at_a_limited_speed(rejoin: RejoinKind, m
         assert np.linalg.norm(travel) * RATE < 1.5 * (PALM_SPEED + 0.1 * TURN_SPEED)
         assert np.linalg.norm(turned) * RATE < 1.5 * TURN_SPEED
         points = step.human_points - before.human_points
-        assert np.linalg.norm(points, axis=1).max() * RATE < FINGER_SPEED + PALM_SPEED + 0.4
+        assert (
+            np.linalg.norm(points, axis=1).max() * RATE
+            < FINGER_SPEED + PALM_SPEED + 0.4
+        )
     assert status[-1] != "gliding" or rejoin == "clutch"
 
 
@@ -107,12 +118,19 @@ def test_gliding_ends_at_the_human_and_a_clutch_stays_where_it_is() -> None:
 
 
 def test_a_second_hold_during_the_glide_goes_on_from_there() -> None:
-    samples = list(inject(still(300, 0.2), parse_faults("dropout@2.2+0.5,dropout@3.0+0.3")))
+    samples = list(
+        inject(still(300, 0.2), parse_faults("dropout@2.2+0.5,dropout@3.0+0.3"))
+    )
     steps = mapped(samples)
-    assert any(step.status == "gliding" for step in steps[round(2.9 * RATE) : round(3.0 * RATE)])
+    assert any(
+        step.status == "gliding"
+        for step in steps[round(2.9 * RATE) : round(3.0 * RATE)]
+    )
     travel = np.diff([step.command.wrist[0, 3] for step in steps])
     assert np.abs(travel).max() * RATE < 1.5 * PALM_SPEED
-    np.testing.assert_allclose(steps[-1].human_points, samples[-1].landmarks, atol=1e-12)
+    np.testing.assert_allclose(
+        steps[-1].human_points, samples[-1].landmarks, atol=1e-12
+    )
 
 
 def test_without_faults_samples_are_mapped_as_landmarks() -> None:
@@ -124,7 +142,9 @@ def test_without_faults_samples_are_mapped_as_landmarks() -> None:
         assert step.consistency < 1e-9
 
 
-def test_before_the_hand_is_seen_the_robot_rests_and_nothing_is_taken_for_the_reference() -> None:
+def test_before_the_hand_is_seen_the_robot_rests_and_nothing_is_taken_for_the_reference() -> (
+    None
+):
     samples = still(60)
     follower = teleoperation()
     for sample in samples[:5]:
@@ -179,16 +199,22 @@ def test_the_robot_is_slow_until_the_wrist_is_proven(
 ) -> None:
     robot = load_hand("three_finger")
     ik = IkOptions(max_acceleration=max_acceleration)
-    follower, random = Follower(HandMapper(HUMAN, robot, "object", ik=ik)), np.random.default_rng(4)
+    follower, random = (
+        Follower(HandMapper(HUMAN, robot, "object", ik=ik)),
+        np.random.default_rng(4),
+    )
     q, rules = [], []
     for i in range(180):
         t = i / RATE
         closed = 0.5 - 0.5 * np.cos(8.0 * t)
         # The palm turns from 0.75 s on.
         wrist = affine(
-            pin.exp3(np.array([0.0, min(2.0 * max(t - 0.75, 0.0), 1.0), 0.0])), np.zeros(3)
+            pin.exp3(np.array([0.0, min(2.0 * max(t - 0.75, 0.0), 1.0), 0.0])),
+            np.zeros(3),
         )
-        points = HUMAN.points(HUMAN.rest + closed * 0.6 * (HUMAN.upper_limits - HUMAN.rest), wrist)
+        points = HUMAN.points(
+            HUMAN.rest + closed * 0.6 * (HUMAN.upper_limits - HUMAN.rest), wrist
+        )
         points += random.normal(0.0, 1e-4, points.shape)
         given = np.eye(4) if is_identity else wrist
         step = follower.map_sample(HumanSample(t, "right", points, given))
@@ -220,7 +246,9 @@ def test_a_held_robot_brakes_within_its_acceleration_limit() -> None:
         share = 0.5 - 0.5 * np.cos(2.0 * np.pi * i / 50.0)
         q = HUMAN.rest + share * 0.6 * (HUMAN.upper_limits - HUMAN.rest)
         is_seen = not 62 <= i < 110
-        samples.append(HumanSample(i / RATE, "right", HUMAN.points(q, np.eye(4)), valid=is_seen))
+        samples.append(
+            HumanSample(i / RATE, "right", HUMAN.points(q, np.eye(4)), valid=is_seen)
+        )
     steps = [follower.map_sample(sample) for sample in samples]
     speed = np.diff([step.command.q for step in steps], axis=0) * RATE
     assert np.abs(np.diff(speed, axis=0)).max() * RATE <= most * (1.0 + 1e-6)

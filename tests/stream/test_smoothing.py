@@ -30,7 +30,9 @@ def run(
     samples: list[HumanPose], times: np.ndarray, options: Smoothing = OPTIONS
 ) -> list[HumanPose]:
     state, smooth = None, []
-    for sample, dt in zip(samples, np.diff(times, prepend=times[0] - 0.01), strict=True):
+    for sample, dt in zip(
+        samples, np.diff(times, prepend=times[0] - 0.01), strict=True
+    ):
         result, state = smooth_sample(options, state, sample, float(dt))
         smooth.append(result)
     return smooth
@@ -74,7 +76,9 @@ def test_a_quick_hand_lags_less_than_a_slow_one() -> None:
 def test_a_turning_wrist_lags_like_a_point_on_a_lever_of_10_cm() -> None:
     times, speed = 0.01 * np.arange(400), 2.0
     none = np.zeros((1, 3))
-    turning = [affine(pin.exp3(np.array([0.0, 0.0, speed * t])), np.zeros(3)) for t in times]
+    turning = [
+        affine(pin.exp3(np.array([0.0, 0.0, speed * t])), np.zeros(3)) for t in times
+    ]
     moving = [affine(np.eye(3), np.array([0.1 * speed * t, 0.0, 0.0])) for t in times]
     turned, moved = (
         wrist_of(run([HumanPose(none, pose) for pose in poses], times)[-1])
@@ -101,7 +105,9 @@ def test_jitter_in_time_changes_little() -> None:
 
 def test_two_half_steps_come_near_to_one() -> None:
     options = Smoothing(min_cutoff=2.0, speed_gain=0.0)
-    step = [HumanPose(np.zeros((1, 3)), None)] + [HumanPose(np.ones((1, 3)), None)] * 200
+    step = [HumanPose(np.zeros((1, 3)), None)] + [
+        HumanPose(np.ones((1, 3)), None)
+    ] * 200
     coarse = run(step[:101], np.r_[0.0, 0.01 + 0.01 * np.arange(100)], options)[50]
     fine = run(step, np.r_[0.0, 0.005 + 0.005 * np.arange(200)], options)[100]
     np.testing.assert_allclose(coarse.points, fine.points, atol=0.01)
@@ -110,10 +116,16 @@ def test_two_half_steps_come_near_to_one() -> None:
 def test_moving_the_world_moves_the_smooth_hand_with_it() -> None:
     rng, times = np.random.default_rng(3), 0.01 * np.arange(20)
     moved = affine(pin.exp3(np.array([0.3, 1.0, -0.4])), np.array([0.5, 0.1, -2.0]))
-    here = [HumanPose(rng.normal(scale=0.05, size=(6, 3)), little_pose(rng)) for _ in times]
-    there = [HumanPose(transform_points(moved, s.points), moved @ wrist_of(s)) for s in here]
+    here = [
+        HumanPose(rng.normal(scale=0.05, size=(6, 3)), little_pose(rng)) for _ in times
+    ]
+    there = [
+        HumanPose(transform_points(moved, s.points), moved @ wrist_of(s)) for s in here
+    ]
     for one, other in zip(run(here, times), run(there, times), strict=True):
-        np.testing.assert_allclose(other.points, transform_points(moved, one.points), atol=1e-9)
+        np.testing.assert_allclose(
+            other.points, transform_points(moved, one.points), atol=1e-9
+        )
         np.testing.assert_allclose(wrist_of(other), moved @ wrist_of(one), atol=1e-9)
         rotation = wrist_of(one)[:3, :3]
         np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-9)
@@ -122,7 +134,10 @@ def test_moving_the_world_moves_the_smooth_hand_with_it() -> None:
 def test_a_rigid_motion_of_the_hand_leaves_its_shape() -> None:
     times = 0.01 * np.arange(50)
     shape = np.random.default_rng(4).normal(scale=0.05, size=(6, 3))
-    poses = [affine(pin.exp3(np.array([0.0, 0.0, t])), np.array([t, 0.0, 0.0])) for t in times]
+    poses = [
+        affine(pin.exp3(np.array([0.0, 0.0, t])), np.array([t, 0.0, 0.0]))
+        for t in times
+    ]
     smooth = run([HumanPose(transform_points(p, shape), p) for p in poses], times)
     for sample in smooth:
         wrist = wrist_of(sample)
@@ -135,7 +150,9 @@ def test_a_gap_in_time_or_in_the_wrist_starts_again() -> None:
     _, state = smooth_sample(OPTIONS, None, HumanPose(np.zeros((1, 3)), None), 0.01)
     result, _ = smooth_sample(OPTIONS, state, far, 1.0)
     np.testing.assert_array_equal(result.points, far.points)
-    result, _ = smooth_sample(OPTIONS, state, HumanPose(np.ones((1, 3)), np.eye(4)), 0.01)
+    result, _ = smooth_sample(
+        OPTIONS, state, HumanPose(np.ones((1, 3)), np.eye(4)), 0.01
+    )
     np.testing.assert_array_equal(result.points, far.points)
 
 
@@ -143,7 +160,8 @@ def test_a_follower_smooths_and_a_failed_step_leaves_the_filter_as_it_was() -> N
     rng = np.random.default_rng(5)
     samples = [(near_rest(rng, 0.3, HUMAN), little_pose(rng, 0.02)) for _ in range(12)]
     plain, smooth, disturbed = (
-        Follower(HandMapper(HUMAN, THREE, "object"), smoothing=s) for s in (None, OPTIONS, OPTIONS)
+        Follower(HandMapper(HUMAN, THREE, "object"), smoothing=s)
+        for s in (None, OPTIONS, OPTIONS)
     )
     rough_targets, smooth_targets = [], []
     for q, wrist in samples:
@@ -156,7 +174,9 @@ def test_a_follower_smooths_and_a_failed_step_leaves_the_filter_as_it_was() -> N
         np.testing.assert_array_equal(disturbed.map(pose, dt).targets, expected.targets)
         smooth_targets.append(expected.targets)
         rough_targets.append(plain.map(pose, dt).targets)
-    rough, calm = (np.abs(np.diff(t, axis=0)).mean() for t in (rough_targets, smooth_targets))
+    rough, calm = (
+        np.abs(np.diff(t, axis=0)).mean() for t in (rough_targets, smooth_targets)
+    )
     assert calm < 0.9 * rough
 
 
@@ -170,7 +190,9 @@ def test_a_follower_smooths_and_a_failed_step_leaves_the_filter_as_it_was() -> N
     ],
     ids=str,
 )
-def test_filters_without_a_meaning_are_rejected_by_name(options: dict[str, Any], name: str) -> None:
+def test_filters_without_a_meaning_are_rejected_by_name(
+    options: dict[str, Any], name: str
+) -> None:
     with pytest.raises(InvalidOptionsError) as raised:
         Smoothing(**options)
     assert raised.value.option == name

@@ -48,7 +48,9 @@ def test_reads_what_numpy_wrote(tmp_path: Path, compressed: bool) -> None:
     assert read_archive(path, {"a", "absent"}).keys() == {"a"}
 
 
-def test_a_header_that_asks_for_more_than_there_is_allocates_nothing(tmp_path: Path) -> None:
+def test_a_header_that_asks_for_more_than_there_is_allocates_nothing(
+    tmp_path: Path,
+) -> None:
     header = {"descr": "<f8", "fortran_order": False, "shape": (1 << 40, 1 << 10)}
     stream, member = io.BytesIO(), io.BytesIO()
     np.lib.format.write_array_header_1_0(member, header)
@@ -93,7 +95,9 @@ def test_a_damaged_archive_is_read_or_refused_in_one_line(
 ) -> None:
     content = bytearray(packed(compressed))
     for _ in range(data.draw(st.integers(1, 4))):
-        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
+        content[data.draw(st.integers(0, len(content) - 1))] = data.draw(
+            st.integers(0, 255)
+        )
     del content[data.draw(st.integers(len(content) // 2, len(content))) :]
     path = tmp_path_factory.mktemp("damaged") / "a.npz"
     path.write_bytes(bytes(content))

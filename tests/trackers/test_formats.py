@@ -16,7 +16,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from lerobot_tables import columns_of, episodes_of
 
-from handmap_qp import InvalidInputError, Recording, RecordingError, load_hand, read_recording
+from handmap_qp import (
+    InvalidInputError,
+    Recording,
+    RecordingError,
+    load_hand,
+    read_recording,
+)
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
@@ -43,7 +49,9 @@ LOSSLESS = ("npz", "robomimic")
 READ = [form for form in FORMATS.values() if form.name != "lerobot"]
 
 
-def hand(side: Side = "right", count: int = 6, seed: int = 0, **changes: Any) -> Recording:
+def hand(
+    side: Side = "right", count: int = 6, seed: int = 0, **changes: Any
+) -> Recording:
     """A moving human hand, with a gap, wrist poses and confidences."""
     rng = np.random.default_rng(seed)
     human = load_hand("human" if side == "right" else "human_left", points="landmarks")
@@ -53,7 +61,9 @@ def hand(side: Side = "right", count: int = 6, seed: int = 0, **changes: Any) ->
         pose[:3, :3] = rotation_from_rpy([0.1 * i, 0.2, -0.1 * i])
         pose[:3, 3] = rng.normal(size=3)
         wrist.append(pose)
-        landmarks.append(human.points(0.9 * human.rest, pose) + rng.normal(0, 1e-4, (21, 3)))
+        landmarks.append(
+            human.points(0.9 * human.rest, pose) + rng.normal(0, 1e-4, (21, 3))
+        )
     values: dict = {
         "name": "take",
         "time": 3.0 + np.cumsum(rng.uniform(0.01, 0.04, count)),
@@ -102,7 +112,9 @@ def test_a_hand_survives(form: RecordingFormat, is_plain: bool, tmp_path: Path) 
             assert found.wrist is None
         else:
             assert found.wrist is not None
-            np.testing.assert_array_equal(found.wrist[given.valid], given.wrist[given.valid])
+            np.testing.assert_array_equal(
+                found.wrist[given.valid], given.wrist[given.valid]
+            )
     if "confidence" not in lost:
         assert (found.confidence is None) == (given.confidence is None)
     if given.confidence is not None and found.confidence is not None:
@@ -122,7 +134,9 @@ def test_two_hands_in_one_file(form: RecordingFormat, tmp_path: Path) -> None:
             write_recordings([left, right], path, form)
         return
     write_recordings([left, right], path, form)
-    found = {recording.side: recording for recording in map(Source.read, list_sources(path))}
+    found = {
+        recording.side: recording for recording in map(Source.read, list_sources(path))
+    }
     assert_same(found["left"], left)
     assert_same(found["right"], right)
     assert_same(read_recording(path, "left"), left)
@@ -139,7 +153,9 @@ PLAIN: tuple[dict[str, Any], ...] = ({}, {"wrist": None})
 
 def test_many_recordings_in_one_set(tmp_path: Path) -> None:
     form, path = FORMATS["robomimic"], tmp_path / "set.hdf5"
-    given = [hand(count=3 + i, seed=i, name=f"take{i}", **PLAIN[i % 2]) for i in range(12)]
+    given = [
+        hand(count=3 + i, seed=i, name=f"take{i}", **PLAIN[i % 2]) for i in range(12)
+    ]
     write_recordings(given, path, form)
     sources = list_sources(path)
     assert [source.entry.samples for source in sources] == [3 + i for i in range(12)]
@@ -185,24 +201,39 @@ def test_a_lerobot_set_is_read_by_pyarrow_alone(tmp_path: Path) -> None:
         size = len(feature["names"]) if feature["names"] else 1
         assert feature["shape"] == [size], name
     np.testing.assert_array_equal(table["index"].to_numpy(), np.arange(11))
-    np.testing.assert_array_equal(table["frame_index"].to_numpy(), [*range(4), *range(7)])
-    np.testing.assert_allclose(
-        table["timestamp"].to_numpy(), table["frame_index"].to_numpy() / info["fps"], rtol=1e-6
+    np.testing.assert_array_equal(
+        table["frame_index"].to_numpy(), [*range(4), *range(7)]
     )
-    episodes = pq.read_table(tmp_path / "set/meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    np.testing.assert_allclose(
+        table["timestamp"].to_numpy(),
+        table["frame_index"].to_numpy() / info["fps"],
+        rtol=1e-6,
+    )
+    episodes = pq.read_table(
+        tmp_path / "set/meta/episodes/chunk-000/file-000.parquet"
+    ).to_pylist()
     assert [e["length"] for e in episodes] == [4, 7]
-    assert [(e["dataset_from_index"], e["dataset_to_index"]) for e in episodes] == [(0, 4), (4, 11)]
+    assert [(e["dataset_from_index"], e["dataset_to_index"]) for e in episodes] == [
+        (0, 4),
+        (4, 11),
+    ]
     stats = json.loads((tmp_path / "set/meta/stats.json").read_text())
     times = np.concatenate([recording.time for recording in given])
     assert stats["observation.time"]["mean"][0] == pytest.approx(times.mean())
     assert stats["observation.time"]["std"][0] == pytest.approx(times.std())
     assert stats["observation.time"]["count"] == [11]
     tasks = pq.read_table(tmp_path / "set/meta/tasks.parquet").to_pydict()
-    assert tasks == {"task_index": [0, 1], "task": ["right human hand", "left human hand"]}
+    assert tasks == {
+        "task_index": [0, 1],
+        "task": ["right human hand", "left human hand"],
+    }
     with pytest.raises(InvalidInputError, match="exists already"):
         write_recordings(given, tmp_path / "set")
     for i, recording in enumerate(given):
-        columns, episode = columns_of(tmp_path / "set", i), episodes_of(tmp_path / "set")[i]
+        columns, episode = (
+            columns_of(tmp_path / "set", i),
+            episodes_of(tmp_path / "set")[i],
+        )
         assert (episode["name"], episode["side"]) == (recording.name, recording.side)
         np.testing.assert_array_equal(columns["observation.time"], recording.time)
         np.testing.assert_array_equal(
@@ -250,7 +281,9 @@ def test_joint_states_of_ros_become_a_hand_by_the_model(tmp_path: Path) -> None:
     store, kind = get_typestore(Stores.ROS2_HUMBLE), "sensor_msgs/msg/JointState"
     human = load_hand("human_left", points="landmarks")
     order = list(reversed(HUMAN_JOINTS))
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(
+        tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP
+    ) as writer:
         topic = writer.add_connection("/glove/left/joint_states", kind, typestore=store)
         for i in range(3):
             time = store.types["builtin_interfaces/msg/Time"](7, 10**7 * i)
@@ -265,7 +298,9 @@ def test_joint_states_of_ros_become_a_hand_by_the_model(tmp_path: Path) -> None:
         assert found.side == "left"
         np.testing.assert_allclose(found.time, [7.0, 7.01, 7.02], rtol=0, atol=1e-12)
         for i in range(3):
-            np.testing.assert_allclose(found.landmarks[i], human.points(0.5 * i * human.rest))
+            np.testing.assert_allclose(
+                found.landmarks[i], human.points(0.5 * i * human.rest)
+            )
 
 
 def test_mano_joints_are_put_in_order(tmp_path: Path) -> None:
@@ -308,8 +343,15 @@ def test_mano_parameters_go_through_the_users_model(
 ) -> None:
     rng, path = np.random.default_rng(1), tmp_path / "p.npz"
     turns, shift = rng.normal(0.0, 0.3, (4, 45)), rng.normal(size=(4, 3))
-    given: dict[str, Any] = {"side": "right", "fps": 30.0, "transl": shift, "betas": np.ones(10)}
-    root = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2], [0.3, 0.1, 0.2], [0.0, np.pi, 0.0]])
+    given: dict[str, Any] = {
+        "side": "right",
+        "fps": 30.0,
+        "transl": shift,
+        "betas": np.ones(10),
+    }
+    root = np.array(
+        [[0.0, 0.0, 0.0], [0.0, 0.0, np.pi / 2], [0.3, 0.1, 0.2], [0.0, np.pi, 0.0]]
+    )
     turns[1] = turns[0]
     given |= {"global_orient": root, "hand_pose": turns, "flat_hand_mean": True}
     np.savez(path, **given)
@@ -326,22 +368,35 @@ def test_mano_parameters_go_through_the_users_model(
     still = hands[0] - hands[0, 0]
     np.testing.assert_allclose(hands[1] - hands[1, 0], still @ quarter.T, atol=1e-12)
     # Components of all 45 directions say the same as the angles that they span.
-    components = dict(np.load(model)) if suffix == ".npz" else pickle.loads(model.read_bytes())
+    components = (
+        dict(np.load(model)) if suffix == ".npz" else pickle.loads(model.read_bytes())
+    )
     basis, mean = components["hands_components"], components["hands_mean"]
-    np.savez(path, **{**given, "hand_pose": (turns @ basis.T)[:, :44], "flat_hand_mean": True})
+    np.savez(
+        path,
+        **{**given, "hand_pose": (turns @ basis.T)[:, :44], "flat_hand_mean": True},
+    )
     rest = turns - np.outer(turns @ basis[44], basis[44])
     found = read_recording(path).landmarks
     np.savez(path, **{**given, "hand_pose": rest - mean, "flat_hand_mean": False})
     np.testing.assert_allclose(read_recording(path).landmarks, found, atol=1e-12)
 
 
-def test_a_model_that_runs_code_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_that_runs_code_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     np.savez(
-        tmp_path / "p.npz", side="right", fps=30.0, pose=np.zeros((3, 48)), flat_hand_mean=True
+        tmp_path / "p.npz",
+        side="right",
+        fps=30.0,
+        pose=np.zeros((3, 48)),
+        flat_hand_mean=True,
     )
     monkeypatch.setenv("HANDMAP_MANO", str(tmp_path))
     (tmp_path / "MANO_RIGHT.pkl").write_bytes(pickle.dumps({"v_template": print}))
-    with pytest.raises(RecordingError, match=r"holds builtins.print, which is not read"):
+    with pytest.raises(
+        RecordingError, match=r"holds builtins.print, which is not read"
+    ):
         read_recording(tmp_path / "p.npz")
 
 
@@ -417,11 +472,16 @@ def test_a_bad_file_is_one_line_with_its_place(
 
 
 @pytest.mark.parametrize("form", READ, ids=lambda form: form.name)
-def test_files_of_noise_are_refused_in_one_line(form: RecordingFormat, tmp_path: Path) -> None:
+def test_files_of_noise_are_refused_in_one_line(
+    form: RecordingFormat, tmp_path: Path
+) -> None:
     rng = np.random.default_rng(5)
     path = path_of(tmp_path, form)
     write_recordings([hand()], path, form)
-    file = max((p for p in [path, *path.rglob("*")] if p.is_file()), key=lambda p: p.stat().st_size)
+    file = max(
+        (p for p in [path, *path.rglob("*")] if p.is_file()),
+        key=lambda p: p.stat().st_size,
+    )
     good = file.read_bytes()
     for _ in range(8):
         content = bytearray(good)
@@ -442,18 +502,30 @@ def test_what_has_no_format_is_named(tmp_path: Path) -> None:
     }.items():
         with pytest.raises(RecordingError, match=word):
             read_recording(path)
-    with pytest.raises(InvalidInputError, match=r"OUT: expected a file that ends in one of .npz"):
+    with pytest.raises(
+        InvalidInputError, match=r"OUT: expected a file that ends in one of .npz"
+    ):
         format_to_write(tmp_path / "a.txt")
     with pytest.raises(InvalidInputError, match="--format: expected one of npz, csv"):
         format_to_write(tmp_path / "a", "zip")
 
 
-def test_a_missing_package_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, package in {"egodex": "h5py", "lerobot": "pyarrow", "mcap": "rosbags"}.items():
+def test_a_missing_package_names_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, package in {
+        "egodex": "h5py",
+        "lerobot": "pyarrow",
+        "mcap": "rosbags",
+    }.items():
         with monkeypatch.context() as patch:
             patch.setitem(__import__("sys").modules, package, None)
             for part in ("pyarrow.parquet", "rosbags.rosbag2", "rosbags.typesys"):
                 if part.startswith(package):
                     patch.setitem(__import__("sys").modules, part, None)
-            with pytest.raises(MissingExtraError, match=r"pip install 'handmap-qp\[files\]'"):
-                write_recordings([hand()], path_of(tmp_path, FORMATS[name]), FORMATS[name])
+            with pytest.raises(
+                MissingExtraError, match=r"pip install 'handmap-qp\[files\]'"
+            ):
+                write_recordings(
+                    [hand()], path_of(tmp_path, FORMATS[name]), FORMATS[name]
+                )

@@ -37,7 +37,9 @@ def make_samples(count: int = 100) -> list[HumanSample]:
         wrist = np.eye(4)
         wrist[:3, 3] = 0.002 * i, 0.3, -0.1
         samples.append(
-            HumanSample(START + i * PERIOD, "right", human.points(q, wrist), wrist=wrist)
+            HumanSample(
+                START + i * PERIOD, "right", human.points(q, wrist), wrist=wrist
+            )
         )
     return samples
 
@@ -75,7 +77,9 @@ def test_a_fault_acts_within_its_time_and_nowhere_else(name: FaultName) -> None:
     assert all(map(is_same, result[:25], before))
     assert all(map(is_same, result[25 + count :], after))
     if name == "duplicate":
-        assert all(is_same(result[25 + 2 * i], result[26 + 2 * i]) for i in range(len(active)))
+        assert all(
+            is_same(result[25 + 2 * i], result[26 + 2 * i]) for i in range(len(active))
+        )
     elif count:
         changed = [not _equal(result[i], SAMPLES[i]) for i in active]
         # Only every second sample is late, at random.
@@ -112,9 +116,13 @@ def test_frozen_data_are_what_was_sent_last() -> None:
 @pytest.mark.parametrize("size", [0.2, 1.5])
 def test_a_jump_moves_the_whole_hand_by_its_size(size: float) -> None:
     result = injected(f"jump@0.5+0.2:{size}")
-    moved = np.array([result[i].landmarks - SAMPLES[i].landmarks for i in range(26, 34)])
+    moved = np.array(
+        [result[i].landmarks - SAMPLES[i].landmarks for i in range(26, 34)]
+    )
     np.testing.assert_allclose(np.linalg.norm(moved, axis=2), size, rtol=1e-12)
-    np.testing.assert_allclose(moved, np.broadcast_to(moved[0, 0], moved.shape), atol=1e-12)
+    np.testing.assert_allclose(
+        moved, np.broadcast_to(moved[0, 0], moved.shape), atol=1e-12
+    )
     wrist, was = result[30].wrist, SAMPLES[30].wrist
     assert wrist is not None
     assert was is not None
@@ -153,7 +161,10 @@ def test_zeros_are_called_valid() -> None:
 def test_an_outlier_is_one_landmark() -> None:
     result = injected("outlier@0.5+0.2:0.1")
     moved = np.array(
-        [np.linalg.norm(result[i].landmarks - SAMPLES[i].landmarks, axis=1) for i in range(26, 34)]
+        [
+            np.linalg.norm(result[i].landmarks - SAMPLES[i].landmarks, axis=1)
+            for i in range(26, 34)
+        ]
     )
     assert (np.count_nonzero(moved, axis=1) == 1).all()
     assert len({int(row.argmax()) for row in moved}) == 1
@@ -162,8 +173,12 @@ def test_an_outlier_is_one_landmark() -> None:
 
 def test_noise_has_its_standard_deviation() -> None:
     result = injected("noise@0:0.004")
-    noise = np.array([a.landmarks - b.landmarks for a, b in zip(result, SAMPLES, strict=True)])
-    assert noise.std() == pytest.approx(0.004, rel=0.05)  # 6300 numbers: 0.9 % is one sigma
+    noise = np.array(
+        [a.landmarks - b.landmarks for a, b in zip(result, SAMPLES, strict=True)]
+    )
+    assert noise.std() == pytest.approx(
+        0.004, rel=0.05
+    )  # 6300 numbers: 0.9 % is one sigma
 
 
 def test_faults_of_the_clock_change_times_only() -> None:
@@ -172,9 +187,14 @@ def test_faults_of_the_clock_change_times_only() -> None:
         shifts = [a.time - b.time for a, b in zip(result, SAMPLES, strict=True)]
         np.testing.assert_allclose(shifts[:50], 0.0, atol=1e-9)
         np.testing.assert_allclose(shifts[51:], size, atol=1e-9)
-    late = [a.time - b.time for a, b in zip(injected("late@0+9:0.05"), SAMPLES, strict=True)]
+    late = [
+        a.time - b.time for a, b in zip(injected("late@0+9:0.05"), SAMPLES, strict=True)
+    ]
     assert {round(shift, 6) for shift in late} == {0.0, -0.05}
-    jitter = [a.time - b.time for a, b in zip(injected("jitter@0:0.002"), SAMPLES, strict=True)]
+    jitter = [
+        a.time - b.time
+        for a, b in zip(injected("jitter@0:0.002"), SAMPLES, strict=True)
+    ]
     assert np.std(jitter) == pytest.approx(0.002, rel=0.3)
 
 
@@ -193,7 +213,9 @@ def test_faults_act_together() -> None:
 def test_a_lost_hand_stays_lost() -> None:
     for name in FAULT_NAMES:
         if name not in ("frozen", "zero"):
-            result = list(inject(SAMPLES, [Fault("dropout", 0.0), Fault(name, 0.1, 0.1)]))
+            result = list(
+                inject(SAMPLES, [Fault("dropout", 0.0), Fault(name, 0.1, 0.1)])
+            )
             assert not any(sample.valid for sample in result[6:9]), name
 
 

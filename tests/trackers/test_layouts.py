@@ -32,10 +32,16 @@ SIDES: tuple[Side, ...] = ("right", "left")
 TABLES = Path(__file__).resolve().parents[2] / "handmap_qp" / "trackers" / "layouts"
 
 
-def posture(side: Side, seed: int = 0, bend: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def posture(
+    side: Side, seed: int = 0, bend: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
     """A posture near rest and a wrist pose."""
     human, rng = sized_human(side), np.random.default_rng(seed)
-    q = np.clip(bend * human.rest + rng.normal(0, 0.12, 20), human.lower_limits, human.upper_limits)
+    q = np.clip(
+        bend * human.rest + rng.normal(0, 0.12, 20),
+        human.lower_limits,
+        human.upper_limits,
+    )
     turn = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
     return q, affine(turn, np.array([0.3, 1.1, -0.2]))
 
@@ -74,10 +80,15 @@ def test_a_posture_of_the_model_comes_back(layout: Layout, side: Side) -> None:
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=lambda layout: layout.name)
 def test_a_sample_comes_back_and_flat_rows_are_read(layout: Layout) -> None:
     q, wrist = posture("right", seed=1)
-    sample = load_layout("mediapipe21").read(truth("right", q, wrist), time=0.0, side="right")
+    sample = load_layout("mediapipe21").read(
+        truth("right", q, wrist), time=0.0, side="right"
+    )
     values = layout.write(sample)
     again = layout.read(
-        values.ravel(), time=0.0, side="right", wrist=wrist_beside(layout, wrist, "right")
+        values.ravel(),
+        time=0.0,
+        side="right",
+        wrist=wrist_beside(layout, wrist, "right"),
     )
     # Angles and markers go through a fit of a hand of other lengths, and their wrist through a palm
     # fit: compare shapes, which are distances.
@@ -99,7 +110,9 @@ def test_all_forms_of_a_joint_mean_the_same(name: str) -> None:
         table = msgspec.structs.replace(layout.table, poses=(size,))
         values = PointLayout(table).write_posture(human, q, wrist)
         sample = layout.read(values, time=0.0, side="left")
-        np.testing.assert_allclose(sample.landmarks, truth("left", q, wrist), atol=1e-12)
+        np.testing.assert_allclose(
+            sample.landmarks, truth("left", q, wrist), atol=1e-12
+        )
         assert (sample.wrist is None) == (size == 3)
         if sample.wrist is not None:
             np.testing.assert_allclose(sample.wrist, wrist, atol=1e-12)
@@ -109,13 +122,19 @@ def test_all_forms_of_a_joint_mean_the_same(name: str) -> None:
 def test_a_real_headset_is_read_by_its_table(side: Side, recordings: Path) -> None:
     file = recordings / f"quest3_webxr_{side}.npz"
     content, recording = np.load(file), read_recording(file)
-    poses = content["joints_pose"][recording.valid][:, :, [0, 1, 2, 4, 5, 6, 3]]  # to xyzw
+    poses = content["joints_pose"][recording.valid][
+        :, :, [0, 1, 2, 4, 5, 6, 3]
+    ]  # to xyzw
     hands = load_layout("webxr25").hands(poses, side)
-    np.testing.assert_allclose(hands.landmarks, recording.landmarks[recording.valid], atol=1e-9)
+    np.testing.assert_allclose(
+        hands.landmarks, recording.landmarks[recording.valid], atol=1e-9
+    )
     assert hands.wrists is not None
     sign = 1.0 if side == "right" else -1.0
     palms = palm_axes(hands.landmarks, sign)
-    turns = Rotation.from_matrix(palms.transpose(0, 2, 1) @ hands.wrists[:, :3, :3]).magnitude()
+    turns = Rotation.from_matrix(
+        palms.transpose(0, 2, 1) @ hands.wrists[:, :3, :3]
+    ).magnitude()
     # The wrist's axes are ours, but for what trackers mean by distal.
     assert np.degrees(turns).max() < 15.0
 
@@ -156,7 +175,9 @@ def test_degrees_radians_and_signs_of_angles_are_found() -> None:
     degrees = np.degrees(rows) * (1.0 + np.arange(2)[:, None])
     with pytest.raises(InvalidInputError, match="these are degrees"):
         angles.record("a", time, degrees, "right")
-    glove = np.array([manus.write_posture(sized_human("right"), row, wrist) for row in rows])
+    glove = np.array(
+        [manus.write_posture(sized_human("right"), row, wrist) for row in rows]
+    )
     manus.record("a", time, glove, "right")
     with pytest.raises(InvalidInputError, match="these are radians"):
         manus.record("a", time, np.radians(glove), "right")
@@ -174,7 +195,9 @@ def test_angles_are_found_by_name_with_aliases_prefixes_and_defaults() -> None:
     del named["IndexMCPSpread"]  # as of a ROS 2 node that leaves it out
     prefixed = {f"LeftFinger{name}": value for name, value in named.items()}
     prefixed |= {f"RightFinger{name}": 0.0 for name in named}
-    aliased = {name: value for name, value in named.items() if name != "MiddleMCPSpread"}
+    aliased = {
+        name: value for name, value in named.items() if name != "MiddleMCPSpread"
+    }
     aliased["Middle_MCP_Spread"] = named["MiddleMCPSpread"]
     for values in (prefixed, aliased):
         sample = manus.read(values, time=0.0, side="left")
@@ -187,14 +210,22 @@ def test_angles_are_found_by_name_with_aliases_prefixes_and_defaults() -> None:
 def test_a_table_of_ones_own_is_one_file(tmp_path: Path) -> None:
     text = (TABLES / "angles20.yaml").read_text(encoding="utf-8")
     own = tmp_path / "mine.yaml"
-    own.write_text(text.replace("unit: rad", "unit: deg").replace("name: angles20", "name: mine"))
+    own.write_text(
+        text.replace("unit: rad", "unit: deg").replace("name: angles20", "name: mine")
+    )
     q, _ = posture("right")
     sample = load_layout(own).read(np.degrees(q), time=0.0, side="right")
-    np.testing.assert_allclose(sample.landmarks, truth("right", q, np.eye(4)), atol=1e-12)
+    np.testing.assert_allclose(
+        sample.landmarks, truth("right", q, np.eye(4)), atol=1e-12
+    )
     for old, new, word in (
         ("unit: rad", "unit: furlong", "unit"),
         ("kind: angles", "kind: guess", "kind"),
-        ("joint: thumb_TM_flexion", "joint: thumb_TM_flection", "did you mean thumb_TM_flexion"),
+        (
+            "joint: thumb_TM_flexion",
+            "joint: thumb_TM_flection",
+            "did you mean thumb_TM_flexion",
+        ),
         ("values:", "value:", "value"),
         ("name: angles20", "name: [", str(own)),
     ):
@@ -218,7 +249,9 @@ def test_every_table_has_sources_and_says_what_it_lacks() -> None:
         assert layout.table.values
         assert len(layout.rows()) >= 13
         if not layout.has_wrist:
-            assert any("wrist" in item or "place" in item for item in layout.table.missing)
+            assert any(
+                "wrist" in item or "place" in item for item in layout.table.missing
+            )
 
 
 def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
@@ -232,12 +265,15 @@ def file_of(folder: Path, layout: Layout, **changes: Any) -> Path:
         **changes,
     }
     path = folder / "hand.npz"
-    np.savez(path, **{name: array for name, array in content.items() if array is not None})  # ty: ignore[invalid-argument-type]
+    arrays: Any = {name: array for name, array in content.items() if array is not None}
+    np.savez(path, **arrays)
     return path
 
 
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=lambda layout: layout.name)
-def test_files_in_a_layout_are_read_and_plausible(layout: Layout, tmp_path: Path) -> None:
+def test_files_in_a_layout_are_read_and_plausible(
+    layout: Layout, tmp_path: Path
+) -> None:
     if layout.name.startswith("markers"):
         pytest.skip("sixty fits; test_a_posture_of_the_model_comes_back has them")
     recording = read_with_layout(file_of(tmp_path, layout), layout)
@@ -272,7 +308,9 @@ def test_a_file_in_another_layout_is_refused_and_named(
         np.savez(path, **(content | {"joints": content["joints"][:, :, :3]}))
     with pytest.raises(RecordingError) as caught:
         read_with_layout(path, load_layout(read))
-    assert f"--layout {named}" in str(caught.value) or f" or {named}" in str(caught.value)
+    assert f"--layout {named}" in str(caught.value) or f" or {named}" in str(
+        caught.value
+    )
 
 
 def test_csv_columns_of_a_glove(tmp_path: Path) -> None:
@@ -281,7 +319,9 @@ def test_csv_columns_of_a_glove(tmp_path: Path) -> None:
     for i, share in enumerate(np.linspace(0.0, 1.0, 40)):
         q, wrist = posture("right", seed=6, bend=0.5 + share)
         values = manus.write_posture(sized_human("right"), q, wrist)
-        rows.append(f"{i},{1000.0 * i / 60:.6f}," + ",".join(f"{v:.9f}" for v in values))
+        rows.append(
+            f"{i},{1000.0 * i / 60:.6f}," + ",".join(f"{v:.9f}" for v in values)
+        )
     rows[7] = "7,116.666667" + "," * 20  # the glove was silent
     header = "Frame,Elapsed_Time_In_Milliseconds," + ",".join(manus.columns)
     path = tmp_path / "glove.csv"
@@ -291,7 +331,9 @@ def test_csv_columns_of_a_glove(tmp_path: Path) -> None:
     assert recording.valid.sum() == 39
     np.testing.assert_allclose(recording.steps, 1.0 / 60.0, atol=1e-6)
     q, _ = posture("right", seed=6, bend=0.5)
-    np.testing.assert_allclose(recording.landmarks[0], truth("right", q, np.eye(4)), atol=1e-8)
+    np.testing.assert_allclose(
+        recording.landmarks[0], truth("right", q, np.eye(4)), atol=1e-8
+    )
     with pytest.raises(RecordingError, match="give --side"):
         read_with_layout(path, manus)
     path.write_text("\n".join([header, *rows[:3], rows[3].replace(",", ",x", 3)]))
@@ -310,7 +352,9 @@ def test_csv_columns_of_a_glove(tmp_path: Path) -> None:
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_bad_files_are_one_clear_line(changes: dict[str, Any], word: str, tmp_path: Path) -> None:
+def test_bad_files_are_one_clear_line(
+    changes: dict[str, Any], word: str, tmp_path: Path
+) -> None:
     layout = load_layout("openxr26")
     path = file_of(tmp_path, layout, **changes)
     with pytest.raises(RecordingError) as caught:
@@ -335,7 +379,9 @@ def test_anything_else_is_refused_in_one_line(data: st.DataObject) -> None:
         data.draw(st.sampled_from([*LAYOUTS.values()])),
         data.draw(st.sampled_from(SIDES)),
     )
-    shape = st.sampled_from(layout.shapes) | array_shapes(min_dims=0, max_dims=3, max_side=30)
+    shape = st.sampled_from(layout.shapes) | array_shapes(
+        min_dims=0, max_dims=3, max_side=30
+    )
     numbers = st.floats(-1e6, 1e6) | st.floats()
     values = data.draw(arrays(float, data.draw(shape), elements=numbers))
     problem, sample = None, None
@@ -349,12 +395,16 @@ def test_anything_else_is_refused_in_one_line(data: st.DataObject) -> None:
 
 
 @given(data=st.data())
-def test_changed_tables_are_read_or_refused(data: st.DataObject, tmp_path_factory: Any) -> None:
+def test_changed_tables_are_read_or_refused(
+    data: st.DataObject, tmp_path_factory: Any
+) -> None:
     name = data.draw(st.sampled_from(tuple(LAYOUTS)))
     lines = (TABLES / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
     place = data.draw(st.integers(0, len(lines) - 1))
     lines[place] = data.draw(
-        st.sampled_from(["", "count: 3", "poses: []", "unit: 7", "- x", lines[place][::-1], "]"])
+        st.sampled_from(
+            ["", "count: 3", "poses: []", "unit: 7", "- x", lines[place][::-1], "]"]
+        )
     )
     file = tmp_path_factory.mktemp("table") / "own.yaml"
     file.write_text("\n".join(lines), encoding="utf-8")

@@ -14,7 +14,14 @@ import numpy as np
 import pytest
 from pinocchio import exp3
 
-from handmap_qp import Follower, HandMapper, InvalidInputError, Recording, load_hand, read_recording
+from handmap_qp import (
+    Follower,
+    HandMapper,
+    InvalidInputError,
+    Recording,
+    load_hand,
+    read_recording,
+)
 from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import Verdict
@@ -48,7 +55,9 @@ def take(lies: ModuleType) -> Any:
 
 def find(take: Any) -> Finding | None:
     check = InputCheck(take.side)
-    for time, landmarks, wrist in zip(take.time, take.landmarks, take.wrist, strict=True):
+    for time, landmarks, wrist in zip(
+        take.time, take.landmarks, take.wrist, strict=True
+    ):
         if finding := check.update(time, landmarks, wrist):
             return finding
     return check.finish()
@@ -56,7 +65,9 @@ def find(take: Any) -> Finding | None:
 
 def as_recording(take: Any) -> Recording:
     valid = np.ones(len(take.time), dtype=bool)
-    return Recording(take.name, take.time, take.landmarks, valid, take.side, wrist=take.wrist)
+    return Recording(
+        take.name, take.time, take.landmarks, valid, take.side, wrist=take.wrist
+    )
 
 
 def test_every_mistake_is_found_within_a_second(lies: ModuleType, take: Any) -> None:
@@ -73,7 +84,9 @@ def test_every_mistake_is_found_within_a_second(lies: ModuleType, take: Any) -> 
                 assert finding.advice
 
 
-def test_real_hands_pass_and_mistakes_in_them_do_not(lies: ModuleType, recordings: Path) -> None:
+def test_real_hands_pass_and_mistakes_in_them_do_not(
+    lies: ModuleType, recordings: Path
+) -> None:
     for file in sorted(recordings.glob("*.npz")):
         recording = read_recording(file)
         assert examine_recording(recording) is None, file
@@ -116,11 +129,15 @@ def test_few_bad_samples_change_nothing(take: Any) -> None:
         assert check.update(time, landmarks[i]) is None
 
 
-def test_the_measures_do_not_depend_on_place_size_and_rate(lies: ModuleType, take: Any) -> None:
+def test_the_measures_do_not_depend_on_place_size_and_rate(
+    lies: ModuleType, take: Any
+) -> None:
     moved = 3.0 * take.landmarks[:, :, [1, 2, 0]] + (5.0, -2.0, 1.0)
     one, other = palmar_evidence(take.landmarks), palmar_evidence(moved)
     np.testing.assert_allclose(np.array(one), np.array(other), atol=1e-9)
-    pair = [own_misfit(own_distances(points[:16])) for points in (take.landmarks, moved)]
+    pair = [
+        own_misfit(own_distances(points[:16])) for points in (take.landmarks, moved)
+    ]
     assert pair[0] == pytest.approx(pair[1], abs=1e-9)
     # A mirror changes the sign of the evidence and nothing else.
     mirrored = palmar_evidence(take.landmarks * (-1.0, 1.0, 1.0))
@@ -139,7 +156,9 @@ def test_short_recordings_are_judged_by_what_they_have(take: Any) -> None:
         )
         check_recording(short)
         with pytest.raises(InvalidInputError) as caught:
-            check_recording(replace(short, landmarks=short.landmarks * 1000.0), name="hand.npz")
+            check_recording(
+                replace(short, landmarks=short.landmarks * 1000.0), name="hand.npz"
+            )
         assert caught.value.argument == "hand.npz"
         assert "millimetres" in str(caught.value)
         assert "multiply them by 0.001" in str(caught.value)
@@ -163,13 +182,17 @@ def test_the_robot_holds_while_the_input_is_not_what_it_says(take: Any) -> None:
     steps = []
     for i, time in enumerate(take.time[:240]):
         is_wrong = 0.5 <= time < 2.0
-        landmarks = take.landmarks[i] * ((-1.0, 1.0, 1.0) if is_wrong else (1.0, 1.0, 1.0))
+        landmarks = take.landmarks[i] * (
+            (-1.0, 1.0, 1.0) if is_wrong else (1.0, 1.0, 1.0)
+        )
         steps.append(follower.map_sample(HumanSample(float(time), "left", landmarks)))
     rules = np.array([step.rule for step in steps])
     time = take.time[:240]
     # The guard holds a flipped hand for half a second at first; from then on it is known.
     assert (rules[(time > 1.3) & (time < 1.99)] == "side").all()
-    assert all(step.is_held for step, t in zip(steps, time, strict=True) if 0.5 <= t < 2.0)
+    assert all(
+        step.is_held for step, t in zip(steps, time, strict=True) if 0.5 <= t < 2.0
+    )
     finding = steps[105].finding
     assert finding is not None
     assert "right hand" in str(finding)
@@ -180,7 +203,11 @@ def test_the_robot_holds_while_the_input_is_not_what_it_says(take: Any) -> None:
 
 def test_the_order_is_named_and_no_order_is_not(lies: ModuleType, take: Any) -> None:
     part = take.part(1.0, 1.0)
-    names = {lie.name: str(find(lie.tell(part))) for lie in lies.all_lies() if lie.kind == "order"}
+    names = {
+        lie.name: str(find(lie.tell(part)))
+        for lie in lies.all_lies()
+        if lie.kind == "order"
+    }
     for layout in ("bighand21", "interhand21", "mano21", "rhd21"):
         assert f"that of the layout {layout}" in names[f"order of {layout}"]
     assert "index, middle, ring, little, thumb:" in names["thumb last"]
@@ -195,7 +222,8 @@ def test_metres_that_were_taken_for_millimetres_are_named(take: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("factor", "name"), [(1000.0, "millimetres"), (100.0, "centimetres"), (1 / 0.0254, "inches")]
+    ("factor", "name"),
+    [(1000.0, "millimetres"), (100.0, "centimetres"), (1 / 0.0254, "inches")],
 )
 def test_units_of_length_are_named(factor: float, name: str, take: Any) -> None:
     finding = find(take.part(0.0, 1.0)._replace(landmarks=take.landmarks[:60] * factor))
@@ -224,21 +252,33 @@ def test_one_batch_is_not_enough_and_lost_hands_are_no_mistake(take: Any) -> Non
         assert check.update(time, landmarks[i]) is None
 
 
-def test_a_recording_is_refused_for_a_quarter_of_it_and_not_for_a_moment(take: Any) -> None:
+def test_a_recording_is_refused_for_a_quarter_of_it_and_not_for_a_moment(
+    take: Any,
+) -> None:
     whole = as_recording(take)
-    for start, share, is_refused in ((2.0, 0.1, False), (0.0, 0.15, False), (2.0, 0.6, True)):
+    for start, share, is_refused in (
+        (2.0, 0.1, False),
+        (0.0, 0.15, False),
+        (2.0, 0.6, True),
+    ):
         wrong = (whole.time > start) & (whole.time < start + 6.0 * share)
         landmarks = np.where(wrong[:, None, None], -1.0, 1.0) * whole.landmarks
         finding = examine_recording(replace(whole, landmarks=landmarks, wrist=None))
         assert (finding is not None) == is_refused
 
 
-def test_the_wrist_tells_the_other_hand_from_a_mirrored_world(lies: ModuleType, take: Any) -> None:
+def test_the_wrist_tells_the_other_hand_from_a_mirrored_world(
+    lies: ModuleType, take: Any
+) -> None:
     part = take.part(1.0, 1.0)
     told = {lie.name: lie.tell(part) for lie in lies.all_lies()}
-    texts = {name: str(find(told[name])) for name in ("the other hand", "mirrored world")}
+    texts = {
+        name: str(find(told[name])) for name in ("the other hand", "mirrored world")
+    }
     assert "of a left hand, and so is the wrist's pose" in texts["the other hand"]
-    assert "mirrored left hand; the wrist's pose is not: negate" in texts["mirrored world"]
+    assert (
+        "mirrored left hand; the wrist's pose is not: negate" in texts["mirrored world"]
+    )
     finding = find_without_wrist(told["mirrored world"])
     assert "of a right hand, or of a mirrored world" in str(finding)
 
@@ -252,9 +292,17 @@ def find_without_wrist(take: Any) -> Finding | None:
 
 def test_real_image_landmarks_are_no_world_landmarks(recordings: Path) -> None:
     file = recordings / "rgb_mediapipe_right.npz"
-    recording, image = read_recording(file), np.load(file)["image_landmarks"].astype(float)
-    for scale, word in (((1.0, 1.0, 1.0), "image coordinates"), ((640.0, 480.0, 640.0), "pixels")):
-        finding = examine_recording(replace(recording, landmarks=image * scale, wrist=None))
+    recording, image = (
+        read_recording(file),
+        np.load(file)["image_landmarks"].astype(float),
+    )
+    for scale, word in (
+        ((1.0, 1.0, 1.0), "image coordinates"),
+        ((640.0, 480.0, 640.0), "pixels"),
+    ):
+        finding = examine_recording(
+            replace(recording, landmarks=image * scale, wrist=None)
+        )
         assert finding is not None
         assert finding.kind == "unit"
         assert word in finding.problem
@@ -264,7 +312,9 @@ def guarded(take: Any, *, has_wrist: bool = True) -> list[Verdict]:
     """Judge a take as a live stream of the person in it."""
     guard = StreamGuard(scaled_human(as_recording(take), points="landmarks"))
     return [
-        guard.check(HumanSample(time, take.side, landmarks, wrist if has_wrist else None))
+        guard.check(
+            HumanSample(time, take.side, landmarks, wrist if has_wrist else None)
+        )
         for time, landmarks, wrist in zip(
             take.time.tolist(), take.landmarks, take.wrist, strict=True
         )
@@ -272,7 +322,9 @@ def guarded(take: Any, *, has_wrist: bool = True) -> list[Verdict]:
 
 
 @pytest.mark.parametrize("degrees", [10, 20, 30])
-@pytest.mark.parametrize(("side", "length"), [("right", None), ("left", 0.16), ("right", 0.21)])
+@pytest.mark.parametrize(
+    ("side", "length"), [("right", None), ("left", 0.16), ("right", 0.21)]
+)
 def test_people_whose_fingers_bend_back_at_the_knuckles_are_followed(
     lies: ModuleType, degrees: int, side: str, length: float | None
 ) -> None:
@@ -284,8 +336,13 @@ def test_people_whose_fingers_bend_back_at_the_knuckles_are_followed(
 
 
 @pytest.mark.parametrize("start", [0.13, 0.4, 1.0, 1.6])
-def test_fingers_that_are_splayed_backwards_for_a_moment_are_followed(start: float) -> None:
-    human, time = load_hand("human", points="landmarks"), np.arange(0.0, 3.0, 1.0 / 60.0)
+def test_fingers_that_are_splayed_backwards_for_a_moment_are_followed(
+    start: float,
+) -> None:
+    human, time = (
+        load_hand("human", points="landmarks"),
+        np.arange(0.0, 3.0, 1.0 / 60.0),
+    )
     flared, random = human.rest.copy(), np.random.default_rng(5)
     for i, name in enumerate(human.joint_names):
         if not name.startswith("thumb"):
@@ -297,7 +354,9 @@ def test_fingers_that_are_splayed_backwards_for_a_moment_are_followed(start: flo
     guard = StreamGuard(human)
     for t, share in zip(time.tolist(), shares, strict=True):
         points = human.points(human.rest + share * (flared - human.rest))
-        sample = HumanSample(t, "right", points + random.normal(0.0, 3e-4, points.shape))
+        sample = HumanSample(
+            t, "right", points + random.normal(0.0, 3e-4, points.shape)
+        )
         assert guard.check(sample).rule == ""
 
 
@@ -316,7 +375,9 @@ def test_sizes_that_no_operator_has_are_refused(take: Any, size: float) -> None:
 def test_a_hand_that_changes_its_size_is_held_and_one_that_trembles_is_not(
     lies: ModuleType, end: float
 ) -> None:
-    take = lies.model_take("right", 0.19 if end < 1.0 else 0.16, 2, duration=12.0, noise=0.003)
+    take = lies.model_take(
+        "right", 0.19 if end < 1.0 else 0.16, 2, duration=12.0, noise=0.003
+    )
     sizes = np.interp(take.time, [2.0, 8.0], [1.0, end])
     wrist = take.landmarks[:, :1]
     grown = wrist + sizes[:, None, None] * (take.landmarks - wrist)
@@ -345,11 +406,17 @@ def test_a_finger_that_repeats_is_found_and_one_that_is_held_still_is_not(
     still = lies._frozen(take, base).landmarks
     still = still + np.random.default_rng(1).normal(0.0, 5e-4, still.shape)
     assert find(take._replace(landmarks=still)) is None
-    resting = take.landmarks[:1] + np.random.default_rng(1).normal(0.0, 2e-4, still.shape)
+    resting = take.landmarks[:1] + np.random.default_rng(1).normal(
+        0.0, 2e-4, still.shape
+    )
     for step in (1e-3, 1e-4):
         rounded = np.round(resting / step) * step
         assert (
-            find(take._replace(landmarks=rounded, wrist=np.tile(take.wrist[0], (240, 1, 1))))
+            find(
+                take._replace(
+                    landmarks=rounded, wrist=np.tile(take.wrist[0], (240, 1, 1))
+                )
+            )
             is None
         )
 
@@ -366,7 +433,9 @@ def test_a_resting_finger_in_the_middle_of_its_grid_is_not_frozen(take: Any) -> 
     random, noise = np.random.default_rng(3), np.full((21, 1), 6e-4)
     noise[6:9] = 1e-4
     place = np.round(take.landmarks[0] / 1e-3) * 1e-3
-    landmarks = np.round((place + random.normal(size=(240, 21, 3)) * noise) / 1e-3) * 1e-3
+    landmarks = (
+        np.round((place + random.normal(size=(240, 21, 3)) * noise) / 1e-3) * 1e-3
+    )
     assert (np.ptp(landmarks[:, 6:9], axis=0) == 0.0).all()
     check = InputCheck(take.side)
     for i, own in enumerate(landmarks):
@@ -374,7 +443,9 @@ def test_a_resting_finger_in_the_middle_of_its_grid_is_not_frozen(take: Any) -> 
 
 
 @pytest.mark.parametrize(("degrees", "is_backwards"), [(45, False), (65, True)])
-def test_knuckles_bend_backwards_no_farther_than_peoples(degrees: int, is_backwards: bool) -> None:
+def test_knuckles_bend_backwards_no_farther_than_peoples(
+    degrees: int, is_backwards: bool
+) -> None:
     human, random = load_hand("human", points="landmarks"), np.random.default_rng(7)
     straight = human.rest.copy()
     for i, name in enumerate(human.joint_names):
@@ -388,7 +459,9 @@ def test_knuckles_bend_backwards_no_farther_than_peoples(degrees: int, is_backwa
     check = InputCheck("right")
     for i in range(90):
         check.update(i / 60.0, landmarks + random.normal(0.0, 3e-4, (21, 3)))
-    assert ("" if check.finding is None else check.finding.kind) == "flexion" * is_backwards
+    assert (
+        "" if check.finding is None else check.finding.kind
+    ) == "flexion" * is_backwards
 
 
 def test_a_wrist_is_followed_at_full_speed_once_it_has_turned_with_the_palm(
@@ -416,13 +489,19 @@ def test_a_wrong_wrist_is_never_followed_at_full_speed(lies: ModuleType) -> None
         for lie in lies.live_lies():
             if lie.kind == "wrist":
                 verdicts = guarded(lie.tell(take))
-                assert all(v.is_held or v.rule == "unproven" for v in verdicts), lie.name
+                assert all(v.is_held or v.rule == "unproven" for v in verdicts), (
+                    lie.name
+                )
                 assert any(v.rule == "wrist" for v in verdicts), lie.name
 
 
 def test_a_wrist_that_follows_half_of_a_turn_or_a_small_one_is_not_proven() -> None:
     human, random = load_hand("human", points="landmarks"), np.random.default_rng(2)
-    for share, degrees, is_proven in ((0.5, 20.0, False), (0.9, 20.0, True), (1.0, 8.0, False)):
+    for share, degrees, is_proven in (
+        (0.5, 20.0, False),
+        (0.9, 20.0, True),
+        (1.0, 8.0, False),
+    ):
         check = InputCheck("right")
         for i in range(240):
             # There and back: half of 20 degrees stays within the tolerance of 12.
@@ -430,12 +509,16 @@ def test_a_wrist_that_follows_half_of_a_turn_or_a_small_one_is_not_proven() -> N
             palm, wrist = np.eye(4), np.eye(4)
             palm[:3, :3] = exp3(np.array([0.0, angle, 0.0]))
             wrist[:3, :3] = exp3(np.array([0.0, share * angle, 0.0]))
-            landmarks = human.points(human.rest, palm) + random.normal(0.0, 3e-4, (21, 3))
+            landmarks = human.points(human.rest, palm) + random.normal(
+                0.0, 3e-4, (21, 3)
+            )
             assert check.update(i / 60.0, landmarks, wrist) is None
         assert check.is_wrist_proven == is_proven
 
 
-def test_a_wrist_that_stops_turning_is_slowed_down_at_once_and_held(lies: ModuleType) -> None:
+def test_a_wrist_that_stops_turning_is_slowed_down_at_once_and_held(
+    lies: ModuleType,
+) -> None:
     take = lies.model_take("right", 0.185, 3, duration=6.0)
     wrist = take.wrist.copy()
     wrist[180:, :3, :3] = wrist[180, :3, :3]

@@ -12,9 +12,18 @@ import numpy as np
 import pytest
 import yaml
 
-pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
+)
 
-from viewer_cases import COUNT, GAP, closing_motion, closing_recording, make_replay, press
+from viewer_cases import (
+    COUNT,
+    GAP,
+    closing_motion,
+    closing_recording,
+    make_replay,
+    press,
+)
 
 from handmap_qp import (
     HandMapper,
@@ -55,7 +64,9 @@ def pose_in_scene(server: Any, node: str) -> np.ndarray:
     for part in node.strip("/").split("/"):
         path += f"/{part}"
         handle = server.scene.get_handle_by_name(path)
-        pose = pose @ affine(rotation_from_quat_wxyz(handle.wxyz), np.array(handle.position))
+        pose = pose @ affine(
+            rotation_from_quat_wxyz(handle.wxyz), np.array(handle.position)
+        )
     return pose
 
 
@@ -72,7 +83,9 @@ def seek(viewer: ReplayViewer, index: int) -> None:
 
 
 def replay_of(motion: HumanMotion, choice: Choice = PAPER) -> Replay:
-    return Replay(closing_recording(), motion, motion.human, load_hand("three_finger"), choice)
+    return Replay(
+        closing_recording(), motion, motion.human, load_hand("three_finger"), choice
+    )
 
 
 @pytest.mark.parametrize("preset", ["paper", "teleoperation", "joint-to-joint"])
@@ -83,9 +96,13 @@ def test_replay_gives_the_commands_of_map_recording(preset: str) -> None:
     np.testing.assert_allclose(
         [sample.robot_q for sample in replay.samples], expected.q, atol=1e-12
     )
-    targets = [sample.targets for sample in replay.samples if sample.targets is not None]
+    targets = [
+        sample.targets for sample in replay.samples if sample.targets is not None
+    ]
     np.testing.assert_allclose(targets, expected.targets, atol=1e-12)
-    np.testing.assert_array_equal([sample.is_seen for sample in replay.samples], expected.valid)
+    np.testing.assert_array_equal(
+        [sample.is_seen for sample in replay.samples], expected.valid
+    )
     assert not expected.valid[~motion.valid].any()
     assert replay.robot.reference_points == mapper.robot.reference_points
 
@@ -96,7 +113,9 @@ def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
     recording = replace(closing_recording(), valid=valid)
     replay = Replay(recording, motion, motion.human, load_hand("three_finger"), PAPER)
     for sample in replay.samples[:7]:
-        np.testing.assert_allclose(sample.robot_q, replay.samples[7].robot_q, atol=1e-12)
+        np.testing.assert_allclose(
+            sample.robot_q, replay.samples[7].robot_q, atol=1e-12
+        )
     assert [sample.is_seen for sample in replay.samples] == valid.tolist()
 
 
@@ -138,7 +157,9 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
             expected = in_scene(server, f"/{side}", np.asarray(points)[[i]])[0]
             np.testing.assert_allclose(sphere, expected, atol=1e-9)
             if point.link in meshes:
-                drawn = in_scene(server, f"/{side}/body/{point.link}", np.array([point.xyz]))[0]
+                drawn = in_scene(
+                    server, f"/{side}/body/{point.link}", np.array([point.xyz])
+                )[0]
                 # The scene places the nodes of links, the hand the spheres.
                 np.testing.assert_allclose(drawn, sphere, atol=1e-6)
 
@@ -147,7 +168,9 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
 def test_links_are_drawn_where_the_model_has_them(server: Any, name: str) -> None:
     hand = load_hand(name)
     figure = HandFigure(server, "hand", hand)
-    wrist = affine(rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 0.2, 0.3]))
+    wrist = affine(
+        rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 0.2, 0.3])
+    )
     q = np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits)
     figure.show(q, wrist)
     links = list(link_meshes(hand))
@@ -172,7 +195,9 @@ def test_equal_palms_look_equal_in_both_worlds(server: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", ["teleoperation", "paper"])
-def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any, preset: str) -> None:
+def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(
+    server: Any, preset: str
+) -> None:
     replay = make_replay(preset=preset)
     sample = replay.samples[-1]
     scene = HandScene(server, replay.human, replay.variants)
@@ -181,7 +206,9 @@ def test_ellipsoid_is_what_the_deformation_makes_of_the_ball(server: Any, preset
     assert sample.deformation is not None
     axes = rotation_from_quat_wxyz(handle.wxyz) * np.array(handle.scale)
     # Two maps A deform a ball equally if their A A^T are equal.
-    np.testing.assert_allclose(axes @ axes.T, sample.deformation @ sample.deformation.T, atol=1e-9)
+    np.testing.assert_allclose(
+        axes @ axes.T, sample.deformation @ sample.deformation.T, atol=1e-9
+    )
     assert sample.pivot is not None
     np.testing.assert_allclose(handle.position, sample.pivot, atol=1e-12)
     assert not np.allclose(handle.scale, 1.0, atol=0.05), "the motion should deform"
@@ -215,7 +242,9 @@ def test_hands_stay_in_place_or_travel_as_asked(
     for sample in (replay.samples[0], replay.samples[-1]):
         scene.draw([sample])
         assert sample.human_wrist is not None
-        places.append(in_scene(server, "/human", human.centre(sample.human_wrist)[None])[0])
+        places.append(
+            in_scene(server, "/human", human.centre(sample.human_wrist)[None])[0]
+        )
     moved = float(np.linalg.norm(places[1] - places[0]))
     assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
 
@@ -235,11 +264,16 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
             camera.look_at - camera.position
         )
         right = np.cross(forward, (0.0, 1.0, 0.0))
-        for side, points in (("human", sample.human_points), ("robot", sample.robot_points)):
+        for side, points in (
+            ("human", sample.human_points),
+            ("robot", sample.robot_points),
+        ):
             seen = in_scene(server, f"/{side}", np.asarray(points)) - camera.position
             depth = seen @ forward
             half_height = np.tan(0.5 * camera.fov)
-            assert np.abs(seen @ right / depth).max() < 0.75 * half_height * np.linalg.norm(right)
+            assert np.abs(
+                seen @ right / depth
+            ).max() < 0.75 * half_height * np.linalg.norm(right)
             assert np.abs(seen @ np.cross(right, forward) / depth).max() < half_height
 
 
@@ -255,19 +289,27 @@ def test_the_robots_name_says_that_the_hand_was_not_seen(viewer: ReplayViewer) -
 
 def test_a_slider_changes_the_robot_at_once(viewer: ReplayViewer) -> None:
     seek(viewer, COUNT - 1)
-    before, drawn = viewer.sample.robot_q, pose_in_scene(viewer.server, "/robot/points/0")
+    before, drawn = (
+        viewer.sample.robot_q,
+        pose_in_scene(viewer.server, "/robot/points/0"),
+    )
     viewer.steering.options.handles["deformation_gain"].value = 0.0
     viewer.tick(0.0)
     assert viewer.replay.choice.method == MappingOptions(deformation_gain=0.0)
     assert np.abs(viewer.sample.robot_q - before).max() > 0.05
-    assert np.linalg.norm((pose_in_scene(viewer.server, "/robot/points/0") - drawn)[:3, 3]) > 1e-3
+    assert (
+        np.linalg.norm((pose_in_scene(viewer.server, "/robot/points/0") - drawn)[:3, 3])
+        > 1e-3
+    )
 
 
 def test_saved_options_are_those_in_force(viewer: ReplayViewer) -> None:
     viewer.steering.options.handles["deformation_gain"].value = 0.5
     viewer.tick(0.0)
     sent: list[bytes] = []
-    client = SimpleNamespace(send_file_download=lambda name, content: sent.append(content))
+    client = SimpleNamespace(
+        send_file_download=lambda name, content: sent.append(content)
+    )
     viewer.exports.send("options.yaml", client)
     assert yaml.safe_load(sent[0]) == {"preset": "paper", "deformation_gain": 0.5}
 
@@ -276,7 +318,9 @@ def test_saved_options_are_those_in_force(viewer: ReplayViewer) -> None:
 def test_every_control_reaches_its_option(server: Any, preset: str) -> None:
     options = preset_choice(preset)
     if preset == "paper":
-        options = options.with_changes({"pivot": "point", "pivot_point": (0.0, 0.0, 0.0)})
+        options = options.with_changes(
+            {"pivot": "point", "pivot_point": (0.0, 0.0, 0.0)}
+        )
     controls = OptionControls(server, options)
     assert controls.take_changes() == {}
     for name, handle in controls.handles.items():
@@ -290,7 +334,9 @@ def test_every_control_reaches_its_option(server: Any, preset: str) -> None:
             handle.value = "proxqp" if name == "solver" else "0.0, 0.5, 0.0"
         else:
             handle.value = (
-                value + handle.step if value + handle.step <= handle.max else value - handle.step
+                value + handle.step
+                if value + handle.step <= handle.max
+                else value - handle.step
             )
         changes = controls.take_changes()
         assert changes.keys() == {name}
@@ -344,7 +390,9 @@ def shown(server: Any, path: str) -> list[bool]:
 
 
 @pytest.mark.slow
-def test_a_preset_brings_its_options_its_points_and_its_mapping(viewer: ReplayViewer) -> None:
+def test_a_preset_brings_its_options_its_points_and_its_mapping(
+    viewer: ReplayViewer,
+) -> None:
     seek(viewer, COUNT - 1)
     replay, steering, options = viewer.replay, viewer.steering, viewer.steering.options
     assert steering.preset.options == tuple(PRESETS)
@@ -371,11 +419,15 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(viewer: ReplayVi
     assert ellipsoid.visible
     handles["extension_weight"].value = 0.0
     viewer.tick(0.0)
-    assert replay.choice == preset_choice("teleoperation").with_changes({"extension_weight": 0.0})
+    assert replay.choice == preset_choice("teleoperation").with_changes(
+        {"extension_weight": 0.0}
+    )
     steering.preset.value = "object"
     viewer.tick(0.0)
     assert replay.choice == preset_choice("object")
-    assert shown(viewer.server, "/robot/points") == [True] * few + [False] * (many - few)
+    assert shown(viewer.server, "/robot/points") == [True] * few + [False] * (
+        many - few
+    )
     assert not handles["pinch_weight"].visible
     assert options.handles["scale"].visible
     press(steering.reset)
@@ -421,7 +473,9 @@ def test_an_impossible_option_is_explained_and_changes_nothing(server: Any) -> N
 
 
 @pytest.mark.slow
-def test_release_holds_the_robot_and_clutch_goes_on_from_there(viewer: ReplayViewer) -> None:
+def test_release_holds_the_robot_and_clutch_goes_on_from_there(
+    viewer: ReplayViewer,
+) -> None:
     seek(viewer, 30)
     press(viewer.steering.release)
     viewer.tick(0.0)
@@ -488,10 +542,14 @@ def test_gauges_show_errors_timing_and_joints(viewer: ReplayViewer) -> None:
     )
     assert np.flatnonzero(np.isfinite(error[-1])).tolist() == [40]
     np.testing.assert_allclose(
-        viewer.gauges.timing.data[1], [1e6 * sample.duration for sample in samples], atol=1e-12
+        viewer.gauges.timing.data[1],
+        [1e6 * sample.duration for sample in samples],
+        atol=1e-12,
     )
     bars = viewer.gauges.joints.content
-    for name, q in zip(viewer.replay.robot.joint_names, samples[40].robot_q, strict=True):
+    for name, q in zip(
+        viewer.replay.robot.joint_names, samples[40].robot_q, strict=True
+    ):
         assert name in bars
         assert f"{np.degrees(q):.0f}°" in bars
 
@@ -502,14 +560,20 @@ def test_joint_bars_tell_a_position_limit_from_a_speed_limit() -> None:
     q, is_limited = robot.rest.copy(), np.zeros(len(robot.rest), dtype=bool)
     q[0], q[1] = robot.upper_limits[0], robot.lower_limits[1]
     is_limited[[0, 2]] = True
-    bars = InstantGauges(replay.variants).bars([replace(sample, robot_q=q, is_limited=is_limited)])
+    bars = InstantGauges(replay.variants).bars(
+        [replace(sample, robot_q=q, is_limited=is_limited)]
+    )
     colours = re.findall(r"text-align:right;color:(#\w+)", bars)
     assert colours == ["#d62929", "#d62929", "#f08c00"] + ["#2166d8"] * (len(q) - 3)
 
 
-@pytest.mark.parametrize("name", ["allegro_right", "three_finger", "hey5", "ur5_allegro"])
+@pytest.mark.parametrize(
+    "name", ["allegro_right", "three_finger", "hey5", "ur5_allegro"]
+)
 def test_joints_are_grouped_by_the_finger_whose_points_they_move(name: str) -> None:
-    robot = load_hand(name, points=[p.name for p in load_hand(name).spec.points if p.finger])
+    robot = load_hand(
+        name, points=[p.name for p in load_hand(name).spec.points if p.finger]
+    )
     groups = joints_by_finger(robot)
     found = [i for joints in groups.values() for i in joints]
     assert sorted(found) == list(range(len(robot.joint_names)))
@@ -519,8 +583,15 @@ def test_joints_are_grouped_by_the_finger_whose_points_they_move(name: str) -> N
             q = robot.rest.copy()
             q[i] += 0.05 if q[i] + 0.05 <= robot.upper_limits[i] else -0.05
             is_moved = np.linalg.norm(robot.points(q) - rest, axis=1) > 1e-6
-            moved = {p.finger for p, m in zip(robot.reference_points, is_moved, strict=True) if m}
-            assert moved <= {finger} if finger != "palm" else len(moved) != 1, (finger, i)
+            moved = {
+                p.finger
+                for p, m in zip(robot.reference_points, is_moved, strict=True)
+                if m
+            }
+            assert moved <= {finger} if finger != "palm" else len(moved) != 1, (
+                finger,
+                i,
+            )
 
 
 @pytest.mark.slow
@@ -532,7 +603,10 @@ def test_a_message_is_shown_while_mapping_again(
     monkeypatch.setattr(
         viewer.replay,
         "remap",
-        lambda *options: (said.append(viewer.steering.message.content), remap(*options)),
+        lambda *options: (
+            said.append(viewer.steering.message.content),
+            remap(*options),
+        ),
     )
     viewer.steering.options.handles["ridge"].value = 0.3
     viewer.tick(0.0)

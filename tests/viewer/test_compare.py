@@ -7,7 +7,9 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
+)
 
 from viewer_cases import COUNT, closing_motion, closing_recording, make_replay, press
 
@@ -51,8 +53,14 @@ def seek(viewer: ReplayViewer, index: int) -> None:
     viewer.tick(0.0)
 
 
-def test_a_second_robot_follows_the_same_samples_by_its_own_method(viewer: ReplayViewer) -> None:
-    compare, robot, replay = viewer.steering.compare, load_hand("three_finger"), viewer.replay
+def test_a_second_robot_follows_the_same_samples_by_its_own_method(
+    viewer: ReplayViewer,
+) -> None:
+    compare, robot, replay = (
+        viewer.steering.compare,
+        load_hand("three_finger"),
+        viewer.replay,
+    )
     assert compare is not None
     assert set(compare.options) == {NOTHING, KEPT, *PRESETS}
     before = [sample.robot_q for sample in replay.samples]
@@ -67,11 +75,19 @@ def test_a_second_robot_follows_the_same_samples_by_its_own_method(viewer: Repla
     )
     np.testing.assert_array_equal([sample.robot_q for sample in replay.samples], before)
     assert node(viewer, "/robot_2_name").text == "three_finger\nfinger-vectors"
-    for robot_node, sample in (("/robot", viewer.sample), ("/robot_2", replay.other.samples[-1])):
+    for robot_node, sample in (
+        ("/robot", viewer.sample),
+        ("/robot_2", replay.other.samples[-1]),
+    ):
         for i, point in enumerate(sample.robot_points):
-            np.testing.assert_array_equal(node(viewer, f"{robot_node}/points/{i}").position, point)
+            np.testing.assert_array_equal(
+                node(viewer, f"{robot_node}/points/{i}").position, point
+            )
     # Human, first and second robot stand side by side, from the left (+x) to the right.
-    places = [node(viewer, f"/{name}_name").position[0] for name in ("human", "robot", "robot_2")]
+    places = [
+        node(viewer, f"/{name}_name").position[0]
+        for name in ("human", "robot", "robot_2")
+    ]
     assert places == sorted(places, reverse=True)
     assert "finger-vectors" in viewer.gauges.table.content
     np.testing.assert_allclose(
@@ -97,21 +113,30 @@ def test_kept_options_stay_while_others_change(viewer: ReplayViewer) -> None:
     viewer.steering.options.handles["deformation_gain"].value = 0.0
     viewer.tick(0.0)
     assert replay.other is not None
-    assert [variant.label for variant in replay.variants] == ["paper, changed", "paper, kept"]
+    assert [variant.label for variant in replay.variants] == [
+        "paper, changed",
+        "paper, kept",
+    ]
     for kept, sample in zip(replay.other.samples, before, strict=True):
         np.testing.assert_allclose(kept.robot_q, sample.robot_q, atol=1e-12)
     assert np.abs(replay.samples[-1].robot_q - before[-1].robot_q).max() > 0.05
 
 
-def test_the_landmarks_stand_beside_the_hand_as_they_were_tracked(viewer: ReplayViewer) -> None:
+def test_the_landmarks_stand_beside_the_hand_as_they_were_tracked(
+    viewer: ReplayViewer,
+) -> None:
     assert not node(viewer, "/landmarks").visible
     viewer.display.landmarks.value = True
     seek(viewer, 40)
     landmarks = closing_recording().landmarks[40]
     shown = in_scene(node(viewer, "/landmarks"), landmarks)
     for i, point in enumerate(landmarks):
-        np.testing.assert_allclose(node(viewer, f"/landmarks/points/{i}").position, point)
-    np.testing.assert_allclose(node(viewer, "/landmarks/bones").points, landmarks[BONES], atol=1e-6)
+        np.testing.assert_allclose(
+            node(viewer, f"/landmarks/points/{i}").position, point
+        )
+    np.testing.assert_allclose(
+        node(viewer, "/landmarks/bones").points, landmarks[BONES], atol=1e-6
+    )
     hand = in_scene(node(viewer, "/human"), landmarks)
     # The same landmarks as on the drawn hand, shifted to the left of it.
     shift = shown - hand
@@ -134,7 +159,9 @@ def test_trails_are_the_paths_of_the_tips_until_they_are_cleared(
         tips = viewer.sample.landmarks[TIPS]
         seen.append(in_scene(node(viewer, "/human"), tips))
     # On the screen, a trail is where the tips were seen.
-    drawn = in_scene(node(viewer, "/human"), node(viewer, "/human/trail").points.reshape(-1, 3))
+    drawn = in_scene(
+        node(viewer, "/human"), node(viewer, "/human/trail").points.reshape(-1, 3)
+    )
     expected = np.stack([seen[:-1], seen[1:]], axis=2).reshape(-1, 3)
     np.testing.assert_allclose(drawn, expected, atol=1e-5)
     assert node(viewer, "/robot/trail").visible
@@ -174,7 +201,9 @@ def test_a_page_of_a_robot_and_an_object_needs_no_human_hand(server: Any) -> Non
 
 
 @pytest.mark.parametrize("window", [(1440, 900), (500, 600), (240, 900), (1000, 200)])
-def test_the_box_and_the_names_below_fit_every_window(server: Any, window: tuple[int, int]) -> None:
+def test_the_box_and_the_names_below_fit_every_window(
+    server: Any, window: tuple[int, int]
+) -> None:
     size = np.array([0.5, 0.3, 0.2])
     cameras = BrowserCameras(server)
     cameras.fit(*size)

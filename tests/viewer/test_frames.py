@@ -40,7 +40,9 @@ def test_frames_keep_their_period_and_steps_are_bounded(clock: Clock) -> None:
 
     run_frames(draw, lambda: len(steps) == 5)
     period = FRAME_PERIOD
-    assert starts == pytest.approx([0, period, 2 * period, 2 * period + 3, 3 * period + 3])
+    assert starts == pytest.approx(
+        [0, period, 2 * period, 2 * period + 3, 3 * period + 3]
+    )
     assert steps == pytest.approx([0, period, period, 0.2, period])
 
 

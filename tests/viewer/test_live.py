@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
+)
 
 from patience import PATIENCE, wait_until
 from viewer_cases import make_replay, press
@@ -33,9 +35,18 @@ class Source:
 
     def __init__(self, robot: str = "three_finger") -> None:
         replay = make_replay(robot)
-        self.human, self.robot, self.samples = replay.human, replay.robot, replay.samples
+        self.human, self.robot, self.samples = (
+            replay.human,
+            replay.robot,
+            replay.samples,
+        )
         self.choice = replay.choice
-        self.is_shared, self.is_released, self.is_busy, self.is_outdated = True, False, False, False
+        self.is_shared, self.is_released, self.is_busy, self.is_outdated = (
+            True,
+            False,
+            False,
+            False,
+        )
         self.is_stopped = False
         self.stop_number = 0
         self.last_error: HandmapError | None = None
@@ -135,8 +146,12 @@ def test_a_source_without_samples_is_given_up(server: Any, source: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_source_of_commands_only_is_drawn_without_targets(server: Any, source: Any) -> None:
-    source.given.put(replace(source.samples[-1], targets=None, deformation=None, pivot=None))
+def test_a_source_of_commands_only_is_drawn_without_targets(
+    server: Any, source: Any
+) -> None:
+    source.given.put(
+        replace(source.samples[-1], targets=None, deformation=None, pivot=None)
+    )
     viewer = LiveViewer(server, source)
     viewer.tick()
     assert server.scene.get_handle_by_name("/robot/targets/0") is None
@@ -176,8 +191,14 @@ def test_clutch_and_options_reach_a_shared_source(server: Any, source: Any) -> N
     handles["ridge"].value = 0.5
     viewer.tick()
     viewer.tick()
-    assert (source.is_released, source.choice.method) == (True, MappingOptions(ridge=0.5))
-    assert (viewer.steering.release.disabled, viewer.steering.clutch.disabled) == (True, False)
+    assert (source.is_released, source.choice.method) == (
+        True,
+        MappingOptions(ridge=0.5),
+    )
+    assert (viewer.steering.release.disabled, viewer.steering.clutch.disabled) == (
+        True,
+        False,
+    )
     press(viewer.steering.release)
     viewer.tick()
     assert source.is_released, (
@@ -227,7 +248,9 @@ def test_the_preset_reaches_a_shared_source_and_that_of_others_is_shown(
     viewer.close()
 
 
-def test_a_preset_that_the_source_refuses_is_explained(server: Any, source: Any) -> None:
+def test_a_preset_that_the_source_refuses_is_explained(
+    server: Any, source: Any
+) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     steering = viewer.steering
@@ -273,7 +296,9 @@ def test_only_own_changes_are_sent_and_changes_of_others_are_shown(
     viewer.close()
 
 
-def test_controls_keep_requested_values_while_the_source_is_busy(server: Any, source: Any) -> None:
+def test_controls_keep_requested_values_while_the_source_is_busy(
+    server: Any, source: Any
+) -> None:
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     assert viewer.steering is not None
@@ -289,10 +314,14 @@ def test_controls_keep_requested_values_while_the_source_is_busy(server: Any, so
 
 
 @pytest.mark.slow
-def test_the_plots_hold_the_last_seconds_whatever_the_rate(server: Any, source: Any) -> None:
+def test_the_plots_hold_the_last_seconds_whatever_the_rate(
+    server: Any, source: Any
+) -> None:
     for i in range(2400):
         source.given.put(
-            replace(source.samples[0], time=5e-3 * i, duration=1.0 if i == 1400 else 1e-4)
+            replace(
+                source.samples[0], time=5e-3 * i, duration=1.0 if i == 1400 else 1e-4
+            )
         )
     viewer = LiveViewer(server, source)
     wait_until(lambda: viewer.sample.time >= 11.99)
@@ -341,7 +370,8 @@ def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Any) -> Non
     assert not server.scene.get_handle_by_name("/human/body").visible
     human = server.scene.get_handle_by_name("/human")
     middle = (
-        rotation_from_quat_wxyz(human.wxyz) @ np.asarray(first.human_points).mean(axis=0)
+        rotation_from_quat_wxyz(human.wxyz)
+        @ np.asarray(first.human_points).mean(axis=0)
         + human.position
     )
     assert abs(middle[0]) < 0.3, "the points are beside the robot"
@@ -351,7 +381,9 @@ def test_a_hand_of_unknown_posture_is_not_drawn(server: Any, source: Any) -> Non
 
 
 @pytest.mark.slow
-def test_the_view_restarts_when_the_hands_change(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_view_restarts_when_the_hands_change(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     made: list[Any] = []
 
     def make_source(host: str, session: str | None, **_: Any) -> Any:

@@ -25,16 +25,22 @@ def test_a_link_is_one_mesh_with_the_surface_and_colours_of_its_shapes(
     corner = trimesh.creation.box((0.1, 0.2, 0.3))
     corner.vertices += 0.5
     corner.export(tmp_path / "corner.stl")
-    monkeypatch.setattr("handmap_qp.apps.viewer.figure.mesh_file", lambda name, _: tmp_path / name)
+    monkeypatch.setattr(
+        "handmap_qp.apps.viewer.figure.mesh_file", lambda name, _: tmp_path / name
+    )
     # A visual may have the name of a link.
-    box = SHAPE.format(name="b", xyz="1 0 0", shape='<box size="0.1 0.1 0.1"/>', rgba="1 0 0 1")
+    box = SHAPE.format(
+        name="b", xyz="1 0 0", shape='<box size="0.1 0.1 0.1"/>', rgba="1 0 0 1"
+    )
     mirrored = SHAPE.format(
         name="mirrored",
         xyz="0 0 0",
         shape='<mesh filename="corner.stl" scale="2 -2 2"/>',
         rgba="0 0 1 1",
     )
-    other = SHAPE.format(name="other", xyz="0 0 0", shape='<sphere radius="1"/>', rgba="0 1 0 1")
+    other = SHAPE.format(
+        name="other", xyz="0 0 0", shape='<sphere radius="1"/>', rgba="0 1 0 1"
+    )
     text = (
         f'<robot name="r"><link name="a">{box}{mirrored}</link><link name="b">{other}</link>'
         '<joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint></robot>'
@@ -45,7 +51,12 @@ def test_a_link_is_one_mesh_with_the_surface_and_colours_of_its_shapes(
     # An inverted part would count as negative.
     assert mesh.volume == pytest.approx(0.1**3 + 8.0 * 0.1 * 0.2 * 0.3)
     turn = np.array([[np.cos(TURN), -np.sin(TURN)], [np.sin(TURN), np.cos(TURN)]])
-    for colour, middle in ((RED, (1.0, 0.0, 0.0)), (BLUE, (1.0, *(turn @ (-1.0, 1.0))))):
+    for colour, middle in (
+        (RED, (1.0, 0.0, 0.0)),
+        (BLUE, (1.0, *(turn @ (-1.0, 1.0)))),
+    ):
         faces = (mesh.visual.face_colors == colour).all(axis=1)
         assert faces.sum() == 12
-        np.testing.assert_allclose(mesh.triangles[faces].mean(axis=(0, 1)), middle, atol=1e-9)
+        np.testing.assert_allclose(
+            mesh.triangles[faces].mean(axis=(0, 1)), middle, atol=1e-9
+        )

@@ -19,7 +19,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
+)
 
 from browser import DRAWING, Browser, find_chromium
 from patience import PATIENCE, wait_until
@@ -70,7 +72,10 @@ def test_the_command_writes_one_page_that_needs_no_network(
     assert "position limit" in gauges["bars"][-1]
     for attribute in ('src="http', "src='http", '<link rel="stylesheet" href="http'):
         assert attribute not in text
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["closing.npz", "page.html"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "closing.npz",
+        "page.html",
+    ]
 
 
 MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
@@ -92,7 +97,10 @@ MISTAKES: dict[str, tuple[dict[str, Any], type[HandmapError]]] = {
     ),
     "keys for a recording": ({"keys": (Path("a"), Path("b"))}, InvalidInputError),
     "session of a recording": ({"session": "lab"}, InvalidInputError),
-    "address of a page": ({"html": Path("page.html"), "host": "127.0.0.2"}, InvalidInputError),
+    "address of a page": (
+        {"html": Path("page.html"), "host": "127.0.0.2"},
+        InvalidInputError,
+    ),
     "points for a service": (
         {
             "recording": None,
@@ -143,7 +151,9 @@ OPTIONS_AT_FAULT = {
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_reported_before_anything_is_shown(recording: Path, mistake: str) -> None:
+def test_a_mistake_is_reported_before_anything_is_shown(
+    recording: Path, mistake: str
+) -> None:
     changes, error = MISTAKES[mistake]
     words: dict[str, Any] = {"recording": recording, "robot": "three_finger", **changes}
     with pytest.raises(error) as caught:
@@ -226,7 +236,11 @@ def skin(pixels: np.ndarray) -> int:
     red, green, blue = pixels.astype(int).transpose(2, 0, 1)
     return int(
         (
-            (red - blue > 25) & (red > green) & (green > blue) & (red - green < 80) & (red > 110)
+            (red - blue > 25)
+            & (red > green)
+            & (green > blue)
+            & (red - green < 80)
+            & (red > 110)
         ).sum()
     )
 
@@ -245,7 +259,9 @@ def settled_picture(browser: Browser) -> np.ndarray:
         # Give a slow page time to draw again.
         time.sleep(0.2)
         pictures.append(later_picture(browser)[MIDDLE].astype(int))
-        return skin(pictures[-1]) > FEWEST_PIXELS and np.array_equal(pictures[-2], pictures[-1])
+        return skin(pictures[-1]) > FEWEST_PIXELS and np.array_equal(
+            pictures[-2], pictures[-1]
+        )
 
     wait_until(has_settled, "the picture does not settle, or shows no hand", DRAWING)
     return pictures[-1]
@@ -256,7 +272,9 @@ def wait_until_robot_moved(browser: Browser, before: np.ndarray) -> None:
     half = before.shape[1] // 2
 
     def has_moved() -> bool:
-        changed = np.abs(later_picture(browser)[MIDDLE].astype(int) - before).max(axis=2) > 30
+        changed = (
+            np.abs(later_picture(browser)[MIDDLE].astype(int) - before).max(axis=2) > 30
+        )
         return int(changed[:, half:].sum()) > 500
 
     wait_until(has_moved, "the robot does not move in the picture", DRAWING)
@@ -305,7 +323,10 @@ def test_the_page_draws_both_hands_and_its_controls_move_the_robot(
     )
     browser.wait_for(f"!!{option}")
     browser.evaluate(f"{option}.click()")
-    wait_until(lambda: viewer.replay.choice.preset == "teleoperation", "the preset does not change")
+    wait_until(
+        lambda: viewer.replay.choice.preset == "teleoperation",
+        "the preset does not change",
+    )
     browser.wait_for(text.format("pinch weight"))
     browser.wait_for(f"!{text.format('deformation gain')}")
     wait_until_robot_moved(browser, before)
@@ -331,7 +352,9 @@ def test_the_page_draws_both_hands_and_its_controls_move_the_robot(
 def test_the_page_of_a_service_draws_both_hands_and_releases(
     browser: Browser, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
+    pytest.importorskip(
+        "zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'"
+    )
     import service_tools
 
     from handmap_qp.apps.viewer.live import LiveViewer
@@ -346,9 +369,14 @@ def test_the_page_of_a_service_draws_both_hands_and_releases(
     ):
         light_simply(server)
         browser.resize(1000, 600)
-        with kept_going(lambda: client.step(q=service_tools.human_q(), wrist=np.eye(4))):
+        with kept_going(
+            lambda: client.step(q=service_tools.human_q(), wrist=np.eye(4))
+        ):
             viewer = LiveViewer(
-                server, ServiceSession(service_tools.address_of(service).removeprefix("tcp://"))
+                server,
+                ServiceSession(
+                    service_tools.address_of(service).removeprefix("tcp://")
+                ),
             )
         with kept_going(viewer.tick):
             browser.open(f"http://127.0.0.1:{server.get_port()}")
@@ -377,7 +405,10 @@ def later_picture(browser: Browser) -> np.ndarray:
 
 def has_both_hands(pixels: np.ndarray) -> bool:
     half = pixels.shape[1] // 2
-    return skin(pixels[:, :half]) > FEWEST_PIXELS and reference_points(pixels[:, half:]) > 50
+    return (
+        skin(pixels[:, :half]) > FEWEST_PIXELS
+        and reference_points(pixels[:, half:]) > 50
+    )
 
 
 @pytest.mark.slow
@@ -413,4 +444,7 @@ def test_the_written_page_plays_offline(browser: Browser, tmp_path: Path) -> Non
 def has_moved(pictures: list[np.ndarray]) -> bool:
     """Return whether two pictures show a hand and differ."""
     hands = [picture.astype(int) for picture in pictures if skin(picture) > 500]
-    return len(hands) > 1 and int((np.abs(hands[0] - hands[-1]).max(axis=2) > 30).sum()) > 300
+    return (
+        len(hands) > 1
+        and int((np.abs(hands[0] - hands[-1]).max(axis=2) > 30).sum()) > 300
+    )

@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
+)
 
 from handmap_qp import load_hand
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
@@ -19,7 +21,9 @@ from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.se3 import affine, rotation_from_rpy
 
 ROBOT = load_hand("three_finger")
-GAUGES = InstantGauges([Variant("paper", ROBOT, preset_choice("paper"), [])], contact_gap=0.012)
+GAUGES = InstantGauges(
+    [Variant("paper", ROBOT, preset_choice("paper"), [])], contact_gap=0.012
+)
 
 
 def sample_of(q: np.ndarray, **values: Any) -> ViewSample:
@@ -42,7 +46,9 @@ def test_readings_are_the_errors_that_were_made_and_the_gaps_of_the_surfaces() -
     readings = GAUGES.read(sample)
     assert readings[:4] == pytest.approx((0.03 / len(points), 0.03, 0.005, 0.2))
     gaps = measure_gaps(ROBOT, q[None]).pinches
-    assert readings.pinches == pytest.approx({name: gap[0] for name, gap in gaps.items()})
+    assert readings.pinches == pytest.approx(
+        {name: gap[0] for name, gap in gaps.items()}
+    )
     text = re.sub("<[^>]*>", " ", GAUGES.table([sample]))
     assert "30.0 mm" in text
     assert "5.0 mm" in text
@@ -56,7 +62,9 @@ def test_a_touch_of_the_human_reads_zero() -> None:
     landmarks = np.zeros((21, 3))
     landmarks[[8, 12, 16, 20], 0] = 0.010, 0.012, 0.052, 0.072
     gaps = GAUGES.human_pinches(sample_of(ROBOT.rest, landmarks=landmarks))
-    assert gaps == pytest.approx({"index": 0.0, "middle": 0.0, "ring": 0.04, "little": 0.06})
+    assert gaps == pytest.approx(
+        {"index": 0.0, "middle": 0.0, "ring": 0.04, "little": 0.06}
+    )
     assert GAUGES.human_pinches(sample_of(ROBOT.rest)) == {}
 
 
@@ -64,6 +72,10 @@ def test_a_picture_is_put_on_white() -> None:
     import imageio.v3 as imageio
 
     image = np.zeros((1, 3, 4), dtype=np.uint8)
-    image[0, 0], image[0, 1], image[0, 2] = (10, 20, 30, 255), (0, 0, 0, 0), (0, 0, 0, 51)
+    image[0, 0], image[0, 1], image[0, 2] = (
+        (10, 20, 30, 255),
+        (0, 0, 0, 0),
+        (0, 0, 0, 51),
+    )
     read = imageio.imread(on_white(image))
     assert read[0].tolist() == [[10, 20, 30], [255, 255, 255], [204, 204, 204]]

@@ -13,12 +13,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
-pytest.importorskip("zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'")
+pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
+)
+pytest.importorskip(
+    "zmq", reason="pyzmq is not installed: pip install 'handmap-qp[service]'"
+)
 
 import service_tools
 from patience import PATIENCE, wait_until
-from service_tools import address_of, client_of, connected, human_q, in_loop, lose_sessions
+from service_tools import (
+    address_of,
+    client_of,
+    connected,
+    human_q,
+    in_loop,
+    lose_sessions,
+)
 
 from handmap_qp import InvalidInputError, MappingOptions, load_hand
 from handmap_qp.apps.service.keys import make_keys
@@ -69,7 +80,11 @@ def moving(
             i = len(commands)
             commands.append(
                 client.step(
-                    **({"q": human_q(0.05 * i), "wrist": WRIST} if sample is None else sample(i))
+                    **(
+                        {"q": human_q(0.05 * i), "wrist": WRIST}
+                        if sample is None
+                        else sample(i)
+                    )
                 )
             )
 
@@ -102,7 +117,9 @@ def watching(
 def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
     options = {"ridge": 0.3, "pivot": "palm"}
     with (
-        connected(service, robot=robot, name="lab", has_detail=True, mapping=options) as client,
+        connected(
+            service, robot=robot, name="lab", has_detail=True, mapping=options
+        ) as client,
         moving(client) as commands,
         watching(service, session="lab") as (session, samples),
     ):
@@ -117,12 +134,16 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
         command = sent[tuple(sample.robot_q.tolist())]
         assert command.detail is not None
         # Points of the service against those of the local model.
-        np.testing.assert_allclose(sample.robot_points, command.detail["points"], atol=1e-9)
+        np.testing.assert_allclose(
+            sample.robot_points, command.detail["points"], atol=1e-9
+        )
         assert sample.human_q is not None
         assert sample.human_points is not None
         assert sample.human_wrist is not None
         np.testing.assert_allclose(
-            sample.human_points, session.human.points(sample.human_q, sample.human_wrist), atol=1e-9
+            sample.human_points,
+            session.human.points(sample.human_q, sample.human_wrist),
+            atol=1e-9,
         )
         np.testing.assert_allclose(sample.point_error, command.point_error, atol=1e-9)
         np.testing.assert_allclose(sample.human_wrist, WRIST, atol=1e-12)
@@ -136,22 +157,30 @@ def test_what_is_shown_is_what_was_mapped(service: Server, robot: str) -> None:
 @pytest.mark.slow
 def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -> None:
     with (
-        connected(service, "allegro_right", None, name="lab", has_detail=True) as client,
+        connected(
+            service, "allegro_right", None, name="lab", has_detail=True
+        ) as client,
         moving(client) as commands,
         watching(service, session="lab") as (session, samples),
     ):
         shown = list(islice((sample for sample in samples if sample.is_seen), 5))
     assert session.choice == preset_choice("teleoperation")
-    assert len(session.robot.reference_points) > len(load_hand("allegro_right").reference_points)
+    assert len(session.robot.reference_points) > len(
+        load_hand("allegro_right").reference_points
+    )
     sent = {command.q: command for command in commands}
     for sample in shown:
         command = sent[tuple(sample.robot_q.tolist())]
         assert command.detail is not None
         assert sample.targets is not None
         assert sample.deformation is not None
-        np.testing.assert_allclose(sample.targets, command.detail["targets"], atol=1e-12)
         np.testing.assert_allclose(
-            sample.deformation, np.array(command.detail["motion_deformation"])[:3, :3], atol=1e-12
+            sample.targets, command.detail["targets"], atol=1e-12
+        )
+        np.testing.assert_allclose(
+            sample.deformation,
+            np.array(command.detail["motion_deformation"])[:3, :3],
+            atol=1e-12,
         )
         assert len(sample.robot_points) == len(session.robot.reference_points)
 
@@ -181,7 +210,9 @@ def test_the_preset_of_a_shared_session_is_switched_and_shown(service: Server) -
             assert steering.preset.value == "object"
 
 
-def is_shown(viewer: LiveViewer, session: ServiceSession, preset: str, count: int) -> bool:
+def is_shown(
+    viewer: LiveViewer, session: ServiceSession, preset: str, count: int
+) -> bool:
     """Return whether the view has a preset, and points and targets that it moves."""
     sample = viewer.sample
     points = (sample.robot_points, sample.targets)
@@ -190,7 +221,9 @@ def is_shown(viewer: LiveViewer, session: ServiceSession, preset: str, count: in
     )
 
 
-def test_the_human_of_a_session_of_landmarks_is_drawn_as_its_landmarks(service: Server) -> None:
+def test_the_human_of_a_session_of_landmarks_is_drawn_as_its_landmarks(
+    service: Server,
+) -> None:
     person = load_hand("human", points="landmarks", hand_length=0.21)
     postures = [human_q(0.05 * i) for i in range(40)]
 
@@ -199,7 +232,12 @@ def test_the_human_of_a_session_of_landmarks_is_drawn_as_its_landmarks(service: 
 
     with (
         connected(
-            service, input="landmarks", preset=None, hand_length=0.21, is_shared=True, name="lab"
+            service,
+            input="landmarks",
+            preset=None,
+            hand_length=0.21,
+            is_shared=True,
+            name="lab",
         ) as client,
         moving(client, landmarks),
         watching(service, session="lab") as (session, samples),
@@ -213,7 +251,9 @@ def test_the_human_of_a_session_of_landmarks_is_drawn_as_its_landmarks(service: 
 
 
 @pytest.mark.slow
-def test_the_human_hand_has_the_lengths_that_the_service_measured(service: Server) -> None:
+def test_the_human_hand_has_the_lengths_that_the_service_measured(
+    service: Server,
+) -> None:
     person = load_hand("human", points="landmarks", hand_length=0.21)
 
     def landmarks(i: int) -> dict[str, Any]:
@@ -259,7 +299,8 @@ def test_a_shared_session_is_steered_from_the_view(service: Server) -> None:
 def about_lab(service: Server) -> About:
     """Return the properties of the session `lab`."""
     about = in_loop(
-        service, lambda: service.dispatcher.sessions.named("lab").state(1, "", 0, 0.0).about
+        service,
+        lambda: service.dispatcher.sessions.named("lab").state(1, "", 0, 0.0).about,
     )
     assert about is not None
     return about
@@ -279,16 +320,22 @@ def tick_until(viewer: LiveViewer, is_done: Callable[[], bool]) -> None:
 
 
 @pytest.mark.slow
-def test_two_views_and_the_client_do_not_undo_what_the_others_set(service: Server) -> None:
+def test_two_views_and_the_client_do_not_undo_what_the_others_set(
+    service: Server,
+) -> None:
     with (
         connected(service, name="lab", is_shared=True) as client,
         moving(client),
         serving() as one,
         serving() as other,
     ):
-        viewers = [LiveViewer(page, ServiceSession(host_of(service))) for page in (one, other)]
+        viewers = [
+            LiveViewer(page, ServiceSession(host_of(service))) for page in (one, other)
+        ]
         first, second = (
-            viewer.steering.options.handles for viewer in viewers if viewer.steering is not None
+            viewer.steering.options.handles
+            for viewer in viewers
+            if viewer.steering is not None
         )
         try:
             first["ridge"].value = 0.5
@@ -298,14 +345,19 @@ def test_two_views_and_the_client_do_not_undo_what_the_others_set(service: Serve
             assert mapping_of(service)["ridge"] == 0.5
             tick_until(viewers[0], lambda: first["scale"].value == 2.0)
             tick_until(viewers[1], lambda: second["ridge"].value == 0.5)
-            assert (mapping_of(service)["ridge"], mapping_of(service)["scale"]) == (0.5, 2.0)
+            assert (mapping_of(service)["ridge"], mapping_of(service)["scale"]) == (
+                0.5,
+                2.0,
+            )
         finally:
             for viewer in viewers:
                 viewer.close()
 
 
 @pytest.mark.slow
-def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(service: Server) -> None:
+def test_options_that_were_lost_with_the_session_are_lost_in_the_view_too(
+    service: Server,
+) -> None:
     with (
         connected(service, name="lab", is_shared=True) as client,
         moving(client),
@@ -404,7 +456,8 @@ def test_an_encrypted_service_is_shown_only_with_keys(
 ) -> None:
     make_keys(tmp_path, ["tracker", "viewer"])
     tracker, viewer = (
-        (tmp_path / f"{name}.key_secret", tmp_path / "server.key") for name in ("tracker", "viewer")
+        (tmp_path / f"{name}.key_secret", tmp_path / "server.key")
+        for name in ("tracker", "viewer")
     )
     with (
         service_tools.serving(keys=tmp_path) as service,
@@ -417,9 +470,13 @@ def test_an_encrypted_service_is_shown_only_with_keys(
             wait_until(lambda: next(samples).status == "released")
             assert session.is_released
             session.request("stop")
-            wait_until(lambda: next(samples).status == "stopped" and session.stop_number > 0)
+            wait_until(
+                lambda: next(samples).status == "stopped" and session.stop_number > 0
+            )
             session.request("clear", session.stop_number)
-            wait_until(lambda: next(samples).status == "released" and session.stop_number == 0)
+            wait_until(
+                lambda: next(samples).status == "released" and session.stop_number == 0
+            )
         for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
             monkeypatch.setattr(f"handmap_qp.apps.viewer.remote.{name}", 0.1)
         with pytest.raises(InvalidInputError, match="no answer"):

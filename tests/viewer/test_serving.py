@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("viser", reason="viser is not installed: pip install 'handmap-qp[view]'")
+pytest.importorskip(
+    "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
+)
 
 import viser
 from patience import wait_until
@@ -57,9 +59,15 @@ def test_pages_of_other_sites_are_refused(
             open_connection()
 
 
-@pytest.mark.parametrize(("name", "status"), [("localhost", 200), ("somewhere.example", 403)])
-def test_foreign_host_names_are_refused_on_loopback(server: Any, name: str, status: int) -> None:
-    connection = http.client.HTTPConnection("127.0.0.1", server.get_port(), timeout=30.0)
+@pytest.mark.parametrize(
+    ("name", "status"), [("localhost", 200), ("somewhere.example", 403)]
+)
+def test_foreign_host_names_are_refused_on_loopback(
+    server: Any, name: str, status: int
+) -> None:
+    connection = http.client.HTTPConnection(
+        "127.0.0.1", server.get_port(), timeout=30.0
+    )
     connection.request("GET", "/", headers={"Host": f"{name}:{server.get_port()}"})
     assert connection.getresponse().status == status
     connection.close()
@@ -90,6 +98,9 @@ def test_own_page_is_told_by_host_and_origin(
 
 def test_websockets_is_restored_after_starting(server: Any) -> None:
     assert websocket_server.serve.__module__.startswith("websockets")
-    with pytest.raises(InvalidInputError, match="cannot listen on"), serving("192.0.2.1"):
+    with (
+        pytest.raises(InvalidInputError, match="cannot listen on"),
+        serving("192.0.2.1"),
+    ):
         pass
     assert websocket_server.serve.__module__.startswith("websockets")

@@ -99,7 +99,10 @@ def state_names(hands: Mapping[Side, Hand]) -> tuple[str, ...]:
 def _write_lerobot(
     episodes: Iterator[Episode], root: Path, fps: float, hands: Mapping[Side, Hand]
 ) -> Path:
-    names, robot = state_names(hands), " and ".join(hand.name for hand in hands.values())
+    names, robot = (
+        state_names(hands),
+        " and ".join(hand.name for hand in hands.values()),
+    )
     features = {
         _STATE: Feature("float32", names),
         _ACTION: Feature("float32", names),
@@ -111,7 +114,11 @@ def _write_lerobot(
         fresh, fps=fps, features=features, robot_type=robot, argument="--out"
     ) as writer:
         for episode in episodes:
-            columns = {_STATE: episode.state, _ACTION: episode.action, _VALID: episode.valid}
+            columns = {
+                _STATE: episode.state,
+                _ACTION: episode.action,
+                _VALID: episode.valid,
+            }
             writer.add(columns, episode.task, {"source": episode.sources})
     shutil.rmtree(root, ignore_errors=True)
     with writing(root, "--out"):
@@ -120,12 +127,18 @@ def _write_lerobot(
     return root
 
 
-def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Mapping[Side, Hand]) -> Path:
+def _write_robomimic(
+    episodes: Iterator[Episode], path: Path, hands: Mapping[Side, Hand]
+) -> Path:
     names, total = state_names(hands), 0
     robot = " and ".join(hand.name for hand in hands.values())
     with created(path, "--out") as file:
         data = file.create_group("data")
-        env = {"env_name": robot, "env_type": 2, "env_kwargs": {"state_names": list(names)}}
+        env = {
+            "env_name": robot,
+            "env_type": 2,
+            "env_kwargs": {"state_names": list(names)},
+        }
         data.attrs["env_args"] = json.dumps(env)
         for i, episode in enumerate(episodes):
             check_room(file, 5 * episode.state.nbytes)
@@ -153,10 +166,17 @@ def _episodes(
     lines: Sequence[Line], folder: Path, fps: float, hands: Mapping[Side, Hand]
 ) -> Iterator[Episode]:
     """Read the episodes one after the other, by the names of their files."""
-    ordered = sorted((line for line in lines if line.side in hands), key=lambda line: line.key)
-    for _, group in groupby(ordered, key=lambda line: line.key.rpartition(SEPARATOR)[0]):
+    ordered = sorted(
+        (line for line in lines if line.side in hands), key=lambda line: line.key
+    )
+    for _, group in groupby(
+        ordered, key=lambda line: line.key.rpartition(SEPARATOR)[0]
+    ):
         pairs = [(line, read_episode(folder, line)) for line in group]
-        times, sides = [columns["time"] for _, columns in pairs], {line.side for line, _ in pairs}
+        times, sides = (
+            [columns["time"] for _, columns in pairs],
+            {line.side for line, _ in pairs},
+        )
         if len(pairs) == len(sides) == 2 and np.array_equal(times[0], times[1]):
             yield _episode(pairs, fps, hands)
         else:
@@ -164,7 +184,9 @@ def _episodes(
 
 
 def _episode(
-    pairs: Sequence[tuple[Line, dict[str, np.ndarray]]], fps: float, hands: Mapping[Side, Hand]
+    pairs: Sequence[tuple[Line, dict[str, np.ndarray]]],
+    fps: float,
+    hands: Mapping[Side, Hand],
 ) -> Episode:
     """Put the hands of one recording side by side, at a fixed rate."""
     by_side = {line.side: columns for line, columns in pairs}
@@ -202,7 +224,9 @@ def _resampled(
     rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
     state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
     state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
-    before = np.clip(np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1)
+    before = np.clip(
+        np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1
+    )
     after = np.clip(np.searchsorted(time, instants, side="left"), 0, len(time) - 1)
     return state, columns["valid"][before] & columns["valid"][after]
 
@@ -210,9 +234,16 @@ def _resampled(
 def _as_float32(state: np.ndarray, hand: Hand) -> np.ndarray:
     """Round a state to float32 without leaving the joints' limits."""
     rounded = state.astype(np.float32)
-    lower, upper = hand.lower_limits.astype(np.float32), hand.upper_limits.astype(np.float32)
-    lower = np.where(lower < hand.lower_limits, np.nextafter(lower, np.float32(np.inf)), lower)
-    upper = np.where(upper > hand.upper_limits, np.nextafter(upper, np.float32(-np.inf)), upper)
+    lower, upper = (
+        hand.lower_limits.astype(np.float32),
+        hand.upper_limits.astype(np.float32),
+    )
+    lower = np.where(
+        lower < hand.lower_limits, np.nextafter(lower, np.float32(np.inf)), lower
+    )
+    upper = np.where(
+        upper > hand.upper_limits, np.nextafter(upper, np.float32(-np.inf)), upper
+    )
     count = len(hand.joint_names)
     rounded[:, :count] = np.clip(rounded[:, :count], lower, upper)
     return rounded

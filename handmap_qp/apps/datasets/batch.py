@@ -116,7 +116,9 @@ def plan_batch(
         elif line.kills:
             kills[task.key] = line.kills
         jobs.append(Job(task, options, digest, folder))
-    return Plan(tuple(jobs), tuple(done), tuple(left_alone), kills, tuple(damaged), repeated)
+    return Plan(
+        tuple(jobs), tuple(done), tuple(left_alone), kills, tuple(damaged), repeated
+    )
 
 
 def run_batch(
@@ -174,7 +176,10 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
             raise KeyboardInterrupt
         seen.append(number)
 
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {
+        number: signal.signal(number, note)
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
     try:
         yield lambda: bool(seen)
     finally:
@@ -185,12 +190,18 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
 def _is_same(line: Line, task: Task, digest: str) -> bool:
     """Tell whether a line is about this very file and these options."""
     file = task.file
-    return (line.size, line.mtime_ns, line.options) == (file.size, file.mtime_ns, digest)
+    return (line.size, line.mtime_ns, line.options) == (
+        file.size,
+        file.mtime_ns,
+        digest,
+    )
 
 
 def _cpu_time() -> float:
     """CPU time of this process and of its children that have ended [s]."""
     return sum(
         usage.ru_utime + usage.ru_stime
-        for usage in map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+        for usage in map(
+            resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+        )
     )

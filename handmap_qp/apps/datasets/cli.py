@@ -15,12 +15,23 @@ import tyro
 
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.datasets.assemble import assemble
-from handmap_qp.apps.datasets.batch import Plan, Tally, plan_batch, run_batch, stopped_by_signals
+from handmap_qp.apps.datasets.batch import (
+    Plan,
+    Tally,
+    plan_batch,
+    run_batch,
+    stopped_by_signals,
+)
 from handmap_qp.apps.datasets.convert import convert
 from handmap_qp.apps.datasets.engines import Engine, PoolEngine, RayEngine, SerialEngine
 from handmap_qp.apps.datasets.episodes import JobOptions
 from handmap_qp.apps.datasets.manifest import Line
-from handmap_qp.apps.datasets.report import assess, summary_rows, worst_rows, write_report
+from handmap_qp.apps.datasets.report import (
+    assess,
+    summary_rows,
+    worst_rows,
+    write_report,
+)
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_rows, print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError
@@ -62,7 +73,8 @@ class Convert:
 
     paths: tyro.conf.Positional[
         Annotated[
-            tuple[Path, ...], tyro.conf.arg(metavar="IN... OUT", help_behavior_hint="(required)")
+            tuple[Path, ...],
+            tyro.conf.arg(metavar="IN... OUT", help_behavior_hint="(required)"),
         ]
     ]
     format: Annotated[
@@ -73,7 +85,8 @@ class Convert:
         ),
     ] = None
     mano: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: $HANDMAP_MANO)")
+        Path | None,
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: $HANDMAP_MANO)"),
     ] = None
     json: bool = False
 
@@ -81,7 +94,9 @@ class Convert:
         """Read, write, and say what was lost."""
         if len(self.paths) < 2:
             raise InvalidInputError(
-                argument="IN OUT", expected="a file to read and one to write", got="one path"
+                argument="IN OUT",
+                expected="a file to read and one to write",
+                got="one path",
             )
         done = convert(self.paths[:-1], self.paths[-1], self.format, self.mano)
         if self.json:
@@ -133,7 +148,8 @@ class Batch:
 
     inputs: tyro.conf.Positional[
         Annotated[
-            tuple[Path, ...], tyro.conf.arg(metavar="INPUT...", help_behavior_hint="(required)")
+            tuple[Path, ...],
+            tyro.conf.arg(metavar="INPUT...", help_behavior_hint="(required)"),
         ]
     ]
     robot: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND [HAND]")]
@@ -146,7 +162,8 @@ class Batch:
     ] = None
     engine: Literal["pool", "ray"] = "pool"
     shard: Annotated[
-        str | None, tyro.conf.arg(metavar="I/N", help_behavior_hint="(default: everything)")
+        str | None,
+        tyro.conf.arg(metavar="I/N", help_behavior_hint="(default: everything)"),
     ] = None
     json: bool = False
     arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
@@ -180,15 +197,25 @@ class Batch:
             plan = plan_batch(self.inputs, self.out, options, shard)
         damaged = [line.name for line in plan.damaged]
         _warn(damaged, "episodes", "are damaged or missing, and are mapped again")
-        _warn(plan.repeated, "paths", "lead to files that are listed already, and are left out")
+        _warn(
+            plan.repeated,
+            "paths",
+            "lead to files that are listed already, and are left out",
+        )
         counts = Counter[str]()
         # The time left is by samples, not by files.
-        with stopped_by_signals() as is_stopped, progress("mapping", plan.frames or None) as show:
+        with (
+            stopped_by_signals() as is_stopped,
+            progress("mapping", plan.frames or None) as show,
+        ):
 
             def advance(line: Line) -> None:
                 if line.status != "killed":
                     counts.update({line.status: 1, "frames": line.frames})
-                    show(counts["frames"], f"{counts['done']} episodes, {counts['failed']} failed")
+                    show(
+                        counts["frames"],
+                        f"{counts['done']} episodes, {counts['failed']} failed",
+                    )
 
             return plan, run_batch(plan, self.out, engine, shard, advance, is_stopped)
 
@@ -201,19 +228,26 @@ class Batch:
         for name in self.robot:
             side = self.arguments.load_robot(name).spec.side
             if side in robots:
-                got, expected = f"{robots[side]} and {name}, both {side}", "one robot for each side"
+                got, expected = (
+                    f"{robots[side]} and {name}, both {side}",
+                    "one robot for each side",
+                )
                 raise InvalidInputError(argument="--robot", expected=expected, got=got)
             robots[side] = name
         if self.look_ahead and self.arguments.smooth:
             problem = "has no effect with --look-ahead, which smooths itself"
             raise InvalidInputError(problem, argument="--smooth")
-        return JobOptions(robots, self.arguments, LookAhead() if self.look_ahead else None)
+        return JobOptions(
+            robots, self.arguments, LookAhead() if self.look_ahead else None
+        )
 
     def _engine(self) -> Engine:
         workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
         if not 0 <= workers <= 1024:
             expected = "a number from 0 to 1024"
-            raise InvalidInputError(argument="--workers", expected=expected, value=workers)
+            raise InvalidInputError(
+                argument="--workers", expected=expected, value=workers
+            )
         if self.engine == "ray":
             return RayEngine(max(1, workers))
         return PoolEngine(workers) if workers else SerialEngine()
@@ -221,7 +255,11 @@ class Batch:
     def _assemble(self, options: JobOptions, plan: Plan, tally: Tally) -> Path | None:
         """Write the data set, unless something is left for other shards or another run."""
         lines = [*plan.done, *tally.done]
-        if self.format == "npz" or self.shard is not None or not (tally.is_complete and lines):
+        if (
+            self.format == "npz"
+            or self.shard is not None
+            or not (tally.is_complete and lines)
+        ):
             return None
         robots = {side: options.load_robot(side) for side in options.robots}
         return assemble(lines, self.out, self.format, self.fps, robots)
@@ -293,7 +331,9 @@ class Report:
         """Read the manifest, rank, write, and print."""
         if self.worst < 1:
             expected = "a number > 0"
-            raise InvalidInputError(argument="--worst", expected=expected, value=self.worst)
+            raise InvalidInputError(
+                argument="--worst", expected=expected, value=self.worst
+            )
         quality = assess(self.folder, self.keep)
         files = write_report(self.folder, quality, self.worst, draws=self.pictures)
         count, kept = len(quality.lines), int(quality.is_kept.sum())
@@ -325,6 +365,13 @@ def _shard(text: str | None) -> tuple[int, int]:
     if text is None:
         return (1, 1)
     part, slash, parts = text.partition("/")
-    if slash and part.isdigit() and parts.isdigit() and 1 <= int(part) <= int(parts) <= 10**6:
+    if (
+        slash
+        and part.isdigit()
+        and parts.isdigit()
+        and 1 <= int(part) <= int(parts) <= 10**6
+    ):
         return (int(part), int(parts))
-    raise InvalidInputError(argument="--shard", expected="I/N with 1 <= I <= N", value=text)
+    raise InvalidInputError(
+        argument="--shard", expected="I/N with 1 <= I <= N", value=text
+    )

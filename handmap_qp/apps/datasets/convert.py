@@ -33,7 +33,10 @@ class Conversion(NamedTuple):
 
 
 def convert(
-    inputs: Sequence[Path | str], out: Path, form: str | None = None, mano: Path | None = None
+    inputs: Sequence[Path | str],
+    out: Path,
+    form: str | None = None,
+    mano: Path | None = None,
 ) -> Conversion:
     """Read recordings from files of any format, and write them in another one.
 
@@ -51,7 +54,9 @@ def convert(
     is_folder = bool(target.suffixes) and not out.suffix
     if target.suffixes and not is_folder:
         check_output("OUT", out, target.suffixes)
-    sources = [_with_model(source, mano) for path in inputs for source in list_sources(path)]
+    sources = [
+        _with_model(source, mano) for path in inputs for source in list_sources(path)
+    ]
     unread = {source.path: source.format.unread(source.path) for source in sources}
     recordings = [source.read() for source in sources]
     files: tuple[Path, ...] = (out,)
@@ -63,7 +68,9 @@ def convert(
         recordings=len(recordings),
         samples=sum(map(len, recordings)),
         files=files,
-        not_read=tuple(dict.fromkeys(name for names in unread.values() for name in names)),
+        not_read=tuple(
+            dict.fromkeys(name for names in unread.values() for name in names)
+        ),
         lost=target.losses(recordings),
     )
 
@@ -75,13 +82,18 @@ def _with_model(source: Source, mano: Path | None) -> Source:
 
 
 def _write_each(
-    recordings: list[Recording], sources: list[Source], out: Path, target: RecordingFormat
+    recordings: list[Recording],
+    sources: list[Source],
+    out: Path,
+    target: RecordingFormat,
 ) -> tuple[Path, ...]:
     files = [out / f"{source.name}{target.suffixes[0]}" for source in sources]
     twice = next((file for file in files if files.count(file) > 1), None)
     if twice is not None:
         raise InvalidInputError(
-            argument="IN", expected="recordings of different names", got=f"{twice.stem} twice"
+            argument="IN",
+            expected="recordings of different names",
+            got=f"{twice.stem} twice",
         )
     make_folder(out, "OUT")
     for recording, file in zip(recordings, files, strict=True):

@@ -21,7 +21,13 @@ from typing import Any, NamedTuple
 
 from handmap_qp.apps.datasets.episodes import Job, run_job, synced
 from handmap_qp.apps.datasets.manifest import MOST_KILLS, Line
-from handmap_qp.apps.datasets.workers import CONTEXT, ONE_THREAD, no_start, one_thread, start_worker
+from handmap_qp.apps.datasets.workers import (
+    CONTEXT,
+    ONE_THREAD,
+    no_start,
+    one_thread,
+    start_worker,
+)
 from handmap_qp.errors import HandmapError, MissingExtraError
 from handmap_qp.output_files import remove_torn
 
@@ -103,9 +109,13 @@ class Engine(ABC):
                 if is_stopped():
                     # Cancelled ones are given up: a next run begins with them.
                     flying = {
-                        future: jobs for future, jobs in flying.items() if not future.cancel()
+                        future: jobs
+                        for future, jobs in flying.items()
+                        if not future.cancel()
                     }
-                while waiting and not suspects and not is_stopped() and len(flying) < most:
+                while (
+                    waiting and not suspects and not is_stopped() and len(flying) < most
+                ):
                     jobs = _next_group(waiting, workers.count)
                     flying[workers.submit(jobs)] = jobs
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
@@ -114,7 +124,10 @@ class Engine(ABC):
                     yield from lines or ()
 
     def _try_alone(
-        self, suspects: deque[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+        self,
+        suspects: deque[Job],
+        kills: dict[str, int],
+        is_stopped: Callable[[], bool],
     ) -> Iterator[Line]:
         """Run jobs whose worker may have died over them one at a time, until one dies."""
         with self.start(1) as workers:
@@ -122,7 +135,9 @@ class Engine(ABC):
                 job = suspects.popleft()
                 count = kills.get(job.task.key, 0) + 1
                 remove_torn(job.folder / job.task.out)
-                yield job.line("killed", kills=count, error=f"try {count} has not ended")
+                yield job.line(
+                    "killed", kills=count, error=f"try {count} has not ended"
+                )
                 lines = _result(workers.submit((job,)), workers.death)
                 if lines is None:
                     break
@@ -161,7 +176,9 @@ class PoolEngine(Engine):
         """Start spawned workers with one thread each."""
         with one_thread():
             for _ in range(_MOST_STARTS):
-                pool = ProcessPoolExecutor(count, mp_context=CONTEXT, initializer=start_worker)
+                pool = ProcessPoolExecutor(
+                    count, mp_context=CONTEXT, initializer=start_worker
+                )
                 try:
                     if _begins(pool):
                         yield Workers(partial(pool.submit, run_group), count)
@@ -223,7 +240,9 @@ def _begins(pool: ProcessPoolExecutor) -> bool:
     return True
 
 
-def _result(future: Future[Sequence[Line]], death: type[Exception]) -> Sequence[Line] | None:
+def _result(
+    future: Future[Sequence[Line]], death: type[Exception]
+) -> Sequence[Line] | None:
     """Return the lines of a group; None if its worker has died."""
     try:
         return future.result()

@@ -25,7 +25,12 @@ from handmap_qp.apps.datasets.workers import time_limit
 from handmap_qp.apps.offline.look_ahead import LookAhead, look_ahead, map_both_ways
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
-from handmap_qp.errors import DiskFullError, HandmapError, InvalidInputError, RecordingError
+from handmap_qp.errors import (
+    DiskFullError,
+    HandmapError,
+    InvalidInputError,
+    RecordingError,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
@@ -81,7 +86,9 @@ class JobOptions:
                 digest.update(file.read_bytes())
             except OSError as error:
                 problem = f"{file}: cannot be read: {error.strerror or error}"
-                raise InvalidInputError(argument="--options", problem=problem) from error
+                raise InvalidInputError(
+                    argument="--options", problem=problem
+                ) from error
         return digest.hexdigest()[:16]
 
 
@@ -101,7 +108,9 @@ class Job:
     digest: str
     folder: Path
 
-    def line(self, status: Status, *, error: str = "", kills: int = 0, cpu_s: float = 0.0) -> Line:
+    def line(
+        self, status: Status, *, error: str = "", kills: int = 0, cpu_s: float = 0.0
+    ) -> Line:
         """Return a line of the manifest about this job, without results."""
         task, file = self.task, self.task.file
         return Line(
@@ -185,7 +194,9 @@ def map_episode(
     person = measure_person(recording)
     if options.smoother is not None:
         recording = look_ahead(recording, options.smoother)
-    human = scaled_human(recording, points=options.arguments.human_points, lengths=person.lengths)
+    human = scaled_human(
+        recording, points=options.arguments.human_points, lengths=person.lengths
+    )
     choice = options.arguments.preset_for(human, robot, person.contact_gap)
     if options.smoother is not None:
         trajectory = map_both_ways(human, robot, choice.method, choice.ik, recording)
@@ -228,7 +239,9 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
         InvalidInputError: If the file cannot be written.
     """
     left_out = {"versions", "all_q", "all_joint_names", "all_joint_roles"}
-    columns = {name: a for name, a in trajectory.columns.items() if name not in left_out}
+    columns = {
+        name: a for name, a in trajectory.columns.items() if name not in left_out
+    }
     # Written at once: the parts of an archive, one by one, take twice as long.
     archive = BytesIO()
     np.savez(archive, allow_pickle=False, **columns, side=np.array(side))
@@ -269,7 +282,9 @@ def read_episode(folder: Path, line: Line) -> dict[str, np.ndarray]:
         with file.open("rb") as stream:
             is_same = line.sha256 in ("", file_digest(stream, "sha256").hexdigest())
     except OSError as error:
-        raise RecordingError(f"cannot be read: {error.strerror or error}", file=file) from error
+        raise RecordingError(
+            f"cannot be read: {error.strerror or error}", file=file
+        ) from error
     if not is_same:
         raise RecordingError("is not what was written: its digest differs", file=file)
     arrays = read_archive(file, _COLUMNS if line.sha256 else None)

@@ -37,22 +37,61 @@ class Measure(NamedTuple):
 
 
 MEASURES: tuple[Measure, ...] = (
-    Measure("valid", "valid samples", "low", "share of samples in which the hand was seen", 0.98),
-    Measure("longest_gap_s", "longest gap [s]", "high", "longest time without the hand", 0.1),
-    Measure("bone_variation", "bone variation", "high", "deviation of bone lengths", 0.02),
-    Measure("reach_mm", "reach [mm]", "high", "mean distance of points from their targets", 5.0),
+    Measure(
+        "valid",
+        "valid samples",
+        "low",
+        "share of samples in which the hand was seen",
+        0.98,
+    ),
+    Measure(
+        "longest_gap_s", "longest gap [s]", "high", "longest time without the hand", 0.1
+    ),
+    Measure(
+        "bone_variation", "bone variation", "high", "deviation of bone lengths", 0.02
+    ),
+    Measure(
+        "reach_mm",
+        "reach [mm]",
+        "high",
+        "mean distance of points from their targets",
+        5.0,
+    ),
     Measure("reach_p95_mm", "reach p95 [mm]", "high", "95th percentile of it", 15.0),
-    Measure("saturation", "saturation", "high", "share of joints at a position limit", 0.05),
-    Measure("speed_limited", "speed-limited", "high", "share of samples at a speed limit", 0.05),
+    Measure(
+        "saturation", "saturation", "high", "share of joints at a position limit", 0.05
+    ),
+    Measure(
+        "speed_limited",
+        "speed-limited",
+        "high",
+        "share of samples at a speed limit",
+        0.05,
+    ),
     Measure("jerk", "jerk [rad/s3]", "high", "RMS joint jerk", 1000.0),
-    Measure("pinch_closed", "pinches closed", "low", "share of the human's pinches closed", 0.9),
-    Measure("self_penetration", "self-penetration", "high", "share of samples over 1 mm", 0.0),
+    Measure(
+        "pinch_closed",
+        "pinches closed",
+        "low",
+        "share of the human's pinches closed",
+        0.9,
+    ),
+    Measure(
+        "self_penetration",
+        "self-penetration",
+        "high",
+        "share of samples over 1 mm",
+        0.0,
+    ),
 )
 """All measures, in the order of the report."""
 
 
 def measure_episode(
-    recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter | None
+    recording: Recording,
+    trajectory: Trajectory,
+    contact_gap: float,
+    meter: GapMeter | None,
 ) -> dict[str, float | None]:
     """Measure an episode.
 
@@ -98,7 +137,9 @@ def _longest_gap(recording: Recording) -> float:
 
 
 def _bone_variation(landmarks: np.ndarray) -> float:
-    bones = np.linalg.norm(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3)
+    bones = np.linalg.norm(
+        np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3
+    )
     return float((bones.std(axis=0) / bones.mean(axis=0)).mean())
 
 
@@ -109,7 +150,9 @@ def _surfaces(
     tips = recording.landmarks[:, TIPS]
     gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=2)
     pinching = trajectory.valid[:, None] & (gaps < contact_gap + _PINCHING)
-    spread = np.linspace(0, len(recording) - 1, min(MOST_SURFACES, len(recording))).astype(int)
+    spread = np.linspace(
+        0, len(recording) - 1, min(MOST_SURFACES, len(recording))
+    ).astype(int)
     pinches = np.flatnonzero(pinching.any(axis=1))
     chosen = pinches[:: max(1, -(-len(pinches) // MOST_SURFACES))]
     gaps = meter.pinches(trajectory.q[chosen]) if len(chosen) else {}

@@ -62,7 +62,9 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
         InvalidInputError: If the folder has no manifest or no episode, or the share is impossible.
     """
     if not 0.0 < keep <= 1.0:
-        raise InvalidInputError(argument="--keep", expected="a share in (0, 1]", value=keep)
+        raise InvalidInputError(
+            argument="--keep", expected="a share in (0, 1]", value=keep
+        )
     state = sorted(read_manifests(folder).items())
     lines = [line for _, line in state if line.status == "done"]
     if not lines:
@@ -103,15 +105,24 @@ def summary_rows(quality: Quality) -> list[dict[str, str]]:
         known = column[np.isfinite(column)]
         bad, worst = (95, 100) if measure.worse == "high" else (5, 0)
         if len(known):
-            middle, most, end = (_text(x) for x in np.percentile(known, (50, bad, worst)))
-            row = {"measure": measure.title, "median": middle, "worst 5 %": most, "worst": end}
+            middle, most, end = (
+                _text(x) for x in np.percentile(known, (50, bad, worst))
+            )
+            row = {
+                "measure": measure.title,
+                "median": middle,
+                "worst 5 %": most,
+                "worst": end,
+            }
             rows.append({**row, "episodes": str(len(known))})
     return rows
 
 
 def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
     """Return a table of the worst episodes, with the measure in which they are worst."""
-    worst = zip(quality.lines[:count], quality.worst_measure, quality.values, strict=False)
+    worst = zip(
+        quality.lines[:count], quality.worst_measure, quality.values, strict=False
+    )
     return [
         {
             "#": str(rank),
@@ -124,7 +135,9 @@ def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
     ]
 
 
-def write_report(folder: Path, quality: Quality, worst: int, *, draws: bool) -> tuple[Path, ...]:
+def write_report(
+    folder: Path, quality: Quality, worst: int, *, draws: bool
+) -> tuple[Path, ...]:
     """Write report, table, filter and pictures.
 
     Args:
@@ -168,7 +181,10 @@ def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
         f"The filter keeps {_counted(int(quality.is_kept.sum()), 'episode')}: `keep.txt`.\n",
         "## Measures\n",
         _table(summary_rows(quality)),
-        "\n".join(f"- {m.title}: {m.about}; {m.worse} values are worse" for m in MEASURES) + "\n",
+        "\n".join(
+            f"- {m.title}: {m.about}; {m.worse} values are worse" for m in MEASURES
+        )
+        + "\n",
         "## Worst episodes\n",
         _table(worst_rows(quality, count)),
     ]
@@ -184,11 +200,15 @@ def _csv(quality: Quality) -> str:
     """Return all numbers as CSV, the worst episode first."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["episode", "file", "kept", "badness", "frames", *(m.key for m in MEASURES)])
+    writer.writerow(
+        ["episode", "file", "kept", "badness", "frames", *(m.key for m in MEASURES)]
+    )
     rows = zip(quality.lines, quality.is_kept, quality.badness, strict=True)
     for line, kept, badness in rows:
         values = [line.metrics.get(measure.key) for measure in MEASURES]
-        writer.writerow([line.key, line.out, int(kept), f"{badness:.4f}", line.frames, *values])
+        writer.writerow(
+            [line.key, line.out, int(kept), f"{badness:.4f}", line.frames, *values]
+        )
     return text.getvalue()
 
 

@@ -109,12 +109,18 @@ def _worst_row(folder: Path, line: Line, rank: int, measure: Measure) -> SheetRo
     columns = read_archive(folder / line.out, names)
     sample = _worst_sample(recording, columns, measure)
     (row,) = sheet_rows(recording, {f"#{rank}": sample}, [columns["q"]])
-    name = line.name if len(line.name) <= _LONGEST_NAME else f"...{line.name[3 - _LONGEST_NAME :]}"
+    name = (
+        line.name
+        if len(line.name) <= _LONGEST_NAME
+        else f"...{line.name[3 - _LONGEST_NAME :]}"
+    )
     note = f"{name}\n{measure.title}\n{row.note}"
     return SheetRow(row.label, note, row.landmarks, row.q)
 
 
-def _worst_sample(recording: Recording, columns: dict[str, np.ndarray], measure: Measure) -> int:
+def _worst_sample(
+    recording: Recording, columns: dict[str, np.ndarray], measure: Measure
+) -> int:
     """Return the index of the sample that is worst in a measure, or in reach."""
     usable = columns["valid"] & recording.valid
     settled = usable & (recording.time >= recording.time[0] + SETTLING)

@@ -173,7 +173,9 @@ def _listing(path: Path) -> tuple[Source, ...] | str:
 def _paths_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[Path]:
     """Yield the path itself, or the files and data sets below it."""
     if not given.exists():
-        raise InvalidInputError(argument="INPUT", problem=f"{given}: no such file or folder")
+        raise InvalidInputError(
+            argument="INPUT", problem=f"{given}: no such file or folder"
+        )
     suffixes = known_suffixes()
     # Links come last, so that they do not change the names of the files they lead to.
     waiting, links = deque([given]), deque[Path]()

@@ -17,7 +17,9 @@ _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
 
 CONTEXT = multiprocessing.get_context("spawn")
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+)
 """Environment of a worker, read by its BLAS when it starts."""
 
 
@@ -92,7 +94,9 @@ def each_apart(
     while len(found) < len(items):
         results, theirs = CONTEXT.Pipe(duplex=False)
         rest = list(items[len(found) :])
-        process = CONTEXT.Process(target=_call_each, args=(theirs, call, rest), daemon=True)
+        process = CONTEXT.Process(
+            target=_call_each, args=(theirs, call, rest), daemon=True
+        )
         with one_thread():
             process.start()
         theirs.close()

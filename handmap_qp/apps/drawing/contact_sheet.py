@@ -65,10 +65,22 @@ _HUMAN_BACKGROUND = 0.965
 _RULE = 0.86
 _INK, _PALE = "#222831", "#6b7280"
 # Across the palm: wrist to knuckles, and from knuckle to knuckle.
-_PALM_BONES = ((0, 1), (0, 5), (0, 9), (0, 13), (0, 17), (5, 9), (9, 13), (13, 17), (1, 5))
+_PALM_BONES = (
+    (0, 1),
+    (0, 5),
+    (0, 9),
+    (0, 13),
+    (0, 17),
+    (5, 9),
+    (9, 13),
+    (13, 17),
+    (1, 5),
+)
 _PALM_FACES = ((0, 1, 5), (0, 5, 9), (0, 9, 13), (0, 13, 17))
 # From palm axes (y distal, z dorsal) to those of the drawing: z up the fingers, -y out of the palm.
-_UPRIGHT = affine(np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.zeros(3))
+_UPRIGHT = affine(
+    np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.zeros(3)
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,14 +135,19 @@ def sheet_rows(
             continue
         if not (0 <= i < len(recording) and recording.valid[i]):
             raise InvalidInputError(
-                argument=f"poses[{label!r}]", expected="index of a valid sample", value=i
+                argument=f"poses[{label!r}]",
+                expected="index of a valid sample",
+                value=i,
             )
         landmarks = recording.landmarks[i]
         to_palm = rigid_fit(landmarks[PALM], palm)
         note = f"{recording.time[i] - recording.time[0]:.2f} s"
         rows.append(
             SheetRow(
-                label, note, transform_points(to_palm, landmarks), tuple(q[i] for q in motions)
+                label,
+                note,
+                transform_points(to_palm, landmarks),
+                tuple(q[i] for q in motions),
             )
         )
     return rows
@@ -167,14 +184,19 @@ def contact_sheet(
     (width, height), (count, wide) = CELL, pictures.shape[:2]
     bottom, span = _TOP + count * height, len(VIEWS) * width
     canvas = np.ones((bottom + _BOTTOM, _LEFT + wide * span, 3))
-    canvas[_TOP:bottom, _LEFT:] = np.moveaxis(pictures, 3, 1).reshape(count * height, -1, 3)
+    canvas[_TOP:bottom, _LEFT:] = np.moveaxis(pictures, 3, 1).reshape(
+        count * height, -1, 3
+    )
     canvas[_TOP - 1 : bottom : height] = _RULE
     canvas[_TOP - 1 : bottom, _LEFT::span] = _RULE
     return _figure(canvas, columns, rows, title=title, footnote=footnote)
 
 
 def pose_pictures(
-    columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow], *, side: Side = "right"
+    columns: Sequence[tuple[str, Hand]],
+    rows: Sequence[SheetRow],
+    *,
+    side: Side = "right",
 ) -> np.ndarray:
     """Draw the poses without labels, such as the frames of an animation.
 
@@ -192,7 +214,9 @@ def pose_pictures(
         MissingExtraError: If trimesh is not installed.
     """
     _check(columns, rows)
-    human = _pictures([_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND)
+    human = _pictures(
+        [_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND
+    )
     pictures = np.empty((len(rows), 1 + len(columns), *human.shape[1:]))
     pictures[:, 0] = human
     # Columns of the same hand have the same scale.
@@ -201,7 +225,9 @@ def pose_pictures(
         own = [i for i, (_, other) in enumerate(columns) if other is hand]
         solids = [_robot_triangles(shape, row.q[i]) for i in own for row in rows]
         drawn = _pictures(solids, hand.spec.side, 1.0)
-        pictures[:, [1 + i for i in own]] = drawn.reshape(len(own), *human.shape).swapaxes(0, 1)
+        pictures[:, [1 + i for i in own]] = drawn.reshape(
+            len(own), *human.shape
+        ).swapaxes(0, 1)
     return pictures
 
 
@@ -252,7 +278,10 @@ def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> Non
             advice="find_poses finds them",
         )
     for i, row in enumerate(rows):
-        if np.shape(row.landmarks) != (LANDMARK_COUNT, 3) or not np.isfinite(row.landmarks).all():
+        if (
+            np.shape(row.landmarks) != (LANDMARK_COUNT, 3)
+            or not np.isfinite(row.landmarks).all()
+        ):
             raise InvalidInputError(
                 argument=f"rows[{i}].landmarks",
                 expected=f"finite numbers of shape ({LANDMARK_COUNT}, 3)",
@@ -279,7 +308,9 @@ def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.
         )
         for azimuth, elevation in VIEWS
     ]
-    images = np.array([[render(solid, camera) for camera in cameras] for solid in solids])
+    images = np.array(
+        [[render(solid, camera) for camera in cameras] for solid in solids]
+    )
     opacity = images[..., 3:]
     return opacity * images[..., :3] + (1.0 - opacity) * background
 
@@ -297,7 +328,9 @@ def _human_triangles(landmarks: np.ndarray) -> Triangles:
     return merged(parts)
 
 
-def _bone(ends: np.ndarray, radius: float, colour: tuple[float, float, float]) -> Triangles:
+def _bone(
+    ends: np.ndarray, radius: float, colour: tuple[float, float, float]
+) -> Triangles:
     """A tube between two points (2, 3); nothing where they coincide."""
     if np.linalg.norm(ends[1] - ends[0]) < 1e-5:
         return merged([])
@@ -311,7 +344,9 @@ def _faces(points: np.ndarray) -> Triangles:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     return Triangles(
-        corners, np.tile(_PALM_COLOUR, (len(corners), 1)), np.repeat(normals[:, None], 3, axis=1)
+        corners,
+        np.tile(_PALM_COLOUR, (len(corners), 1)),
+        np.repeat(normals[:, None], 3, axis=1),
     )
 
 
@@ -338,12 +373,18 @@ def _finger_of(hand: Hand, link: str) -> str | None:
         for point in hand.spec.points
         if joint in hand.model.supports[_carrier(hand, point.link)]
     }
-    return next(iter(beyond)) if len(beyond) == 1 and beyond <= FINGER_COLOURS.keys() else None
+    return (
+        next(iter(beyond))
+        if len(beyond) == 1 and beyond <= FINGER_COLOURS.keys()
+        else None
+    )
 
 
 def _carrier(hand: Hand, link: str) -> int:
     """The joint of the model that moves a link."""
-    return hand.model.frames[hand.model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+    return hand.model.frames[
+        hand.model.getFrameId(link, pin.FrameType.BODY)
+    ].parentJoint
 
 
 def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:
@@ -365,7 +406,9 @@ def _figure(
         from matplotlib.figure import Figure
 
         height, width = canvas.shape[:2]
-        figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
+        figure = Figure(
+            figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white"
+        )
         axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.imshow(canvas, extent=(0.0, width, height, 0.0), interpolation="nearest")
         axes.set_axis_off()

@@ -66,7 +66,9 @@ class HandShape:
     links: tuple[LinkShape, ...]
     missing: tuple[str, ...] = ()
 
-    def triangles(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> Triangles:
+    def triangles(
+        self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
+    ) -> Triangles:
         """Return the hand's surface in one posture.
 
         Args:
@@ -80,14 +82,18 @@ class HandShape:
         Raises:
             InvalidInputError: On a wrong shape, or a wrist pose for a fixed hand.
         """
-        poses = self.hand.link_poses([shape.link for shape in self.links], q, wrist_pose)
+        poses = self.hand.link_poses(
+            [shape.link for shape in self.links], q, wrist_pose
+        )
         placed = []
         for shape, pose in zip(self.links, poses, strict=True):
             placed.append(shape.triangles.moved(pose))
         return merged(placed)
 
 
-def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) -> HandShape:
+def load_shape(
+    hand: Hand, *, colour: tuple[float, float, float] | None = None
+) -> HandShape:
     """Read the visual shapes of a hand from its URDF, or its collision shapes if it has none.
 
     Mesh paths are resolved as in `handmap_qp.hands.sources.find_mesh`. A mesh that cannot be
@@ -110,8 +116,15 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
         io.BytesIO(hand.urdf_text.encode()), build_scene_graph=False, load_meshes=False
     ).robot
     # A material defined inside a visual may be referred to by name elsewhere.
-    inside = [v.material for link in robot.links for v in link.visuals if v.material is not None]
-    palette = {each.name: each.color for each in (*robot.materials, *inside) if each.color}
+    inside = [
+        v.material
+        for link in robot.links
+        for v in link.visuals
+        if v.material is not None
+    ]
+    palette = {
+        each.name: each.color for each in (*robot.materials, *inside) if each.color
+    }
     has_visuals = any(link.visuals for link in robot.links)
     links, missing = [], []
     for link in robot.links:
@@ -130,7 +143,9 @@ def load_shape(hand: Hand, *, colour: tuple[float, float, float] | None = None) 
     return HandShape(hand, tuple(links), tuple(missing))
 
 
-def solid(vertices: np.ndarray, faces: np.ndarray, colour: tuple[float, float, float]) -> Triangles:
+def solid(
+    vertices: np.ndarray, faces: np.ndarray, colour: tuple[float, float, float]
+) -> Triangles:
     """Return a mesh of one colour, with normals that are smooth except at edges.
 
     Args:
@@ -143,7 +158,9 @@ def solid(vertices: np.ndarray, faces: np.ndarray, colour: tuple[float, float, f
     return Triangles(corners, np.tile(colour, (len(corners), 1)), normals)
 
 
-def spheres(centres: npt.ArrayLike, radius: float, colour: tuple[float, float, float]) -> Triangles:
+def spheres(
+    centres: npt.ArrayLike, radius: float, colour: tuple[float, float, float]
+) -> Triangles:
     """Return small spheres that mark points.
 
     Args:
@@ -162,12 +179,18 @@ def spheres(centres: npt.ArrayLike, radius: float, colour: tuple[float, float, f
     places = np.asarray(centres, dtype=float).reshape(-1, 1, 1, 3)
     vertices = (places + radius * corners).reshape(-1, 3, 3)
     return Triangles(
-        vertices, np.tile(colour, (len(vertices), 1)), np.tile(corners, (len(places), 1, 1))
+        vertices,
+        np.tile(colour, (len(vertices), 1)),
+        np.tile(corners, (len(places), 1, 1)),
     )
 
 
 def tube(
-    path: npt.ArrayLike, radius: float, colour: tuple[float, float, float], *, sides: int = 10
+    path: npt.ArrayLike,
+    radius: float,
+    colour: tuple[float, float, float],
+    *,
+    sides: int = 10,
 ) -> Triangles:
     """Return a thin tube along a path.
 
@@ -209,7 +232,9 @@ def tube(
     rows, columns = (index.reshape(-1, 3) for index in order)
     surface = points[:, None] + radius * rings
     vertices = surface[rows, columns]
-    return Triangles(vertices, np.tile(colour, (len(vertices), 1)), rings[rows, columns])
+    return Triangles(
+        vertices, np.tile(colour, (len(vertices), 1)), rings[rows, columns]
+    )
 
 
 def draw_hands(
@@ -237,10 +262,15 @@ def draw_hands(
         MissingExtraError: If matplotlib is not installed.
     """
     require_matplotlib()
-    image = render(triangles, camera, marks=marks, ground=ground, supersampling=supersampling)
+    image = render(
+        triangles, camera, marks=marks, ground=ground, supersampling=supersampling
+    )
     width, height = camera.size
     axes.imshow(
-        image, extent=(0.0, width, height, 0.0), interpolation="antialiased", aspect="equal"
+        image,
+        extent=(0.0, width, height, 0.0),
+        interpolation="antialiased",
+        aspect="equal",
     )
     axes.set_xlim(0.0, width)
     axes.set_ylim(height, 0.0)
@@ -268,7 +298,9 @@ def _trimesh() -> Any:
     return trimesh
 
 
-def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarray] | None:
+def _solid(
+    trimesh: Any, geometry: Any, spec: HandSpec
+) -> tuple[np.ndarray, np.ndarray] | None:
     """Return vertices (v, 3) and faces (f, 3) of a URDF geometry; None for an unreadable one."""
     made = trimesh.creation
     match geometry:
@@ -286,7 +318,9 @@ def _solid(trimesh: Any, geometry: Any, spec: HandSpec) -> tuple[np.ndarray, np.
     return np.asarray(found.vertices), np.asarray(found.faces)
 
 
-def _mesh(trimesh: Any, mesh: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarray] | None:
+def _mesh(
+    trimesh: Any, mesh: Any, spec: HandSpec
+) -> tuple[np.ndarray, np.ndarray] | None:
     try:
         found = trimesh.load_mesh(mesh_file(mesh.filename, spec))
     # Mesh readers raise many types; draw the hand without this part.
@@ -295,7 +329,9 @@ def _mesh(trimesh: Any, mesh: Any, spec: HandSpec) -> tuple[np.ndarray, np.ndarr
     if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:
         return None
     found.merge_vertices(merge_norm=True, merge_tex=True)
-    return _one_sided(found, np.ones(3) if mesh.scale is None else np.asarray(mesh.scale, float))
+    return _one_sided(
+        found, np.ones(3) if mesh.scale is None else np.asarray(mesh.scale, float)
+    )
 
 
 def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -315,7 +351,9 @@ def mesh_file(name: str, spec: HandSpec) -> Path:
     return find_mesh(name, urdf_path(spec).parent)
 
 
-def _simplified(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _simplified(
+    vertices: np.ndarray, faces: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
     low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
     cells, coarse, cell_of = 96, faces, np.arange(len(vertices))
@@ -349,24 +387,34 @@ def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
     ).reshape(-1)
     count = 3 * len(faces)
     at_vertex = csr_array(
-        (np.ones(count), (np.arange(count), faces.reshape(-1))), shape=(count, int(faces.max()) + 1)
+        (np.ones(count), (np.arange(count), faces.reshape(-1))),
+        shape=(count, int(faces.max()) + 1),
     )
     pairs = (at_vertex @ at_vertex.T).tocoo()
     one, other = pairs.coords
-    is_smooth = np.einsum("kj,kj->k", flat[one // 3], flat[other // 3]) > np.cos(_SMOOTH_ANGLE)
+    is_smooth = np.einsum("kj,kj->k", flat[one // 3], flat[other // 3]) > np.cos(
+        _SMOOTH_ANGLE
+    )
     one, other = one[is_smooth], other[is_smooth]
     weighted = flat[other // 3] * angles[other, None]
     normals = np.column_stack(
-        [np.bincount(one, weights=weighted[:, axis], minlength=count) for axis in range(3)]
+        [
+            np.bincount(one, weights=weighted[:, axis], minlength=count)
+            for axis in range(3)
+        ]
     )
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.where(
-        lengths > 1e-12, normals / np.maximum(lengths, 1e-12), np.repeat(flat, 3, axis=0)
+        lengths > 1e-12,
+        normals / np.maximum(lengths, 1e-12),
+        np.repeat(flat, 3, axis=0),
     )
     return normals.reshape(-1, 3, 3)
 
 
-def _colour(material: Any, palette: dict[str | None, Any]) -> tuple[float, float, float]:
+def _colour(
+    material: Any, palette: dict[str | None, Any]
+) -> tuple[float, float, float]:
     """Return the colour of a URDF material, its own or by name; grey without one."""
     own = material and (material.color or palette.get(material.name))
     if not own:

@@ -28,7 +28,9 @@ _AXIS_LENGTH = 0.045  # m
 # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
 _UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 _TO_PICTURE = affine(_UPRIGHT, np.zeros(3))
-_FARTHEST = 0.12  # m; joints of the forearm that lie farther from the wrist are left out
+_FARTHEST = (
+    0.12  # m; joints of the forearm that lie farther from the wrist are left out
+)
 
 
 def save_layout_picture(layout: Layout, path: Path) -> None:
@@ -57,7 +59,14 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
     for i, side in enumerate(sides):
         axes = figure.add_axes((0.5 * i, 0.0, 0.5, share))
         _draw_side(axes, layout, side)
-        axes.text(width / 2, 12, f"{side} hand, from its back", ha="center", va="top", color="0.35")
+        axes.text(
+            width / 2,
+            12,
+            f"{side} hand, from its back",
+            ha="center",
+            va="top",
+            color="0.35",
+        )
     unit = layout.table.unit
     title = f"{layout.name}: {layout.title} ({unit})"
     figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=11)
@@ -65,7 +74,9 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
         figure.savefig(path, facecolor="white")
     except (OSError, ValueError) as error:
         raise InvalidInputError(
-            argument="--picture", problem=f"cannot write {path}: {error}", value=str(path)
+            argument="--picture",
+            problem=f"cannot write {path}: {error}",
+            value=str(path),
         ) from error
 
 
@@ -77,13 +88,17 @@ def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
     places = transform_points(_TO_PICTURE, points)
     directions = _wrist_axes(layout, side)
     ends = transform_points(_TO_PICTURE, _AXIS_LENGTH * directions)
-    around = np.concatenate([solid.vertices.reshape(-1, 3), places, ends, np.zeros((1, 3))])
+    around = np.concatenate(
+        [solid.vertices.reshape(-1, 3), places, ends, np.zeros((1, 3))]
+    )
     camera = Camera.framing(around, _PANEL, azimuth=90.0, elevation=14.0, margin=0.07)
     draw_hands(axes, solid, camera)
     shown = camera.project(places)[:, :2]
     colours = np.where(is_used[:, None], _LANDMARK, _OTHER)
     sizes = np.where(is_used, 34.0, 16.0)
-    axes.scatter(*shown.T, s=sizes, c=colours, edgecolors="white", linewidths=0.8, zorder=3)
+    axes.scatter(
+        *shown.T, s=sizes, c=colours, edgecolors="white", linewidths=0.8, zorder=3
+    )
     _draw_axes(axes, camera, ends, directions)
     # Landmarks have room at their right. Joints between wrist and knuckles stand close together,
     # so their labels are turned and go below.
@@ -92,22 +107,46 @@ def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
         if is_own:
             axes.text(place[0] + 6, place[1] - 6, label, **style)
         else:
-            style |= {"rotation": 90, "ha": "center", "va": "top", "color": "0.35", "fontsize": 7}
+            style |= {
+                "rotation": 90,
+                "ha": "center",
+                "va": "top",
+                "color": "0.35",
+                "fontsize": 7,
+            }
             axes.text(place[0] + 1, place[1] + 6, label, **style)
 
 
-def _draw_axes(axes: Any, camera: Camera, ends: np.ndarray, directions: np.ndarray) -> None:
+def _draw_axes(
+    axes: Any, camera: Camera, ends: np.ndarray, directions: np.ndarray
+) -> None:
     """Draw the wrist's axes as arrows with their names; an axis at right angles says its side."""
     origin = camera.project(np.zeros(3))[:2]
-    for end, direction, name, colour in zip(ends, directions, "xyz", _AXIS_COLOURS, strict=True):
+    for end, direction, name, colour in zip(
+        ends, directions, "xyz", _AXIS_COLOURS, strict=True
+    ):
         if not direction.any():
             continue
         place = camera.project(end)[:2]
-        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 2.2, "shrinkA": 0, "shrinkB": 0}
+        arrow = {
+            "arrowstyle": "-|>",
+            "color": colour,
+            "lw": 2.2,
+            "shrinkA": 0,
+            "shrinkB": 0,
+        }
         axes.annotate("", xy=place, xytext=origin, arrowprops=arrow, zorder=4)
         sides = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
         text = name + sides.get(float(np.round(direction[2], 6)), "")
-        axes.text(place[0] + 5, place[1] + 11, text, fontsize=9, color=colour, zorder=6, **_halo())
+        axes.text(
+            place[0] + 5,
+            place[1] + 11,
+            text,
+            fontsize=9,
+            color=colour,
+            zorder=6,
+            **_halo(),
+        )
 
 
 def _halo() -> dict[str, Any]:
@@ -119,11 +158,19 @@ def _halo() -> dict[str, Any]:
 def _open_posture(human: Hand) -> np.ndarray:
     """Return an open hand with spread fingers, so that indices do not cover one another."""
     q = 0.25 * human.rest
-    spread = {"thumb": 0.75, "index": 0.16, "middle": 0.02, "ring": -0.12, "little": -0.28}
+    spread = {
+        "thumb": 0.75,
+        "index": 0.16,
+        "middle": 0.02,
+        "ring": -0.12,
+        "little": -0.28,
+    }
     for finger in FINGERS:
-        q[HUMAN_JOINTS.index(f"{finger}_{'TM' if finger == 'thumb' else 'MCP'}_abduction")] = (
-            spread[finger]
-        )
+        q[
+            HUMAN_JOINTS.index(
+                f"{finger}_{'TM' if finger == 'thumb' else 'MCP'}_abduction"
+            )
+        ] = spread[finger]
     return np.clip(q, human.lower_limits, human.upper_limits)
 
 
@@ -143,7 +190,9 @@ def _entries(
     shown = used = range(len(places))
     if isinstance(layout, PointLayout):
         if table.is_relative and table.wrist is not None:
-            places = places @ table.wrist.axes(human.spec.side).rotation(table.reflection).T
+            places = (
+                places @ table.wrist.axes(human.spec.side).rotation(table.reflection).T
+            )
         used = set(layout.order(human.spec.side).tolist())
         is_near = np.linalg.norm(places, axis=1) < _FARTHEST
         shown = [i for i in shown if i in used or (i in table.between and is_near[i])]
@@ -160,7 +209,11 @@ def _angle_entries(
         finger, k = divmod(joint, 4)
         texts.setdefault(1 + 4 * finger + max(0, k - 1), []).append(str(i))
     shown = sorted(texts)
-    return landmarks[shown], [", ".join(texts[i]) for i in shown], np.ones(len(shown), dtype=bool)
+    return (
+        landmarks[shown],
+        [", ".join(texts[i]) for i in shown],
+        np.ones(len(shown), dtype=bool),
+    )
 
 
 def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:

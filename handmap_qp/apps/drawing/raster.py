@@ -105,14 +105,18 @@ class Camera:
         )
         right = np.array([-np.sin(turn), np.cos(turn), 0.0])
         rotation = np.array([right, np.cross(right, backward), -backward])
-        world_to_camera = affine(rotation, -rotation @ (middle + distance * radius * backward))
+        world_to_camera = affine(
+            rotation, -rotation @ (middle + distance * radius * backward)
+        )
         seen = transform_points(world_to_camera, points)
         tangents = seen[:, :2] / seen[:, 2:]
         low, high = tangents.min(axis=0), tangents.max(axis=0)
         room = np.array(size) - 2.0 * margin * min(size)
         focal_length = float((room / np.maximum(high - low, 1e-9)).min())
         centre = 0.5 * np.array(size) - 0.5 * focal_length * (low + high)
-        return cls(world_to_camera, focal_length, (float(centre[0]), float(centre[1])), size)
+        return cls(
+            world_to_camera, focal_length, (float(centre[0]), float(centre[1])), size
+        )
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project points into the picture.
@@ -125,7 +129,9 @@ class Camera:
         """
         seen = transform_points(self.world_to_camera, points)
         with np.errstate(divide="ignore", invalid="ignore"):
-            seen[..., :2] = self.focal_length * seen[..., :2] / seen[..., 2:] + self.centre
+            seen[..., :2] = (
+                self.focal_length * seen[..., :2] / seen[..., 2:] + self.centre
+            )
         return seen
 
     def magnified(self, factor: int) -> Camera:
@@ -133,7 +139,10 @@ class Camera:
         x, y = self.centre
         size = (factor * self.size[0], factor * self.size[1])
         return Camera(
-            self.world_to_camera, factor * self.focal_length, (factor * x, factor * y), size
+            self.world_to_camera,
+            factor * self.focal_length,
+            (factor * x, factor * y),
+            size,
         )
 
 
@@ -187,7 +196,9 @@ def render(
         shaded = _shaded(marks, surface, fine, has_creases=False)[rows, columns]
         is_hidden = (surface.depth > solid.depth)[rows, columns]
         opacity = np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0)[:, None]
-        picture[rows, columns] = shaded * opacity + picture[rows, columns] * (1.0 - opacity)
+        picture[rows, columns] = shaded * opacity + picture[rows, columns] * (
+            1.0 - opacity
+        )
     picture = _averaged(picture, supersampling)
     if ground is not None:
         shadow = _shadow(triangles.vertices, camera, ground)
@@ -198,13 +209,17 @@ def render(
     return picture
 
 
-def _rasterise(vertices: np.ndarray, camera: Camera, *, is_two_sided: bool = False) -> _Surface:
+def _rasterise(
+    vertices: np.ndarray, camera: Camera, *, is_two_sided: bool = False
+) -> _Surface:
     """Find the triangle in front at every pixel's centre; cull those seen from behind."""
     width, height = camera.size
     corners = camera.project(vertices)
     planes, area = _planes(corners)
     nearness = np.einsum("nc,ncj->nj", 1.0 / np.maximum(corners[..., 2], _NEAR), planes)
-    is_seen = (corners[..., 2] > _NEAR).all(axis=1) & np.isfinite(planes).all(axis=(1, 2))
+    is_seen = (corners[..., 2] > _NEAR).all(axis=1) & np.isfinite(planes).all(
+        axis=(1, 2)
+    )
     is_seen &= is_two_sided | (area > 0.0)
     # Nearness and triangle index share one integer, so that one maximum updates both.
     nearest, farthest = (
@@ -215,23 +230,34 @@ def _rasterise(vertices: np.ndarray, camera: Camera, *, is_two_sided: bool = Fal
     keys = np.full(width * height, -1, dtype=np.int64)
     triangle, row, first, count = _spans(corners, planes, is_seen, camera.size)
     ends = np.cumsum(count)
-    pieces = np.searchsorted(ends, np.arange(_CHUNK, int(ends[-1]), _CHUNK)) if len(ends) else []
+    pieces = (
+        np.searchsorted(ends, np.arange(_CHUNK, int(ends[-1]), _CHUNK))
+        if len(ends)
+        else []
+    )
     for part in np.split(np.arange(len(count)), pieces):
         lengths = count[part]
         column = np.arange(lengths.sum()) + np.repeat(
             first[part] - np.cumsum(lengths) + lengths, lengths
         )
         plane = scale * nearness[triangle[part]]
-        start = plane[:, 0] * 0.5 + plane[:, 1] * (row[part] + 0.5) + plane[:, 2] - scale * farthest
-        rank = np.repeat(start, lengths) + np.repeat(plane[:, 0], lengths) * column
-        key = (np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64) << _INDEX_BITS) | np.repeat(
-            triangle[part], lengths
+        start = (
+            plane[:, 0] * 0.5
+            + plane[:, 1] * (row[part] + 0.5)
+            + plane[:, 2]
+            - scale * farthest
         )
+        rank = np.repeat(start, lengths) + np.repeat(plane[:, 0], lengths) * column
+        key = (
+            np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64) << _INDEX_BITS
+        ) | np.repeat(triangle[part], lengths)
         np.maximum.at(keys, np.repeat(row[part] * width, lengths) + column, key)
     pixels = np.flatnonzero(keys >= 0)
     triangle = keys[pixels] & (2**_INDEX_BITS - 1)
     depth = np.full(width * height, np.inf)
-    depth[pixels] = 1.0 / np.maximum(_at(nearness[triangle], pixels % width, pixels // width), 1e-9)
+    depth[pixels] = 1.0 / np.maximum(
+        _at(nearness[triangle], pixels % width, pixels // width), 1e-9
+    )
     return _Surface(pixels, triangle, depth.reshape(height, width), planes)
 
 
@@ -244,7 +270,9 @@ def _planes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     after, before = [1, 2, 0], [2, 0, 1]
     constant = x[:, after] * y[:, before] - x[:, before] * y[:, after]
     area = constant.sum(axis=1)
-    planes = np.stack([y[:, after] - y[:, before], x[:, before] - x[:, after], constant], axis=2)
+    planes = np.stack(
+        [y[:, after] - y[:, before], x[:, before] - x[:, after], constant], axis=2
+    )
     with np.errstate(divide="ignore", invalid="ignore"):
         # y points down, so a counter-clockwise triangle has a negative area in the picture.
         return planes / area[:, None, None], -area
@@ -270,7 +298,9 @@ def _spans(
             edge = -(across * (row + 0.5) + constant) / slope
         low = np.where(slope > 0.0, np.maximum(low, edge), low)
         high = np.where(slope < 0.0, np.minimum(high, edge), high)
-        high = np.where((slope == 0.0) & (across * (row + 0.5) + constant < 0.0), -1.0, high)
+        high = np.where(
+            (slope == 0.0) & (across * (row + 0.5) + constant < 0.0), -1.0, high
+        )
     # The tolerance assigns a pixel on a shared edge to at least one of its triangles: no holes.
     first = np.ceil(low - 0.5 - 1e-6).astype(np.int64)
     count = np.floor(high - 0.5 + 1e-6).astype(np.int64) - first + 1
@@ -294,7 +324,8 @@ def _shaded(
     x, y = pixels % width, pixels // width
     corner_normals = triangles.normals @ rotation.T
     normals = sum(
-        _at(surface.planes[triangle, corner], x, y)[:, None] * corner_normals[triangle, corner]
+        _at(surface.planes[triangle, corner], x, y)[:, None]
+        * corner_normals[triangle, corner]
         for corner in range(3)
     )
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
@@ -307,7 +338,8 @@ def _shaded(
     )
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     key, fill = (
-        direction / np.linalg.norm(direction) for direction in (_KEY_DIRECTION, _FILL_DIRECTION)
+        direction / np.linalg.norm(direction)
+        for direction in (_KEY_DIRECTION, _FILL_DIRECTION)
     )
     up = normals @ rotation[:, 2]
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + up)
@@ -317,7 +349,9 @@ def _shaded(
     )
     halfway = key - rays
     halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
-    highlight = _HIGHLIGHT * np.maximum(np.einsum("kj,kj->k", normals, halfway), 0.0) ** 40
+    highlight = (
+        _HIGHLIGHT * np.maximum(np.einsum("kj,kj->k", normals, halfway), 0.0) ** 40
+    )
     if has_creases:
         shade = 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x]
         light, highlight = light * shade, highlight * shade
@@ -337,7 +371,9 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     is_solid = np.isfinite(depth)
     if not is_solid.any():
         return np.zeros_like(depth)
-    reach = max(2.0, _CREASE_RADIUS * camera.focal_length / float(np.median(depth[is_solid])))
+    reach = max(
+        2.0, _CREASE_RADIUS * camera.focal_length / float(np.median(depth[is_solid]))
+    )
     offsets = [
         (radius, angle)
         for radius in (0.3, 0.65, 1.0)
@@ -351,7 +387,10 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     places = (rows + room) * stride + columns + room
     solid, total = depth[is_solid], np.zeros(len(rows))
     for radius, angle in offsets:
-        dx, dy = round(radius * reach * np.cos(angle)), round(radius * reach * np.sin(angle))
+        dx, dy = (
+            round(radius * reach * np.cos(angle)),
+            round(radius * reach * np.sin(angle)),
+        )
         step = dy * stride + dx
         bump = solid - 0.5 * (padded[places + step] + padded[places - step])
         bump /= radius * _CREASE_RADIUS
@@ -371,7 +410,11 @@ def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
     width = (
         0.012
         * camera.focal_length
-        / float(camera.project(np.array([*vertices.reshape(-1, 3).mean(axis=0)[:2], ground]))[2])
+        / float(
+            camera.project(
+                np.array([*vertices.reshape(-1, 3).mean(axis=0)[:2], ground])
+            )[2]
+        )
     )
     return _SHADOW_OPACITY * gaussian_filter(shadow, width)
 
@@ -379,6 +422,6 @@ def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
 def _averaged(picture: np.ndarray, factor: int) -> np.ndarray:
     """Average blocks of `factor` x `factor` pixels."""
     height, width, channels = picture.shape
-    return picture.reshape(height // factor, factor, width // factor, factor, channels).mean(
-        axis=(1, 3)
-    )
+    return picture.reshape(
+        height // factor, factor, width // factor, factor, channels
+    ).mean(axis=(1, 3))

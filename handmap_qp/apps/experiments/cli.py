@@ -63,7 +63,9 @@ class Demo:
         with progress("mapping") as advance:
             if self.robot is None:
                 result = run_demo(self.out, progress=advance)
-                title = "The paper's arc with the first synergy, human hand to three_finger"
+                title = (
+                    "The paper's arc with the first synergy, human hand to three_finger"
+                )
             else:
                 result = run_gestures(self.robot, self.out, advance)
                 title = f"the package's recording to {result.trajectory.robot.name}"
@@ -92,9 +94,13 @@ class Figures:
         from handmap_qp.apps.experiments.paper import run_figures
 
         with progress("figures") as advance:
-            result = run_figures(self.out, progress=lambda what, done, _: advance(done, what))
+            result = run_figures(
+                self.out, progress=lambda what, done, _: advance(done, what)
+            )
         print_rows("What the paper claims, what we find", result.claims)
-        print(f"wrote {len(result.files)} files to {self.out}; start with {self.out / 'report.md'}")
+        print(
+            f"wrote {len(result.files)} files to {self.out}; start with {self.out / 'report.md'}"
+        )
 
 
 @dataclass(frozen=True)
@@ -140,12 +146,15 @@ class Compare:
         ]
     ]
     robot: HandName
-    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD...")] = DEFAULT_METHODS
+    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD...")] = (
+        DEFAULT_METHODS
+    )
     peers: bool = False
     peers_from: Annotated[
         Path | None,
         tyro.conf.arg(
-            metavar="FOLDER", help_behavior_hint="(default: benchmarks/peers of the checkout)"
+            metavar="FOLDER",
+            help_behavior_hint="(default: benchmarks/peers of the checkout)",
         ),
     ] = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None

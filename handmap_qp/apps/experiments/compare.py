@@ -55,7 +55,9 @@ def run_comparison(request: Compare) -> None:
         HandmapError: If a recording, hand, method or folder cannot be used; before any mapping.
     """
     if not request.recordings:
-        raise InvalidInputError(argument="RECORDING", expected="at least one file", got="none")
+        raise InvalidInputError(
+            argument="RECORDING", expected="at least one file", got="none"
+        )
     robot = load_hand(request.robot)
     person = None if request.person is None else read_person(request.person)
     methods = _methods(request)
@@ -86,7 +88,10 @@ def overall_rows(comparison: Comparison, group: str) -> list[dict[str, str]]:
     return [
         {
             "method": method,
-            **{_heading(m): m.text(comparison.overall(method)[m.key]) for m in GROUPS[group]},
+            **{
+                _heading(m): m.text(comparison.overall(method)[m.key])
+                for m in GROUPS[group]
+            },
         }
         for method in comparison.methods
     ]
@@ -98,7 +103,13 @@ def markdown(comparison: Comparison) -> str:
     short = [next(m for m in METRICS if m.key == key) for key in SUMMARY]
     parts = [f"# Methods on {comparison.robot.name}", "", _LEGEND, ""]
     parts += ["## In short", "", *_table("method", short, overall)]
-    parts += ["## Overall", "", f"{len(comparison.takes)} recordings.", "", *_tables(overall)]
+    parts += [
+        "## Overall",
+        "",
+        f"{len(comparison.takes)} recordings.",
+        "",
+        *_tables(overall),
+    ]
     parts += ["## What the columns say", ""]
     parts += [f"- **{m.label}**: {m.about}; {_better(m)}." for m in METRICS]
     if notes := notes_of(comparison):
@@ -117,7 +128,9 @@ def notes_of(comparison: Comparison) -> list[str]:
     notes, robot = comparison.notes(), comparison.robot
     if turned := [take.name for take in comparison.takes if take.is_mirrored]:
         side = robot.spec.side
-        notes.append(f"mirrored, because {robot.name} is a {side} hand: {', '.join(turned)}")
+        notes.append(
+            f"mirrored, because {robot.name} is a {side} hand: {', '.join(turned)}"
+        )
     if fitted := [take.name for take in comparison.takes if not take.has_wrist]:
         text = "palm fitted to its landmarks, without a tracker's wrist"
         notes.append(f"{text}: {', '.join(fitted)}")
@@ -140,7 +153,9 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
     """
     pinches = _pinch_samples(comparison)
     abouts = {
-        method: next((one.motion.about for one in comparison.of_method(method) if one.motion), "")
+        method: next(
+            (one.motion.about for one in comparison.of_method(method) if one.motion), ""
+        )
         for method in comparison.methods
     }
     runs: dict[str, dict[str, Any]] = {take.name: {} for take in comparison.takes}
@@ -148,7 +163,9 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
         fingers = run.fidelity.fingers
         runs[run.take.name][run.method] = {
             "values": _plain(run.values),
-            "fingers": {name: _plain(fingers[name]) for name in FINGERS if name in fingers}
+            "fingers": {
+                name: _plain(fingers[name]) for name in FINGERS if name in fingers
+            }
             if run.motion
             else None,
             "problem": run.problem,
@@ -157,7 +174,10 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
         "robot": comparison.robot.name,
         "versions": {package: version(package) for package in _PACKAGES},
         "metrics": [
-            {key: getattr(m, key) for key in ("key", "title", "unit", "better", "about")}
+            {
+                key: getattr(m, key)
+                for key in ("key", "title", "unit", "better", "about")
+            }
             for m in METRICS
         ],
         "recordings": [
@@ -173,7 +193,9 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
             for take in comparison.takes
         ],
         "methods": {method: {"about": about} for method, about in abouts.items()},
-        "overall": {method: _plain(comparison.overall(method)) for method in comparison.methods},
+        "overall": {
+            method: _plain(comparison.overall(method)) for method in comparison.methods
+        },
         "runs": runs,
         "notes": notes_of(comparison),
     }
@@ -183,10 +205,19 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     """Return the methods by their names, peers last unless they are named."""
     outside = {}
     if request.peers:
-        folder = request.peers_from or Path(handmap_qp.__file__).parents[1] / "benchmarks" / "peers"
-        outside = {method.name: method for method in outside_methods(folder, request.robot)}
-    own = [name + ending for name in own_methods() for ending in ("", SMOOTH, LOOK_AHEAD)]
-    unknown = [name for name in request.methods if name not in outside and name not in own]
+        folder = (
+            request.peers_from
+            or Path(handmap_qp.__file__).parents[1] / "benchmarks" / "peers"
+        )
+        outside = {
+            method.name: method for method in outside_methods(folder, request.robot)
+        }
+    own = [
+        name + ending for name in own_methods() for ending in ("", SMOOTH, LOOK_AHEAD)
+    ]
+    unknown = [
+        name for name in request.methods if name not in outside and name not in own
+    ]
     if unknown:
         known = ", ".join([*own_methods(), *outside])
         raise InvalidInputError(
@@ -196,7 +227,11 @@ def _methods(request: Compare) -> list[ComparedMethod]:
             advice="" if request.peers else "peers need --peers",
         )
     chosen = [outside[n] if n in outside else own_method(n) for n in request.methods]
-    return chosen if outside.keys() & set(request.methods) else [*chosen, *outside.values()]
+    return (
+        chosen
+        if outside.keys() & set(request.methods)
+        else [*chosen, *outside.values()]
+    )
 
 
 def _takes(
@@ -208,7 +243,9 @@ def _takes(
     """Read all recordings before any is prepared."""
     side = robot.spec.side
     recordings = [request.inputs.read(file, side) for file in request.recordings]
-    check_names("RECORDING", [one.name for one in recordings], "files of different names")
+    check_names(
+        "RECORDING", [one.name for one in recordings], "files of different names"
+    )
     turned = [recording.name for recording in recordings if recording.side != side]
     if turned:
         text = f"handmap: mirrored, because {robot.name} is a {side} hand: {', '.join(turned)}"
@@ -228,7 +265,9 @@ def _print_overall(title: str, rows: list[dict[str, str]]) -> None:
     table = Table(box=None, header_style="bold")
     for name in rows[0]:
         is_method = name == "method"
-        table.add_column(name, justify="left" if is_method else "right", no_wrap=is_method)
+        table.add_column(
+            name, justify="left" if is_method else "right", no_wrap=is_method
+        )
     for row in rows:
         table.add_row(*row.values())
     console = Console()
@@ -237,7 +276,9 @@ def _print_overall(title: str, rows: list[dict[str, str]]) -> None:
     console.print()
 
 
-def _write(out: Path, comparison: Comparison, say: Callable[[str, int, int], None]) -> list[Path]:
+def _write(
+    out: Path, comparison: Comparison, say: Callable[[str, int, int], None]
+) -> list[Path]:
     """Write all files, and return those that were written."""
     table, results, metrics, poses = (out / name for name in FILES)
     with writing(out, "--out"):
@@ -250,29 +291,41 @@ def _write(out: Path, comparison: Comparison, say: Callable[[str, int, int], Non
         sheet, missing = comparison_pictures.draw_poses(poses, comparison)
     if sheet is None:
         poses.unlink(missing_ok=True)
-        print(f"handmap: no contact sheet; not shown: {', '.join(missing)}", file=sys.stderr)
+        print(
+            f"handmap: no contact sheet; not shown: {', '.join(missing)}",
+            file=sys.stderr,
+        )
         return [table, results, metrics]
     return [table, results, metrics, sheet]
 
 
 def _pinch_samples(comparison: Comparison) -> dict[str, int]:
     """Return how many samples the pinch metrics rest on, by recording; empty if nothing ran."""
-    return {run.take.name: run.fidelity.pinch_samples for run in comparison.runs if run.motion}
+    return {
+        run.take.name: run.fidelity.pinch_samples
+        for run in comparison.runs
+        if run.motion
+    }
 
 
 def _tables(values: dict[str, dict[str, float]]) -> list[str]:
     """Return the lines of a table for every group, with a row for every method."""
-    return [line for group in GROUPS for line in _table(group, list(GROUPS[group]), values)]
+    return [
+        line for group in GROUPS for line in _table(group, list(GROUPS[group]), values)
+    ]
 
 
-def _table(title: str, metrics: list[Metric], values: dict[str, dict[str, float]]) -> list[str]:
+def _table(
+    title: str, metrics: list[Metric], values: dict[str, dict[str, float]]
+) -> list[str]:
     """Return the lines of a table with a row for every method, and an empty line."""
     best = {m.key: m.best([row[m.key] for row in values.values()]) for m in metrics}
     lines = [f"| {title} | {' | '.join(m.label for m in metrics)} |"]
     lines += ["|---|" + "---:|" * len(metrics)]
     for i, (method, row) in enumerate(values.items()):
         cells = [
-            f"**{m.text(row[m.key])}**" if i in best[m.key] else m.text(row[m.key]) for m in metrics
+            f"**{m.text(row[m.key])}**" if i in best[m.key] else m.text(row[m.key])
+            for m in metrics
         ]
         lines.append(f"| {method} | {' | '.join(cells)} |")
     return [*lines, ""]
@@ -286,7 +339,9 @@ def _heading(metric: Metric) -> str:
 def _better(metric: Metric) -> str:
     return {
         "high": "higher is better",
-        "low": f"up to {metric.enough:g} is good" if metric.enough else "lower is better",
+        "low": f"up to {metric.enough:g} is good"
+        if metric.enough
+        else "lower is better",
         "zero": "nearer to 0 is better",
         "one": "nearer to 1 is better",
     }[metric.better]

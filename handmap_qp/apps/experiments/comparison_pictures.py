@@ -39,7 +39,11 @@ def draw_metrics(file: Path, comparison: Comparison) -> Path:
     Raises:
         MissingExtraError: If matplotlib is not installed.
     """
-    style = {"font.family": "DejaVu Sans", "font.size": 8.0, "axes.edgecolor": "#8a929c"}
+    style = {
+        "font.family": "DejaVu Sans",
+        "font.size": 8.0,
+        "axes.edgecolor": "#8a929c",
+    }
     with require_matplotlib().rc_context(style):
         from matplotlib.figure import Figure
 
@@ -86,13 +90,19 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     methods = [
         method
         for method in comparison.methods
-        if all(run.motion for k, run in enumerate(comparison.of_method(method)) if k in used)
+        if all(
+            run.motion
+            for k, run in enumerate(comparison.of_method(method))
+            if k in used
+        )
     ]
     missing = [pose for pose in POSES if pose not in shown]
     missing += [method for method in comparison.methods if method not in methods]
     if not used or not methods:
         return None, missing
-    rows = [_sheet_row(comparison, methods, pose, *place) for pose, place in shown.items()]
+    rows = [
+        _sheet_row(comparison, methods, pose, *place) for pose, place in shown.items()
+    ]
     footnote = f"Not shown: {', '.join(missing)}." if missing else ""
     bands = []
     for first in range(0, len(methods), _BAND):
@@ -151,7 +161,9 @@ def _sheet_row(
     return replace(row, note=f"{name}\n{row.note}")
 
 
-def _draw_panel(panel: Axes, metric: Metric, comparison: Comparison, *, has_names: bool) -> None:
+def _draw_panel(
+    panel: Axes, metric: Metric, comparison: Comparison, *, has_names: bool
+) -> None:
     """Draw one metric: methods from top to bottom."""
     methods, own = comparison.methods, set(own_methods())
     means = [comparison.overall(method)[metric.key] for method in methods]
@@ -162,7 +174,12 @@ def _draw_panel(panel: Axes, metric: Metric, comparison: Comparison, *, has_name
         colour = _OWN if is_own else _OUTSIDE
         values = [run.values[metric.key] for run in comparison.of_method(method)]
         panel.plot(
-            np.clip(values, low, high), [y] * len(values), ".", ms=3, color=_SAMPLE, zorder=1
+            np.clip(values, low, high),
+            [y] * len(values),
+            ".",
+            ms=3,
+            color=_SAMPLE,
+            zorder=1,
         )
         if np.isnan(means[y]):
             panel.text(low, y, " -", va="center", color=colour)
@@ -188,7 +205,9 @@ def _draw_panel(panel: Axes, metric: Metric, comparison: Comparison, *, has_name
     panel.spines[["top", "right", "left"]].set_visible(False)
     hint = _HINTS.get(metric.better, "best near 0")
     panel.set_title(metric.label, fontsize=8.5, fontweight="bold", loc="left", pad=9)
-    panel.text(0.0, 1.005, hint, transform=panel.transAxes, fontsize=6.3, color="#6b7280")
+    panel.text(
+        0.0, 1.005, hint, transform=panel.transAxes, fontsize=6.3, color="#6b7280"
+    )
 
 
 def _range(metric: Metric, means: list[float]) -> tuple[float, float]:

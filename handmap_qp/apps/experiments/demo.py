@@ -14,11 +14,20 @@ import numpy as np
 
 from handmap_qp.apps.drawing.contact_sheet import save_contact_sheet
 from handmap_qp.apps.drawing.hands import require_matplotlib
-from handmap_qp.apps.experiments.demo_figures import errors_figure, hands_figure, joints_figure
+from handmap_qp.apps.experiments.demo_figures import (
+    errors_figure,
+    hands_figure,
+    joints_figure,
+)
 from handmap_qp.apps.experiments.output_folder import output_folder
 from handmap_qp.apps.experiments.section_four import ARC_HEIGHT, ARC_LENGTH
 from handmap_qp.apps.offline.poses import find_poses
-from handmap_qp.apps.offline.trajectory import Trajectory, map_motion, map_recording, save_npz
+from handmap_qp.apps.offline.trajectory import (
+    Trajectory,
+    map_motion,
+    map_recording,
+    save_npz,
+)
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
@@ -78,7 +87,9 @@ def run_demo(
     """
     require_matplotlib()
     motion = arc_motion(samples)
-    mapper = HandMapper(motion.human, load_hand("three_finger"), Homogeneous(), dt=1.0 / RATE)
+    mapper = HandMapper(
+        motion.human, load_hand("three_finger"), Homogeneous(), dt=1.0 / RATE
+    )
     human = {
         "human_joint_names": np.array(motion.human.joint_names),
         "human_q": motion.q,
@@ -127,7 +138,9 @@ def run_gestures(
         trajectory = map_recording(mapper, recording, progress)
         save_npz(folder / "trajectory.npz", trajectory.columns)
         columns = [(trajectory.robot.name, trajectory.robot, trajectory.q)]
-        save_contact_sheet(folder / "gestures.png", recording, find_poses(recording), columns)
+        save_contact_sheet(
+            folder / "gestures.png", recording, find_poses(recording), columns
+        )
         return trajectory
 
     return _written(directory, make)
@@ -152,7 +165,9 @@ def arc_motion(samples: int) -> HumanMotion:
         InvalidInputError: If `samples` is not an integer >= 3.
     """
     if not isinstance(samples, int | np.integer) or samples < 3:
-        raise InvalidInputError(argument="samples", expected="an integer >= 3", value=samples)
+        raise InvalidInputError(
+            argument="samples", expected="an integer >= 3", value=samples
+        )
     human = load_hand("human", points="fingertips")
     progress = np.linspace(0.0, 1.0, samples)
     path = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
@@ -160,7 +175,9 @@ def arc_motion(samples: int) -> HumanMotion:
     wrist[:, 0, 3] = ARC_LENGTH * path
     wrist[:, 2, 3] = _START_HEIGHT + ARC_HEIGHT * np.cos(np.pi * (path - 0.5))
     synergies = load_synergies()
-    z_1 = 0.5 * (_OPEN + _CLOSED) + 0.5 * (_OPEN - _CLOSED) * np.cos(2.0 * np.pi * progress)
+    z_1 = 0.5 * (_OPEN + _CLOSED) + 0.5 * (_OPEN - _CLOSED) * np.cos(
+        2.0 * np.pi * progress
+    )
     return HumanMotion(
         human=human,
         time=np.arange(samples) / RATE,

@@ -54,13 +54,23 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
     # Include the floor below the hands, which shows their shadows.
     floor = corners * [1.0, 1.0, 0.0]
     camera = Camera.framing(
-        np.concatenate([corners, floor]), size, azimuth=-83.0, elevation=27.0, margin=0.03
+        np.concatenate([corners, floor]),
+        size,
+        azimuth=-83.0,
+        elevation=27.0,
+        margin=0.03,
     )
     # Move the scene down to make room for the titles.
     camera = replace(camera, centre=(camera.centre[0], camera.centre[1] + 34.0))
     below = min(float(camera.project(floor)[:, 1].max()) + 26.0, size[1] - 16.0)
     panels = (
-        ("Human hand", human, "driven along the first synergy", HUMAN_COLOUR, human_path),
+        (
+            "Human hand",
+            human,
+            "driven along the first synergy",
+            HUMAN_COLOUR,
+            human_path,
+        ),
         (
             "Three-fingered robot hand",
             robot,
@@ -72,10 +82,21 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
     for column, (title, model, how, colour, path) in enumerate(panels):
         axes = figure.add_axes((0.5 * column, 0.0, 0.5, 1.0))
         marks = [spheres(path[instants].reshape(-1, 3), 0.0065, colour)]
-        marks += [tube(path[:, point], 0.0011, colour) for point in range(path.shape[1])]
-        draw_hands(axes, hands[column], camera, marks=merged(marks), ground=0.0, supersampling=3)
+        marks += [
+            tube(path[:, point], 0.0011, colour) for point in range(path.shape[1])
+        ]
+        draw_hands(
+            axes,
+            hands[column],
+            camera,
+            marks=merged(marks),
+            ground=0.0,
+            supersampling=3,
+        )
         axes.text(36, 50, title, fontsize=13, fontweight="bold")
-        axes.text(36, 79, f"{len(model.joint_names)} joints, {how}", fontsize=9, color=PALE)
+        axes.text(
+            36, 79, f"{len(model.joint_names)} joints, {how}", fontsize=9, color=PALE
+        )
         for instant, word in zip(instants, ("start", "middle", "end"), strict=True):
             x = camera.project(motion.wrist[instant, :3, 3] * [1.0, 1.0, 0.0])[0]
             label = f"{word}, {motion.time[instant]:.0f} s"
@@ -89,7 +110,9 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 5.6), layout="constrained")
-    points, wrist, step = figure.subplots(3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0))
+    points, wrist, step = figure.subplots(
+        3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0)
+    )
     time, cpu = trajectory.time, 1e6 * trajectory.step_cpu
     specs = zip(trajectory.robot.reference_points, COLOURS, strict=False)
     for point, (spec, colour) in enumerate(specs):
@@ -125,7 +148,11 @@ def joints_figure(trajectory: Trajectory) -> Figure:
         axes.axhspan(lower - room, lower, color="#f3d9d4", linewidth=0.0)
         axes.axhspan(upper, upper + room, color="#f3d9d4", linewidth=0.0)
         axes.plot(time, q, color=COLOURS[2])
-        axes.set(xlim=(time[0], time[-1]), ylim=(lower - room, upper + room), title=words(name))
+        axes.set(
+            xlim=(time[0], time[-1]),
+            ylim=(lower - room, upper + room),
+            title=words(name),
+        )
     for axes in grid.flat[len(robot.joint_names) :]:
         axes.set_axis_off()
     for axes in grid[-1]:
@@ -135,7 +162,9 @@ def joints_figure(trajectory: Trajectory) -> Figure:
     return figure
 
 
-def _placed(hand: Hand, q: np.ndarray, wrist: np.ndarray, instants: list[int]) -> Triangles:
+def _placed(
+    hand: Hand, q: np.ndarray, wrist: np.ndarray, instants: list[int]
+) -> Triangles:
     """Triangles of a hand at several instants."""
     shape = load_shape(hand)
     return merged([shape.triangles(q[i], wrist[i]) for i in instants])

@@ -137,7 +137,9 @@ def run_figures(
         claims, numbers = claim_rows(made, most), number_rows(made)
         write_csv(folder / "claims.csv", claims)
         write_csv(folder / "final_errors.csv", numbers)
-        (folder / "report.md").write_text(_report(made, claims, numbers), encoding="utf-8")
+        (folder / "report.md").write_text(
+            _report(made, claims, numbers), encoding="utf-8"
+        )
         files = sorted(path.name for path in folder.iterdir())
     progress("done", total, total)
     return FiguresResult(claims, numbers, tuple(directory / name for name in files))
@@ -149,7 +151,11 @@ def most_contacts(hand: str) -> int:
     if grasp.shape is None:
         raise TypeError("the reference grasp has no shape")
     planned = plan_grasps(
-        load_hand(hand), grasp.shape, samples=PLANS, seed=SEED, object_pose=grasp.object_pose
+        load_hand(hand),
+        grasp.shape,
+        samples=PLANS,
+        seed=SEED,
+        object_pose=grasp.object_pose,
     )
     counts = contact_counts(planned)
     return max(counts, key=lambda number: counts[number])
@@ -159,9 +165,16 @@ def figure_4_grasps() -> FigureRecord:
     """Draw both hands on the cube, and the contact points."""
     scene = paper_scene("ours")
     rows = [
-        {"hand": hand, "contact": i, "finger": contact.finger, **_xyz(1e3 * point, suffix="_mm")}
+        {
+            "hand": hand,
+            "contact": i,
+            "finger": contact.finger,
+            **_xyz(1e3 * point, suffix="_mm"),
+        }
         for hand, grasp in (("human", scene.human), ("robot", scene.robot))
-        for i, (contact, point) in enumerate(zip(grasp.contacts, grasp.points, strict=True), 1)
+        for i, (contact, point) in enumerate(
+            zip(grasp.contacts, grasp.points, strict=True), 1
+        )
     ]
     human, robot = len(scene.human.contacts), len(scene.robot.contacts)
     text = (
@@ -203,9 +216,12 @@ def figure_5_object_paths(steps: int = 50) -> FigureRecord:
         for (geometry, model), (human, robot) in ways.items()
         for k in range(steps + 1)
     ]
-    way = 1e3 * float(np.linalg.norm(np.diff(ways["ours", "rigid"][0], axis=0), axis=1).sum())
+    way = 1e3 * float(
+        np.linalg.norm(np.diff(ways["ours", "rigid"][0], axis=0), axis=1).sum()
+    )
     rigid, soft = (
-        1e3 * float(np.linalg.norm(np.subtract(*ways["ours", model])[-1])) for model in MODELS
+        1e3 * float(np.linalg.norm(np.subtract(*ways["ours", model])[-1]))
+        for model in MODELS
     )
     text = (
         f"The object's centre travels {way:.0f} mm in the human's hand. At the end the robot's is "
@@ -214,8 +230,12 @@ def figure_5_object_paths(steps: int = 50) -> FigureRecord:
         "hardly moves in the compliant human hand, whereas T_rb still moves the robot's wrist."
     )
     # RMS residual of the human's contacts to T over the path at gamma = 1 [mm].
-    paths = [human_motion(paper_scene("ours"), Setting(synergy=s)).points for s in SYNERGIES]
-    misses = [1e3 * rms(estimate_motion(path[0], path[-1]).residual_vectors) for path in paths]
+    paths = [
+        human_motion(paper_scene("ours"), Setting(synergy=s)).points for s in SYNERGIES
+    ]
+    misses = [
+        1e3 * rms(estimate_motion(path[0], path[-1]).residual_vectors) for path in paths
+    ]
     return FigureRecord(
         "figure_5_object_paths",
         "Figure 5: the object's way",
@@ -231,7 +251,9 @@ def figure_6_first_step(steps: int = 50) -> FigureRecord:
     scene = paper_scene("ours")
     found = {
         model: [
-            in_hand_step(scene, Setting(synergy=s, steps=steps), is_rigid=stiffnesses is None)
+            in_hand_step(
+                scene, Setting(synergy=s, steps=steps), is_rigid=stiffnesses is None
+            )
             for s in SYNERGIES
         ]
         for model, stiffnesses in MODELS.items()
@@ -263,7 +285,9 @@ def figure_6_first_step(steps: int = 50) -> FigureRecord:
             }
             for quantity, unit, hand, contact, arrow in arrows
         ]
-    rigid, soft = ([float(np.degrees(step.angle)) for step in found[model]] for model in MODELS)
+    rigid, soft = (
+        [float(np.degrees(step.angle)) for step in found[model]] for model in MODELS
+    )
     lengths = [
         float(np.linalg.norm(step.robot_motion) / np.linalg.norm(step.human_motion))
         for step in found["quasi-static"]
@@ -282,7 +306,9 @@ def figure_6_first_step(steps: int = 50) -> FigureRecord:
         for step in found["quasi-static"]
         for forces in (step.human_forces, step.robot_forces)
     ]
-    balance = max(float(np.abs(one.sum(axis=0)).max() / np.abs(one).max()) for one in changes)
+    balance = max(
+        float(np.abs(one.sum(axis=0)).max() / np.abs(one).max()) for one in changes
+    )
     return FigureRecord(
         "figure_6_first_step",
         "Figure 6: the first step",
@@ -301,8 +327,15 @@ def figure_7_sensitivity() -> FigureRecord:
     for geometry, (sweep, synergy, gamma, steps) in product(("toolbox", "ours"), cases):
         run = run_experiment(paper_scene(geometry), Setting(synergy, gamma, steps))
         errors = {f"error_{m}_mm": 1e3 * object_error(run, MODELS[m]) for m in MODELS}
-        case = {"geometry": geometry, "sweep": sweep, "synergy": synergy, "gamma": gamma}
-        rows.append({**case, "steps": steps, **errors, "point_rms_mm": 1e3 * run.point_rms})
+        case = {
+            "geometry": geometry,
+            "sweep": sweep,
+            "synergy": synergy,
+            "gamma": gamma,
+        }
+        rows.append(
+            {**case, "steps": steps, **errors, "point_rms_mm": 1e3 * run.point_rms}
+        )
 
     def curves(sweep: str, model: str, least: int = 0) -> list[list[float]]:
         """Return a curve for every synergy, with the toolbox's geometry."""
@@ -310,7 +343,8 @@ def figure_7_sensitivity() -> FigureRecord:
             [
                 row[f"error_{model}_mm"]
                 for row in rows
-                if (row["geometry"], row["sweep"], row["synergy"]) == ("toolbox", sweep, synergy)
+                if (row["geometry"], row["sweep"], row["synergy"])
+                == ("toolbox", sweep, synergy)
                 and row["steps"] >= least
             ]
             for synergy in SYNERGIES
@@ -338,7 +372,8 @@ def figure_7_sensitivity() -> FigureRecord:
         "change_from_20": variations("rigid", 20),
         "change_soft": variations("quasi-static", 5),
         "point_rms": [
-            1e3 * run_experiment(paper_scene(), Setting(synergy=s, start="first")).point_rms
+            1e3
+            * run_experiment(paper_scene(), Setting(synergy=s, start="first")).point_rms
             for s in SYNERGIES
         ],
     }
@@ -452,7 +487,9 @@ def number_rows(made: Sequence[FigureRecord]) -> list[Row]:
             for row in rows
             if (row["geometry"], row["synergy"]) == (geometry, synergy)
         }
-        columns = {f"gamma {gamma:g}": errors["gamma", gamma] for gamma in (0.1, 0.5, 1.0)}
+        columns = {
+            f"gamma {gamma:g}": errors["gamma", gamma] for gamma in (0.1, 0.5, 1.0)
+        }
         columns |= {f"{steps} steps": errors["steps", steps] for steps in (5, 50, 200)}
         case = {"robot hand": geometry, "object motion": model, "synergy": synergy}
         table.append({**case, **columns})
@@ -468,11 +505,19 @@ def listed(values: Iterable[float], digits: int = 1) -> str:
 def markdown_table(rows: Sequence[Row]) -> str:
     """Format rows as a Markdown table; numbers have four significant digits."""
     lines = [
-        [f"{v:.4g}" if isinstance(v, float) else str(v).replace("|", "/") for v in row.values()]
+        [
+            f"{v:.4g}" if isinstance(v, float) else str(v).replace("|", "/")
+            for v in row.values()
+        ]
         for row in rows
     ]
-    rule = ["---:" if isinstance(value, int | float) else "---" for value in rows[0].values()]
-    return "\n".join("| " + " | ".join(line) + " |" for line in [list(rows[0]), rule, *lines])
+    rule = [
+        "---:" if isinstance(value, int | float) else "---"
+        for value in rows[0].values()
+    ]
+    return "\n".join(
+        "| " + " | ".join(line) + " |" for line in [list(rows[0]), rule, *lines]
+    )
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
@@ -482,13 +527,17 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
         writer.writeheader()
         for row in rows:
             writer.writerow(
-                {key: f"{v:.9g}" if isinstance(v, float) else v for key, v in row.items()}
+                {
+                    key: f"{v:.9g}" if isinstance(v, float) else v
+                    for key, v in row.items()
+                }
             )
 
 
 def _xyz(vector: np.ndarray, prefix: str = "", suffix: str = "") -> Row:
     return {
-        f"{prefix}{axis}{suffix}": float(value) for axis, value in zip("xyz", vector, strict=True)
+        f"{prefix}{axis}{suffix}": float(value)
+        for axis, value in zip("xyz", vector, strict=True)
     }
 
 
@@ -515,5 +564,9 @@ def _report(made: Sequence[FigureRecord], claims: list[Row], numbers: list[Row])
         markdown_table(numbers),
     ]
     for record in made:
-        parts += [f"## {record.title}", f"![{record.title}]({record.name}.png)", record.text]
+        parts += [
+            f"## {record.title}",
+            f"![{record.title}]({record.name}.png)",
+            record.text,
+        ]
     return "\n\n".join(parts) + "\n"

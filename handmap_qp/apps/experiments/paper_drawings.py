@@ -17,7 +17,12 @@ from handmap_qp.apps.drawing.hands import (
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
-from handmap_qp.apps.experiments.section_four import InHandStep, Run, Scene, object_poses
+from handmap_qp.apps.experiments.section_four import (
+    InHandStep,
+    Run,
+    Scene,
+    object_poses,
+)
 from handmap_qp.apps.experiments.style import COLOURS, INK, PALE, styled
 from handmap_qp.apps.grasp.contacts import Grasp
 from handmap_qp.apps.grasp.objects import Box
@@ -33,9 +38,18 @@ _CUBE_COLOUR = (0.93, 0.80, 0.55)
 _DASHED = (0, (3, 2))
 # Corners of the unit cube, its faces (counter-clockwise from outside) and its edges.
 _CORNERS = np.array(list(product((-0.5, 0.5), repeat=3)))
-_FACES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+_FACES = (
+    (0, 1, 3, 2),
+    (4, 6, 7, 5),
+    (0, 4, 5, 1),
+    (2, 3, 7, 6),
+    (0, 2, 6, 4),
+    (1, 5, 7, 3),
+)
 _EDGES = [
-    (i, j) for i, j in combinations(range(8), 2) if np.abs(_CORNERS[i] - _CORNERS[j]).sum() == 1.0
+    (i, j)
+    for i, j in combinations(range(8), 2)
+    if np.abs(_CORNERS[i] - _CORNERS[j]).sum() == 1.0
 ]
 
 
@@ -52,8 +66,16 @@ def draw_grasps(scene: Scene) -> Figure:
     panels = [figure.add_axes((i / 3.0, 0.0, 1.0 / 3.0, 0.88)) for i in range(3)]
     for axes, (title, grasp, colour) in zip(panels[:2], hands, strict=True):
         solid = grasp_triangles(grasp, grasp.q, grasp.wrist, grasp.object_pose)
-        camera = Camera.framing(solid.vertices.reshape(-1, 3), pixels, margin=0.045, **_ANGLES)
-        draw_hands(axes, solid, camera, marks=spheres(grasp.points, _BALL, colour), supersampling=3)
+        camera = Camera.framing(
+            solid.vertices.reshape(-1, 3), pixels, margin=0.045, **_ANGLES
+        )
+        draw_hands(
+            axes,
+            solid,
+            camera,
+            marks=spheres(grasp.points, _BALL, colour),
+            supersampling=3,
+        )
         counts = f"{len(grasp.hand.joint_names)} joints, {len(grasp.contacts)} contacts"
         _heading(axes, camera, title, counts)
     axes, camera = panels[2], _cube_camera(scene.human, pixels, 1.0, 0.17)
@@ -61,7 +83,9 @@ def draw_grasps(scene: Scene) -> Figure:
     for _, grasp, colour in hands:
         _dots(axes, camera, grasp.points, 46, colour, edgecolor="white", linewidth=0.8)
     _dots(axes, camera, scene.human.centre, 46, INK)
-    _heading(axes, camera, "Contacts on the cube", "human blue, robot red, centre black")
+    _heading(
+        axes, camera, "Contacts on the cube", "human blue, robot red, centre black"
+    )
     return figure
 
 
@@ -81,7 +105,10 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
 
     figure = Figure(figsize=(10.0, 5.4))
     poses, steps = object_poses(run), len(run.human.q) - 1
-    hands = ((run.scene.human, run.human, poses[0]), (run.scene.robot, run.robot, poses[1]))
+    hands = (
+        (run.scene.human, run.human, poses[0]),
+        (run.scene.robot, run.robot, poses[1]),
+    )
     solids = [
         merged(
             [
@@ -92,7 +119,9 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
         for grasp, motion, held in hands
     ]
     corners = np.concatenate([solid.vertices.reshape(-1, 3) for solid in solids])
-    camera = Camera.framing(corners, (800, 475), azimuth=-103.0, elevation=20.0, margin=0.02)
+    camera = Camera.framing(
+        corners, (800, 475), azimuth=-103.0, elevation=20.0, margin=0.02
+    )
     blue, red = (
         tube(held[:, :3, 3], 0.0022, colour)
         for held, colour in zip(poses, (HUMAN_COLOUR, ROBOT_COLOUR), strict=True)
@@ -101,7 +130,9 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
         ("a) Human hand", "blue: the object's centre", [blue]),
         ("b) Robot hand", "red: the object's centre; blue: the human's", [blue, red]),
     )
-    for column, (solid, (title, subtitle, lines)) in enumerate(zip(solids, panels, strict=True)):
+    for column, (solid, (title, subtitle, lines)) in enumerate(
+        zip(solids, panels, strict=True)
+    ):
         axes = figure.add_axes((0.5 * column, 0.36, 0.5, 0.55))
         draw_hands(axes, solid, camera, marks=merged(lines), supersampling=3)
         _heading(axes, camera, title, subtitle)
@@ -138,13 +169,18 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
     figure = Figure(figsize=(10.0, 6.2))
     camera = _cube_camera(scene.human, (533, 420), 1.25, 0.1)
     colours, centre = (HUMAN_COLOUR, ROBOT_COLOUR), scene.human.centre
-    for column, (rigid, soft) in enumerate(zip(found["rigid"], found["quasi-static"], strict=True)):
+    for column, (rigid, soft) in enumerate(
+        zip(found["rigid"], found["quasi-static"], strict=True)
+    ):
         above, below = (
-            figure.add_axes((column / 3.0, bottom, 1.0 / 3.0, 0.424)) for bottom in (0.505, 0.04)
+            figure.add_axes((column / 3.0, bottom, 1.0 / 3.0, 0.424))
+            for bottom in (0.505, 0.04)
         )
         _draw_cube(above, camera, scene.human)
         for step, width in ((rigid, 2.2), (soft, 1.0)):
-            for motion, colour in zip((step.human_motion, step.robot_motion), colours, strict=True):
+            for motion, colour in zip(
+                (step.human_motion, step.robot_motion), colours, strict=True
+            ):
                 arrow = 0.035 * motion / np.linalg.norm(motion)
                 _draw_arrow(above, camera, centre, arrow, colour, width)
         _dots(above, camera, centre, 30, INK)
@@ -165,10 +201,25 @@ def draw_first_step(scene: Scene, found: Mapping[str, Sequence[InHandStep]]) -> 
         ):
             longest.append(float(np.linalg.norm(forces, axis=1).max()))
             for point, force in zip(grasp.points, forces, strict=True):
-                _draw_arrow(below, camera, point, 0.03 * force / longest[-1], colour, 1.8)
-            _dots(below, camera, grasp.points, 26, colour, edgecolor="white", linewidth=0.6)
+                _draw_arrow(
+                    below, camera, point, 0.03 * force / longest[-1], colour, 1.8
+                )
+            _dots(
+                below,
+                camera,
+                grasp.points,
+                26,
+                colour,
+                edgecolor="white",
+                linewidth=0.6,
+            )
         human, robot = (f"{1e3 * force:.3g} mN" for force in longest)
-        _heading(below, camera, "Force changes", f"longest arrows: human {human}, robot {robot}")
+        _heading(
+            below,
+            camera,
+            "Force changes",
+            f"longest arrows: human {human}, robot {robot}",
+        )
     note = (
         "Blue: human; red: robot. All motions have the same length; "
         "the forces of each hand are scaled by its largest one."
@@ -192,7 +243,9 @@ def draw_sensitivity(rows: Sequence[dict[str, Any]]) -> Figure:
     for axes, (sweep, model) in zip(grid.flat, cells, strict=True):
         for synergy, (geometry, style) in product((1, 2, 3), styles.items()):
             wanted = (geometry, sweep, synergy)
-            chosen = [r for r in rows if (r["geometry"], r["sweep"], r["synergy"]) == wanted]
+            chosen = [
+                r for r in rows if (r["geometry"], r["sweep"], r["synergy"]) == wanted
+            ]
             axes.plot(
                 [r[sweep] for r in chosen],
                 [r[f"error_{model}_mm"] for r in chosen],
@@ -246,7 +299,9 @@ def box_triangles(pose: np.ndarray, size: np.ndarray) -> Triangles:
     normals = np.cross(vertices[:, 1] - vertices[:, 0], vertices[:, 2] - vertices[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return Triangles(
-        vertices, np.tile(_CUBE_COLOUR, (len(vertices), 1)), np.repeat(normals[:, None], 3, axis=1)
+        vertices,
+        np.tile(_CUBE_COLOUR, (len(vertices), 1)),
+        np.repeat(normals[:, None], 3, axis=1),
     )
 
 
@@ -256,7 +311,9 @@ def _box_size(grasp: Grasp) -> np.ndarray:
     return np.array(grasp.shape.size)
 
 
-def _cube_camera(grasp: Grasp, pixels: tuple[int, int], growth: float, margin: float) -> Camera:
+def _cube_camera(
+    grasp: Grasp, pixels: tuple[int, int], growth: float, margin: float
+) -> Camera:
     """Return a camera that frames the held box, grown by a factor."""
     corners = transform_points(grasp.object_pose, _CORNERS * growth * _box_size(grasp))
     return Camera.framing(corners, pixels, margin=margin, **_ANGLES)
@@ -278,19 +335,37 @@ def _draw_cube(axes: Axes, camera: Camera, grasp: Grasp) -> None:
 
 
 def _dots(
-    axes: Axes, camera: Camera, points: np.ndarray, size: float, colour: Any, **edge: Any
+    axes: Axes,
+    camera: Camera,
+    points: np.ndarray,
+    size: float,
+    colour: Any,
+    **edge: Any,
 ) -> None:
     axes.scatter(*camera.project(points).T[:2], s=size, color=colour, zorder=3, **edge)
 
 
 def _draw_arrow(
-    axes: Axes, camera: Camera, start: np.ndarray, vector: np.ndarray, colour: Any, width: float
+    axes: Axes,
+    camera: Camera,
+    start: np.ndarray,
+    vector: np.ndarray,
+    colour: Any,
+    width: float,
 ) -> None:
     """Draw a vector in space as an arrow, in the camera's pixels."""
     tail, head = camera.project(np.array([start, start + vector]))
-    style = {"arrowstyle": "-|>", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
+    style = {
+        "arrowstyle": "-|>",
+        "color": colour,
+        "linewidth": width,
+        "shrinkA": 0,
+        "shrinkB": 0,
+    }
     style["mutation_scale"] = 5.0 + 3.5 * width
-    axes.annotate("", xy=(head[0], head[1]), xytext=(tail[0], tail[1]), arrowprops=style)
+    axes.annotate(
+        "", xy=(head[0], head[1]), xytext=(tail[0], tail[1]), arrowprops=style
+    )
 
 
 def _heading(axes: Axes, camera: Camera, title: str, subtitle: str) -> None:

@@ -66,7 +66,11 @@ Start = Literal["previous", "first"]
 Geometry = Literal["toolbox", "ours"]
 
 # Azimuth in the palm of the first joint of each finger of the three-fingered hand [rad].
-_AZIMUTHS = {"f1_proximal": 0.0, "f2_spread": 2.0 * np.pi / 3.0, "f3_spread": -2.0 * np.pi / 3.0}
+_AZIMUTHS = {
+    "f1_proximal": 0.0,
+    "f2_spread": 2.0 * np.pi / 3.0,
+    "f3_spread": -2.0 * np.pi / 3.0,
+}
 _STEP_TIME = 1.0
 
 
@@ -96,7 +100,10 @@ class Scene:
         """Return the scene translated by `offset` [m], shape (3,)."""
         motion = affine(np.eye(3), np.asarray(offset, dtype=float))
         return type(self)(
-            self.human.moved(motion), self.robot.moved(motion), self.human_points, self.robot_points
+            self.human.moved(motion),
+            self.robot.moved(motion),
+            self.human_points,
+            self.robot_points,
         )
 
 
@@ -172,7 +179,9 @@ class Run(NamedTuple):
     def limit_excess(self) -> float:
         """Largest violation of the robot's joint limits [rad]."""
         hand, q = self.scene.robot_points, self.robot.q
-        return max(0.0, float(np.maximum(hand.lower_limits - q, q - hand.upper_limits).max()))
+        return max(
+            0.0, float(np.maximum(hand.lower_limits - q, q - hand.upper_limits).max())
+        )
 
 
 class Stiffnesses(NamedTuple):
@@ -275,7 +284,9 @@ def toolbox_hand(hand: Hand) -> Hand:
         if azimuth is not None and origin is not None:
             x, y, z = get_numbers(origin, "xyz", 3)
             set_numbers(
-                origin, "xyz", [x + shift * np.cos(azimuth), y + shift * np.sin(azimuth), z]
+                origin,
+                "xyz",
+                [x + shift * np.cos(azimuth), y + shift * np.sin(azimuth), z],
             )
     return Hand(
         hand.spec,
@@ -309,7 +320,9 @@ def human_motion(scene: Scene, setting: Setting) -> HandMotion:
     return _activated(scene, setting, share, wrist_arc(setting.steps))
 
 
-def run_experiment(scene: Scene, setting: Setting, human: HandMotion | None = None) -> Run:
+def run_experiment(
+    scene: Scene, setting: Setting, human: HandMotion | None = None
+) -> Run:
     """Map a human motion step by step.
 
     Args:
@@ -330,7 +343,9 @@ def run_experiment(scene: Scene, setting: Setting, human: HandMotion | None = No
     points, targets, stretches = [hand.points(q[0], wrist[0])], [], []
     for k in range(1, len(human.q)):
         start = k - 1 if setting.start == "previous" else 0
-        motion, rigid, factors = _step_motion(scene, setting, human, start, k, points[start])
+        motion, rigid, factors = _step_motion(
+            scene, setting, human, start, k, points[start]
+        )
         targets.append(transform_points(motion, points[start]))
         q_new, wrist_new = follow(q[-1], targets[-1], rigid @ wrist[start])
         q.append(q_new)
@@ -349,7 +364,9 @@ def run_experiment(scene: Scene, setting: Setting, human: HandMotion | None = No
     )
 
 
-def object_poses(run: Run, stiffnesses: Stiffnesses | None = None) -> tuple[np.ndarray, np.ndarray]:
+def object_poses(
+    run: Run, stiffnesses: Stiffnesses | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Poses of the object over a run, in the human's and in the robot's hand.
 
     Args:
@@ -370,7 +387,11 @@ def object_error(run: Run, stiffnesses: Stiffnesses | None = None) -> float:
 
 
 def in_hand_step(
-    scene: Scene, setting: Setting, stiffnesses: Stiffnesses = UNIT, *, is_rigid: bool = False
+    scene: Scene,
+    setting: Setting,
+    stiffnesses: Stiffnesses = UNIT,
+    *,
+    is_rigid: bool = False,
 ) -> InHandStep:
     """Compute the first step of an experiment without wrist motion.
 
@@ -384,11 +405,15 @@ def in_hand_step(
         Displacements and force changes of that step.
     """
     share = np.array([0.0, 1.0 / setting.steps])
-    step = run_experiment(scene, setting, _activated(scene, setting, share, np.zeros((2, 3))))
+    step = run_experiment(
+        scene, setting, _activated(scene, setting, share, np.zeros((2, 3)))
+    )
     hands = _held(step)
     poses = [hand.carry(None if is_rigid else stiffnesses) for hand in hands]
     human, robot = (pose[1, :3, 3] - pose[0, :3, 3] for pose in poses)
-    return InHandStep(human, robot, *(hand.force_changes(stiffnesses) for hand in hands))
+    return InHandStep(
+        human, robot, *(hand.force_changes(stiffnesses) for hand in hands)
+    )
 
 
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
@@ -411,7 +436,9 @@ def _activated(
     wrist = np.tile(grasp.wrist, (len(share), 1, 1))
     wrist[:, :3, 3] += offsets
     samples = zip(q, wrist, strict=True)
-    return HandMotion(q, wrist, np.array([scene.human_points.points(*one) for one in samples]))
+    return HandMotion(
+        q, wrist, np.array([scene.human_points.points(*one) for one in samples])
+    )
 
 
 def _follower(
@@ -494,31 +521,48 @@ class _HeldObject(NamedTuple):
 
     def carry(self, stiffnesses: Stiffnesses | None) -> np.ndarray:
         """Poses of the object, shape (N + 1, 4, 4); by the rigid model without stiffnesses."""
-        hand, (q, wrist, _), poses = self.grasp.contact_hand, self.motion, [self.grasp.object_pose]
+        hand, (q, wrist, _), poses = (
+            self.grasp.contact_hand,
+            self.motion,
+            [self.grasp.object_pose],
+        )
         for k in range(len(q) - 1):
             pose = self._carried(k, poses[-1])
             if stiffnesses is None:
-                transposed = grasp_matrix(hand.points(q[k], wrist[k + 1]), pose[:3, 3]).T
+                transposed = grasp_matrix(
+                    hand.points(q[k], wrist[k + 1]), pose[:3, 3]
+                ).T
                 moved = hand.point_jacobian(q[k], wrist[k + 1]) @ (q[k + 1] - q[k])
                 twist = np.linalg.lstsq(transposed, moved, rcond=None)[0]
             else:
-                twist = self._response(k, pose, stiffnesses).object_motion @ self.activation[k]
+                twist = (
+                    self._response(k, pose, stiffnesses).object_motion
+                    @ self.activation[k]
+                )
             turn = Rotation.from_rotvec(twist[3:]).as_matrix()
             poses.append(affine(turn @ pose[:3, :3], pose[:3, 3] + twist[:3]))
         return np.array(poses)
 
     def force_changes(self, stiffnesses: Stiffnesses) -> np.ndarray:
         """Change of the forces on the object in the first step [N], shape (n_c, 3)."""
-        response = self._response(0, self._carried(0, self.grasp.object_pose), stiffnesses)
+        response = self._response(
+            0, self._carried(0, self.grasp.object_pose), stiffnesses
+        )
         return (response.contact_forces @ self.activation[0]).reshape(-1, 3)
 
     def _carried(self, k: int, pose: np.ndarray) -> np.ndarray:
         """Pose of the object after the wrist's motion in a step."""
         return self.motion.wrist[k + 1] @ inverse_pose(self.motion.wrist[k]) @ pose
 
-    def _response(self, k: int, pose: np.ndarray, stiffnesses: Stiffnesses) -> QuasiStatic:
+    def _response(
+        self, k: int, pose: np.ndarray, stiffnesses: Stiffnesses
+    ) -> QuasiStatic:
         """Quasi-static response in a step, per unit of each synergy or radian of each joint."""
-        hand, q, wrist = self.grasp.contact_hand, self.motion.q[k], self.motion.wrist[k + 1]
+        hand, q, wrist = (
+            self.grasp.contact_hand,
+            self.motion.q[k],
+            self.motion.wrist[k + 1],
+        )
         return quasistatic(
             hand.point_jacobian(q, wrist),
             grasp_matrix(hand.points(q, wrist), pose[:3, 3]),
@@ -537,5 +581,7 @@ def _held(run: Run) -> tuple[_HeldObject, _HeldObject]:
     joints = np.eye(len(scene.robot.q))
     return (
         _HeldObject(scene.human, run.human, synergy, share, is_stiff=False),
-        _HeldObject(scene.robot, run.robot, joints, np.diff(run.robot.q, axis=0), is_stiff=True),
+        _HeldObject(
+            scene.robot, run.robot, joints, np.diff(run.robot.q, axis=0), is_stiff=True
+        ),
     )

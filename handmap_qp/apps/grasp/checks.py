@@ -11,7 +11,9 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.se3 import as_floats
 
 
-def finite_array(value: npt.ArrayLike, shape: tuple[int | str, ...], name: str) -> np.ndarray:
+def finite_array(
+    value: npt.ArrayLike, shape: tuple[int | str, ...], name: str
+) -> np.ndarray:
     """Return a write-protected copy of finite numbers of the right shape.
 
     Args:
@@ -53,7 +55,9 @@ def whole_number(value: Any, name: str, *, least: int) -> int:
     """
     is_whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not is_whole or value < least:
-        raise InvalidInputError(argument=name, expected=f"an integer >= {least}", value=value)
+        raise InvalidInputError(
+            argument=name, expected=f"an integer >= {least}", value=value
+        )
     return int(value)
 
 
@@ -64,5 +68,7 @@ def one_of(value: Any, allowed: tuple[str, ...], name: str) -> str:
         InvalidInputError: If it is none of them.
     """
     if not isinstance(value, str) or value not in allowed:
-        raise InvalidInputError(argument=name, expected=f"one of {', '.join(allowed)}", value=value)
+        raise InvalidInputError(
+            argument=name, expected=f"one of {', '.join(allowed)}", value=value
+        )
     return value

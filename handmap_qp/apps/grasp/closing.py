@@ -68,8 +68,12 @@ def default_preshape(hand: Hand) -> Preshape:
     name = "human" if hand.name == "human_left" else hand.name
     if name in REFERENCE_HANDS:
         figures = read_cube_figures(name)["closing"]
-        start = np.array([figures["start"].get(joint, 0.0) for joint in hand.joint_names])
-        direction = np.array([float(joint in figures["joints"]) for joint in hand.joint_names])
+        start = np.array(
+            [figures["start"].get(joint, 0.0) for joint in hand.joint_names]
+        )
+        direction = np.array(
+            [float(joint in figures["joints"]) for joint in hand.joint_names]
+        )
         return Preshape(start, direction, figures["clearance"])
     return Preshape(*open_and_closing(hand, _fingers(hand)), _CLEARANCE)
 
@@ -88,8 +92,12 @@ def palm_centre(hand: Hand, preshape: Preshape | None = None) -> np.ndarray:
         InvalidInputError: If no joint closes.
     """
     how = preshape or default_preshape(hand)
-    closing = [[i for i in finger.columns if how.direction[i]] for finger in _fingers(hand)]
-    joints = [hand.model.getJointId(hand.joint_names[found[0]]) for found in closing if found]
+    closing = [
+        [i for i in finger.columns if how.direction[i]] for finger in _fingers(hand)
+    ]
+    joints = [
+        hand.model.getJointId(hand.joint_names[found[0]]) for found in closing if found
+    ]
     if not joints:
         raise InvalidInputError(
             argument="preshape.direction",
@@ -142,7 +150,9 @@ class HandCloser:
         self._object_pose = (
             np.eye(4) if object_pose is None else check_pose(object_pose, "object_pose")
         )
-        self._end = np.where(self.preshape.direction > 0.0, hand.upper_limits, hand.lower_limits)
+        self._end = np.where(
+            self.preshape.direction > 0.0, hand.upper_limits, hand.lower_limits
+        )
         self._geometry = read_collision_shapes(hand)
         if self._geometry.ngeoms == 0:
             raise hand.spec.error(
@@ -170,7 +180,9 @@ class HandCloser:
                 request.enable_cached_gjk_guess = False
                 request.gjk_tolerance = request.epa_tolerance = _DISTANCE_TOLERANCE
 
-    def distances(self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None) -> np.ndarray:
+    def distances(
+        self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
+    ) -> np.ndarray:
         """Signed distance from each collision shape of the hand to the object.
 
         Args:
@@ -187,11 +199,15 @@ class HandCloser:
         pin.computeDistances(
             self.hand.model, self._data, self._geometry, self._geometry_data, vector
         )
-        return np.array([result.min_distance for result in self._geometry_data.distanceResults])
+        return np.array(
+            [result.min_distance for result in self._geometry_data.distanceResults]
+        )
 
     def starts_clear(self, wrist_pose: np.ndarray | None = None) -> bool:
         """Whether the open hand does not touch the object."""
-        return bool((self.distances(self.preshape.start, wrist_pose) > self._margin).all())
+        return bool(
+            (self.distances(self.preshape.start, wrist_pose) > self._margin).all()
+        )
 
     def close(self, wrist_pose: np.ndarray | None = None) -> Grasp:
         """Close the hand with its wrist at rest.
@@ -217,7 +233,9 @@ class HandCloser:
                 value=wrist_pose,
             )
         q = self.preshape.start.copy()
-        for joints in _groups(np.flatnonzero(self.preshape.direction).tolist(), self._carries):
+        for joints in _groups(
+            np.flatnonzero(self.preshape.direction).tolist(), self._carries
+        ):
             q = self._close_joints(q, joints, wrist_pose)
         contacts = self._contacts(q, wrist_pose)
         return Grasp(self.hand, q, self._object_pose, contacts, wrist_pose, self._shape)
@@ -244,14 +262,20 @@ class HandCloser:
                     ahead, touching = between, found
                 else:
                     clear = between
-            free = [joint for joint in free if not (self._carries[joint] & touching).any()]
+            free = [
+                joint for joint in free if not (self._carries[joint] & touching).any()
+            ]
             q = ahead
         return q
 
-    def _contacts(self, q: np.ndarray, wrist_pose: np.ndarray | None) -> tuple[Contact, ...]:
+    def _contacts(
+        self, q: np.ndarray, wrist_pose: np.ndarray | None
+    ) -> tuple[Contact, ...]:
         near = np.flatnonzero(self.distances(q, wrist_pose) <= self._margin).tolist()
         # Proximal first, finger by finger in the order of the joints.
-        order = sorted(near, key=lambda part: np.flatnonzero(self._carries[:, part])[-1:].tolist())
+        order = sorted(
+            near, key=lambda part: np.flatnonzero(self._carries[:, part])[-1:].tolist()
+        )
         names = [self.links[part] for part in order]
         fingers = _finger_names(self.hand)
         contacts: list[Contact] = []
@@ -283,7 +307,9 @@ def _check_preshape(hand: Hand, preshape: Preshape) -> None:
         )
     if not ((hand.lower_limits <= start) & (start <= hand.upper_limits)).all():
         raise InvalidInputError(
-            argument="preshape.start", expected="angles within the hand's limits", value=start
+            argument="preshape.start",
+            expected="angles within the hand's limits",
+            value=start,
         )
 
 
@@ -295,7 +321,9 @@ def _solid(shape: Shape) -> Any:
             return pin.coal.Sphere(radius)
         case Cylinder(radius, length):
             return pin.coal.Cylinder(radius, length)
-    raise InvalidInputError(argument="shape", expected="a Box, Sphere or Cylinder", value=shape)
+    raise InvalidInputError(
+        argument="shape", expected="a Box, Sphere or Cylinder", value=shape
+    )
 
 
 def _carried_parts(hand: Hand, parents: list[int]) -> np.ndarray:
@@ -309,7 +337,9 @@ def _carried_parts(hand: Hand, parents: list[int]) -> np.ndarray:
             for j in range(1, hand.model.njoints)
             if here[hand.model.joints[j].idx_q] != there[hand.model.joints[j].idx_q]
         }
-        row[:] = [not moved.isdisjoint(hand.model.supports[parent]) for parent in parents]
+        row[:] = [
+            not moved.isdisjoint(hand.model.supports[parent]) for parent in parents
+        ]
     return carried
 
 
@@ -319,7 +349,9 @@ def _groups(joints: list[int], carries: np.ndarray) -> list[list[int]]:
     for joint in joints:
         coupled = [group for group in groups if (carries[group] & carries[joint]).any()]
         joined = [member for group in coupled for member in group]
-        groups = [group for group in groups if group not in coupled] + [sorted([*joined, joint])]
+        groups = [group for group in groups if group not in coupled] + [
+            sorted([*joined, joint])
+        ]
     return groups
 
 
@@ -328,13 +360,17 @@ def _finger_names(hand: Hand) -> dict[int, str]:
 
     Mimic and locked joints are included, and joints of unnamed fingers left out.
     """
-    chains = {joint: _beyond_palm(hand, joint) for joint in range(1, hand.model.njoints)}
+    chains = {
+        joint: _beyond_palm(hand, joint) for joint in range(1, hand.model.njoints)
+    }
     roots: dict[int, str] = {}
     for point in hand.spec.points:
         beyond = chains.get(place_of(hand, point)[0])
         if point.finger is not None and beyond:
             roots[beyond[0]] = point.finger
-    return {joint: roots[way[0]] for joint, way in chains.items() if way and way[0] in roots}
+    return {
+        joint: roots[way[0]] for joint, way in chains.items() if way and way[0] in roots
+    }
 
 
 def _fingers(hand: Hand) -> list[Finger]:
@@ -346,7 +382,9 @@ def _fingers(hand: Hand) -> list[Finger]:
     for point in hand.spec.points:
         tip = place_of(hand, point)
         joints = _beyond_palm(hand, tip[0])
-        if joints and (joints[0] not in found or len(joints) > len(found[joints[0]].joints)):
+        if joints and (
+            joints[0] not in found or len(joints) > len(found[joints[0]].joints)
+        ):
             found[joints[0]] = Finger(hand, joints, tip)
     return list(found.values())
 

@@ -47,7 +47,9 @@ class Contact:
         length = float(np.linalg.norm(normal))
         if not length > 1e-9:
             raise InvalidInputError(
-                argument="normal", expected="a vector of non-zero length", value=self.normal
+                argument="normal",
+                expected="a vector of non-zero length",
+                value=self.normal,
             )
         object.__setattr__(self, "xyz", tuple(xyz.tolist()))
         object.__setattr__(self, "normal", tuple((normal / length).tolist()))
@@ -78,13 +80,17 @@ class Grasp:
     shape: Shape | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "q", finite_array(self.q, (len(self.hand.joint_names),), "q"))
+        object.__setattr__(
+            self, "q", finite_array(self.q, (len(self.hand.joint_names),), "q")
+        )
         for name in ("object_pose", "wrist_pose"):
             if name == "object_pose" or self.wrist_pose is not None:
                 pose = check_pose(getattr(self, name), name)
                 object.__setattr__(self, name, finite_array(pose, (4, 4), name))
         is_sequence = isinstance(self.contacts, list | tuple)
-        if not is_sequence or not all(isinstance(one, Contact) for one in self.contacts):
+        if not is_sequence or not all(
+            isinstance(one, Contact) for one in self.contacts
+        ):
             raise InvalidInputError(
                 argument="contacts", expected="a tuple of Contact", value=self.contacts
             )

@@ -25,7 +25,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
-from handmap_qp.apps.grasp.checks import finite_array, one_of, positive_number, whole_number
+from handmap_qp.apps.grasp.checks import (
+    finite_array,
+    one_of,
+    positive_number,
+    whole_number,
+)
 from handmap_qp.apps.grasp.contacts import Grasp
 from handmap_qp.apps.grasp.statics import grasp_matrix
 
@@ -150,7 +155,10 @@ def cone_wrenches(
     first /= np.linalg.norm(first, axis=1, keepdims=True)
     second = np.cross(normals, first)
     angles = 2.0 * np.pi * np.arange(edges) / edges
-    around = np.cos(angles)[:, None] * first[:, None] + np.sin(angles)[:, None] * second[:, None]
+    around = (
+        np.cos(angles)[:, None] * first[:, None]
+        + np.sin(angles)[:, None] * second[:, None]
+    )
     forces = normals[:, None] + friction * around
     torques = np.cross(points[:, None], forces)
     return np.concatenate([forces, torques], axis=2).reshape(-1, 6)

@@ -24,7 +24,10 @@ class Box:
     size: Vector
 
     def __post_init__(self) -> None:
-        x, y, z = (positive_number(side, "size") for side in finite_array(self.size, (3,), "size"))
+        x, y, z = (
+            positive_number(side, "size")
+            for side in finite_array(self.size, (3,), "size")
+        )
         object.__setattr__(self, "size", (x, y, z))
 
     @property

@@ -62,7 +62,9 @@ def reference_grasp(hand: str = "human") -> ReferenceGrasp:
     one_of(hand, REFERENCE_HANDS, "hand")
     figures = read_cube_figures(hand)
     model = Hand(
-        read_hand_spec(urdf_directory() / hand / "hand.yaml"), points="contacts", mount="floating"
+        read_hand_spec(urdf_directory() / hand / "hand.yaml"),
+        points="contacts",
+        mount="floating",
     )
     wrist, q = np.array(figures["wrist_pose"]), np.array(figures["q"])
     rows = figures["contacts"]
@@ -78,7 +80,9 @@ def reference_grasp(hand: str = "human") -> ReferenceGrasp:
     )
     shape = Box(tuple(figures["object"]["box"]))
     return ReferenceGrasp(
-        grasp=Grasp(model, q, np.array(figures["object"]["pose"]), contacts, wrist, shape),
+        grasp=Grasp(
+            model, q, np.array(figures["object"]["pose"]), contacts, wrist, shape
+        ),
         published_points=np.array([row["point"] for row in rows]),
         published_q=np.array(figures.get("published", figures)["q"]),
         published_quality=figures["quality"],
@@ -90,4 +94,6 @@ def reference_grasp(hand: str = "human") -> ReferenceGrasp:
 
 def read_cube_figures(hand: str) -> dict[str, Any]:
     """Read a hand's `grasp_cube50.json`."""
-    return json.loads((urdf_directory() / hand / "grasp_cube50.json").read_text(encoding="utf-8"))
+    return json.loads(
+        (urdf_directory() / hand / "grasp_cube50.json").read_text(encoding="utf-8")
+    )

@@ -10,9 +10,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.grasp.checks import one_of, positive_number, whole_number
-from handmap_qp.apps.grasp.closing import MARGIN, STEP, HandCloser, Preshape, palm_centre
+from handmap_qp.apps.grasp.closing import (
+    MARGIN,
+    STEP,
+    HandCloser,
+    Preshape,
+    palm_centre,
+)
 from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.measures import FRICTION, QUALITIES, SMALLER_IS_BETTER, grasp_quality
+from handmap_qp.apps.grasp.measures import (
+    FRICTION,
+    QUALITIES,
+    SMALLER_IS_BETTER,
+    grasp_quality,
+)
 from handmap_qp.apps.grasp.objects import Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
@@ -98,7 +109,9 @@ def plan_grasps(
     generator = np.random.default_rng(seed)
     planned: list[PlannedGrasp] = []
     for trial in range(samples):
-        rotation = Rotation.from_euler("XYZ", generator.uniform(0.0, 2.0 * np.pi, 3)).as_matrix()
+        rotation = Rotation.from_euler(
+            "XYZ", generator.uniform(0.0, 2.0 * np.pi, 3)
+        ).as_matrix()
         distance = near
         while True:
             place = pose[:3, 3] + distance * rotation[:, 2] - rotation @ centre
@@ -107,7 +120,9 @@ def plan_grasps(
                 break
             distance += _RETREAT
         grasp = closer.close(wrist)
-        planned.append(PlannedGrasp(trial, grasp, grasp_quality(grasp, quality, friction=friction)))
+        planned.append(
+            PlannedGrasp(trial, grasp, grasp_quality(grasp, quality, friction=friction))
+        )
         if progress is not None:
             progress(len(planned))
     sign = 1.0 if quality in SMALLER_IS_BETTER else -1.0

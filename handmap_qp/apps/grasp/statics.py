@@ -66,7 +66,9 @@ def grasp_matrix(points: npt.ArrayLike, centre: npt.ArrayLike) -> np.ndarray:
     Raises:
         InvalidInputError: On a wrong shape or a number that is not finite.
     """
-    offsets = finite_array(points, ("n", 3), "points") - finite_array(centre, (3,), "centre")
+    offsets = finite_array(points, ("n", 3), "points") - finite_array(
+        centre, (3,), "centre"
+    )
     matrix = np.zeros((6, 3 * len(offsets)))
     matrix[:3] = np.tile(np.eye(3), len(offsets))
     # The columns of [r]x are r x e_1, r x e_2, r x e_3.
@@ -119,7 +121,9 @@ def quasistatic(
     G = finite_array(grasp_matrix, (6, len(J)), "grasp_matrix")
     S = finite_array(synergies, (J.shape[1], "n"), "synergies")
     if S.shape[1] == 0:
-        raise InvalidInputError(argument="synergies", expected="at least one column", got="none")
+        raise InvalidInputError(
+            argument="synergies", expected="at least one column", got="none"
+        )
     _check_rank(G)
     joint_compliance = _compliance(joint_stiffness, J.shape[1], "joint_stiffness")
     synergy_compliance = _compliance(synergy_stiffness, S.shape[1], "synergy_stiffness")
@@ -155,8 +159,13 @@ def _cholesky(compliance: np.ndarray) -> Any:
 
 def _check_rank(G: np.ndarray) -> None:
     # Scale torques by the mean lever, so that the test does not depend on the unit of length.
-    lever = max(float(np.linalg.norm(G[3:]) / np.linalg.norm(G[:3])), np.finfo(float).tiny)
-    if np.linalg.matrix_rank(np.vstack([G[:3], G[3:] / lever]), rtol=_RANK_TOLERANCE) < 6:
+    lever = max(
+        float(np.linalg.norm(G[3:]) / np.linalg.norm(G[:3])), np.finfo(float).tiny
+    )
+    if (
+        np.linalg.matrix_rank(np.vstack([G[:3], G[3:] / lever]), rtol=_RANK_TOLERANCE)
+        < 6
+    ):
         raise InvalidInputError(
             argument="grasp_matrix",
             expected="rank 6",
@@ -171,11 +180,15 @@ def _compliance(stiffness: Stiffness, size: int, name: str) -> np.ndarray:
     if value.ndim == 0:
         # `not value > 0` also rejects NaN.
         if not value > 0.0:
-            raise InvalidInputError(argument=name, expected="a number > 0", value=stiffness)
+            raise InvalidInputError(
+                argument=name, expected="a number > 0", value=stiffness
+            )
         return np.eye(size) / value
     matrix = finite_array(value, (size, size), name)
     if np.abs(matrix - matrix.T).max() > 1e-9 * np.abs(matrix).max():
-        raise InvalidInputError(argument=name, expected="a symmetric matrix", value=stiffness)
+        raise InvalidInputError(
+            argument=name, expected="a symmetric matrix", value=stiffness
+        )
     try:
         return scipy.linalg.cho_solve(scipy.linalg.cho_factor(matrix), np.eye(size))
     except np.linalg.LinAlgError as error:

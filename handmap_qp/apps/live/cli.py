@@ -23,7 +23,15 @@ from handmap_qp.human.person import read_person
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import parse_faults
 
-_RARE = ("not_in_order", "hand_lost", "flags", "refusals", "last_refusal", "unanswered", "reopened")
+_RARE = (
+    "not_in_order",
+    "hand_lost",
+    "flags",
+    "refusals",
+    "last_refusal",
+    "unanswered",
+    "reopened",
+)
 """Rows of the table that are left out if there is nothing to count."""
 
 
@@ -43,23 +51,31 @@ class Target:
     """
 
     to: Annotated[
-        str | None, tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)")
+        str | None,
+        tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
     ] = None
-    robot: Annotated[str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="")] = None
+    robot: Annotated[
+        str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="")
+    ] = None
     record: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: no file)")
+        Path | None,
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: no file)"),
     ] = None
     session: Annotated[
-        str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: made up)")
+        str | None,
+        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: made up)"),
     ] = None
     preset: Annotated[
         str | None,
-        tyro.conf.arg(metavar="PRESET", help_behavior_hint="(default: the service decides)"),
+        tyro.conf.arg(
+            metavar="PRESET", help_behavior_hint="(default: the service decides)"
+        ),
     ] = None
     person: Annotated[
         Path | None,
         tyro.conf.arg(
-            metavar="PERSON.yaml", help_behavior_hint="(default: measured in the first samples)"
+            metavar="PERSON.yaml",
+            help_behavior_hint="(default: measured in the first samples)",
         ),
     ] = None
     keys: KeyFiles = None
@@ -148,7 +164,8 @@ class TrackReplay:
     speed: float = 1.0
     loop: bool = False
     faults: Annotated[
-        str | None, tyro.conf.arg(metavar="FAULTS", help_behavior_hint="(default: none)")
+        str | None,
+        tyro.conf.arg(metavar="FAULTS", help_behavior_hint="(default: none)"),
     ] = None
     seed: int = 0
     target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
@@ -191,7 +208,8 @@ class TrackMediapipe:
 
     camera: int = 0
     video: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the camera)")
+        Path | None,
+        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the camera)"),
     ] = None
     side: Side = "right"
     mirrored: bool = False
@@ -238,7 +256,9 @@ class TrackRecord:
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     source: Annotated[
         str,
-        tyro.conf.arg(name="from", metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
+        tyro.conf.arg(
+            name="from", metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"
+        ),
     ]
     session: OpenSession = None
     keys: KeyFiles = None
@@ -283,7 +303,9 @@ def _terminated_like_interrupted() -> Iterator[None]:
 def _table(summary: dict[str, Any]) -> dict[str, Any]:
     """Return the rows of a table: labels in words, counts by name in one line."""
     return {
-        name.replace("_", " "): ", ".join(f"{text}: {count}" for text, count in value.items())
+        name.replace("_", " "): ", ".join(
+            f"{text}: {count}" for text, count in value.items()
+        )
         if isinstance(value, dict)
         else value
         for name, value in summary.items()

@@ -49,7 +49,10 @@ class TrackedHand(NamedTuple):
 
 
 def position_in_camera(
-    shape: np.ndarray, places: np.ndarray, focal_length: float, centre: tuple[float, float]
+    shape: np.ndarray,
+    places: np.ndarray,
+    focal_length: float,
+    centre: tuple[float, float],
 ) -> np.ndarray:
     """Return where a hand is, from its shape and its picture.
 
@@ -93,7 +96,10 @@ class HandTracker:
         """Return the hand in a picture; None if it is not there."""
         result = self._hands.process(pixels)
         found = [
-            TrackedHand(self._place(_rows(world), _rows(image), pixels.shape), min(1.0, kind.score))
+            TrackedHand(
+                self._place(_rows(world), _rows(image), pixels.shape),
+                min(1.0, kind.score),
+            )
             for named, image, world in zip(
                 result.multi_handedness or (),
                 result.multi_hand_landmarks or (),
@@ -104,7 +110,9 @@ class HandTracker:
         ]
         return max(found, key=lambda hand: hand.confidence, default=None)
 
-    def _place(self, shape: np.ndarray, image: np.ndarray, size: tuple[int, ...]) -> np.ndarray:
+    def _place(
+        self, shape: np.ndarray, image: np.ndarray, size: tuple[int, ...]
+    ) -> np.ndarray:
         height, width = size[:2]
         focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._fov))
         places = image[:, :2] * (width, height)
@@ -121,7 +129,11 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     source = str(arguments.video) if is_file else arguments.camera
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
-        _stop(f"the video {source} cannot be read" if is_file else f"there is no camera {source}")
+        _stop(
+            f"the video {source} cannot be read"
+            if is_file
+            else f"there is no camera {source}"
+        )
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
     start, count = time.monotonic(), 0
     for picture in _read(capture, 0 if is_file else _LOST_FRAMES):
@@ -165,7 +177,9 @@ def sent(
     session = closing.enter_context(client.Client(arguments.to))
     failures = client.ServiceError, client.ServiceTimeoutError
     try:
-        session.open(arguments.robot, input="landmarks", side=arguments.side, has_detail=True)
+        session.open(
+            arguments.robot, input="landmarks", side=arguments.side, has_detail=True
+        )
     except failures as error:
         _stop(str(error))
 
@@ -194,13 +208,25 @@ def main() -> None:
 def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Track a hand with MediaPipe.")
     source = parser.add_mutually_exclusive_group()
-    source.add_argument("--camera", type=int, default=0, help="number of the camera (default: 0)")
+    source.add_argument(
+        "--camera", type=int, default=0, help="number of the camera (default: 0)"
+    )
     source.add_argument("--video", type=Path, help="video file in place of a camera")
-    parser.add_argument("--side", choices=("right", "left"), default="right", help="hand to track")
-    parser.add_argument("--fov", type=float, default=65.0, help="horizontal field of view [deg]")
-    parser.add_argument("--mirrored", action="store_true", help="pictures are mirrored (selfie)")
-    parser.add_argument("--paced", action="store_true", help="play a video at its own speed")
-    parser.add_argument("--to", help="service to send to, tcp://HOST:PORT; else print JSON lines")
+    parser.add_argument(
+        "--side", choices=("right", "left"), default="right", help="hand to track"
+    )
+    parser.add_argument(
+        "--fov", type=float, default=65.0, help="horizontal field of view [deg]"
+    )
+    parser.add_argument(
+        "--mirrored", action="store_true", help="pictures are mirrored (selfie)"
+    )
+    parser.add_argument(
+        "--paced", action="store_true", help="play a video at its own speed"
+    )
+    parser.add_argument(
+        "--to", help="service to send to, tcp://HOST:PORT; else print JSON lines"
+    )
     parser.add_argument("--robot", help="robot hand, for --to")
     arguments = parser.parse_args()
     if arguments.to is not None and arguments.robot is None:

@@ -74,9 +74,17 @@ def install_environment(report: Callable[[str], object]) -> Path:
     folder, python = environment_folder(), _find_python()
     report(f"making {folder}")
     folder.parent.mkdir(parents=True, exist_ok=True)
-    _run([python, "-m", "venv", "--clear", str(folder)], "the environment cannot be made")
+    _run(
+        [python, "-m", "venv", "--clear", str(folder)], "the environment cannot be made"
+    )
     report(f"installing {' '.join(REQUIREMENTS)} (about 1 GB)")
-    pip = [str(folder / "bin" / "python"), "-m", "pip", "--disable-pip-version-check", "install"]
+    pip = [
+        str(folder / "bin" / "python"),
+        "-m",
+        "pip",
+        "--disable-pip-version-check",
+        "install",
+    ]
     try:
         _run([*pip, "--quiet", *REQUIREMENTS], "pip cannot install MediaPipe")
     except InvalidInputError:
@@ -103,11 +111,17 @@ def _run(command: list[str], problem: str) -> None:
     try:
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     except OSError as error:
-        raise InvalidInputError(argument="--install", problem=f"{problem}: {error}") from error
+        raise InvalidInputError(
+            argument="--install", problem=f"{problem}: {error}"
+        ) from error
     if done.returncode:
-        lines = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()
+        lines = (
+            done.stderr.strip() or done.stdout.strip() or "no message"
+        ).splitlines()
         errors = [line for line in lines if line.startswith("ERROR:")]
-        raise InvalidInputError(argument="--install", problem=f"{problem}: {(errors or lines)[-1]}")
+        raise InvalidInputError(
+            argument="--install", problem=f"{problem}: {(errors or lines)[-1]}"
+        )
 
 
 class MediapipeSource:
@@ -148,12 +162,18 @@ class MediapipeSource:
     ) -> None:
         if video is not None and not video.is_file():
             raise InvalidInputError(
-                argument="--video", problem=f"there is no file {video}", value=str(video)
+                argument="--video",
+                problem=f"there is no file {video}",
+                value=str(video),
             )
         if camera < 0:
-            raise InvalidInputError(argument="--camera", expected="0 or more", value=camera)
+            raise InvalidInputError(
+                argument="--camera", expected="0 or more", value=camera
+            )
         if not 1.0 <= fov <= 170.0:
-            raise InvalidInputError(argument="--fov", expected="1 to 170 degrees", value=fov)
+            raise InvalidInputError(
+                argument="--fov", expected="1 to 170 degrees", value=fov
+            )
         self.side: Side = side
         self.name = f"camera {camera}" if video is None else video.stem
         self._argument = "--camera" if video is None else "--video"

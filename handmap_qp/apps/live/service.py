@@ -123,7 +123,9 @@ class ServiceSink:
                 **measured,
             ).name
         self._robot = robot
-        self._counts = Counter(sent=0, hand_lost=0, commands=0, accepted=0, unanswered=0)
+        self._counts = Counter(
+            sent=0, hand_lost=0, commands=0, accepted=0, unanswered=0
+        )
         self._statuses: Counter[str] = Counter()
         self._flags: Counter[str] = Counter()
         self._refusals: Counter[str] = Counter()
@@ -239,7 +241,10 @@ class ServiceSource:
         session: str | None = None,
         keys: tuple[Path, Path] | None = None,
     ) -> None:
-        with connected("--from", host, keys, refused="--session") as (self._client, address):
+        with connected("--from", host, keys, refused="--session") as (
+            self._client,
+            address,
+        ):
             names = (session,) if session else self._client.status().names
             if not names:
                 raise InvalidInputError(

@@ -74,7 +74,9 @@ class Sink(Protocol):
 
 
 def run(
-    source: Source, sinks: Sequence[Sink], report: Callable[[str], object] = lambda _: None
+    source: Source,
+    sinks: Sequence[Sink],
+    report: Callable[[str], object] = lambda _: None,
 ) -> dict[str, Any]:
     """Lead samples to sinks until the source ends or Ctrl-C.
 

@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from handmap_qp.apps.arguments import InputArguments, MappingArguments, PersonFile, fit_side
+from handmap_qp.apps.arguments import (
+    InputArguments,
+    MappingArguments,
+    PersonFile,
+    fit_side,
+)
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import check_output, make_folder
@@ -55,11 +60,14 @@ class Map:
     recordings: tyro.conf.Positional[
         Annotated[
             tuple[Path, ...],
-            tyro.conf.arg(metavar="RECORDING [RECORDING]", help_behavior_hint="(required)"),
+            tyro.conf.arg(
+                metavar="RECORDING [RECORDING]", help_behavior_hint="(required)"
+            ),
         ]
     ]
     robot: Annotated[
-        str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="(or give --robots)")
+        str | None,
+        tyro.conf.arg(metavar="HAND", help_behavior_hint="(or give --robots)"),
     ] = None
     robots: Annotated[
         tuple[str, str] | None,
@@ -67,7 +75,9 @@ class Map:
     ] = None
     out: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="FILE.npz", help_behavior_hint="(default: RECORDING_ROBOT.npz)"),
+        tyro.conf.arg(
+            metavar="FILE.npz", help_behavior_hint="(default: RECORDING_ROBOT.npz)"
+        ),
     ] = None
     mirror: bool = False
     person: PersonFile = None
@@ -90,7 +100,9 @@ class Map:
             for (recording, robot), file in zip(pairs, files, strict=True)
         ]
         if self.json:
-            print(json.dumps(summaries if self.robots else summaries[0], allow_nan=False))
+            print(
+                json.dumps(summaries if self.robots else summaries[0], allow_nan=False)
+            )
             return
         for summary in summaries:
             title = f"{summary['recording']} to {summary['robot']}"
@@ -116,16 +128,22 @@ class Map:
                     advice="give --robots LEFT RIGHT for both hands",
                 )
             robot = self.arguments.load_robot(self.robot)
-            recording = self.inputs.read(self.recordings[0], robot.spec.side, self.person)
+            recording = self.inputs.read(
+                self.recordings[0], robot.spec.side, self.person
+            )
             return [(fit_side(recording, robot, mirror=self.mirror), robot)]
         if self.mirror:
-            raise InvalidInputError(argument="--mirror", problem="has no effect with --robots")
+            raise InvalidInputError(
+                argument="--mirror", problem="has no effect with --robots"
+            )
         robots = [self.arguments.load_robot(name) for name in self.robots or ()]
         for robot, side in zip(robots, SIDES, strict=True):
             if robot.spec.side != side:
                 got = f"{robot.name}, a {robot.spec.side} one"
                 raise InvalidInputError(
-                    argument="--robots", expected="a left hand, then a right hand", got=got
+                    argument="--robots",
+                    expected="a left hand, then a right hand",
+                    got=got,
                 )
         hands = self.inputs.read_both(self.recordings, self.person)
         return [(hands[robot.spec.side], robot) for robot in robots]
@@ -147,8 +165,14 @@ class Map:
         from handmap_qp.mapping.mapper import HandMapper
         from handmap_qp.stream.measurement import measure_person
 
-        person = measure_person(recording) if self.person is None else read_person(self.person)
-        human = scaled_human(recording, points=self.arguments.human_points, lengths=person.lengths)
+        person = (
+            measure_person(recording)
+            if self.person is None
+            else read_person(self.person)
+        )
+        human = scaled_human(
+            recording, points=self.arguments.human_points, lengths=person.lengths
+        )
         preset = self.arguments.preset_for(human, robot, person.contact_gap)
         mapper = HandMapper(human, robot, preset.method, ik=preset.ik)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
@@ -209,7 +233,9 @@ class Calibrate:
                 advice="give --overwrite to replace it",
             )
         if not self.recordings:
-            raise InvalidInputError(argument="RECORDING", expected="at least one file", got="none")
+            raise InvalidInputError(
+                argument="RECORDING", expected="at least one file", got="none"
+            )
         recordings = [self.inputs.read(file) for file in self.recordings]
         person = measure_person(*recordings)
         write_person(person, out)

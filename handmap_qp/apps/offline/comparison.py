@@ -26,9 +26,19 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.offline.fidelity import SETTLING, Fidelity, assess_fidelity, sample_workspace
+from handmap_qp.apps.offline.fidelity import (
+    SETTLING,
+    Fidelity,
+    assess_fidelity,
+    sample_workspace,
+)
 from handmap_qp.apps.offline.hand_trace import HandTrace, trace_human, trace_robot
-from handmap_qp.apps.offline.look_ahead import LookAhead, look_ahead, map_both_ways, smooth_poses
+from handmap_qp.apps.offline.look_ahead import (
+    LookAhead,
+    look_ahead,
+    map_both_ways,
+    smooth_poses,
+)
 from handmap_qp.apps.offline.metrics import mean_values
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.apps.offline.trajectory import follow_recording
@@ -183,7 +193,9 @@ class Comparison(NamedTuple):
             if len(failed) == len(runs) and len(set(failed.values())) == 1:
                 lines.append(f"{method}: {runs[0].problem}")
             else:
-                lines += [f"{method} on {take}: {problem}" for take, problem in failed.items()]
+                lines += [
+                    f"{method} on {take}: {problem}" for take, problem in failed.items()
+                ]
             if any(run.motion is not None and run.motion.wrist is None for run in runs):
                 still.append(method)
         if still:
@@ -292,16 +304,22 @@ def compare_methods(
             progress(f"{method.name} on {take.name}", len(runs), total)
             runs.append(_run(method, take, robot, chains, workspace))
     progress("measured", total, total)
-    return Comparison(robot, tuple(takes), tuple(method.name for method in methods), tuple(runs))
+    return Comparison(
+        robot, tuple(takes), tuple(method.name for method in methods), tuple(runs)
+    )
 
 
-def check_names(argument: str, names: Sequence[str], expected: str = "different names") -> None:
+def check_names(
+    argument: str, names: Sequence[str], expected: str = "different names"
+) -> None:
     """Reject an empty list and a name that occurs twice."""
     if not names:
         raise InvalidInputError(argument=argument, expected="at least one", got="none")
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
-        raise InvalidInputError(argument=argument, expected=expected, got=f"{twice} twice")
+        raise InvalidInputError(
+            argument=argument, expected=expected, got=f"{twice} twice"
+        )
 
 
 def own_methods() -> tuple[str, ...]:
@@ -321,7 +339,9 @@ def own_method(name: str) -> ComparedMethod:
     """
     if base_name(name) not in own_methods():
         raise InvalidInputError(
-            argument="--methods", expected=f"some of {', '.join(own_methods())}", value=name
+            argument="--methods",
+            expected=f"some of {', '.join(own_methods())}",
+            value=name,
         )
     return ComparedMethod(name, partial(_map_own, name))
 
@@ -350,7 +370,9 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
         OutsideError: If there is no such program, or it cannot run.
     """
     if not (folder / PROGRAM).is_file():
-        raise OutsideError(f"no {PROGRAM} in {folder}: --peers needs a checkout with benchmarks/")
+        raise OutsideError(
+            f"no {PROGRAM} in {folder}: --peers needs a checkout with benchmarks/"
+        )
     answer = _call(folder, "list", hand)
     try:
         listed = msgspec.json.decode(answer, type=list[_Listed])
@@ -358,7 +380,10 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
         raise OutsideError(
             f"{folder / PROGRAM}: expected a JSON list of methods: {error}"
         ) from error
-    return [ComparedMethod(one.name, partial(_map_outside, folder, one, hand)) for one in listed]
+    return [
+        ComparedMethod(one.name, partial(_map_outside, folder, one, hand))
+        for one in listed
+    ]
 
 
 def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
@@ -369,7 +394,9 @@ def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
         options = LookAhead()
         wrist = smooth_poses(recording.time, take.wrist, recording.valid, options)
         smooth = look_ahead(recording, options)
-        trajectory = map_both_ways(take.human, robot, method, ik, smooth, wrist_poses=wrist)
+        trajectory = map_both_ways(
+            take.human, robot, method, ik, smooth, wrist_poses=wrist
+        )
     else:
         smoothing = Smoothing() if name.endswith(SMOOTH) else None
         ik = ik.replaced(**SMOOTH_IK) if smoothing else ik
@@ -381,7 +408,9 @@ def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
     return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
 
-def _map_outside(folder: Path, listed: _Listed, hand: str, take: Take, robot: Hand) -> RobotMotion:
+def _map_outside(
+    folder: Path, listed: _Listed, hand: str, take: Take, robot: Hand
+) -> RobotMotion:
     """Run an outside program on a take."""
     recording, count = take.recording, len(take.recording)
     with tempfile.TemporaryDirectory(prefix="handmap-") as temporary:
@@ -400,11 +429,15 @@ def _map_outside(folder: Path, listed: _Listed, hand: str, take: Take, robot: Ha
             if "wrist" in values:
                 shapes["wrist"] = (count, 4, 4)
             q, step_time, *wrist = (
-                as_floats(values[name], name, shape=shape, is_finite=name != "step_time")
+                as_floats(
+                    values[name], name, shape=shape, is_finite=name != "step_time"
+                )
                 for name, shape in shapes.items()
             )
         except (KeyError, ValueError) as error:
-            raise OutsideError(f"{folder / PROGRAM}: {listed.name}: bad result: {error}") from error
+            raise OutsideError(
+                f"{folder / PROGRAM}: {listed.name}: bad result: {error}"
+            ) from error
     return RobotMotion(q, wrist[0] if wrist else None, step_time, listed.about)
 
 

@@ -19,7 +19,13 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import rankdata
 
-from handmap_qp.apps.offline.hand_trace import KNUCKLE, MIDDLE, TIP, HandTrace, trace_robot
+from handmap_qp.apps.offline.hand_trace import (
+    KNUCKLE,
+    MIDDLE,
+    TIP,
+    HandTrace,
+    trace_robot,
+)
 from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
 from handmap_qp.apps.offline.trajectory import rms_derivative
@@ -104,14 +110,20 @@ def assess_fidelity(
         InvalidInputError: If the numbers of samples differ, no sample counts, or the hands have no
             finger in common.
     """
-    seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid, dtype=bool)
+    seen = (
+        np.ones(len(time), dtype=bool)
+        if valid is None
+        else np.asarray(valid, dtype=bool)
+    )
     shared = [name for name in human.names if name in robot.names]
     sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
     _check(sizes, len(time), shared)
     counts = seen & (time >= time[0] + SETTLING)
     if not counts.any():
         raise InvalidInputError(
-            argument="time", expected="valid samples after the first half second", got="none"
+            argument="time",
+            expected="valid samples after the first half second",
+            got="none",
         )
     h, r = human.part(counts, shared), robot.part(counts, shared)
     fingers = finger_metrics(h, r)
@@ -152,7 +164,9 @@ def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> dict[str,
     """Return metrics of the whole hand: correlations weighted by the human's range, and means."""
     correlations, weights = fingers["extension_correlation"], fingers["extension_range"]
     found = {
-        "extension_correlation": correlations @ weights / weights.sum() if weights.any() else _NAN,
+        "extension_correlation": correlations @ weights / weights.sum()
+        if weights.any()
+        else _NAN,
         "extension_rms": _rms(fingers["extension_rms"]),
         "finger_direction_deg": fingers["direction_deg"].mean(),
     }
@@ -187,9 +201,9 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> dict[str, np.ndarray]:
         "extension_correlation": np.array(correlations),
         "extension_rms": _rms(one - other),
         "extension_range": high - low,
-        "direction_deg": angles_between(tip_h - h[:, :, KNUCKLE], tip_r - r[:, :, KNUCKLE]).mean(
-            axis=0
-        ),
+        "direction_deg": angles_between(
+            tip_h - h[:, :, KNUCKLE], tip_r - r[:, :, KNUCKLE]
+        ).mean(axis=0),
         "wrist_direction_deg": angles_between(tip_h, tip_r).mean(axis=0),
         "tip_error_mm": _distance_mm(tip_r * (human.size / robot.size), tip_h),
         "tip_error_knuckles_mm": _distance_mm(from_centre, wanted),
@@ -225,9 +239,14 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
 def palm_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
     """Compare the palms' motions since the first sample, each in its own axes there, as RMS."""
     one, other = (np.linalg.inv(hand.palm[0]) @ hand.palm for hand in (human, robot))
-    angles = Rotation.from_matrix(one[:, :3, :3].transpose(0, 2, 1) @ other[:, :3, :3]).magnitude()
+    angles = Rotation.from_matrix(
+        one[:, :3, :3].transpose(0, 2, 1) @ other[:, :3, :3]
+    ).magnitude()
     distances = np.linalg.norm(one[:, :3, 3] - other[:, :3, 3], axis=1)
-    return {"palm_deg": float(np.degrees(_rms(angles))), "palm_mm": float(1e3 * _rms(distances))}
+    return {
+        "palm_deg": float(np.degrees(_rms(angles))),
+        "palm_mm": float(1e3 * _rms(distances)),
+    }
 
 
 def pinch_gaps(hand: HandTrace) -> dict[str, np.ndarray]:
@@ -236,7 +255,9 @@ def pinch_gaps(hand: HandTrace) -> dict[str, np.ndarray]:
         return {}
     tips = hand.points[:, :, TIP]
     gaps = np.linalg.norm(tips - tips[:, [hand.names.index(THUMB)]], axis=2)
-    return {name: gap for name, gap in zip(hand.names, gaps.T, strict=True) if name != THUMB}
+    return {
+        name: gap for name, gap in zip(hand.names, gaps.T, strict=True) if name != THUMB
+    }
 
 
 def pinch_order(human: HandTrace, robot: HandTrace) -> float:
@@ -246,7 +267,9 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
         Spearman's correlation over all samples and thumb-finger pairs in which the human's tips are
         less than 80 mm apart; NaN with fewer than three.
     """
-    a, b = (np.array(list(pinch_gaps(hand).values())).ravel() for hand in (human, robot))
+    a, b = (
+        np.array(list(pinch_gaps(hand).values())).ravel() for hand in (human, robot)
+    )
     a, b = a[a < NEAR], b[a < NEAR]
     if len(a) < 3 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return _NAN
@@ -283,7 +306,11 @@ def gap_metrics(
 
 
 def joint_metrics(
-    hand: Hand, q: np.ndarray, time: np.ndarray, counts: np.ndarray, human_q: np.ndarray | None
+    hand: Hand,
+    q: np.ndarray,
+    time: np.ndarray,
+    counts: np.ndarray,
+    human_q: np.ndarray | None,
 ) -> dict[str, float]:
     """Compare joints with their limits, and their jerk with the fitted human's."""
     outside = np.maximum(hand.lower_limits - q, q - hand.upper_limits).max(axis=1)
@@ -320,14 +347,18 @@ def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
     step = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1], step)
     a, b = (
-        np.column_stack([np.interp(grid, time, column) for column in tips.reshape(len(time), -1).T])
+        np.column_stack(
+            [np.interp(grid, time, column) for column in tips.reshape(len(time), -1).T]
+        )
         for tips in (human.local[:, :, TIP], robot.local[:, :, TIP])
     )
     if min(np.ptp(a, axis=0).max(), np.ptp(b, axis=0).max()) < _STILL:
         return _NAN
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
-    values = np.array([_lagged_correlation(a, b, lag) for lag in range(-most, most + 1)])
+    values = np.array(
+        [_lagged_correlation(a, b, lag) for lag in range(-most, most + 1)]
+    )
     best, shift = int(np.argmax(values)), 0.0
     if 0 < best < 2 * most:
         before, here, after = values[best - 1 : best + 2]
@@ -375,7 +406,11 @@ def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float
 
 
 def sample_workspace(
-    hand: Hand, chains: dict[str, Finger] | None = None, *, count: int = 20_000, seed: int = 42
+    hand: Hand,
+    chains: dict[str, Finger] | None = None,
+    *,
+    count: int = 20_000,
+    seed: int = 42,
 ) -> dict[str, np.ndarray]:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 
@@ -389,9 +424,13 @@ def sample_workspace(
         Points in the palm frame by finger [m], shape (count, 3) each.
     """
     random = np.random.default_rng(seed)
-    q = random.uniform(hand.lower_limits, hand.upper_limits, (count, len(hand.joint_names)))
+    q = random.uniform(
+        hand.lower_limits, hand.upper_limits, (count, len(hand.joint_names))
+    )
     trace = trace_robot(hand, q, None, chains)
-    return dict(zip(trace.names, trace.local[:, :, TIP].transpose(1, 0, 2), strict=True))
+    return dict(
+        zip(trace.names, trace.local[:, :, TIP].transpose(1, 0, 2), strict=True)
+    )
 
 
 def _knuckle_centre(names: tuple[str, ...], local: np.ndarray) -> np.ndarray:
@@ -423,13 +462,18 @@ def _palm_points(hand: HandTrace) -> np.ndarray:
 
 def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """Points of every sample moved by the similarity that lays them best on others (Umeyama)."""
-    centre, centre_onto = points.mean(axis=1, keepdims=True), onto.mean(axis=1, keepdims=True)
+    centre, centre_onto = (
+        points.mean(axis=1, keepdims=True),
+        onto.mean(axis=1, keepdims=True),
+    )
     a, b = points - centre, onto - centre_onto
     left, values, right = np.linalg.svd(np.einsum("tki,tkj->tij", b, a))
     signs = np.ones_like(values)
     signs[:, 2] = np.sign(np.linalg.det(left @ right))
     rotation = (left * signs[:, None]) @ right
-    scale = (values * signs).sum(axis=1) / np.maximum((a**2).sum(axis=(1, 2)), _LEAST**2)
+    scale = (values * signs).sum(axis=1) / np.maximum(
+        (a**2).sum(axis=(1, 2)), _LEAST**2
+    )
     return scale[:, None, None] * (a @ rotation.transpose(0, 2, 1)) + centre_onto
 
 
@@ -445,7 +489,9 @@ def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cosines between vectors along the last axis; 0 where either is zero."""
     norms = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
     dots = (a * b).sum(axis=-1)
-    return np.clip(np.divide(dots, norms, out=np.zeros_like(dots), where=norms > 0.0), -1.0, 1.0)
+    return np.clip(
+        np.divide(dots, norms, out=np.zeros_like(dots), where=norms > 0.0), -1.0, 1.0
+    )
 
 
 def _distance_mm(a: np.ndarray, b: np.ndarray) -> np.ndarray:

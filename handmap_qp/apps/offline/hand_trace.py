@@ -12,7 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, find_fingers, zero_posture
+from handmap_qp.hands.fingers import (
+    THUMB,
+    Finger,
+    PalmKinematics,
+    find_fingers,
+    zero_posture,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.spec import Side
@@ -53,7 +59,8 @@ class HandTrace(NamedTuple):
     def extension(self) -> np.ndarray:
         """Distance from knuckle to tip as a share of the reach, shape (T, k)."""
         return (
-            np.linalg.norm(self.points[:, :, TIP] - self.points[:, :, KNUCKLE], axis=2) / self.reach
+            np.linalg.norm(self.points[:, :, TIP] - self.points[:, :, KNUCKLE], axis=2)
+            / self.reach
         )
 
     def part(self, samples: np.ndarray, names: Sequence[str]) -> HandTrace:
@@ -90,7 +97,9 @@ def trace_human(
         on_wrist = np.linalg.inv(wrist_poses) @ palm
         rotation = nearest_rotation(on_wrist[:, :3, :3].mean(axis=0))
         palm = wrist_poses @ affine(rotation, np.median(on_wrist[:, :3, 3], axis=0))
-    points = np.stack([landmarks[:, index] for index in (FIRST_JOINTS, MIDDLES, TIPS)], axis=2)
+    points = np.stack(
+        [landmarks[:, index] for index in (FIRST_JOINTS, MIDDLES, TIPS)], axis=2
+    )
     reach = lengths.segments.sum(axis=1)
     size = float(np.linalg.norm(lengths.bases[1:].mean(axis=0)) + reach[1:].mean())
     return HandTrace(tuple(FINGERS), points, reach, palm, size)
@@ -118,12 +127,20 @@ def trace_robot(
     palm, points = np.empty((len(q), 4, 4)), np.empty((len(q), len(chains), 3, 3))
     places = [(chain.knuckle, chain.middle, chain.tip) for chain in chains.values()]
     for t, angles in enumerate(q):
-        hand.write_configuration(vector, angles, np.eye(4) if wrist is None else wrist[t])
+        hand.write_configuration(
+            vector, angles, np.eye(4) if wrist is None else wrist[t]
+        )
         pin.framesForwardKinematics(hand.model, data, vector)
         palm[t] = data.oMf[hand.palm_frame_id].homogeneous
-        points[t] = [[data.oMi[joint].act(offset) for joint, offset in three] for three in places]
+        points[t] = [
+            [data.oMi[joint].act(offset) for joint, offset in three] for three in places
+        ]
     reach = np.array([chain.reach for chain in chains.values()])
-    others = [i for i, name in enumerate(chains) if name != THUMB] or list(range(len(chains)))
-    knuckles = PalmKinematics(hand).points(zero_posture(hand), [places[i][0] for i in others])
+    others = [i for i, name in enumerate(chains) if name != THUMB] or list(
+        range(len(chains))
+    )
+    knuckles = PalmKinematics(hand).points(
+        zero_posture(hand), [places[i][0] for i in others]
+    )
     size = float(np.linalg.norm(knuckles.mean(axis=0)) + reach[others].mean())
     return HandTrace(tuple(chains), points, reach, palm, size)

@@ -40,14 +40,17 @@ class Layouts:
 
     layout: tyro.conf.Positional[
         Annotated[
-            str | None, tyro.conf.arg(metavar="[LAYOUT]", help_behavior_hint="(default: list all)")
+            str | None,
+            tyro.conf.arg(metavar="[LAYOUT]", help_behavior_hint="(default: list all)"),
         ]
     ] = None
     template: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE.yaml", help_behavior_hint="(default: none)")
+        Path | None,
+        tyro.conf.arg(metavar="FILE.yaml", help_behavior_hint="(default: none)"),
     ] = None
     picture: Annotated[
-        Path | None, tyro.conf.arg(metavar="FILE.png", help_behavior_hint="(default: none)")
+        Path | None,
+        tyro.conf.arg(metavar="FILE.png", help_behavior_hint="(default: none)"),
     ] = None
     json: bool = False
 
@@ -71,14 +74,19 @@ class Layouts:
                 print_rows("Layouts", rows)
             return
         layout = load_layout(self.layout)
-        written = [file for file in (self._template(layout), self._picture(layout)) if file]
+        written = [
+            file for file in (self._template(layout), self._picture(layout)) if file
+        ]
         facts = _facts(layout)
         if self.json:
             print(json.dumps({**facts, "entries": layout.rows()}))
             return
         print_table(
             layout.name,
-            {key: "; ".join(v) if isinstance(v, list) else v for key, v in facts.items()},
+            {
+                key: "; ".join(v) if isinstance(v, list) else v
+                for key, v in facts.items()
+            },
         )
         print_rows("Order", layout.rows())
         for file in written:
@@ -94,7 +102,9 @@ class Layouts:
         out = check_output("--template", self.template, (".yaml", ".yml"))
         if out.exists():
             raise InvalidInputError(
-                argument="--template", problem=f"{out} exists already", advice="name another file"
+                argument="--template",
+                problem=f"{out} exists already",
+                advice="name another file",
             )
         with replaced_file(out, "--template") as file:
             file.write(table_text(self.layout or layout.name).encode())
@@ -137,14 +147,20 @@ def _facts(layout: Layout) -> dict[str, Any]:
         facts["left-handed"] = f"{layout.table.mirror} is negated"
     wrist = layout.wrist_table
     if wrist is None:
-        facts["wrist pose"] = "fitted" if layout.has_wrist else "none; fitted to the palm"
+        facts["wrist pose"] = (
+            "fitted" if layout.has_wrist else "none; fitted to the palm"
+        )
     else:
         axes = [
             f"{side}: fingers along {found.distal}, back of the hand along {found.dorsal}"
             for side, found in (("right", wrist.right), ("left", wrist.left))
             if found is not None
         ]
-        where = f"of the joint {wrist.joint}" if layout.has_wrist else "given beside the values"
+        where = (
+            f"of the joint {wrist.joint}"
+            if layout.has_wrist
+            else "given beside the values"
+        )
         facts["wrist pose"] = [where, *axes]
         facts["quaternions"] = getattr(layout.table, "quaternion", wrist.quaternion)
     facts["not given"] = list(layout.table.missing)

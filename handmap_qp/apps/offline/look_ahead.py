@@ -37,7 +37,12 @@ from handmap_qp.se3 import poses_from_quats, rigid_fit
 from handmap_qp.stream.follower import Follower
 
 # The last pass follows joint angles, which are inside the limits already.
-_FOLLOW = {"rest_weight": 3.0, "max_iterations": 3, "step_tolerance": 0.02, "error_damping": 0.0}
+_FOLLOW = {
+    "rest_weight": 3.0,
+    "max_iterations": 3,
+    "step_tolerance": 0.02,
+    "error_damping": 0.0,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +62,9 @@ class LookAhead:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.cutoff < np.inf:
-            raise InvalidInputError(argument="cutoff", expected="a rate > 0", value=self.cutoff)
+            raise InvalidInputError(
+                argument="cutoff", expected="a rate > 0", value=self.cutoff
+            )
         if not 0.0 <= self.longest_gap < np.inf:
             expected = "a time >= 0"
             raise InvalidInputError(
@@ -87,7 +94,9 @@ def look_ahead(recording: Recording, options: LookAhead | None = None) -> Record
         landmarks[part] = _smoothed(
             recording.time[part], recording.landmarks[part], valid[part], chosen.cutoff
         )
-    return replace(recording, landmarks=landmarks, valid=filled, wrist=None, confidence=None)
+    return replace(
+        recording, landmarks=landmarks, valid=filled, wrist=None, confidence=None
+    )
 
 
 def smooth_poses(
@@ -187,7 +196,9 @@ def map_both_ways(
         confidence=None,
     )
     poses = None if wrist_poses is None else wrist_poses[::-1]
-    backward = map_recording(HandMapper(human, robot, method, ik=ik), turned, wrist_poses=poses)
+    backward = map_recording(
+        HandMapper(human, robot, method, ik=ik), turned, wrist_poses=poses
+    )
     bound = method.bind(human, robot)
     solver = PointIk(bound.robot, ik.replaced(**_FOLLOW), contacts=bound.contacts)
     mean, dt, margins = 0.5 * (forward.q + backward.q[::-1]), recording.steps, None
@@ -200,7 +211,9 @@ def map_both_ways(
         if forward.valid[i]:
             margins = steps[i].asked.margins
         targets = robot.points(angles, wrist)
-        result = solver.solve(targets, wrist, float(dt[i]), rest=angles, margins=margins)
+        result = solver.solve(
+            targets, wrist, float(dt[i]), rest=angles, margins=margins
+        )
         q[i] = solver.configuration.q[robot.q_indices]
         points[i] = result.points
         at_bound[i] = result.active[result.joint_columns] != 0
@@ -244,7 +257,9 @@ def _quats(rotations: np.ndarray) -> np.ndarray:
     k = np.empty((len(m), 4, 4))
     k[:, 0, 0] = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
     k[:, 1:, 1:] = m + m.transpose(0, 2, 1) - k[:, :1, :1] * np.eye(3)
-    axis = np.stack([m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], 1)
+    axis = np.stack(
+        [m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], 1
+    )
     k[:, 0, 1:] = k[:, 1:, 0] = axis
     quats = np.linalg.eigh(k)[1][:, :, -1]
     flips = np.einsum("ti,ti->t", quats[1:], quats[:-1]) < 0.0

@@ -83,14 +83,22 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
         # The turn about the normal from index to little finger: on both hands, the normal is such
         # that the little finger's side is the positive one.
         sine = (np.cross(index, little) * normal).sum(axis=1)
-        along_index, along_little = ((bone * normal).sum(axis=1) for bone in (index, little))
+        along_index, along_little = (
+            (bone * normal).sum(axis=1) for bone in (index, little)
+        )
         cosine = (index * little).sum(axis=1) - along_index * along_little
         spread = np.degrees(np.arctan2(sine, cosine))
     gaps = np.linalg.norm(points[:, TIPS[1:]] - points[:, TIPS[:1]], axis=2)
     return Posture(flexion, gaps, spread)
 
 
-POSES = ("open", "spread", "pointing", "fist", *(f"{finger} pinch" for finger in FINGERS[1:]))
+POSES = (
+    "open",
+    "spread",
+    "pointing",
+    "fist",
+    *(f"{finger} pinch" for finger in FINGERS[1:]),
+)
 """Names of the poses, in the order of every result."""
 
 
@@ -109,7 +117,9 @@ def _scores(posture: Posture) -> list[np.ndarray]:
     ]
     for finger, gap in enumerate(gaps.T):
         apart = np.delete(gaps, finger, axis=1).min(axis=1) > gap + PINCH_LEAD
-        scores.append(np.where((gap < PINCH_GAP) & apart & ~is_fist, PINCH_GAP - gap, np.nan))
+        scores.append(
+            np.where((gap < PINCH_GAP) & apart & ~is_fist, PINCH_GAP - gap, np.nan)
+        )
     return scores
 
 
@@ -136,7 +146,8 @@ finger's 10 mm farther from the thumb, no `fist` | the smallest gap |
         For every name of `POSES`, the index of a sample, or None where no sample shows the pose.
     """
     return {
-        name: None if found is None else found[0] for name, found in rank_poses(recording).items()
+        name: None if found is None else found[0]
+        for name, found in rank_poses(recording).items()
     }
 
 

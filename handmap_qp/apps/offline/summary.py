@@ -42,7 +42,9 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "held": int((~seen).sum()),
         "rules": count_rules(trajectory),
         "events": find_holds(trajectory),
-        "consistency_mm_mean": float((1e3 * consistency).mean()) if len(consistency) else None,
+        "consistency_mm_mean": float((1e3 * consistency).mean())
+        if len(consistency)
+        else None,
         "confidence_mean": float(trajectory.confidence[seen].mean()),
         "step_cpu_us_median": float(np.median(step)),
         "step_cpu_us_p99": float(np.percentile(step, 99)),
@@ -52,7 +54,9 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "wrist_error_mm_mean": 1e3 * float(trajectory.wrist_error[seen].mean()),
         "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
         "limit_violation_max": trajectory.limit_violation,
-        "speed_limited_share": float(trajectory.at_speed_limit[seen].any(axis=1).mean()),
+        "speed_limited_share": float(
+            trajectory.at_speed_limit[seen].any(axis=1).mean()
+        ),
         "speed_limited_joints": _slow_joints(trajectory),
         "arm_out_of_reach": _arm(trajectory),
     }
@@ -82,7 +86,9 @@ def find_holds(trajectory: Trajectory) -> list[dict[str, Any]]:
 
 def count_rules(trajectory: Trajectory) -> dict[str, int]:
     """Count the samples that break each rule, most frequent first."""
-    rules, counts = np.unique(trajectory.rule[trajectory.rule != ""], return_counts=True)
+    rules, counts = np.unique(
+        trajectory.rule[trajectory.rule != ""], return_counts=True
+    )
     order = np.argsort(-counts, kind="stable")
     return {str(rules[i]): int(counts[i]) for i in order}
 
@@ -96,7 +102,8 @@ def notes(summary: dict[str, Any]) -> list[str]:
     lines, share, arm = [], summary["speed_limited_share"], summary["arm_out_of_reach"]
     if share > SLOW_SHARE:
         joints = ", ".join(
-            f"{row['joint']} ({row['limit']:.3g} per s)" for row in summary["speed_limited_joints"]
+            f"{row['joint']} ({row['limit']:.3g} per s)"
+            for row in summary["speed_limited_joints"]
         )
         lines.append(
             f"speed limits held a joint in {100.0 * share:.0f} % of the samples, most often "

@@ -32,7 +32,9 @@ class SurfaceGaps(NamedTuple):
     nearest: np.ndarray
 
 
-def measure_gaps(hand: Hand, q: np.ndarray, chains: dict[str, Finger] | None = None) -> SurfaceGaps:
+def measure_gaps(
+    hand: Hand, q: np.ndarray, chains: dict[str, Finger] | None = None
+) -> SurfaceGaps:
     """Measure a robot's gaps from the collision shapes of its URDF; meshes are their convex hulls.
 
     Pairs of shapes on one joint, on neighbouring joints, or that overlap at rest or with the hand
@@ -78,7 +80,9 @@ class GapMeter:
             q: Joint angles [rad], shape (T, n).
         """
         smallest = _smallest_distance(self._hand, self._geometry)
-        rows = [[smallest(a, pairs, np.inf) for pairs in self._groups.values()] for a in q]
+        rows = [
+            [smallest(a, pairs, np.inf) for pairs in self._groups.values()] for a in q
+        ]
         columns = np.array(rows).reshape(len(q), len(self._groups)).T
         return dict(zip(self._groups, columns, strict=True))
 
@@ -144,7 +148,9 @@ def _smallest_distance(
         for i in np.arange(len(bounds))[chosen][bounds[chosen].argsort()].tolist():
             if bounds[i] >= most:
                 break
-            most = min(most, pin.computeDistance(geometry, geometry_data, i).min_distance)
+            most = min(
+                most, pin.computeDistance(geometry, geometry_data, i).min_distance
+            )
         return most
 
     return smallest

@@ -72,7 +72,9 @@ class Trajectory:
     @property
     def limit_violation(self) -> float:
         """Largest excess over a position limit [rad or m]; 0 if all limits hold."""
-        outside = np.maximum(self.robot.lower_limits - self.q, self.q - self.robot.upper_limits)
+        outside = np.maximum(
+            self.robot.lower_limits - self.q, self.q - self.robot.upper_limits
+        )
         return max(0.0, float(outside.max()))
 
     @property
@@ -100,7 +102,9 @@ def _versions() -> tuple[str, ...]:
 
 
 def map_motion(
-    mapper: HandMapper, motion: HumanMotion, progress: Callable[[int], None] | None = None
+    mapper: HandMapper,
+    motion: HumanMotion,
+    progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Map a whole human motion.
 
@@ -208,7 +212,9 @@ def map_samples(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     time = np.array([sample.time for sample in samples])
-    return trajectory_of(mapper.robot, time, Follower(mapper).map_samples(samples), progress)
+    return trajectory_of(
+        mapper.robot, time, Follower(mapper).map_samples(samples), progress
+    )
 
 
 def trajectory_of(
@@ -300,7 +306,9 @@ def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
         np.savez_compressed(file, allow_pickle=False, **columns)
 
 
-def rms_derivative(values: np.ndarray, time: np.ndarray, valid: np.ndarray, *, order: int) -> float:
+def rms_derivative(
+    values: np.ndarray, time: np.ndarray, valid: np.ndarray, *, order: int
+) -> float:
     """RMS of a time derivative, by divided differences, which allow uneven sampling.
 
     Args:

@@ -106,7 +106,9 @@ def find_anatomy(
     hand = _Evidence(flexion, names, thumb)
     distal, distal_clue = hand.find_distal()
     bend = hand.find_dorsal(distal)
-    is_round = hand.thumb is not None and flexion.directions[hand.thumb] @ distal < _OPPOSED
+    is_round = (
+        hand.thumb is not None and flexion.directions[hand.thumb] @ distal < _OPPOSED
+    )
     if is_round and len(hand.rest) > 1:
         # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
         how = "the thumb points the other way: the best direction may be nearer to the palm's"
@@ -116,7 +118,9 @@ def find_anatomy(
     across = np.cross(distal, bend.dorsal)
     radial = hand.find_radial(across)
     named = named_side([*hints, *(name for group in names for name in group)])
-    bend, side, side_clue = _find_side(bend, radial, hand.thumb_clue, named, side, across)
+    bend, side, side_clue = _find_side(
+        bend, radial, hand.thumb_clue, named, side, across
+    )
     # The thumb's side orders the fingers; only without it the side does.
     across = np.cross(distal, bend.dorsal)
     towards = radial.direction
@@ -157,7 +161,9 @@ class _Evidence:
         axis: Mean axis of their flexion, disregarding its sense; None without a common one.
     """
 
-    def __init__(self, flexion: HandFlexion, names: list[list[str]], thumb: int | None) -> None:
+    def __init__(
+        self, flexion: HandFlexion, names: list[list[str]], thumb: int | None
+    ) -> None:
         self.flexion, self.names, self.labels = flexion, names, named_fingers(names)
         self.thumb, self.thumb_clue = self._find_thumb(thumb)
         self.rest = [i for i in range(len(names)) if i != self.thumb]
@@ -179,7 +185,9 @@ class _Evidence:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
         position, direction, way = parts = _differences(self.flexion)
         # A different number of joints counts, but less than any of the others.
-        joints = np.array([[len(one) != len(other) for other in names] for one in names])
+        joints = np.array(
+            [[len(one) != len(other) for other in names] for one in names]
+        )
         scores = _stands_out(0.5 * (position + direction + way) + 0.15 * joints)
         best, ranked = int(np.argmax(scores)), np.sort(scores)
         margin = float(ranked[-1] - ranked[-2]) if count > 2 else 0.0
@@ -244,7 +252,9 @@ class _Evidence:
         flexion, rest = self.flexion, self.rest
         lengths = flexion.reach[[thumb, *rest]]
         faces = flexion.axes[thumb] @ flexion.axes[rest].mean(axis=0) < _FACING
-        is_ahead = flexion.directions[thumb] @ flexion.directions[rest].mean(axis=0) > _AHEAD
+        is_ahead = (
+            flexion.directions[thumb] @ flexion.directions[rest].mean(axis=0) > _AHEAD
+        )
         return bool(faces and is_ahead and np.ptp(lengths) < _ALIKE * lengths.mean())
 
     def find_dorsal(self, distal: np.ndarray) -> _Bend:
@@ -260,7 +270,9 @@ class _Evidence:
             # The axes of flexion are exact; the way of the tips depends on the posture.
             palmar = np.sign(palmar @ upright) * upright
         if np.linalg.norm(palmar) < 0.2 and self.thumb is not None:
-            palmar = flexion.tips_open[self.thumb] - flexion.tips_open[rest].mean(axis=0)
+            palmar = flexion.tips_open[self.thumb] - flexion.tips_open[rest].mean(
+                axis=0
+            )
             palmar = palmar - (palmar @ distal) * distal
             how = "away from the thumb, because the other fingertips flex in different directions"
             certainty = 0.5
@@ -282,9 +294,17 @@ class _Evidence:
             how, confidence = f"{how}; {contradiction}", min(confidence, _DISPUTED)
         return _Bend(dorsal, how, confidence, certainty)
 
-    def _confirmations(self, distal: np.ndarray, dorsal: np.ndarray) -> tuple[list[str], str]:
+    def _confirmations(
+        self, distal: np.ndarray, dorsal: np.ndarray
+    ) -> tuple[list[str], str]:
         """Return what confirms the dorsal direction besides flexion, and what contradicts it."""
-        flexion, rest, thumb, more, against = self.flexion, self.rest, self.thumb, [], ""
+        flexion, rest, thumb, more, against = (
+            self.flexion,
+            self.rest,
+            self.thumb,
+            [],
+            "",
+        )
         if len(rest) > 2:
             normal = np.cross(_widest(flexion.bases[rest]), distal)
             angle = angle_between(normal, dorsal)
@@ -294,7 +314,9 @@ class _Evidence:
             elif np.linalg.norm(normal) > 0.5 and angle > 2.0 * _AGREEING:
                 against = f"the row of the knuckles is {angle:.0f} degrees off the palm's plane"
         if thumb is not None and flexion.certainty[thumb] > 0.6:
-            height = (flexion.tips_closed[thumb] - flexion.bases[rest].mean(axis=0)) @ -dorsal
+            height = (
+                flexion.tips_closed[thumb] - flexion.bases[rest].mean(axis=0)
+            ) @ -dorsal
             if height > 0.1 * flexion.reach[rest].mean():
                 more.append("the thumb closes on the other side")
         return more, against
@@ -303,9 +325,16 @@ class _Evidence:
         """Find the thumb's side of the palm: by its place, or by the other fingers' names."""
         flexion = self.flexion
         named = {self.labels[i]: i for i in self.rest}
-        row = flexion.bases[[named[label] for label in FINGERS if label in named]] @ across
+        row = (
+            flexion.bases[[named[label] for label in FINGERS if label in named]]
+            @ across
+        )
         steps, named_sign = np.diff(row), 0.0
-        if len(steps) and (np.abs(steps) > 0.5 * _NARROW).all() and len({*np.sign(steps)}) == 1:
+        if (
+            len(steps)
+            and (np.abs(steps) > 0.5 * _NARROW).all()
+            and len({*np.sign(steps)}) == 1
+        ):
             named_sign = -float(np.sign(steps[0]))
         by_names = _Radial(named_sign * across, "the fingers' names", _LIKELY)
         place, is_outside = self._thumb_place(across)
@@ -334,13 +363,18 @@ class _Evidence:
             return 0.0, False
         row = flexion.bases[rest] @ across
         width = max(float(np.ptp(row)) / 2.0, 0.25 * float(flexion.reach[rest].mean()))
-        ends = np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across - row.mean()
+        ends = (
+            np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
+            - row.mean()
+        )
         place = float(ends.mean()) / width
         return place, bool((ends * place > 0.0).all())
 
     # -- fingers
 
-    def name_fingers(self, radial: np.ndarray, confidence: float) -> tuple[tuple[str, ...], Clue]:
+    def name_fingers(
+        self, radial: np.ndarray, confidence: float
+    ) -> tuple[tuple[str, ...], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
         flexion, rest, labels = self.flexion, self.rest, self.labels
         # Order fingers by base and tip: fingers spread towards their tips, and bases may lie one
@@ -370,7 +404,9 @@ class _Evidence:
             else:
                 how = f"{how}; the names say {', '.join(own[i] for i in order)}"
                 confidence = min(confidence, _DISPUTED)
-        answer = [called[i] for i in ([] if self.thumb is None else [self.thumb]) + order]
+        answer = [
+            called[i] for i in ([] if self.thumb is None else [self.thumb]) + order
+        ]
         if len(rest) < 2:
             # Nothing is left to choose but the thumb.
             confidence = max(confidence, min(0.9, sure))
@@ -378,7 +414,9 @@ class _Evidence:
         return tuple(called[i] for i in range(len(labels))), clue
 
 
-def _thumb_clue(names: list[str], how: str, confidence: float, margin: float | None = None) -> Clue:
+def _thumb_clue(
+    names: list[str], how: str, confidence: float, margin: float | None = None
+) -> Clue:
     shown = "" if margin is None else f" (margin {margin:.2f} of 1)"
     return Clue("thumb", names[-1], how + shown, confidence)
 
@@ -425,7 +463,11 @@ def _find_side(
     found: Side = "right" if radial.direction @ across < 0.0 else "left"
     if radial.confidence == 0.0:
         if declared is None:
-            return bend, "right", Clue("side", "right", "undetermined; right by convention", 0.2)
+            return (
+                bend,
+                "right",
+                Clue("side", "right", "undetermined; right by convention", 0.2),
+            )
         how = f"{source}; the thumb is in the middle"
         return bend, declared, Clue("side", declared, how, 1.0 if is_given else 0.65)
     where = "left" if found == "right" else "right"
@@ -441,11 +483,19 @@ def _find_side(
     # They disagree: names yield to clear flexion, an owner's word does not.
     is_clear = bend.sign_certainty > 0.9
     if not is_given and is_clear and radial.confidence >= _LIKELY:
-        return bend, found, Clue("side", found, f"{how}; the names say {declared}", _DISPUTED)
+        return (
+            bend,
+            found,
+            Clue("side", found, f"{how}; the names say {declared}", _DISPUTED),
+        )
     why, how = "flexion is symmetric", source
     sure, confidence = min(_LIKELY, radial.confidence), min(_LIKELY, thumb.confidence)
     if is_clear:
-        why, sure, confidence = "the ranges of the joints suggest the opposite", 0.4, 0.5
+        why, sure, confidence = (
+            "the ranges of the joints suggest the opposite",
+            0.4,
+            0.5,
+        )
         how = f"{source}; the ranges of the joints suggest {found}"
     elif is_given:
         confidence = 0.9
@@ -477,11 +527,17 @@ def _widest(points: np.ndarray) -> np.ndarray:
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
     """Return the angle between two vectors [deg]; 180 if one is zero."""
     length = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return float(np.degrees(np.arccos(np.clip(one @ other / length, -1.0, 1.0)))) if length else 180
+    return (
+        float(np.degrees(np.arccos(np.clip(one @ other / length, -1.0, 1.0))))
+        if length
+        else 180
+    )
 
 
 def _snapped(
-    direction: np.ndarray, knuckles: np.ndarray | None = None, axis: np.ndarray | None = None
+    direction: np.ndarray,
+    knuckles: np.ndarray | None = None,
+    axis: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the link's axis next to a direction, or else the direction, normalised.
 
@@ -495,7 +551,9 @@ def _snapped(
     if angle < _SNAP:
         return ahead
     if knuckles is not None and axis is not None and angle < _SNAP_WITH_PALM:
-        lateral = np.delete(np.abs(axis), nearest).max() > np.cos(np.radians(_SNAP_AXIS))
+        lateral = np.delete(np.abs(axis), nearest).max() > np.cos(
+            np.radians(_SNAP_AXIS)
+        )
         sagittal = knuckles - (knuckles @ axis) * axis
         if lateral and angle_between(sagittal, ahead) < angle:
             return ahead

@@ -133,7 +133,12 @@ class Report:
         names = ("level", "key", "found", "change")
         findings = [dict(zip(names, finding, strict=True)) for finding in self.findings]
         shown = None if picture is None else str(picture)
-        return {"name": self.name, **self.measured, "findings": findings, "picture": shown}
+        return {
+            "name": self.name,
+            **self.measured,
+            "findings": findings,
+            "picture": shown,
+        }
 
 
 def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
@@ -161,9 +166,13 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
                 for finding in check(built, report.measured):
                     report.findings.append(finding)
             except HandmapError as error:
-                report.findings.append(Finding("advice", where, f"not checked: {error}"))
+                report.findings.append(
+                    Finding("advice", where, f"not checked: {error}")
+                )
     if not {"error", "warning"} & {finding.level for finding in report.findings}:
-        what = "no contradiction between description, names, limits, shapes and gestures"
+        what = (
+            "no contradiction between description, names, limits, shapes and gestures"
+        )
         report.findings.append(Finding("fine", "", what))
     report.measured = {title: rows for title, rows in report.measured.items() if rows}
     report.findings.sort(key=lambda finding: LEVELS.index(finding.level))
@@ -174,12 +183,24 @@ def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
     """Return a row per joint of the URDF: role, limits of active joints, rest angle."""
     rest = hand.all_joints(hand.rest)
     rows = []
-    for i, (joint, role) in enumerate(zip(hand.all_joint_names, hand.all_joint_roles, strict=True)):
+    for i, (joint, role) in enumerate(
+        zip(hand.all_joint_names, hand.all_joint_roles, strict=True)
+    ):
         is_set = i < len(hand.joint_names)
-        limits = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]" if is_set else ""
+        limits = (
+            f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]"
+            if is_set
+            else ""
+        )
         speed = f"{hand.velocity_limits[i]:.3g}" if is_set else ""
         rows.append(
-            {"joint": joint, "role": role, "limits": limits, "speed": speed, "rest": float(rest[i])}
+            {
+                "joint": joint,
+                "role": role,
+                "limits": limits,
+                "speed": speed,
+                "rest": float(rest[i]),
+            }
         )
     return rows
 
@@ -187,10 +208,14 @@ def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
 def _check_joints(hand: Hand, tables: Tables) -> Findings:
     """Check limits, rest angles, speeds and followers."""
     for note in hand.notes:
-        change = "correct the URDF, or give the rule in `mimic` or the limits in `limits`"
+        change = (
+            "correct the URDF, or give the rule in `mimic` or the limits in `limits`"
+        )
         yield Finding("warning", "mimic", note, change)
     columns = (hand.rest, hand.lower_limits, hand.upper_limits, hand.velocity_limits)
-    for joint, rest, lower, upper, speed in zip(hand.joint_names, *columns, strict=True):
+    for joint, rest, lower, upper, speed in zip(
+        hand.joint_names, *columns, strict=True
+    ):
         width = upper - lower
         if min(rest - lower, upper - rest) < 0.01 * width:
             what = "rests at its limit, so it can move in one direction only"
@@ -214,7 +239,9 @@ def _check_ranges(hand: Hand, tables: Tables) -> Findings:
     ):
         wide = np.flatnonzero((width > largest) & kind & own)
         if len(wide):
-            count = f"{len(wide)} joints have ranges" if len(wide) > 1 else "it has a range"
+            count = (
+                f"{len(wide)} joints have ranges" if len(wide) > 1 else "it has a range"
+            )
             what = f"{count} of up to {width[wide].max():.3g}: in {unit}?"
             where = f"limits.{hand.joint_names[wide[0]]}"
             yield Finding("warning", where, what, "give limits in rad and m")
@@ -222,8 +249,12 @@ def _check_ranges(hand: Hand, tables: Tables) -> Findings:
 
 def _carriers(hand: Hand) -> np.ndarray:
     """Return which active joints move the wrist, shape (n,)."""
-    carriers = [*hand.model.supports[hand.model.frames[hand.wrist_frame_id].parentJoint]]
-    return np.array([hand.model.getJointId(joint) in carriers for joint in hand.joint_names])
+    carriers = [
+        *hand.model.supports[hand.model.frames[hand.wrist_frame_id].parentJoint]
+    ]
+    return np.array(
+        [hand.model.getJointId(joint) in carriers for joint in hand.joint_names]
+    )
 
 
 def _check_speeds(hand: Hand, tables: Tables) -> Findings:
@@ -263,7 +294,10 @@ def _check_followers(hand: Hand, tables: Tables) -> Findings:
 
 def _check_points(hand: Hand, tables: Tables) -> Findings:
     """Check partners, places and weights of the reference points."""
-    points, names = hand.points(hand.rest), {point.name for point in load_hand("human").spec.points}
+    points, names = (
+        hand.points(hand.rest),
+        {point.name for point in load_hand("human").spec.points},
+    )
     partners = partner_names(hand, names)
     for i, point in enumerate(hand.reference_points):
         where = f"points.{point.name}"
@@ -303,7 +337,10 @@ def _check_places(hand: Hand, tables: Tables) -> Findings:
 
 def _check_meshes(hand: Hand, tables: Tables) -> Findings:
     robot = parse_urdf(urdf_with_mesh_paths(hand.spec, hand.urdf_text))
-    for tag, use in (("collision", "self-collision and pinches"), ("visual", "pictures")):
+    for tag, use in (
+        ("collision", "self-collision and pinches"),
+        ("visual", "pictures"),
+    ):
         meshes = (mesh for shape in robot.iter(tag) for mesh in shape.iter("mesh"))
         names = dict.fromkeys(mesh.get("filename", "") for mesh in meshes)
         missing = [name for name in names if not Path(name).is_file()]
@@ -311,7 +348,9 @@ def _check_meshes(hand: Hand, tables: Tables) -> Findings:
             shown = ", ".join(Path(name).name for name in missing[:_MOST_NAMES])
             more = ", ..." if len(missing) > _MOST_NAMES else ""
             what = f"{len(missing)} of {len(names)} {tag} meshes are missing: {shown}{more}; "
-            change = f"put them where the URDF looks for them: {Path(missing[0]).parent}"
+            change = (
+                f"put them where the URDF looks for them: {Path(missing[0]).parent}"
+            )
             yield Finding("warning", "urdf", f"{what}{use} do without them", change)
 
 
@@ -325,7 +364,9 @@ def _check_wrist(hand: Hand, tables: Tables) -> Findings:
     joints, base = left_out_wrist(robot, spec.root)
     if joints:
         what = f"wrist joints are left out: {joints}"
-        yield Finding("advice", "root", what, f"keep them with `hands init --base {base}`")
+        yield Finding(
+            "advice", "root", what, f"keep them with `hands init --base {base}`"
+        )
 
 
 def _check_names(hand: Hand, tables: Tables) -> Findings:
@@ -341,9 +382,13 @@ def _check_names(hand: Hand, tables: Tables) -> Findings:
             what = f"its links and joints are named {label}, but its finger is {finger}"
             change = f"finger: {label}, with a matching name and partner"
             yield Finding("warning", f"points.{finger}_tip", what, change)
-    side = named_side([hand.spec.palm.link, *(name for group in names for name in group)])
+    side = named_side(
+        [hand.spec.palm.link, *(name for group in names for name in group)]
+    )
     if side is not None and side != hand.side and not hand.spec.mirror:
-        yield Finding("warning", "side", f"links and joints are named {side}", f"side: {side}")
+        yield Finding(
+            "warning", "side", f"links and joints are named {side}", f"side: {side}"
+        )
 
 
 def _check_order(hand: Hand, tables: Tables) -> Findings:
@@ -355,7 +400,9 @@ def _check_order(hand: Hand, tables: Tables) -> Findings:
     if len(is_back) and is_back.all():
         row = "fingers run from little to index, seen from the thumb's side"
         what = f"the {hand.side} hand's {row}"
-        yield Finding("warning", "side", what, "change side, or the sign of palm.dorsal")
+        yield Finding(
+            "warning", "side", what, "change side, or the sign of palm.dorsal"
+        )
     elif is_back.any():
         what = "the fingers are not in the order of their knuckles"
         yield Finding("warning", "points", what, "rename them")
@@ -369,7 +416,9 @@ def _check_fist(hand: Hand, tables: Tables) -> Findings:
     across = f"{fist.across_deg:.0f} degrees off"
     if fist.across_deg > 180.0 - _ACROSS:
         what = "a fist brings the fingertips to the back of the hand"
-        yield Finding("warning", "palm.dorsal", what, "turn dorsal over, or change side")
+        yield Finding(
+            "warning", "palm.dorsal", what, "turn dorsal over, or change side"
+        )
     elif fist.across_deg > _ACROSS:
         what = f"the fingers close about an axis {across} the palm's x axis"
         yield Finding("warning", "palm.dorsal", what, "correct distal and dorsal")
@@ -404,7 +453,9 @@ def _check_opposition(hand: Hand, tables: Tables) -> Findings:
     ]
     touched = [pinch.finger for pinch in pinches if pinch.touches]
     if THUMB not in fingers:
-        yield Finding("advice", "points", "no point is on a thumb: pinches are not mapped")
+        yield Finding(
+            "advice", "points", "no point is on a thumb: pinches are not mapped"
+        )
     elif touched:
         yield Finding("fine", "points", f"the thumb can touch {', '.join(touched)}")
     elif pinches:
@@ -412,36 +463,48 @@ def _check_opposition(hand: Hand, tables: Tables) -> Findings:
         gap = f"{1e3 * nearest.gap:.0f} mm away"
         what = f"the thumb touches no finger; nearest is the {nearest.finger}, {gap}"
         level: Level = "warning" if nearest.gap > _OPPOSING else "advice"
-        yield Finding(level, "points", what, "check the thumb, the tips, and the limits")
+        yield Finding(
+            level, "points", what, "check the thumb, the tips, and the limits"
+        )
 
 
 def _compare_detection(hand: Hand, tables: Tables) -> Findings:
     """Compare the description with a detection from the URDF."""
     try:
-        found = detect_text(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
+        found = detect_text(
+            hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link
+        )
     except HandError as error:
         yield Finding("advice", "palm", f"not compared with the URDF: {error.problem}")
         return
     clues = {clue.what: clue for clue in found.clues}
-    own, theirs = hand.link_poses([hand.spec.palm.link, found.spec.palm.link], hand.rest)[:, :3, :3]
+    own, theirs = hand.link_poses(
+        [hand.spec.palm.link, found.spec.palm.link], hand.rest
+    )[:, :3, :3]
     for name in ("distal", "dorsal"):
         # The detected direction in the frame of the described palm link.
         other = own.T @ theirs @ np.array(getattr(found.spec.palm, name))
         angle = angle_between(np.array(getattr(hand.spec.palm, name)), other)
-        allowed = _CERTAIN_ANGLE if clues[name].certainty == "certain" else _LIKELY_ANGLE
+        allowed = (
+            _CERTAIN_ANGLE if clues[name].certainty == "certain" else _LIKELY_ANGLE
+        )
         if angle > allowed and clues[name].confidence > _SURE:
             better = ", ".join(f"{value:.3f}" for value in other)
             what = f"is {angle:.0f} degrees from the detected one: {clues[name].how}"
             yield Finding("warning", f"palm.{name}", what, f"try [{better}]")
     side = found.spec.side
     if side != hand.side and clues["side"].confidence > _SURE:
-        yield Finding("warning", "side", f"{clues['side'].how}: a {side} hand", f"side: {side}")
+        yield Finding(
+            "warning", "side", f"{clues['side'].how}: a {side} hand", f"side: {side}"
+        )
     if side != hand.side or clues["fingers"].confidence <= _SURE:
         return
     # The finger named by each point must be the one whose chain moves it.
     for point in hand.reference_points:
         mover = hand.model.names[place_of(hand, point)[0]]
-        owner = next((finger for finger, chain in found.chains.items() if mover in chain), None)
+        owner = next(
+            (finger for finger, chain in found.chains.items() if mover in chain), None
+        )
         if owner is not None and point.finger not in (None, owner):
             what = f"is on the finger at the position of the {owner}, but names {point.finger}"
             change = f"finger: {owner}, with a matching name and partner"
@@ -452,7 +515,11 @@ def _check_reach(hand: Hand, tables: Tables) -> Findings:
     """Measure the point of each finger with the largest span."""
     rows = sorted(measure_reach(hand), key=lambda row: -row.span)
     fingers = dict.fromkeys(point.finger for point in hand.reference_points)
-    best = [next(row for row in rows if row.finger == finger) for finger in fingers if finger]
+    best = [
+        next(row for row in rows if row.finger == finger)
+        for finger in fingers
+        if finger
+    ]
     tables["Fingers"] = [
         {
             "point": row.point,
@@ -474,14 +541,18 @@ def _check_collisions(hand: Hand, tables: Tables) -> Findings:
         try:
             named_pairs(hand)
         except HandError as error:
-            yield Finding("warning", error.key or "collision", error.problem, "correct the pair")
+            yield Finding(
+                "warning", error.key or "collision", error.problem, "correct the pair"
+            )
     pairs = [f"{one} and {other}" for one, other in colliding_links(hand, hand.rest)]
     if pairs:
         shown = ", ".join([*pairs[:4], *(["..."] if len(pairs) > 4 else [])])
         change = "open the hand or spread its fingers more"
         yield Finding("warning", "rest", f"at rest {shown} overlap", change)
     else:
-        yield Finding("fine", "rest", "no links overlap at rest, except neighbours at a joint")
+        yield Finding(
+            "fine", "rest", "no links overlap at rest, except neighbours at a joint"
+        )
 
 
 def _check_size(hand: Hand, tables: Tables) -> Findings:
@@ -516,7 +587,9 @@ def _check_arm(hand: Hand, tables: Tables) -> Findings:
         yield Finding("fine", "rest", what)
         return
     change = "rest in the middle of the arm's range"
-    scale = float(np.floor(20.0 * min(1.0, np.quantile(reach, 0.2) / _ARM_MOTION)) / 20.0)
+    scale = float(
+        np.floor(20.0 * min(1.0, np.quantile(reach, 0.2) / _ARM_MOTION)) / 20.0
+    )
     if scale >= 0.05:
         what += f"; a scale of {scale:.2g} fits"
         change += f", or map with --scale {scale:.2g}"
@@ -536,7 +609,11 @@ def _check_motion(hand: Hand, tables: Tables) -> Findings:
     ]
     for part in motion:
         if part.error > _OUT_OF_REACH:
-            stops = f", {', '.join(part.limited[:3])} at a position limit" if part.limited else ""
+            stops = (
+                f", {', '.join(part.limited[:3])} at a position limit"
+                if part.limited
+                else ""
+            )
             gap = f"stays {1e3 * part.error:.0f} mm from its target{stops}"
             yield Finding("advice", "reach", f"{part.name}: {part.worst_point} {gap}")
 

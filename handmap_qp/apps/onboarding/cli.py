@@ -36,7 +36,9 @@ _WROTE = "wrote {0}; check it with: handmap hands check {0}"
 def _print_found(hand: Hand, found: Detection, rows: list[dict[str, Any]]) -> None:
     """Print what was found of a hand."""
     followers = hand.all_joint_roles.count("follower")
-    print_rows(f"{hand.name}: {len(hand.joint_names)} joints, {followers} followers", rows)
+    print_rows(
+        f"{hand.name}: {len(hand.joint_names)} joints, {followers} followers", rows
+    )
     for note in found.notes:
         print(f"note: {note}")
 
@@ -93,7 +95,8 @@ class HandsShow:
             print(json.dumps(rows))
             return
         print_table(
-            rows["name"], {key: value for key, value in rows.items() if not isinstance(value, list)}
+            rows["name"],
+            {key: value for key, value in rows.items() if not isinstance(value, list)},
         )
         print_rows("Joints", rows["joints"])
         print_rows("Reference points", rows["points"])
@@ -161,7 +164,11 @@ class HandsInit:
         ]
         if self.json:
             notes, out = list(found.notes), str(self.out)
-            print(json.dumps({"name": hand.name, "out": out, "found": rows, "notes": notes}))
+            print(
+                json.dumps(
+                    {"name": hand.name, "out": out, "found": rows, "notes": notes}
+                )
+            )
             return
         _print_found(hand, found, rows)
         for path in source.written:
@@ -190,7 +197,8 @@ class HandsMigrate:
 
     config: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG.yml")]]
     urdf: Annotated[
-        Path | None, _optional("ROBOT.urdf", "as the configuration says, from its folder")
+        Path | None,
+        _optional("ROBOT.urdf", "as the configuration says, from its folder"),
     ] = None
     name: Annotated[str | None, _optional("NAME", "the robot's name")] = None
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
@@ -204,7 +212,10 @@ class HandsMigrate:
         found = migrate(configuration, urdf, name=self.name)
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
-        rows = [{"reference point": point.name, "link": point.link} for point in hand.spec.points]
+        rows = [
+            {"reference point": point.name, "link": point.link}
+            for point in hand.spec.points
+        ]
         _print_found(hand, found, rows)
         print(_WROTE.format(self.out))
 
@@ -230,7 +241,8 @@ class HandsCheck:
 
     hand: tyro.conf.Positional[HandName]
     picture: Annotated[
-        Path | None, _optional("FILE", "beside the hand.yaml; none for a hand of the package")
+        Path | None,
+        _optional("FILE", "beside the hand.yaml; none for a hand of the package"),
     ] = None
     motion: bool = True
     json: bool = False
@@ -280,8 +292,12 @@ class HandsMatch:
     """
 
     hand: tyro.conf.Positional[HandName]
-    human_length: Annotated[float | None, _optional("METRES", "the standard hand's")] = None
-    recording: Annotated[Path | None, _optional("RECORDING", "the standard hand")] = None
+    human_length: Annotated[
+        float | None, _optional("METRES", "the standard hand's")
+    ] = None
+    recording: Annotated[Path | None, _optional("RECORDING", "the standard hand")] = (
+        None
+    )
     picture: Annotated[Path | None, _optional("FILE.png", "none")] = None
     write: bool = False
     json: bool = False
@@ -298,7 +314,9 @@ class HandsMatch:
             )
         match = match_hand(
             robot,
-            recording=None if self.recording is None else InputArguments().read(self.recording),
+            recording=None
+            if self.recording is None
+            else InputArguments().read(self.recording),
             human_length=self.human_length,
         )
         if self.picture is not None:
@@ -307,10 +325,19 @@ class HandsMatch:
             write_matched(match, file)
         written = [str(path) for path in (self.picture, file) if path is not None]
         if self.json:
-            print(json.dumps({"name": robot.name, "joints": match.rows, "written": written}))
+            print(
+                json.dumps(
+                    {"name": robot.name, "joints": match.rows, "written": written}
+                )
+            )
             return
-        print_rows(f"{robot.name}: the posture that matches the resting human's", match.rows)
+        print_rows(
+            f"{robot.name}: the posture that matches the resting human's", match.rows
+        )
         if file is None:
-            print(f"to use this posture for everyone, paste into hand.yaml:\n{match.text}", end="")
+            print(
+                f"to use this posture for everyone, paste into hand.yaml:\n{match.text}",
+                end="",
+            )
         for path in written:
             print(f"wrote {path}")

@@ -35,7 +35,9 @@ def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
     try:
         collision = find_collision_pairs(hand)
     except HandmapError as error:
-        return replace(found, notes=(*found.notes, f"no pairs for self-collision: {error}"))
+        return replace(
+            found, notes=(*found.notes, f"no pairs for self-collision: {error}")
+        )
     if collision is None:
         return found
     return replace(found, spec=msgspec.structs.replace(found.spec, collision=collision))
@@ -55,8 +57,12 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     """
     fingers = find_fingers(hand)
     pairs = all_pairs(hand, fingers)
-    owners = {link: _owner(hand, fingers, link) for link in {*itertools.chain(*pairs.links)}}
-    wanted = [_is_wanted(owners[one], owners[other], [*fingers]) for one, other in pairs.links]
+    owners = {
+        link: _owner(hand, fingers, link) for link in {*itertools.chain(*pairs.links)}
+    }
+    wanted = [
+        _is_wanted(owners[one], owners[other], [*fingers]) for one, other in pairs.links
+    ]
     distances = _distances(hand, pairs)
     touches = distances[0] < 2.0 * MARGIN
     pinches = np.array([bool(finger) for finger in pairs.fingers], dtype=bool)
@@ -65,7 +71,9 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     named = [(min(links), max(links)) for links in pairs.links]
     # A link has several shapes: its pair is left out if one pair of them touches.
     bad = {named[i] for i in np.flatnonzero(touches | overlaps)}
-    good = dict.fromkeys(named[i] for i in np.flatnonzero(np.array(wanted, dtype=bool) & is_near))
+    good = dict.fromkeys(
+        named[i] for i in np.flatnonzero(np.array(wanted, dtype=bool) & is_near)
+    )
     found = tuple(pair for pair in good if pair not in bad)
     return CollisionSpec(found, MARGIN) if found else None
 
@@ -98,7 +106,9 @@ def _distances(hand: Hand, pairs: ShapePairs) -> np.ndarray:
     found = []
     for q in (hand.rest, *random):
         vector = hand.configuration_vector(q)
-        pin.updateGeometryPlacements(hand.model, data, pairs.geometry, geometry_data, vector)
+        pin.updateGeometryPlacements(
+            hand.model, data, pairs.geometry, geometry_data, vector
+        )
         pin.computeDistances(pairs.geometry, geometry_data)
         found.append([result.min_distance for result in geometry_data.distanceResults])
     return np.array(found, dtype=float).reshape(_SAMPLES + 1, -1)

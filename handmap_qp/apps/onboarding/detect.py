@@ -18,13 +18,25 @@ import numpy as np
 from handmap_qp.apps.onboarding.anatomy import Anatomy, Clue, find_anatomy
 from handmap_qp.apps.onboarding.flexion import HandFlexion, find_flexion
 from handmap_qp.apps.onboarding.robot import Robot
-from handmap_qp.apps.onboarding.structure import Chain, Structure, find_structure, fingers_of
+from handmap_qp.apps.onboarding.structure import (
+    Chain,
+    Structure,
+    find_structure,
+    fingers_of,
+)
 from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, Place
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.sources import decode_xml
-from handmap_qp.hands.spec import HandSpec, PadSpec, PalmSpec, PointSpec, Side, WristSpec
+from handmap_qp.hands.spec import (
+    HandSpec,
+    PadSpec,
+    PalmSpec,
+    PointSpec,
+    Side,
+    WristSpec,
+)
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
@@ -64,7 +76,9 @@ class Detection:
             notes: Notes of the URDF's conversion; they come first.
         """
         spec = (
-            self.spec if reference is None else msgspec.structs.replace(self.spec, urdf=reference)
+            self.spec
+            if reference is None
+            else msgspec.structs.replace(self.spec, urdf=reference)
         )
         return replace(self, spec=spec, notes=(*notes, *self.notes))
 
@@ -94,9 +108,14 @@ def detect(
     """
     try:
         text = decode_xml(urdf.read_bytes())
-    except (OSError, ValueError) as error:  # ValueError: also a null character in the path
+    except (
+        OSError,
+        ValueError,
+    ) as error:  # ValueError: also a null character in the path
         raise HandError(f"cannot be read: {without_errno(error)}", file=urdf) from error
-    return detect_text(text, urdf, root=root, base=base, side=side, thumb=thumb, name=name)
+    return detect_text(
+        text, urdf, root=root, base=base, side=side, thumb=thumb, name=name
+    )
 
 
 def detect_text(
@@ -124,8 +143,12 @@ def detect_text(
     names = [[*chain.joints, *chain.links] for chain in structure.chains]
     given = next((i for i, group in enumerate(names) if thumb in group), None)
     if thumb is not None and given is None:
-        raise HandError(f"no finger has a link or joint {thumb!r}", file=urdf, value=thumb)
-    anatomy = find_anatomy(flexion, names, (robot.name, urdf.stem, structure.palm), side, given)
+        raise HandError(
+            f"no finger has a link or joint {thumb!r}", file=urdf, value=thumb
+        )
+    anatomy = find_anatomy(
+        flexion, names, (robot.name, urdf.stem, structure.palm), side, given
+    )
     for finger, called in zip(fingers, anatomy.fingers, strict=True):
         finger.name = called
     others = [i for i, finger in enumerate(fingers) if finger.name != THUMB]
@@ -134,7 +157,9 @@ def detect_text(
         flexion = find_flexion(robot, fingers, palmar=-anatomy.dorsal)
     if name is None:
         name = robot.name
-        if not robot.is_whole and anatomy.side not in re.split(r"[^a-z]+", name.lower()):
+        if not robot.is_whole and anatomy.side not in re.split(
+            r"[^a-z]+", name.lower()
+        ):
             name = f"{name}_{anatomy.side}"
     hand = _FoundHand(robot, structure, fingers, flexion, anatomy)
     spec, notes = hand.describe(name), [*notes, *structure.notes, *robot.notes]
@@ -142,7 +167,9 @@ def detect_text(
         spec, more = _on_arm(text, urdf, spec, base)
         notes += more
     chains = {
-        finger.name: (*dict.fromkeys([*map(robot.drivers, chain.joints), *chain.joints]),)
+        finger.name: (
+            *dict.fromkeys([*map(robot.drivers, chain.joints), *chain.joints]),
+        )
         for finger, chain in hand.fingers
     }
     return Detection(spec, tuple(hand.clues), tuple(notes), chains)
@@ -164,12 +191,21 @@ class _FoundHand:
         flexion: HandFlexion,
         anatomy: Anatomy,
     ) -> None:
-        self.robot, self.structure, self.flexion, self.anatomy = robot, structure, flexion, anatomy
+        self.robot, self.structure, self.flexion, self.anatomy = (
+            robot,
+            structure,
+            flexion,
+            anatomy,
+        )
         self._thumbs = np.array([finger.name == THUMB for finger in fingers])
         known = {name: place for place, name in enumerate(FINGERS)}
         self.fingers = sorted(
             zip(fingers, structure.chains, strict=True),
-            key=lambda pair: (known.get(pair[0].name, 9), len(pair[0].name), pair[0].name),
+            key=lambda pair: (
+                known.get(pair[0].name, 9),
+                len(pair[0].name),
+                pair[0].name,
+            ),
         )
         self._sure = {clue.what: clue.confidence for clue in anatomy.clues}
         palm = Clue("palm", structure.palm, structure.how, structure.confidence)
@@ -225,7 +261,11 @@ class _FoundHand:
                 **{joint: round(value, 6) for joint, value in robot.locked.items()},
                 **{joint: zero[joint] for joint in self.structure.idle},
             },
-            limits={joint: limit for joint, limit in robot.assumed.items() if joint in joints},
+            limits={
+                joint: limit
+                for joint, limit in robot.assumed.items()
+                if joint in joints
+            },
             mimic=dict(robot.dropped_rules),
         )
 
@@ -243,11 +283,17 @@ class _FoundHand:
         # Joints that spread the fingers to one side only rest away from that limit, fingers apart.
         spreads = flexion.moves.any(axis=0) & ~flexion.flexes & (q == robot.zero)
         width = upper - lower
-        q = np.where(spreads & (q - lower < _AT_LIMIT * width), lower + _SPREAD * width, q)
-        q = np.where(spreads & (upper - q < _AT_LIMIT * width), upper - _SPREAD * width, q)
+        q = np.where(
+            spreads & (q - lower < _AT_LIMIT * width), lower + _SPREAD * width, q
+        )
+        q = np.where(
+            spreads & (upper - q < _AT_LIMIT * width), upper - _SPREAD * width, q
+        )
         q = np.clip(q, lower, upper)
         tips = [finger.tip for finger, _ in self.fingers]
-        at_rest, stretched = PalmKinematics(robot).points(np.array([q, flexion.q_open]), tips)
+        at_rest, stretched = PalmKinematics(robot).points(
+            np.array([q, flexion.q_open]), tips
+        )
         share = float(np.mean(((at_rest - stretched) @ -self.anatomy.dorsal) > 0.0))
         self._add(
             "rest",
@@ -265,11 +311,17 @@ class _FoundHand:
         self._add(name, tip.link, tip.how, min(tip.confidence, sure))
         partner = None if finger.name in FINGERS else "little_tip"
         pad = self._pad(chain)
-        return PointSpec(name, tip.link, _vector(tip.xyz, 4), finger.name, 1.0, partner, pad)
+        return PointSpec(
+            name, tip.link, _vector(tip.xyz, 4), finger.name, 1.0, partner, pad
+        )
 
     def _middle(self, finger: Finger, place: Place) -> PointSpec:
         """Return the PIP joint of a finger, or the IP joint of the thumb."""
-        xyz = _vector(place[1], 4) if np.linalg.norm(place[1]) > _OFF_AXIS else (0.0, 0.0, 0.0)
+        xyz = (
+            _vector(place[1], 4)
+            if np.linalg.norm(place[1]) > _OFF_AXIS
+            else (0.0, 0.0, 0.0)
+        )
         return PointSpec(
             f"{finger.name}_{'ip' if finger.name == THUMB else 'pip'}",
             self.robot.carried[place[0]],
@@ -287,7 +339,9 @@ class _FoundHand:
             return None
         pose = robot.pose_in(tip.link, last)
         centre, radius = ball_in(cloud, transform_points(pose, tip.xyz))
-        return PadSpec(round(radius, 4), _vector(transform_points(inverse_pose(pose), centre), 4))
+        return PadSpec(
+            round(radius, 4), _vector(transform_points(inverse_pose(pose), centre), 4)
+        )
 
     def _palm_origin(self) -> np.ndarray:
         """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
@@ -301,15 +355,18 @@ class _FoundHand:
             back -= float((cloud @ distal).min())
             how = "the proximal end of the palm's surface"
         how += ", behind the centre of the knuckles"
-        low, high = (ratio * float(self.flexion.reach[chosen].max()) for ratio in _PALM_RATIO)
+        low, high = (
+            ratio * float(self.flexion.reach[chosen].max()) for ratio in _PALM_RATIO
+        )
         confidence = 0.8
         if not low <= back <= high:
             back, confidence = float(np.clip(back, low, high)), 0.5
-            how += (
-                f"; moved to {1e3 * back:.0f} mm behind the knuckles, as in a person's proportions"
-            )
+            place = f"{1e3 * back:.0f} mm behind the knuckles"
+            how += f"; moved to {place}, as in a person's proportions"
         confidence = min(confidence, self._sure["distal"])
-        self._add("palm origin", f"{1e3 * back:.0f} mm behind the knuckles", how, confidence)
+        self._add(
+            "palm origin", f"{1e3 * back:.0f} mm behind the knuckles", how, confidence
+        )
         return knuckles - back * distal
 
     def _add(self, what: str, answer: str, how: str, confidence: float) -> None:
@@ -321,25 +378,32 @@ def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
     near = [
         (joint, link)
         for joint, link in robot.chain(palm, robot.root)
-        if joint in robot.active and np.linalg.norm(robot.pose_in(link, palm)[:3, 3]) < _WRIST_REACH
+        if joint in robot.active
+        and np.linalg.norm(robot.pose_in(link, palm)[:3, 3]) < _WRIST_REACH
     ]
     if not near:
         return "", ""
     return ", ".join(joint for joint, _ in near), robot.parent[near[0][1]][1]
 
 
-def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec, list[str]]:
+def _on_arm(
+    text: str, urdf: Path, spec: HandSpec, base: str
+) -> tuple[HandSpec, list[str]]:
     """Return the hand with the arm from `base` to it; all other joints are locked."""
     robot = Robot(text, urdf, root=base)
     hand = spec.root or spec.wrist.link
     if hand not in robot.links:
         problem = f"the hand {hand!r} does not hang from the base {base!r}"
         raise HandError(problem, file=urdf, value=base)
-    arm = tuple(joint for joint, _ in robot.chain(hand, robot.root) if joint in robot.active)
+    arm = tuple(
+        joint for joint, _ in robot.chain(hand, robot.root) if joint in robot.active
+    )
     if not arm:
         problem = f"no joint moves between {base!r} and the hand {hand!r}"
         raise HandError(problem, file=urdf, value=base)
-    still = [joint for joint in robot.active if joint not in arm and joint not in spec.joints]
+    still = [
+        joint for joint in robot.active if joint not in arm and joint not in spec.joints
+    ]
     middle = 0.5 * (robot.lower_limits + robot.upper_limits)
     changed = msgspec.structs.replace(
         spec,
@@ -347,7 +411,8 @@ def _on_arm(text: str, urdf: Path, spec: HandSpec, base: str) -> tuple[HandSpec,
         wrist=WristSpec(spec.wrist.link, "fixed"),
         joints=(*arm, *spec.joints),
         # A straight arm is singular; at mid-range it seldom is.
-        rest={joint: _rounded(middle[robot.active.index(joint)]) for joint in arm} | spec.rest,
+        rest={joint: _rounded(middle[robot.active.index(joint)]) for joint in arm}
+        | spec.rest,
         locked=spec.locked
         | {joint: float(robot.zero[robot.active.index(joint)]) for joint in still},
         limits={joint: limit for joint, limit in robot.assumed.items() if joint in arm}

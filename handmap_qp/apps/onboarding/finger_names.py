@@ -25,12 +25,23 @@ _SHORT = {
     "ring": re.compile(rf"(?:^|[^a-zA-Z])(?:rf|RF){_PART}"),
     "little": re.compile(rf"(?:^|[^a-zA-Z])(?:lf|LF|pf|PF){_PART}"),
 }
-_LETTERS = {"t": "thumb", "i": "index", "m": "middle", "r": "ring", "p": "little", "l": "little"}
+_LETTERS = {
+    "t": "thumb",
+    "i": "index",
+    "m": "middle",
+    "r": "ring",
+    "p": "little",
+    "l": "little",
+}
 # A single letter counts only at the start or end of a name: `l3` is usually the third link, not a
 # left one.
 _SIDES = {
-    "right": re.compile(r"[Rr]ight|RIGHT|(?:^|_)(?:rh|RH)(?:_|$)|^[rR]_|_[rR]$|^R(?=[A-Z][a-z])"),
-    "left": re.compile(r"[Ll]eft|LEFT|(?:^|_)(?:lh|LH)(?:_|$)|^[lL]_|_[lL]$|^L(?=[A-Z][a-z])"),
+    "right": re.compile(
+        r"[Rr]ight|RIGHT|(?:^|_)(?:rh|RH)(?:_|$)|^[rR]_|_[rR]$|^R(?=[A-Z][a-z])"
+    ),
+    "left": re.compile(
+        r"[Ll]eft|LEFT|(?:^|_)(?:lh|LH)(?:_|$)|^[lL]_|_[lL]$|^L(?=[A-Z][a-z])"
+    ),
 }
 
 
@@ -38,7 +49,8 @@ def named_side(names: Iterable[str]) -> Side | None:
     """Return the side that most names contain; None if they contain none, or both equally."""
     names = list(names)
     right, left = (
-        sum(bool(_SIDES[side].search(name)) for name in names) for side in ("right", "left")
+        sum(bool(_SIDES[side].search(name)) for name in names)
+        for side in ("right", "left")
     )
     return None if right == left else "right" if right > left else "left"
 
@@ -68,7 +80,9 @@ def named_fingers(chains: list[list[str]]) -> list[str | None]:
     return _by_letters(chains)
 
 
-def _most_frequent(names: list[str], patterns: dict[str, re.Pattern[str]]) -> str | None:
+def _most_frequent(
+    names: list[str], patterns: dict[str, re.Pattern[str]]
+) -> str | None:
     """Return the finger that most names contain; the first one in a name counts."""
     votes: Counter[str] = Counter()
     for name in names:
@@ -85,7 +99,9 @@ def _most_frequent(names: list[str], patterns: dict[str, re.Pattern[str]]) -> st
 def _by_letters(chains: list[list[str]]) -> list[str | None]:
     """Return fingers named by one letter, as in `hand_T-MP`, if each chain has another one."""
     tokens = [
-        Counter(token.lower() for name in chain for token in re.split(r"[^A-Za-z]+", name))
+        Counter(
+            token.lower() for name in chain for token in re.split(r"[^A-Za-z]+", name)
+        )
         for chain in chains
     ]
     found: list[str | None] = []

@@ -93,7 +93,9 @@ def find_flexion(
     slides = (sign != 0.0) & ~hand.curls & robot.slides
     open_jaws = np.where(slides, np.where(sign > 0.0, lower, upper), q_open)
     q_closed = np.where(sign > 0.0, upper, np.where(sign < 0.0, lower, q_open))
-    tips_open, tips_closed = hand.view.points(np.array([open_jaws, q_closed]), hand.tips)
+    tips_open, tips_closed = hand.view.points(
+        np.array([open_jaws, q_closed]), hand.tips
+    )
     bases = hand.roots.copy()
     for i, group in hand.groups.items():
         bases[i] = group.knuckle
@@ -149,7 +151,9 @@ class _Closing:
         self.sign = np.zeros(len(robot.zero))
         self.certainty = np.zeros(len(fingers))
         self.ways, self.axes = np.zeros((2, len(fingers), 3))
-        self.motions = np.array([self.view.motion(self.q_open, tip) for tip in self.tips])
+        self.motions = np.array(
+            [self.view.motion(self.q_open, tip) for tip in self.tips]
+        )
         for i, group in curling.items():
             axis, knuckle, signs = fingers[i].flexion_at(self.q_open)
             self.groups[i] = replace(group, axis=axis, knuckle=knuckle, signs=signs)
@@ -181,7 +185,9 @@ class _Closing:
         }
         for alike in _alike(slopes):
             senses = [np.sign(slopes[i] @ slopes[alike[0]]) or 1.0 for i in alike]
-            slope = np.sum([s * slopes[i] for s, i in zip(senses, alike, strict=True)], axis=0)
+            slope = np.sum(
+                [s * slopes[i] for s, i in zip(senses, alike, strict=True)], axis=0
+            )
             nearer = sum(
                 self._nearing(i, self.groups[i].columns, s * self.groups[i].signs)
                 for s, i in zip(senses, alike, strict=True)
@@ -198,13 +204,17 @@ class _Closing:
             for sense, i in zip(senses, alike, strict=True):
                 columns, signs = self.groups[i].columns, self.groups[i].signs
                 given = self.sign[columns]
-                self.sign[columns] = np.where(given == 0.0, np.sign(vote) * sense * signs, given)
+                self.sign[columns] = np.where(
+                    given == 0.0, np.sign(vote) * sense * signs, given
+                )
                 self._settle(i, confidence)
 
     def close_jaws(self) -> None:
         """Flex fingers without curling joints towards the other tips."""
         for i in np.flatnonzero(self.certainty == 0.0).tolist():
-            nearer = {j: self._nearing(i, [j]) for j in self.fingers[i].columns.tolist()}
+            nearer = {
+                j: self._nearing(i, [j]) for j in self.fingers[i].columns.tolist()
+            }
             j = max(nearer, key=lambda one: abs(nearer[one]), default=-1)
             if j >= 0 and abs(nearer[j]) >= 1e-4:
                 self.sign[j] = np.sign(nearer[j])
@@ -250,7 +260,10 @@ class _Closing:
             return 0.0
         tips = self.view.points(self.q_open, self.tips)
         places = 0.5 * (self.roots + tips)
-        height = float((places[others].mean(axis=0) - places[mine].mean(axis=0)) @ slope) / length
+        height = (
+            float((places[others].mean(axis=0) - places[mine].mean(axis=0)) @ slope)
+            / length
+        )
         reach = float(np.linalg.norm(tips[mine] - self.roots[mine], axis=1).mean())
         return 0.0 if abs(height) < _LEAST_HEIGHT * reach else float(np.sign(height))
 

@@ -47,7 +47,13 @@ class Match:
         robot = self.robot
         columns = (robot.lower_limits, robot.upper_limits, robot.rest, self.q)
         rows = [
-            {"joint": name, "lower": low, "upper": high, "rest": rest, "matched": matched}
+            {
+                "joint": name,
+                "lower": low,
+                "upper": high,
+                "rest": rest,
+                "matched": matched,
+            }
             for name, low, high, rest, matched in zip(
                 robot.joint_names, *(column.tolist() for column in columns), strict=True
             )
@@ -64,7 +70,10 @@ class Match:
 
 
 def match_hand(
-    robot: Hand, *, recording: Recording | None = None, human_length: float | None = None
+    robot: Hand,
+    *,
+    recording: Recording | None = None,
+    human_length: float | None = None,
 ) -> Match:
     """Solve the robot posture that corresponds to the human hand at rest.
 
@@ -80,10 +89,13 @@ def match_hand(
     """
     if recording is not None and human_length is not None:
         raise InvalidInputError(
-            argument="human_length", problem="cannot be combined with a recording: give one of them"
+            argument="human_length",
+            problem="cannot be combined with a recording: give one of them",
         )
     if recording is None:
-        human = load_hand(human_name(robot.spec.side), points="landmarks", hand_length=human_length)
+        human = load_hand(
+            human_name(robot.spec.side), points="landmarks", hand_length=human_length
+        )
     else:
         same = recording if recording.side == robot.side else mirrored(recording)
         human = scaled_human(same, points="landmarks")
@@ -101,7 +113,10 @@ def own_file(hand: str | Path) -> Path:
     file = Path(hand)
     if file.is_dir():
         file = file / "hand.yaml"
-    is_ours = str(hand) in hand_files() or urdf_directory().resolve() in file.resolve().parents
+    is_ours = (
+        str(hand) in hand_files()
+        or urdf_directory().resolve() in file.resolve().parents
+    )
     if is_ours or not file.is_file():
         raise InvalidInputError(
             argument="--write",
@@ -152,7 +167,9 @@ def draw_match(match: Match, path: Path) -> None:
 
     human, robot = match.human, match.robot
     q = resting_posture(human)
-    landmarks = transform_points(inverse_pose(human.frame_pose("palm", q)), human.points(q))
+    landmarks = transform_points(
+        inverse_pose(human.frame_pose("palm", q)), human.points(q)
+    )
     rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
     columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
     figure = contact_sheet(columns, rows, side=robot.spec.side)
@@ -160,7 +177,9 @@ def draw_match(match: Match, path: Path) -> None:
         figure.savefig(path, dpi=figure.dpi)
     except (OSError, ValueError) as error:
         raise InvalidInputError(
-            argument="--picture", problem=f"cannot write {path}: {error}", value=str(path)
+            argument="--picture",
+            problem=f"cannot write {path}: {error}",
+            value=str(path),
         ) from error
 
 
@@ -171,7 +190,9 @@ def check_robot(hand: Hand) -> Hand:
         InvalidInputError: If the hand is the human one.
     """
     if hand.name in HUMAN_HANDS:
-        raise InvalidInputError(argument="hand", expected="a robot hand", value=hand.name)
+        raise InvalidInputError(
+            argument="hand", expected="a robot hand", value=hand.name
+        )
     return hand
 
 
@@ -202,7 +223,9 @@ def _with_block(text: str, block: str) -> str:
             following = text[end:].find("\n")
             rest = "" if following < 0 else text[end + following + 1 :]
             return text[: key.start_mark.index] + block + rest
-    comment = "# Posture for the resting human hand, of `handmap hands match` [rad or m]."
+    comment = (
+        "# Posture for the resting human hand, of `handmap hands match` [rad or m]."
+    )
     gap = "" if not text or text.endswith("\n") else newline
     return f"{text}{gap}{comment}{newline}{block}"
 

@@ -34,7 +34,11 @@ _SAMPLES = 200
 # Random postures of an arm, directions in which its reach is measured, and cosine of their cones.
 _ARM_SAMPLES = 1500
 _DIRECTIONS = np.array(
-    [v / np.linalg.norm(v) for i in np.ndindex(3, 3, 3) if (v := np.array(i) - 1.0).any()]
+    [
+        v / np.linalg.norm(v)
+        for i in np.ndindex(3, 3, 3)
+        if (v := np.array(i) - 1.0).any()
+    ]
 )
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
@@ -162,8 +166,12 @@ def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
         motions = motions[motions > _LEAST_MOTION]
         gaps = places[:, None, i] - places[None, :: max(1, len(places) // 100), i]
         span, count = float(np.linalg.norm(gaps, axis=2).max()), len(motions)
-        slowest, product = (float(motions.min()), float(np.prod(motions))) if count else (0.0, 0.0)
-        rows.append(FingerReach(point.name, point.finger, span, count, slowest, product))
+        slowest, product = (
+            (float(motions.min()), float(np.prod(motions))) if count else (0.0, 0.0)
+        )
+        rows.append(
+            FingerReach(point.name, point.finger, span, count, slowest, product)
+        )
     return tuple(rows)
 
 
@@ -181,7 +189,9 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
     """
     if hand.is_floating or not hand.has_moving_wrist:
         return None
-    postures = across(hand, np.random.default_rng(0).random((_ARM_SAMPLES, len(hand.rest))))
+    postures = across(
+        hand, np.random.default_rng(0).random((_ARM_SAMPLES, len(hand.rest)))
+    )
     start = hand.frame_pose("wrist", hand.rest)[:3, 3]
     moved = np.array([hand.frame_pose("wrist", q)[:3, 3] - start for q in postures])
     lengths = np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
@@ -203,7 +213,9 @@ def measure_size(hand: Hand) -> Size:
         for q in postures
     ]
     return Size(
-        float(max(lengths)), _spread(hand.points(hand.rest)), _spread(human.points(human.rest))
+        float(max(lengths)),
+        _spread(hand.points(hand.rest)),
+        _spread(human.points(human.rest)),
     )
 
 
@@ -219,7 +231,11 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
     Raises:
         HandError: If a shape cannot be read.
     """
-    geometry, model, data = read_collision_shapes(hand), hand.model, hand.model.createData()
+    geometry, model, data = (
+        read_collision_shapes(hand),
+        hand.model,
+        hand.model.createData(),
+    )
     shapes = geometry.geometryObjects
     with_shape = {shape.parentJoint for shape in shapes}
     for i, j in itertools.combinations(range(len(shapes)), 2):
@@ -230,21 +246,30 @@ def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
     def overlaps(angles: np.ndarray) -> np.ndarray:
         vector = hand.configuration_vector(angles)
         pin.computeCollisions(model, data, geometry, results, vector, False)
-        return np.array([result.isCollision() for result in results.collisionResults], dtype=bool)
+        return np.array(
+            [result.isCollision() for result in results.collisionResults], dtype=bool
+        )
 
     others = across(hand, np.random.default_rng(0).random((8, len(q))))
     # Shapes that overlap in most postures overlap by design: ignore them.
     found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
     pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]
-    frames = [(shapes[pair.first].parentFrame, shapes[pair.second].parentFrame) for pair in pairs]
+    frames = [
+        (shapes[pair.first].parentFrame, shapes[pair.second].parentFrame)
+        for pair in pairs
+    ]
     return tuple(
-        dict.fromkeys((model.frames[one].name, model.frames[other].name) for one, other in frames)
+        dict.fromkeys(
+            (model.frames[one].name, model.frames[other].name) for one, other in frames
+        )
     )
 
 
 def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
     """Map a standard motion of a human hand: from rest to each of `standard_postures`."""
-    human = load_hand("human" if hand.side == "right" else "human_left", hand_length=HUMAN_LENGTH)
+    human = load_hand(
+        "human" if hand.side == "right" else "human_left", hand_length=HUMAN_LENGTH
+    )
     rigid = "wrist" if hand.has_moving_wrist else "none"
     parts = []
     for name, posture in standard_postures(human).items():
@@ -254,7 +279,9 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
         mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
         mapper.map_step(human.rest, np.eye(4))
         # 0.75 s of motion, then 0.25 s to settle.
-        shares = np.concatenate([0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 45)), np.ones(15)])
+        shares = np.concatenate(
+            [0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 45)), np.ones(15)]
+        )
         steps = [
             mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
             for share in shares
@@ -263,7 +290,9 @@ def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
         worst = int(np.argmax(error))
         limited = tuple(
             joint
-            for joint, is_at in zip(hand.joint_names, hand.at_position_limit(q), strict=True)
+            for joint, is_at in zip(
+                hand.joint_names, hand.at_position_limit(q), strict=True
+            )
             if is_at
         )
         name_of_worst = hand.reference_points[worst].name
@@ -329,7 +358,12 @@ def make_fist(hand: Hand) -> Fist | None:
     view, axes, directions = PalmKinematics(hand), {}, []
     for name, finger in find_fingers(hand).items():
         flexion = finger.flexion
-        if name == THUMB or flexion is None or not flexion.curls or flexion.sense == 0.0:
+        if (
+            name == THUMB
+            or flexion is None
+            or not flexion.curls
+            or flexion.sense == 0.0
+        ):
             continue
         straight = zero_posture(hand)
         straight[flexion.columns] = flexion.straight
@@ -387,8 +421,14 @@ def _nearest(
     hand: Hand, places: list[Place], columns: np.ndarray, near: float
 ) -> tuple[float, np.ndarray]:
     """Return the smallest distance of two points, or one below `near`, and the posture there."""
-    view, low, high = PalmKinematics(hand), hand.lower_limits[columns], hand.upper_limits[columns]
-    random = low + np.random.default_rng(0).random((_STARTS, len(columns))) * (high - low)
+    view, low, high = (
+        PalmKinematics(hand),
+        hand.lower_limits[columns],
+        hand.upper_limits[columns],
+    )
+    random = low + np.random.default_rng(0).random((_STARTS, len(columns))) * (
+        high - low
+    )
     starts = [hand.rest[columns], 0.5 * (low + high), np.clip(0.0, low, high), *random]
     best, best_q = np.inf, hand.rest.copy()
     for start in starts:
@@ -401,7 +441,9 @@ def _nearest(
             distance = float(np.linalg.norm(gap))
             if distance < best:
                 best, best_q = distance, q.copy()
-            J = np.subtract(*(view.motion(q, place)[:3, columns] for place in reversed(places)))
+            J = np.subtract(
+                *(view.motion(q, place)[:3, columns] for place in reversed(places))
+            )
             step = J.T @ np.linalg.solve(J @ J.T + _DAMPING**2 * np.eye(3), gap)
             moved = np.clip(q[columns] + step, low, high)
             if distance < near or np.abs(moved - q[columns]).max() < 1e-4:

@@ -68,17 +68,23 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     except (OSError, ValueError) as error:  # ValueError: not UTF-8
         raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
     except yaml.YAMLError as error:
-        raise HandError(f"is not YAML: {' '.join(str(error).split())}", file=path) from error
+        raise HandError(
+            f"is not YAML: {' '.join(str(error).split())}", file=path
+        ) from error
     table = document.get("retargeting") if isinstance(document, dict) else None
     if not isinstance(table, dict):
-        raise HandError("expected a table `retargeting`, as in dex-retargeting's files", file=path)
+        raise HandError(
+            "expected a table `retargeting`, as in dex-retargeting's files", file=path
+        )
     kind, urdf = str(table.get("type", "")).lower(), table.get("urdf_path")
     field = _LINKS.get(kind, "")
     links: Any = table.get(field)
     indices: Any = table.get("target_link_human_indices")
     if kind == "vector":
         # It has two rows of indices: where vectors begin, and where they end.
-        indices = indices[1] if isinstance(indices, list) and len(indices) == 2 else None
+        indices = (
+            indices[1] if isinstance(indices, list) and len(indices) == 2 else None
+        )
     names = links if isinstance(links, list) else []
     if kind == "dexpilot":
         indices = [*_TIPS[: len(names)]]
@@ -86,7 +92,12 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     for key, value, is_right, expected in (
         ("urdf_path", urdf, isinstance(urdf, str), "a path"),
         ("type", table.get("type"), bool(field), "vector, position or DexPilot"),
-        (field, links, bool(names) and {*map(type, names)} == {str}, "a list of link names"),
+        (
+            field,
+            links,
+            bool(names) and {*map(type, names)} == {str},
+            "a list of link names",
+        ),
         (
             "target_link_human_indices",
             table.get("target_link_human_indices"),
@@ -102,11 +113,17 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         urdf,
         # The wrist's own landmark is not a reference point.
         {LANDMARK_NAMES[i]: link for i, link in named if i != 0},
-        tuple(f"{name} is not used: {text}" for name, text in _ELSEWHERE.items() if name in table),
+        tuple(
+            f"{name} is not used: {text}"
+            for name, text in _ELSEWHERE.items()
+            if name in table
+        ),
     )
 
 
-def migrate(configuration: DexConfiguration, urdf: Path, *, name: str | None = None) -> Detection:
+def migrate(
+    configuration: DexConfiguration, urdf: Path, *, name: str | None = None
+) -> Detection:
     """Find the hand in its URDF, with the configuration's links as reference points.
 
     Args:
@@ -133,9 +150,13 @@ def migrate(configuration: DexConfiguration, urdf: Path, *, name: str | None = N
     spec = msgspec.structs.replace(
         found.spec,
         points=tuple(points[name] for name in (*tips, *others)),
-        sets={"fingertips": tips} | ({"fingertips_middle": (*tips, *others)} if others else {}),
+        sets={"fingertips": tips}
+        | ({"fingertips_middle": (*tips, *others)} if others else {}),
     )
-    notes = (f"reference points are those of {configuration.file.name}", *configuration.notes)
+    notes = (
+        f"reference points are those of {configuration.file.name}",
+        *configuration.notes,
+    )
     return replace(found, spec=spec, notes=(*notes, *found.notes))
 
 
@@ -146,10 +167,14 @@ def _carrier(robot: Robot, link: str) -> str:
         HandError: If there is no such link, or no joint moves it.
     """
     if link not in robot.links:
-        raise HandError(f"has no link {link!r} of the configuration", file=robot.file, value=link)
+        raise HandError(
+            f"has no link {link!r} of the configuration", file=robot.file, value=link
+        )
     passed = robot.chain(link, robot.root)
     if not passed:
-        raise HandError(f"no joint moves the link {link!r}", file=robot.file, value=link)
+        raise HandError(
+            f"no joint moves the link {link!r}", file=robot.file, value=link
+        )
     return passed[-1][0]
 
 

@@ -69,7 +69,9 @@ def draw_hand(hand: Hand, path: Path) -> None:
         axes = figure.add_axes((0.5 * i, 0.0, 0.5, height))
         turned = azimuth if i == 0 else (215.0 if hand.side == "right" else -35.0)
         scene.draw(axes, turned, elevation)
-        axes.text(_PANEL[0] / 2, 14, title, ha="center", va="top", fontsize=11, color="0.35")
+        axes.text(
+            _PANEL[0] / 2, 14, title, ha="center", va="top", fontsize=11, color="0.35"
+        )
     kinds = hand.all_joint_roles
     count = kinds.count("active")
     what = f"{hand.name}: a {hand.side} hand, {count} joint{'s' if count > 1 else ''}"
@@ -81,7 +83,9 @@ def draw_hand(hand: Hand, path: Path) -> None:
         figure.savefig(path, facecolor="white")
     except (OSError, ValueError) as error:
         raise InvalidInputError(
-            argument="--picture", problem=f"cannot write {path}: {error}", value=str(path)
+            argument="--picture",
+            problem=f"cannot write {path}: {error}",
+            value=str(path),
         ) from error
 
 
@@ -105,10 +109,19 @@ class _Scene:
 
     def draw(self, axes: Any, azimuth: float, elevation: float) -> None:
         """Draw one view into a matplotlib axes."""
-        around = [self.triangles.vertices.reshape(-1, 3), self.points, self.axes, np.zeros((1, 3))]
+        around = [
+            self.triangles.vertices.reshape(-1, 3),
+            self.points,
+            self.axes,
+            np.zeros((1, 3)),
+        ]
         # The margin leaves room for labels on both sides.
         camera = Camera.framing(
-            np.concatenate(around), _PANEL, azimuth=azimuth, elevation=elevation, margin=0.13
+            np.concatenate(around),
+            _PANEL,
+            azimuth=azimuth,
+            elevation=elevation,
+            margin=0.13,
         )
         draw_hands(axes, self.triangles, camera, marks=self.marks, supersampling=2)
         origin = camera.project(np.zeros(3))[:2]
@@ -122,7 +135,14 @@ class _Scene:
             x += 0.0 if is_upright else np.copysign(_AXIS_GAP, right)
             y += np.copysign(_AXIS_GAP, down) if is_upright else 0.0
             axes.text(
-                x, y, name, color=colour, fontsize=10, ha=horizontal, va=vertical, bbox=_box()
+                x,
+                y,
+                name,
+                color=colour,
+                fontsize=10,
+                ha=horizontal,
+                va=vertical,
+                bbox=_box(),
             )
         self._label(axes, camera.project(self.points)[:, :2])
 
@@ -131,12 +151,17 @@ class _Scene:
         middle = 0.5 * float(places[:, 0].min() + places[:, 0].max())
         names = [point.name for point in self.hand.reference_points]
         for is_right in (False, True):
-            chosen = [i for i in range(len(places)) if (places[i, 0] > middle) == is_right]
+            chosen = [
+                i for i in range(len(places)) if (places[i, 0] > middle) == is_right
+            ]
             # Among points at the same height, label the farthest from the edge on top, so that its
             # line passes above the others.
             towards = 1.0 if is_right else -1.0
             chosen.sort(
-                key=lambda i, towards=towards: (round(places[i, 1] / 20.0), towards * places[i, 0])
+                key=lambda i, towards=towards: (
+                    round(places[i, 1] / 20.0),
+                    towards * places[i, 0],
+                )
             )
             heights = _spaced(
                 np.array([places[i, 1] for i in chosen]), 24.0, 50.0, _PANEL[1] - 20.0
@@ -163,7 +188,9 @@ class _Scene:
                 )
 
     def _colour(self, i: int) -> tuple[float, float, float]:
-        return _FINGER_COLOURS.get(self.hand.reference_points[i].finger or "", _OTHER_COLOUR)
+        return _FINGER_COLOURS.get(
+            self.hand.reference_points[i].finger or "", _OTHER_COLOUR
+        )
 
     def _marks(self) -> Triangles:
         parts = [
@@ -182,7 +209,9 @@ class _Scene:
         wrist = model.frames[hand.wrist_frame_id].parentJoint
         own = [link for link in shape.links if self._is_of_hand(link.link, wrist)]
         if own:
-            vertices, colours, normals = HandShape(hand, tuple(own)).triangles(hand.rest)
+            vertices, colours, normals = HandShape(hand, tuple(own)).triangles(
+                hand.rest
+            )
         else:
             vertices, colours, normals = merged(self._sticks(wrist))
         return Triangles(
@@ -207,12 +236,19 @@ class _Scene:
             if wrist == 0 or (i != wrist and wrist in model.supports[i])
         ]
         ends = [
-            (workspace.data.oMi[model.parents[i]].translation, workspace.data.oMi[i].translation)
+            (
+                workspace.data.oMi[model.parents[i]].translation,
+                workspace.data.oMi[i].translation,
+            )
             for i in joints
         ]
         for i, point in enumerate(hand.reference_points):
-            parent = model.frames[model.getFrameId(point.link, pin.FrameType.BODY)].parentJoint
-            ends.append((workspace.data.oMi[parent].translation, hand.points(hand.rest)[i]))
+            parent = model.frames[
+                model.getFrameId(point.link, pin.FrameType.BODY)
+            ].parentJoint
+            ends.append(
+                (workspace.data.oMi[parent].translation, hand.points(hand.rest)[i])
+            )
         return [
             tube(np.array(pair), thickness, grey)
             for pair in ends
@@ -234,4 +270,9 @@ def _spaced(heights: np.ndarray, gap: float, top: float, bottom: float) -> np.nd
 
 
 def _box() -> dict[str, Any]:
-    return {"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "boxstyle": "round,pad=0.15"}
+    return {
+        "facecolor": "white",
+        "alpha": 0.75,
+        "edgecolor": "none",
+        "boxstyle": "round,pad=0.15",
+    }

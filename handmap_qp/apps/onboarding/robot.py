@@ -100,20 +100,30 @@ class Robot:
             self.is_whole = root is None or root_links(robot) == [root]
             if root is not None:
                 cut_subtree(robot, root)
-            if not any(joint.get("type") in MOVABLE for joint in robot.iterfind("joint")):
-                raise HandError(f"no movable joint hangs from the link {root!r}", value=root)
+            if not any(
+                joint.get("type") in MOVABLE for joint in robot.iterfind("joint")
+            ):
+                raise HandError(
+                    f"no movable joint hangs from the link {root!r}", value=root
+                )
             self.name = robot.get("name", "") or file.stem
             joints = joints_by_name(robot)
-            self.endless = {name for name in joints if joints[name].get("type") == "continuous"}
+            self.endless = {
+                name for name in joints if joints[name].get("type") == "continuous"
+            }
             for name in fix_free_joints(robot):
                 self._remark(name, "has more than one coordinate: it is taken as fixed")
             self.dropped_rules = self._drop_rules(joints)
             self.assumed = self._assume_limits(robot)
-            self.locked = prepare_urdf(robot, None, {}, self._immovable(robot), self.assumed)
+            self.locked = prepare_urdf(
+                robot, None, {}, self._immovable(robot), self.assumed
+            )
             self._follow = {rule.follower: rule for rule in read_mimic_rules(robot)}
             self._read(robot)
         except HandError as error:
-            raise HandError(error.problem, file=file, key=error.key, value=error.value) from error
+            raise HandError(
+                error.problem, file=file, key=error.key, value=error.value
+            ) from error
         for note in tighten_model(self.model, self._follow.values()):
             self._remark("", note)
         names = list(self.model.names)[1:]
@@ -123,7 +133,9 @@ class Robot:
         self.lower_limits = self.model.lowerPositionLimit[at]
         self.upper_limits = self.model.upperPositionLimit[at]
         self.zero = np.clip(0.0, self.lower_limits, self.upper_limits)
-        self.slides = np.array([self.kinds[name] == "prismatic" for name in self.active])
+        self.slides = np.array(
+            [self.kinds[name] == "prismatic" for name in self.active]
+        )
         self.palm_frame_id = 0
         try:
             self._data = self.model.createData()
@@ -154,7 +166,9 @@ class Robot:
         self.axes = {name: axis_of(joints[name]) for name in movable}
         self.active = [name for name in movable if name not in self._follow]
         self.parent: dict[str, tuple[str, str]] = {}
-        self.children: dict[str, list[tuple[str, str]]] = {link: [] for link in self.links}
+        self.children: dict[str, list[tuple[str, str]]] = {
+            link: [] for link in self.links
+        }
         for joint, parent, child in edges(robot):
             self.parent[child] = (joint.get("name", ""), parent)
             self.children[parent].append((joint.get("name", ""), child))
@@ -200,7 +214,9 @@ class Robot:
         """Return all links of a body, from its first one outwards."""
         found = [body]
         for link in found:
-            found += [child for joint, child in self.children[link] if joint not in self.axes]
+            found += [
+                child for joint, child in self.children[link] if joint not in self.axes
+            ]
         return found
 
     def branches(self, body: str) -> list[tuple[str, str]]:
@@ -211,7 +227,11 @@ class Robot:
     def leaves(self, body: str) -> list[str]:
         """Return the last bodies of all branches of a body; the body itself if it has none."""
         below = self.branches(body)
-        return [leaf for _, child in below for leaf in self.leaves(child)] if below else [body]
+        return (
+            [leaf for _, child in below for leaf in self.leaves(child)]
+            if below
+            else [body]
+        )
 
     def chain(self, link: str, above: str) -> list[tuple[str, str]]:
         """Return the movable joints, with child links, from below `above` out to `link`."""
@@ -265,16 +285,23 @@ class Robot:
     def has_collision_shapes(self, body: str) -> bool:
         """Return whether a link of a body has a collision shape."""
         return any(
-            self._elements[link].find("collision") is not None for link in self.body_links(body)
+            self._elements[link].find("collision") is not None
+            for link in self.body_links(body)
         )
 
     def surface(self, link: str) -> np.ndarray:
         """Return points on a link's visuals, else on its collision shapes [m], shape (k, 3)."""
         if link not in self._surfaces:
-            groups = (self._elements[link].iterfind(kind) for kind in ("visual", "collision"))
+            groups = (
+                self._elements[link].iterfind(kind) for kind in ("visual", "collision")
+            )
             try:
-                clouds = (np.vstack([_NONE, *map(self._cloud, shapes)]) for shapes in groups)
-                self._surfaces[link] = next((cloud for cloud in clouds if len(cloud)), _NONE)
+                clouds = (
+                    np.vstack([_NONE, *map(self._cloud, shapes)]) for shapes in groups
+                )
+                self._surfaces[link] = next(
+                    (cloud for cloud in clouds if len(cloud)), _NONE
+                )
             except HandError as error:
                 raise HandError(error.problem, file=self.file, key=error.key) from error
         return self._surfaces[link]
@@ -303,7 +330,10 @@ class Robot:
             radius, length = _number(solid, "radius"), _number(solid, "length")
             points = trimesh.creation.cylinder(radius, length, sections=24).vertices
         elif kind == "mesh":
-            name, scale = solid.get("filename", ""), get_numbers(solid, "scale", 3, "1 1 1")
+            name, scale = (
+                solid.get("filename", ""),
+                get_numbers(solid, "scale", 3, "1 1 1"),
+            )
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")
@@ -353,17 +383,24 @@ class Robot:
         assumed = {}
         scale = self._limit_scale(robot)
         for joint in robot.iterfind("joint"):
-            name, kind, limit = joint.get("name", ""), joint.get("type", ""), joint.find("limit")
+            name, kind, limit = (
+                joint.get("name", ""),
+                joint.get("type", ""),
+                joint.find("limit"),
+            )
             if kind not in MOVABLE or joint.find("mimic") is not None:
                 continue
             changes = self._assumed_range(name, kind, limit, scale)
             speed = 0.0 if limit is None else _number(limit, "velocity")
             if not (math.isfinite(speed) and speed > 0.0):
                 changes["velocity"] = (
-                    float(np.median(speeds[kind])) if kind in speeds else _ASSUMED_SPEED[kind]
+                    float(np.median(speeds[kind]))
+                    if kind in speeds
+                    else _ASSUMED_SPEED[kind]
                 )
                 self._remark(
-                    name, f"has no speed limit in the URDF: {changes['velocity']:.4g} is assumed"
+                    name,
+                    f"has no speed limit in the URDF: {changes['velocity']:.4g} is assumed",
                 )
             if changes:
                 assumed[name] = LimitSpec(**changes)
@@ -373,16 +410,26 @@ class Robot:
         self, name: str, kind: str, limit: ET.Element | None, scale: float
     ) -> dict[str, float]:
         """Return the range of a joint where that of the URDF is missing or wrong, else nothing."""
-        has_range = limit is not None and ("lower" in limit.attrib or "upper" in limit.attrib)
-        ends = (0.0, 0.0) if limit is None else (_number(limit, "lower"), _number(limit, "upper"))
+        has_range = limit is not None and (
+            "lower" in limit.attrib or "upper" in limit.attrib
+        )
+        ends = (
+            (0.0, 0.0)
+            if limit is None
+            else (_number(limit, "lower"), _number(limit, "upper"))
+        )
         lower, upper = ends
         if kind == "continuous" or not has_range or not np.isfinite(ends).all():
             lower, upper = _ASSUMED_RANGE[kind]
-            what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
+            what = (
+                "is continuous" if kind == "continuous" else "has no limits in the URDF"
+            )
             self._remark(name, f"{what}: [{lower:.4g}, {upper:.4g}] is assumed")
         elif lower > upper:
             lower, upper = upper, lower
-            self._remark(name, f"has its limits swapped: [{lower:.4g}, {upper:.4g}] is assumed")
+            self._remark(
+                name, f"has its limits swapped: [{lower:.4g}, {upper:.4g}] is assumed"
+            )
         elif kind == "revolute" and scale != 1.0:
             lower, upper = scale * lower, scale * upper
             self._remark(name, "has limits in degrees, as it seems: written in radians")
@@ -397,7 +444,9 @@ class Robot:
             for joint in robot.iterfind("joint[@type='revolute']")
             if (limit := joint.find("limit")) is not None
         ]
-        widths = [abs(_number(limit, "upper") - _number(limit, "lower")) for limit in limits]
+        widths = [
+            abs(_number(limit, "upper") - _number(limit, "lower")) for limit in limits
+        ]
         is_wide = bool(widths) and float(np.median(widths)) > _LARGEST_TURN
         return math.radians(1.0) if is_wide else 1.0
 
@@ -411,7 +460,11 @@ class Robot:
                 and joint.find("mimic") is None
                 and name not in self.assumed
             )
-            if is_set and limit is not None and _number(limit, "lower") == _number(limit, "upper"):
+            if (
+                is_set
+                and limit is not None
+                and _number(limit, "lower") == _number(limit, "upper")
+            ):
                 still[name] = _number(limit, "lower")
                 self._remark(name, "has equal limits: it is locked")
         return still

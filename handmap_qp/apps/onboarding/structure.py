@@ -102,14 +102,18 @@ def find_structure(robot: Robot) -> Structure:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
     """
     bodies = [body for body in robot.links if robot.body(body) == body]
-    candidates = {body: found for body in bodies if len(found := _fingerlike(robot, body)) >= 2}
+    candidates = {
+        body: found for body in bodies if len(found := _fingerlike(robot, body)) >= 2
+    }
     palms = [
         body
         for body in candidates
         if not any(_hangs_in(robot, body, *other) for other in candidates.items())
     ]
     if len(palms) > 1:
-        named = ", ".join(_common_palm_link(robot, body, candidates[body]) for body in palms[:8])
+        named = ", ".join(
+            _common_palm_link(robot, body, candidates[body]) for body in palms[:8]
+        )
         raise HandError(
             f"there are {len(palms)} possible palms: {named}; choose one with --root",
             file=robot.file,
@@ -124,17 +128,25 @@ def find_structure(robot: Robot) -> Structure:
         if joint in candidates[palm]
         for leaf in robot.leaves(child)
     ]
-    kept = _drop_linkages(robot, _drop_forks(_drop_idle(robot, chains, notes), notes), notes)
+    kept = _drop_linkages(
+        robot, _drop_forks(_drop_idle(robot, chains, notes), notes), notes
+    )
     if not kept:
-        raise HandError("no branch of the palm moves its end", file=robot.file, value=palm)
+        raise HandError(
+            "no branch of the palm moves its end", file=robot.file, value=palm
+        )
     _check_one_hand(robot, palm, kept)
     used = {robot.drivers(joint) for chain in kept for joint in chain.joints}
-    below = {joint for leaf in robot.leaves(palm) for joint, _ in robot.chain(leaf, palm)}
+    below = {
+        joint for leaf in robot.leaves(palm) for joint, _ in robot.chain(leaf, palm)
+    }
     return Structure(
         palm=_common_link(robot, palm, kept),
         chains=tuple(kept),
         above=tuple(joint for joint, _ in robot.chain(palm, robot.root)),
-        idle=tuple(joint for joint in robot.active if joint in below and joint not in used),
+        idle=tuple(
+            joint for joint in robot.active if joint in below and joint not in used
+        ),
         how=f"the only link from which {len(kept)} chains of at most {LONGEST_FINGER:g} m branch",
         confidence=0.95 if len(kept) > 2 else 0.85,
         notes=tuple(notes),
@@ -184,7 +196,10 @@ def _fingerlike(robot: Robot, body: str) -> set[str]:
     for joint, child in robot.branches(body):
         chains = [robot.chain(leaf, body) for leaf in robot.leaves(child)]
         is_wheel = joint in robot.endless and all(len(chain) == 1 for chain in chains)
-        if not is_wheel and max(_reach(robot, chain) for chain in chains) < LONGEST_FINGER:
+        if (
+            not is_wheel
+            and max(_reach(robot, chain) for chain in chains) < LONGEST_FINGER
+        ):
             found.add(joint)
     return found
 
@@ -192,7 +207,9 @@ def _fingerlike(robot: Robot, body: str) -> set[str]:
 def _reach(robot: Robot, chain: list[tuple[str, str]]) -> float:
     """Return the length of a chain from its first joint to its tip [m]."""
     links = [link for _, link in chain]
-    steps = [robot.pose_in(link, before)[:3, 3] for before, link in itertools.pairwise(links)]
+    steps = [
+        robot.pose_in(link, before)[:3, 3] for before, link in itertools.pairwise(links)
+    ]
     end = find_tip(robot, links[-1], links[-2] if len(links) > 1 else None)
     steps.append(robot.pose_in(end.link, links[-1])[:3, 3] + end.xyz)
     return float(np.linalg.norm(steps, axis=1).sum())
@@ -221,7 +238,11 @@ def _one_finger(robot: Robot) -> Structure:
         if len(leaves) > 1:
             what = f"{len(leaves)} chains, none of which branches into fingers"
         is_large = reach > 10.0
-        hint = "; are its lengths in millimetres?" if is_large else ", or name the palm with --root"
+        hint = (
+            "; are its lengths in millimetres?"
+            if is_large
+            else ", or name the palm with --root"
+        )
         raise HandError(
             f"no hand found from {robot.root!r} outwards: {what}{hint}",
             file=robot.file,
@@ -234,13 +255,17 @@ def _one_finger(robot: Robot) -> Structure:
         idle=(),
         how="the link from which the only chain starts",
         confidence=0.5,
-        notes=("there is only one finger, so the dorsal direction and the side are guesses",),
+        notes=(
+            "there is only one finger, so the dorsal direction and the side are guesses",
+        ),
     )
 
 
 def _chain(robot: Robot, leaf: str, palm: str) -> Chain:
     joints, links = zip(*robot.chain(leaf, palm), strict=True)
-    return Chain(joints, links, find_tip(robot, leaf, links[-2] if len(links) > 1 else None))
+    return Chain(
+        joints, links, find_tip(robot, leaf, links[-2] if len(links) > 1 else None)
+    )
 
 
 def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
@@ -261,7 +286,9 @@ def find_tip(robot: Robot, leaf: str, before: str | None) -> Tip:
     if ends:
         far = max(ends, key=lambda link: float(np.linalg.norm(ends[link])))
         distance = float(np.linalg.norm(ends[far]))
-        if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, ends[far], cloud):
+        if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(
+            robot, leaf, ends[far], cloud
+        ):
             how = f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint"
             return Tip(far, np.zeros(3), how, 0.95)
     if size > _LEAST_TIP:
@@ -297,8 +324,12 @@ def _is_at_end(robot: Robot, leaf: str, place: np.ndarray, cloud: np.ndarray) ->
         transform_points(robot.pose_in(link, leaf), robot.balls[link])
         for link in robot.body_links(leaf)
     ]
-    at_centre = bool((np.linalg.norm(np.concatenate(balls) - place, axis=1) < _AT_CENTRE).any())
-    return -_IN_THE_AIR < beyond < _INSIDE or (at_centre and 0.0 < beyond < _LARGEST_BALL)
+    at_centre = bool(
+        (np.linalg.norm(np.concatenate(balls) - place, axis=1) < _AT_CENTRE).any()
+    )
+    return -_IN_THE_AIR < beyond < _INSIDE or (
+        at_centre and 0.0 < beyond < _LARGEST_BALL
+    )
 
 
 def _swept(robot: Robot, chain: Chain, frame: str) -> np.ndarray:
@@ -321,8 +352,12 @@ def _swept(robot: Robot, chain: Chain, frame: str) -> np.ndarray:
 
 def _tip_track(robot: Robot, chain: Chain, frame: str) -> np.ndarray:
     """Return a tip's positions in a frame while its joints cross their ranges [m], (samples, 3)."""
-    tip = transform_points(robot.pose_in(chain.tip.link, chain.links[-1]), chain.tip.xyz)
-    return np.array([transform_points(pose, tip) for pose in _swept(robot, chain, frame)])
+    tip = transform_points(
+        robot.pose_in(chain.tip.link, chain.links[-1]), chain.tip.xyz
+    )
+    return np.array(
+        [transform_points(pose, tip) for pose in _swept(robot, chain, frame)]
+    )
 
 
 def _drop_idle(robot: Robot, chains: list[Chain], notes: list[str]) -> list[Chain]:
@@ -334,7 +369,9 @@ def _drop_idle(robot: Robot, chains: list[Chain], notes: list[str]) -> list[Chai
             kept.append(chain)
         else:
             joints = ", ".join(chain.joints)
-            notes.append(f"{joints}: does not move the end of its chain, so not a finger")
+            notes.append(
+                f"{joints}: does not move the end of its chain, so not a finger"
+            )
     return kept
 
 
@@ -345,13 +382,16 @@ def _drop_forks(chains: list[Chain], notes: list[str]) -> list[Chain]:
         longer = (
             other
             for other in kept
-            if sum(map(str.__eq__, chain.joints, other.joints)) > 0.5 * len(chain.joints)
+            if sum(map(str.__eq__, chain.joints, other.joints))
+            > 0.5 * len(chain.joints)
         )
         if (fork := next(longer, None)) is None:
             kept.append(chain)
         else:
             end = fork.links[-1]
-            notes.append(f"{chain.links[-1]}: a second end of the finger that ends at {end}")
+            notes.append(
+                f"{chain.links[-1]}: a second end of the finger that ends at {end}"
+            )
     return [chain for chain in chains if chain in kept]
 
 
@@ -368,7 +408,9 @@ def _drop_linkages(robot: Robot, chains: list[Chain], notes: list[str]) -> list[
             and any(_is_hinged(robot, chain, link) for link in other.links)
         ]
         if hosts:
-            what = f"a bar of the linkage of the finger that ends at {hosts[0].links[-1]}"
+            what = (
+                f"a bar of the linkage of the finger that ends at {hosts[0].links[-1]}"
+            )
             notes.append(f"{', '.join(chain.joints)}: {what}")
         else:
             kept.append(chain)
@@ -405,5 +447,7 @@ def _common_link(robot: Robot, palm: str, chains: list[Chain]) -> str:
         while way[-1] != palm:
             way.append(robot.parent[way[-1]][1])
         ways.append(way[::-1])
-    shared = itertools.takewhile(lambda links: len(set(links)) == 1, zip(*ways, strict=False))
+    shared = itertools.takewhile(
+        lambda links: len(set(links)) == 1, zip(*ways, strict=False)
+    )
     return [palm, *(links[0] for links in shared)][-1]

@@ -121,7 +121,11 @@ def hand_text(detection: Detection, folder: Path) -> str:
     for i, point in enumerate(spec.points):
         if clue := clues.get(point.name):
             above[f"points.{i}"] = f"{clue.how} ({clue.certainty})"
-    how = "six free coordinates" if is_floating else "to the world, or to an arm among the joints"
+    how = (
+        "six free coordinates"
+        if is_floating
+        else "to the world, or to an arm among the joints"
+    )
     beside = {"wrist.mount": how} | _BESIDE | _owners(detection)
     intro = (
         f"{spec.name}: written by `handmap hands init`. Comments say how each value was found and "
@@ -153,7 +157,9 @@ def _lines(
         else:
             end = f"  # {beside[at]}" if at in beside else ""
             # YAML reads a line break inside a value as a space.
-            yield from _wrapped(f"{start} {_flow(value)}{end}", subsequent_indent=f"{indent}    ")
+            yield from _wrapped(
+                f"{start} {_flow(value)}{end}", subsequent_indent=f"{indent}    "
+            )
 
 
 def _comment(text: str, indent: str) -> list[str]:
@@ -172,7 +178,9 @@ def _wrapped(text: str, subsequent_indent: str = "") -> list[str]:
 
 def _given(value: msgspec.Struct) -> dict[str, Any]:
     """Return the fields of a struct that differ from their defaults."""
-    fields = ((field, getattr(value, field.name)) for field in msgspec.structs.fields(value))
+    fields = (
+        (field, getattr(value, field.name)) for field in msgspec.structs.fields(value)
+    )
     return {field.name: given for field, given in fields if given != field.default}
 
 

@@ -68,7 +68,12 @@ class Keys:
 
         written = make_keys(self.folder, self.client)
         for file in written:
-            is_back = file.parent.name == "clients" and self.folder / file.name not in written
-            print(f"wrote {file}" + (f", which admits {file.stem} again" if is_back else ""))
+            is_back = (
+                file.parent.name == "clients" and self.folder / file.name not in written
+            )
+            print(
+                f"wrote {file}"
+                + (f", which admits {file.stem} again" if is_back else "")
+            )
         if not written:
             print("wrote nothing: all keys exist")

@@ -120,9 +120,14 @@ class ConnectionGate:
                 lambda: _Client(self), self._host, self._port, backlog=_ACCEPTED
             )
         except OSError as error:
-            address, problem = f"{self._host}:{self._port}", str(error.strerror or error)
+            address, problem = (
+                f"{self._host}:{self._port}",
+                str(error.strerror or error),
+            )
             advice = "give a free port at an IP address of this machine"
-            raise InvalidInputError(argument=address, problem=problem, advice=advice) from error
+            raise InvalidInputError(
+                argument=address, problem=problem, advice=advice
+            ) from error
         (bound, *_) = self._server.sockets
         # asyncio accepts the whole backlog in one turn, so it is told of a shorter one.
         with socket.fromfd(bound.fileno(), bound.family, bound.type) as listening:
@@ -139,7 +144,9 @@ class ConnectionGate:
     def admit(self, client: _Client) -> None:
         """Count a connection in, and end one if there are too many."""
         if len(self._clients) >= self._most:
-            least = min(self._clients, key=lambda each: (bool(each.identity), each.heard))
+            least = min(
+                self._clients, key=lambda each: (bool(each.identity), each.heard)
+            )
             (least if self._evicts else client).end("too many connections")
         if not client.transport.is_closing():
             self._clients.add(client)
@@ -159,7 +166,9 @@ class ConnectionGate:
             # The socket's descriptor of a connection shows the name of the gate's end.
             with suppress(OSError, StopIteration):
                 descriptor = int(message[-1].get(zmq.SRCFD))
-                with socket.fromfd(descriptor, socket.AF_UNIX, socket.SOCK_STREAM) as end:
+                with socket.fromfd(
+                    descriptor, socket.AF_UNIX, socket.SOCK_STREAM
+                ) as end:
                     name = end.getpeername()
                 client = next(each for each in self._clients if each.name == name)
                 client.identity, self._known[identity] = identity, client
@@ -182,7 +191,11 @@ class _Client(asyncio.BufferedProtocol):
 
     def __init__(self, gate: ConnectionGate) -> None:
         self.heard = time.monotonic()
-        self._gate, self._buffer, self._frames = gate, bytearray(_AT_ONCE), count_frames()
+        self._gate, self._buffer, self._frames = (
+            gate,
+            bytearray(_AT_ONCE),
+            count_frames(),
+        )
         self._credit = Bucket(_RATE, self.heard, gate.credit)
         next(self._frames)
 
@@ -205,7 +218,9 @@ class _Client(asyncio.BufferedProtocol):
             end.bind("")
             self.name = end.getsockname()
             await self._loop.sock_connect(end, f"\0{self._gate.inner}")
-            self._inner, _ = await self._loop.create_unix_connection(lambda: _Inner(self), sock=end)
+            self._inner, _ = await self._loop.create_unix_connection(
+                lambda: _Inner(self), sock=end
+            )
         except OSError:
             end.close()
         if self._inner is None or self.transport.is_closing():

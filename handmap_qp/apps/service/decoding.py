@@ -49,7 +49,9 @@ _DECODE_HEAD = {key: codec.Decoder(_Head).decode for key, codec in _CODECS.items
 _ENCODE = {key: codec.Encoder().encode for key, codec in _CODECS.items()}
 
 
-def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest | Error:
+def decode_request(
+    payload: bytes | str, *, is_json: bool = False
+) -> AnyRequest | Error:
     """Read and check one request.
 
     Args:
@@ -69,7 +71,9 @@ def decode_request(payload: bytes | str, *, is_json: bool = False) -> AnyRequest
         if type(protocol) is int and protocol not in messages.PROTOCOLS:
             return _wrong_protocol(seq, protocol)
         message, path = _split(error)
-        return Error(seq=seq, code="invalid", message=_explain(message, path), field=path)
+        return Error(
+            seq=seq, code="invalid", message=_explain(message, path), field=path
+        )
     except _UNREADABLE as error:
         kind = "JSON" if is_json else "msgpack"
         return Error(code="invalid", message=f"not a {kind} message: {error}"[:200])
@@ -92,13 +96,17 @@ def _head(payload: bytes, is_json: bool) -> tuple[Any, int]:
         head = _DECODE_HEAD[is_json](payload)
     except _UNREADABLE:
         return None, 0
-    return head.protocol, head.seq if type(head.seq) is int and 0 <= head.seq <= 2**53 else 0
+    return head.protocol, head.seq if type(
+        head.seq
+    ) is int and 0 <= head.seq <= 2**53 else 0
 
 
 def _wrong_protocol(seq: int, protocol: int) -> Error:
     known = messages.PROTOCOLS
     message = f"expected version {' or '.join(map(str, known))}, got {protocol}"
-    return Error(seq=seq, code="protocol", field="protocol", message=message, protocols=known)
+    return Error(
+        seq=seq, code="protocol", field="protocol", message=message, protocols=known
+    )
 
 
 def _split(error: msgspec.ValidationError) -> tuple[str, str]:
@@ -140,11 +148,16 @@ def _bad_numbers(request: AnyRequest) -> Iterator[tuple[str, str]]:
         if pose is not None:
             norm = math.hypot(*pose.quat_xyzw)
             if not abs(norm - 1.0) <= _QUAT_TOLERANCE:
-                yield f"{field}.quat_xyzw", f"expected a unit quaternion, got norm {norm:g}"
+                yield (
+                    f"{field}.quat_xyzw",
+                    f"expected a unit quaternion, got norm {norm:g}",
+                )
             yield from _outside(f"{field}.position", pose.position)
 
 
-def _outside(field: str, values: Any, largest: float = LARGEST) -> Iterator[tuple[str, str]]:
+def _outside(
+    field: str, values: Any, largest: float = LARGEST
+) -> Iterator[tuple[str, str]]:
     array = np.array(values, dtype=float)
     # `~(a <= b)` is also true of NaN.
     for index in np.argwhere(~(np.abs(array) <= largest)):

@@ -86,7 +86,12 @@ class Dispatcher:
         self._audit, self._who = audit or AuditLog(), Caller
         self.sessions = Sessions(settings, cache, metrics, store, clock, self._audit)
         self.stream_port = 0
-        self._settings, self._cache, self._metrics, self._clock = settings, cache, metrics, clock
+        self._settings, self._cache, self._metrics, self._clock = (
+            settings,
+            cache,
+            metrics,
+            clock,
+        )
         self._version = version("handmap-qp")
         self._started = clock()
         self._rates, self._configures = (
@@ -177,8 +182,13 @@ class Dispatcher:
         now = self._clock()
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
-            if now - session.last_request > self._settings.idle and not session.will_move:
-                self.sessions.end(secret, "no_session", "closed: its client was silent too long")
+            if (
+                now - session.last_request > self._settings.idle
+                and not session.will_move
+            ):
+                self.sessions.end(
+                    secret, "no_session", "closed: its client was silent too long"
+                )
                 continue
             try:
                 self._tick(session, now)
@@ -238,12 +248,16 @@ class Dispatcher:
             RefusedError: If the client may not do that.
         """
         if request.session:
-            raise RefusedError("invalid", "give session or name, not both", field="name")
+            raise RefusedError(
+                "invalid", "give session or name, not both", field="name"
+            )
         session = self.sessions.named(request.name or "")
         is_allowed = session.request.is_shared or isinstance(request, Status | Stop)
         if isinstance(request, Clear) and not is_allowed:
             by = self._who()
-            is_allowed = by.key in self._settings.supervisor or by.owner("") == session.owner
+            is_allowed = (
+                by.key in self._settings.supervisor or by.owner("") == session.owner
+            )
         if not is_allowed:
             message = f"session {request.name!r} was not opened with is_shared: only its owner may"
             raise RefusedError("denied", message, field="name")
@@ -258,7 +272,9 @@ class Dispatcher:
             self._carry_out(entry.session, request, now)
         return Done(seq=request.seq)
 
-    def _attempt(self, request: AnyRequest | Named, work: Callable[[], AnyReply]) -> AnyReply:
+    def _attempt(
+        self, request: AnyRequest | Named, work: Callable[[], AnyReply]
+    ) -> AnyReply:
         """Return what `work` returns, or the error to answer with."""
         try:
             return work()
@@ -267,12 +283,16 @@ class Dispatcher:
         except Exception as error:
             return self._bug(request.seq, error)
 
-    def _carry_out(self, session: Session, request: AnyRequest | Named, now: float) -> AnyReply:
+    def _carry_out(
+        self, session: Session, request: AnyRequest | Named, now: float
+    ) -> AnyReply:
         """Carry out a request for a session."""
         if isinstance(request, Step):
             return self._attempt(request, lambda: self._step(session, request, now))
         if isinstance(request, Status):
-            state = partial(session.state, request.seq, self._version, self.stream_port, now)
+            state = partial(
+                session.state, request.seq, self._version, self.stream_port, now
+            )
             return self._attempt(request, state)
         return self._attempt(request, lambda: self._control(session, request, now))
 
@@ -282,7 +302,9 @@ class Dispatcher:
         self._send(session, command)
         return command
 
-    def _control(self, session: Session, request: AnyRequest | Named, now: float) -> Done:
+    def _control(
+        self, session: Session, request: AnyRequest | Named, now: float
+    ) -> Done:
         """Engage, disengage, change, stop, close a session, or start it again."""
         match request:
             case Close():
@@ -312,7 +334,9 @@ class Dispatcher:
         self.sessions.note(session)
         return Done(seq=request.seq)
 
-    def _receive_open(self, request: Open, payload: bytes, answer: Answer, is_json: bool) -> None:
+    def _receive_open(
+        self, request: Open, payload: bytes, answer: Answer, is_json: bool
+    ) -> None:
         """Open a session in a task; a repeated request gets the same answer."""
         entry = self.sessions.entries.get(request.session)
         if entry is not None and payload == entry.payload:
@@ -323,7 +347,9 @@ class Dispatcher:
             waiting.append(answer)
             return
         if first or len(self._opening) >= self._settings.sessions:
-            refusal = self._refusal(request.seq, RefusedError("busy", "too many at once"))
+            refusal = self._refusal(
+                request.seq, RefusedError("busy", "too many at once")
+            )
             answer(encode_reply(refusal, is_json=is_json))
             return
         self._opening[request.session] = payload, [answer]
@@ -332,7 +358,9 @@ class Dispatcher:
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _open(self, request: Open, payload: bytes, is_json: bool, by: Caller) -> None:
+    async def _open(
+        self, request: Open, payload: bytes, is_json: bool, by: Caller
+    ) -> None:
         reply: AnyReply
         try:
             session = await self.sessions.open(request, payload, by)
@@ -353,7 +381,9 @@ class Dispatcher:
         self._written = encode_reply(command)
         self.sessions.send(session.name, self._written)
 
-    def _subscribe(self, request: Subscribe, subscribe: Callable[[str], None] | None) -> Done:
+    def _subscribe(
+        self, request: Subscribe, subscribe: Callable[[str], None] | None
+    ) -> Done:
         if subscribe is None:
             message = "connect a SUB socket to the stream's port instead"
             raise RefusedError("invalid", message, field="type")
@@ -400,4 +430,6 @@ def _changes(request: AnyRequest | Named) -> dict[str, Any]:
     """Return the fields of a request that the audit log keeps: those that were given."""
     left_out = {"type", "protocol", "seq", "session", "name"}
     given = msgspec.to_builtins(request)
-    return {name: value for name, value in given.items() if name not in left_out and value}
+    return {
+        name: value for name, value in given.items() if name not in left_out and value
+    }

@@ -57,7 +57,9 @@ class ClientKeys:
         if seen != self._seen:
             keys = {file: key for file in seen if (key := _read_public(file))}
             self._seen, self._keys = seen, frozenset(keys.values())
-            self._names |= {key.decode("ascii", "replace"): f.stem for f, key in keys.items()}
+            self._names |= {
+                key.decode("ascii", "replace"): f.stem for f, key in keys.items()
+            }
             report(INFO, "keys", clients=len(self._keys))
         return self._keys
 
@@ -74,7 +76,9 @@ class ClientKeys:
         """
         is_known = key in self.read()
         if not is_known:
-            self._refusals.report(WARNING, "refused_key", key=key.decode("ascii", "replace"))
+            self._refusals.report(
+                WARNING, "refused_key", key=key.decode("ascii", "replace")
+            )
         return is_known
 
 
@@ -135,7 +139,9 @@ def read_server_keys(folder: Path) -> ServerKeys:
         public, secret = load_certificate(file)
     except FileNotFoundError as error:
         raise InvalidInputError(
-            argument=str(file), problem="does not exist", advice=f"handmap keys {folder} makes it"
+            argument=str(file),
+            problem="does not exist",
+            advice=f"handmap keys {folder} makes it",
         ) from error
     except OSError as error:
         raise _unreadable(file, error) from error
@@ -174,13 +180,16 @@ def read_token(file: Path) -> str:
         ) from error
     if not re.fullmatch(r"[A-Za-z0-9_-]{16,256}", token):
         raise InvalidOptionsError(
-            option="web_token_file", expected="a token of 16 to 256 letters, digits, - and _"
+            option="web_token_file",
+            expected="a token of 16 to 256 letters, digits, - and _",
         )
     return token
 
 
 def _unreadable(file: Path, error: OSError) -> InvalidInputError:
-    return InvalidInputError(argument=str(file), problem=f"cannot be read: {error.strerror}")
+    return InvalidInputError(
+        argument=str(file), problem=f"cannot be read: {error.strerror}"
+    )
 
 
 def _check_private(file: Path) -> None:

@@ -30,7 +30,9 @@ _RATE, _BURST = 20.0, 400.0
 """Lines of the audit log per second, and at once."""
 
 
-def report(level: int, event: str, *, failure: BaseException | None = None, **data: Any) -> None:
+def report(
+    level: int, event: str, *, failure: BaseException | None = None, **data: Any
+) -> None:
     """Log an event with its data, and with the traceback of a failure."""
     log.log(level, event, exc_info=failure, extra={"data": data})
 
@@ -73,7 +75,12 @@ class Throttle:
         self._suppressed = 0
 
     def report(
-        self, level: int, event: str, *, failure: BaseException | None = None, **data: Any
+        self,
+        level: int,
+        event: str,
+        *,
+        failure: BaseException | None = None,
+        **data: Any,
     ) -> None:
         """Log an event, with the traceback of a failure; only count it within the period."""
         now = time.monotonic()
@@ -105,7 +112,9 @@ class AuditLog:
                 problem = f"cannot be written: {error.strerror}"
                 raise InvalidInputError(argument=str(path), problem=problem) from error
 
-    def note(self, event: str, by: Caller | str, *, session: str = "", **data: Any) -> None:
+    def note(
+        self, event: str, by: Caller | str, *, session: str = "", **data: Any
+    ) -> None:
         """Write one event.
 
         Without a file, nothing is written. An emergency stop is never left out.

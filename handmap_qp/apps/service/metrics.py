@@ -66,9 +66,13 @@ class Metrics:
         yield refusals
         for name, gauge in self.gauges.items():
             yield GaugeMetricFamily(f"handmap_{name}", _GAUGES[name], gauge())
-        steps = zip(map(str, (*BUCKETS, "+Inf")), accumulate(self._step_counts), strict=True)
+        steps = zip(
+            map(str, (*BUCKETS, "+Inf")), accumulate(self._step_counts), strict=True
+        )
         about = "Time from a sample to its command [s]."
-        yield HistogramMetricFamily("handmap_step_seconds", about, list(steps), self._step_total)
+        yield HistogramMetricFamily(
+            "handmap_step_seconds", about, list(steps), self._step_total
+        )
 
     def render(self) -> str:
         """Return all values in the text format 0.0.4."""

@@ -17,7 +17,11 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.service.refusals import field_of_option, with_field_errors, with_option_errors
+from handmap_qp.apps.service.refusals import (
+    field_of_option,
+    with_field_errors,
+    with_option_errors,
+)
 from handmap_qp.client.messages import FORMER_OPTIONS, Configure, Open
 from handmap_qp.errors import (
     HandError,
@@ -38,7 +42,12 @@ from handmap_qp.human.verdict import Rule
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.presets import Choice, default_preset, preset_choice, preset_with
+from handmap_qp.mapping.presets import (
+    Choice,
+    default_preset,
+    preset_choice,
+    preset_with,
+)
 from handmap_qp.options import Options
 from handmap_qp.stream.follower import Follower, RejoinKind
 from handmap_qp.stream.guard import StreamGuard
@@ -74,13 +83,18 @@ class HandCache:
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
-        self._files = {name: file for name, file in hand_files().items() if name not in HUMAN_HANDS}
+        self._files = {
+            name: file for name, file in hand_files().items() if name not in HUMAN_HANDS
+        }
         self.missing = missing_hands()
         for file in files:
             spec = read_hand_spec(file)
             if spec.name in self.robots:
                 raise HandError(
-                    f"there is already a hand {spec.name!r}", file=file, key="name", value=spec.name
+                    f"there is already a hand {spec.name!r}",
+                    file=file,
+                    key="name",
+                    value=spec.name,
                 )
             self._files[spec.name] = file
             self.missing.pop(spec.name, None)
@@ -109,7 +123,9 @@ class HandCache:
                 field="robot",
             )
         file = self._files[name]
-        return with_field_errors("robot", lambda: self._load(file, points=points, mount=mount))
+        return with_field_errors(
+            "robot", lambda: self._load(file, points=points, mount=mount)
+        )
 
     def human(self, side: Side, points: str | None) -> Hand:
         """Return a human hand of the model's size."""
@@ -168,7 +184,9 @@ def prepare_hands(
         RefusedError: With the field at fault.
     """
     if request.hand_length is not None and request.lengths is not None:
-        raise RefusedError("invalid", "give hand_length or lengths, not both", field="lengths")
+        raise RefusedError(
+            "invalid", "give hand_length or lengths, not both", field="lengths"
+        )
     contact_gap = contact_gap if request.contact_gap is None else request.contact_gap
     robot = cache.robot(request.robot, request.robot_points, request.mount)
     if lengths is None:
@@ -200,7 +218,9 @@ def _human(request: Open, cache: HandCache, lengths: HumanLengths | None) -> Han
     """Return the human hand with the reference points of the request."""
     if lengths is None:
         return cache.human(request.side, request.human_points)
-    return load_hand(human_name(request.side), points=request.human_points, lengths=lengths)
+    return load_hand(
+        human_name(request.side), points=request.human_points, lengths=lengths
+    )
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
@@ -209,9 +229,15 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     if lengths is None:
         length = request.hand_length
         return None if length is None else HumanLengths.from_hand_length(length)
-    if not all(0.0 < math.hypot(*row) < 1.0 for row in (*lengths.bases, *lengths.segments)):
-        raise InvalidInputError(argument="lengths", expected="lengths between 0 and 1 m")
-    return HumanLengths(*map(np.array, (lengths.bases, lengths.segments, lengths.rolls)))
+    if not all(
+        0.0 < math.hypot(*row) < 1.0 for row in (*lengths.bases, *lengths.segments)
+    ):
+        raise InvalidInputError(
+            argument="lengths", expected="lengths between 0 and 1 m"
+        )
+    return HumanLengths(
+        *map(np.array, (lengths.bases, lengths.segments, lengths.rolls))
+    )
 
 
 def read_choice(
@@ -286,7 +312,10 @@ class Calibration:
     """
 
     def __init__(
-        self, request: Open, cache: HandCache, defer: Callable[[Callable[[], Hands]], Future[Hands]]
+        self,
+        request: Open,
+        cache: HandCache,
+        defer: Callable[[Callable[[], Hands]], Future[Hands]],
     ) -> None:
         self._request, self._cache, self._defer = request, cache, defer
         self._guard = StreamGuard(cache.human(request.side, None))
@@ -328,7 +357,9 @@ class Calibration:
     def _prepare(self, landmarks: np.ndarray) -> Hands:
         time = _PERIOD * np.arange(len(landmarks))
         is_valid = np.ones(len(landmarks), dtype=bool)
-        recording = Recording("calibration", time, landmarks, is_valid, self._request.side)
+        recording = Recording(
+            "calibration", time, landmarks, is_valid, self._request.side
+        )
         lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
         # Without a touch, nothing was measured: the preset's own gap is the better guess.
         smallest = smallest_gap(time, landmarks)

@@ -73,7 +73,9 @@ async def serve_metrics(
     def respond(_: ServerConnection, request: Request) -> Response:
         # Prevent DNS rebinding: an attacker's name that resolves to 127.0.0.1 in a browser.
         if not all(map(names_loopback, request.headers.get_all("Host"))):
-            return _response(HTTPStatus.MISDIRECTED_REQUEST, _TEXT, b"ask for localhost\n")
+            return _response(
+                HTTPStatus.MISDIRECTED_REQUEST, _TEXT, b"ask for localhost\n"
+            )
         path = request.path.partition("?")[0]
         if path == "/metrics":
             kind = "text/plain; version=0.0.4; charset=utf-8"
@@ -83,7 +85,9 @@ async def serve_metrics(
             is_well = state["status"] == "ok"
             status = HTTPStatus.OK if is_well else HTTPStatus.SERVICE_UNAVAILABLE
             return _response(status, "application/json", json.dumps(state).encode())
-        return _response(HTTPStatus.NOT_FOUND, _TEXT, b"there are /metrics and /health\n")
+        return _response(
+            HTTPStatus.NOT_FOUND, _TEXT, b"there are /metrics and /health\n"
+        )
 
     async def never(_: ServerConnection) -> None:
         """Serve no WebSocket, because every request has a response."""
@@ -112,5 +116,7 @@ def _files() -> dict[str, tuple[str, bytes]]:
 
 def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
     headers = Headers(_HEADERS)
-    headers.update({"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"})
+    headers.update(
+        {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
+    )
     return Response(status.value, status.phrase, headers, body)

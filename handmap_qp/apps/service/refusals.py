@@ -21,7 +21,8 @@ from handmap_qp.mapping.presets import IK_NAMES, Choice, known_options
 
 _LONGEST_MESSAGE = 400
 _FIELDS = {"human_q": "q", "wrist_pose": "wrist"} | {
-    name: name for name in ("wrist", "points", "landmarks", "values", "robot_q", "robot_wrist")
+    name: name
+    for name in ("wrist", "points", "landmarks", "values", "robot_q", "robot_wrist")
 }
 """Fields of requests by the arguments of the library that take them."""
 _CHOICES = {"method": "preset", "preset": "preset", "human_points": "human_points"}
@@ -48,7 +49,9 @@ def refused(error: HandmapError, field: str = "") -> RefusedError:
     elif isinstance(error, HandError):
         # Clients must not learn the server's paths.
         message = f"{error.key}: {error.problem}" if error.key else error.problem
-    return RefusedError("invalid", " ".join(message.split())[:_LONGEST_MESSAGE], field=own or field)
+    return RefusedError(
+        "invalid", " ".join(message.split())[:_LONGEST_MESSAGE], field=own or field
+    )
 
 
 def field_of_option(request: Open, option: str) -> str:
@@ -72,7 +75,9 @@ def with_field_errors(field: str, make: Callable[[], _T]) -> _T:
         raise RefusedError("invalid", message, field=field) from error
 
 
-def with_option_errors(request: Open, robot: Hand, choice: Choice, make: Callable[[], _T]) -> _T:
+def with_option_errors(
+    request: Open, robot: Hand, choice: Choice, make: Callable[[], _T]
+) -> _T:
     """Return what `make` returns, and raise its errors as refusals of options.
 
     Args:

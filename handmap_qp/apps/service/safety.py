@@ -39,7 +39,9 @@ class CommandedRobot:
         is_placed: Whether the pose of its wrist is known.
     """
 
-    def __init__(self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None) -> None:
+    def __init__(
+        self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None
+    ) -> None:
         self._robot, self._workspace = robot, robot.configuration()
         self.is_placed = wrist is not None or not robot.is_floating
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
@@ -48,7 +50,9 @@ class CommandedRobot:
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
         limit = ik.options.max_acceleration
-        self._gate = Gate(ik.hand, self.motion, max_acceleration=limit, collisions=ik.collisions)
+        self._gate = Gate(
+            ik.hand, self.motion, max_acceleration=limit, collisions=ik.collisions
+        )
 
     @property
     def motion(self) -> Motion:
@@ -127,7 +131,9 @@ class StepClock:
         now: The present [s].
     """
 
-    def __init__(self, max_dt: float, time_from: Literal["server", "client"], now: float) -> None:
+    def __init__(
+        self, max_dt: float, time_from: Literal["server", "client"], now: float
+    ) -> None:
         self._max_dt = max_dt
         self._time_from = time_from
         self._last = now

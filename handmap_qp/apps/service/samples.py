@@ -70,7 +70,9 @@ class SampleForm:
     def _check_field(self, field: str, sample: Step) -> None:
         """Refuse a field that should not be given, or that is missing where it is needed."""
         if field != self._field:
-            wanted = self._kind if self._layout is None else f"values of {self._layout.name}"
+            wanted = (
+                self._kind if self._layout is None else f"values of {self._layout.name}"
+            )
             raise _invalid(field, f"this session was opened for {wanted}")
         if sample.valid or self._kind != "landmarks":
             raise _invalid(field, "missing; this session was opened for it")
@@ -161,7 +163,9 @@ def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
     """Convert a measured hand to rows of numbers."""
     if lengths is None:
         return None
-    return Lengths(*(getattr(lengths, name).tolist() for name in Lengths.__struct_fields__))
+    return Lengths(
+        *(getattr(lengths, name).tolist() for name in Lengths.__struct_fields__)
+    )
 
 
 def to_detail(mapped: MappedSample) -> Detail | None:
@@ -180,7 +184,8 @@ def to_detail(mapped: MappedSample) -> Detail | None:
     for name in ("motion", "motion_rigid", "motion_deformation", "stretches"):
         arrays[name] = results[name]
     rows: dict[str, Any] = {
-        name: None if array is None else array.tolist() for name, array in arrays.items()
+        name: None if array is None else array.tolist()
+        for name, array in arrays.items()
     }
     return Detail(human_wrist=to_pose(step.human_wrist), **rows)
 

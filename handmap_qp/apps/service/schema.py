@@ -100,7 +100,12 @@ def schema_text() -> str:
         *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
         "### Presets",
         "\n".join(map(_preset_line, PRESETS)),
-        *map(_table, dict.fromkeys([*(type(each.method) for each in PRESETS.values()), IkOptions])),
+        *map(
+            _table,
+            dict.fromkeys(
+                [*(type(each.method) for each in PRESETS.values()), IkOptions]
+            ),
+        ),
         "## Flags of a command",
         "\n".join(f"- `{flag}`: {text}" for flag, text in FLAGS.items()),
         "## Rules for landmarks",
@@ -125,8 +130,18 @@ def _components(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
 
     Fields are described in the docstring of their class, or of a base, under `Attributes`.
     """
-    schemas, components = msgspec.json.schema_components(kinds, ref_template="#/$defs/{name}")
-    structs = [*get_args(AnyRequest), *get_args(AnyReply), Request, About, Detail, Lengths, Pose]
+    schemas, components = msgspec.json.schema_components(
+        kinds, ref_template="#/$defs/{name}"
+    )
+    structs = [
+        *get_args(AnyRequest),
+        *get_args(AnyReply),
+        Request,
+        About,
+        Detail,
+        Lengths,
+        Pose,
+    ]
     for kind in structs:
         for base in reversed(kind.__mro__) if kind.__name__ in components else ():
             doc = docstring_parser.parse(base.__doc__ or "")
@@ -143,8 +158,12 @@ def _components(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
 def _table(kind: type[msgspec.Struct]) -> str:
     """Describe a message, value or options with its fields."""
     tag = kind.__struct_config__.tag
-    about = _components(kind)[1][kind.__name__].get("description", "").partition("\n")[0]
-    return "\n\n".join(filter(None, (f"### `{tag or kind.__name__}`", about, _rows(kind))))
+    about = (
+        _components(kind)[1][kind.__name__].get("description", "").partition("\n")[0]
+    )
+    return "\n\n".join(
+        filter(None, (f"### `{tag or kind.__name__}`", about, _rows(kind)))
+    )
 
 
 def _rows(kind: type[msgspec.Struct]) -> str:
@@ -155,7 +174,11 @@ def _rows(kind: type[msgspec.Struct]) -> str:
             inherited |= set(base.__struct_fields__)
     fields = _components(kind)[1][kind.__name__]["properties"].items()
     rows = [_row(name, field) for name, field in fields if name not in inherited]
-    return "\n".join(["| field | type | default | |", "|---|---|---|---|", *rows]) if rows else ""
+    return (
+        "\n".join(["| field | type | default | |", "|---|---|---|---|", *rows])
+        if rows
+        else ""
+    )
 
 
 def _row(name: str, field: dict[str, Any]) -> str:
@@ -175,7 +198,9 @@ def _preset_line(name: str) -> str:
         for part in (preset.ik, preset.method)
         for option, value in type(part)().changes_to(part).items()
     }
-    listed = ", ".join(f"`{option}` {json.dumps(value)}" for option, value in changes.items())
+    listed = ", ".join(
+        f"`{option}` {json.dumps(value)}" for option, value in changes.items()
+    )
     differs = f" Its own values: {listed}." if changes else ""
     kind = type(preset.method).__name__
     return f"- `{name}` (`{kind}`): {preset.purpose}. Weakness: {preset.weakness}.{differs}"

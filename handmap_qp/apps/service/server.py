@@ -33,7 +33,12 @@ from zmq.utils.monitor import recv_monitor_message
 
 from handmap_qp.apps.service.connection_gate import ConnectionGate, cost_of
 from handmap_qp.apps.service.dispatch import Dispatcher
-from handmap_qp.apps.service.keys import ClientKeys, ServerKeys, read_server_keys, read_token
+from handmap_qp.apps.service.keys import (
+    ClientKeys,
+    ServerKeys,
+    read_server_keys,
+    read_token,
+)
 from handmap_qp.apps.service.logs import AuditLog, Throttle, log_to_stderr, report
 from handmap_qp.apps.service.metrics import Metrics
 from handmap_qp.apps.service.opening import HandCache
@@ -89,7 +94,9 @@ class Server:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings = settings.checked()
-        files = () if settings.keys is None else (settings.keys / "clients").glob("*.key")
+        files = (
+            () if settings.keys is None else (settings.keys / "clients").glob("*.key")
+        )
         for name in set(settings.supervisor).difference(file.stem for file in files):
             raise InvalidOptionsError(
                 option="supervisor", expected="the name of a client in keys", value=name
@@ -104,7 +111,9 @@ class Server:
         self._closing.callback(self._audit.close)
         # Acquire the file lock last, after everything that can fail.
         store = self._closing.enter_context(PostureStore(settings.state))
-        self.dispatcher = Dispatcher(settings, cache, self.metrics, store=store, audit=self._audit)
+        self.dispatcher = Dispatcher(
+            settings, cache, self.metrics, store=store, audit=self._audit
+        )
         self._clients: ClientKeys | None = None
         self._keys: ServerKeys | None = None
         self._tasks: list[asyncio.Task[None]] = []
@@ -130,13 +139,18 @@ class Server:
             self._authenticate(context, settings.keys / "clients")
         # Plain sockets polled by FD: a Future per message costs a third of a step.
         plain = zmq.Context.shadow(context.underlying)
-        self._router, self._stream = self._socket(plain, zmq.ROUTER), self._socket(plain, zmq.PUB)
+        self._router, self._stream = (
+            self._socket(plain, zmq.ROUTER),
+            self._socket(plain, zmq.PUB),
+        )
         host, most = _ip(settings.host), _CONNECTIONS_PER_SESSION * settings.sessions
         credit = settings.message_size + _ENVELOPE
         self._gate = ConnectionGate(
             "requests", host, settings.port, most, credit, self.metrics, evicts=True
         )
-        stream = ConnectionGate("stream", host, settings.stream_port, most, _TOPICS, self.metrics)
+        stream = ConnectionGate(
+            "stream", host, settings.stream_port, most, _TOPICS, self.metrics
+        )
         self._gate.bind(self._router)
         stream.bind(self._stream)
         self.ports["requests"] = await self._closing.enter_async_context(self._gate)
@@ -169,7 +183,13 @@ class Server:
         ]
         self._tasks = [asyncio.create_task(work) for work in (self._tick(), *watches)]
         self._audit.note("started", "server", ports=self.ports)
-        report(INFO, "ready", host=settings.host, ports=self.ports, curve=settings.keys is not None)
+        report(
+            INFO,
+            "ready",
+            host=settings.host,
+            ports=self.ports,
+            curve=settings.keys is not None,
+        )
 
     async def stop(self) -> None:
         """Close all sessions and transports."""
@@ -239,7 +259,12 @@ class Server:
                 if len(self._parts) <= _MOST_PARTS:
                     self._parts.append(frame)
                 if not frame.more:
-                    parts, cost, self._parts, self._cost = self._parts, self._cost, [], 0
+                    parts, cost, self._parts, self._cost = (
+                        self._parts,
+                        self._cost,
+                        [],
+                        0,
+                    )
                     self._receive(parts, cost)
             self._loop.call_soon(self._drain)
         except zmq.Again:
@@ -263,7 +288,9 @@ class Server:
             return Caller(address, key)
 
         try:
-            self.dispatcher.receive(payload, envelope[0], partial(self._reply, envelope), who=who)
+            self.dispatcher.receive(
+                payload, envelope[0], partial(self._reply, envelope), who=who
+            )
         except Exception as error:
             self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
 
@@ -323,7 +350,9 @@ async def _report_handshakes(
             while True:
                 event = await recv_monitor_message(events)
                 metrics.refusals["handshake"] += 1
-                failed.report(INFO, "handshake", reason=_reason(event["event"], event["value"]))
+                failed.report(
+                    INFO, "handshake", reason=_reason(event["event"], event["value"])
+                )
         finally:
             socket.disable_monitor()
 
@@ -337,7 +366,9 @@ def _reason(event: int, value: int) -> str:
         and value == zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
     ):
         return "the client's server.key is another server's"
-    return "only one of client and server uses keys, or the client does not speak ZeroMQ"
+    return (
+        "only one of client and server uses keys, or the client does not speak ZeroMQ"
+    )
 
 
 def run_server(settings: Settings, log_level: str = "info") -> None:
@@ -375,7 +406,9 @@ async def _serve(settings: Settings) -> bool:
         gc.collect()
         gc.freeze()
         settings = server.settings
-        hosts = {"host": settings.host} | ({"web_host": settings.web_host} if settings.web else {})
+        hosts = {"host": settings.host} | (
+            {"web_host": settings.web_host} if settings.web else {}
+        )
         print(json.dumps({"ready": True, **hosts, "ports": server.ports}), flush=True)
         await ended.wait()
     finally:

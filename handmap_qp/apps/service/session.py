@@ -19,9 +19,19 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.apps.service.opening import Calibration, Hands, read_choice, with_changes
+from handmap_qp.apps.service.opening import (
+    Calibration,
+    Hands,
+    read_choice,
+    with_changes,
+)
 from handmap_qp.apps.service.refusals import refused, with_option_errors
-from handmap_qp.apps.service.safety import CommandedRobot, StepClock, start_angles, start_wrist
+from handmap_qp.apps.service.safety import (
+    CommandedRobot,
+    StepClock,
+    start_angles,
+    start_wrist,
+)
 from handmap_qp.apps.service.samples import (
     MappedSample,
     SampleForm,
@@ -30,7 +40,13 @@ from handmap_qp.apps.service.samples import (
     to_pose,
     to_row,
 )
-from handmap_qp.apps.service.states import Event, MapperState, SessionState, Watchdog, next_state
+from handmap_qp.apps.service.states import (
+    Event,
+    MapperState,
+    SessionState,
+    Watchdog,
+    next_state,
+)
 from handmap_qp.apps.service.store import Record
 from handmap_qp.client.messages import (
     About,
@@ -108,11 +124,17 @@ class Session:
         )
         q, wrist = start if former is None else former.posture
         self._commanded = CommandedRobot(self.robot, q, wrist)
-        if motion is not None and len(motion.q) == self.robot.model.nq and wrist is not None:
+        if (
+            motion is not None
+            and len(motion.q) == self.robot.model.nq
+            and wrist is not None
+        ):
             self._commanded.motion = motion
         self._commanded.obey(hands.mapper.point_ik)
         self._clock = StepClock(request.max_dt, request.time_from, now)
-        self._watchdog = Watchdog(request.watchdog, request.return_after, now, 2.0 * request.max_dt)
+        self._watchdog = Watchdog(
+            request.watchdog, request.return_after, now, 2.0 * request.max_dt
+        )
         self._state = SessionState.WAITING
         self._mapper_state = MapperState.ALIGNED
         self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
@@ -137,7 +159,9 @@ class Session:
     @property
     def mode(self) -> str:
         """What the robot does, as clients read it."""
-        is_calibrating = self._calibration is not None and self._state is SessionState.FOLLOWING
+        is_calibrating = (
+            self._calibration is not None and self._state is SessionState.FOLLOWING
+        )
         return "calibrating" if is_calibrating else self._state.mode
 
     @property
@@ -247,7 +271,9 @@ class Session:
         status = self._state.mode if self._state.is_stopped else mapped.step.status
         return self._command(now, status, flags, **self._diagnostics(mapped))
 
-    def _held(self, sample: Step, step: MapStep, now: float, flags: list[str]) -> Command:
+    def _held(
+        self, sample: Step, step: MapStep, now: float, flags: list[str]
+    ) -> Command:
         """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
         self._stamp, self._seq = sample.time, sample.seq
         self.counts["held"] += 1
@@ -263,7 +289,9 @@ class Session:
         Returns:
             A command of the watchdog to send out, with the flag `watchdog`; None if none is due.
         """
-        while event := self._watchdog.event(self._state, now, is_at_rest=self._is_at_rest):
+        while event := self._watchdog.event(
+            self._state, now, is_at_rest=self._is_at_rest
+        ):
             if event is Event.SILENCE:
                 self.counts["watchdog"] += 1
             self._handle(event)
@@ -331,7 +359,9 @@ class Session:
             RefusedError: With the option at fault. The session is then unchanged.
         """
         self._choose(self._hands, with_changes(self._wanted, self._choice, request))
-        self._has_detail = self._has_detail if request.has_detail is None else request.has_detail
+        self._has_detail = (
+            self._has_detail if request.has_detail is None else request.has_detail
+        )
 
     def reset(self, request: Reset, now: float) -> None:
         """Start again.
@@ -396,7 +426,9 @@ class Session:
             flags: list[str] = [rule]
         else:
             flags = self._accept(sample, now)
-        command = self._command(now, "calibrating", flags, rule=rule, confidence=sample.confidence)
+        command = self._command(
+            now, "calibrating", flags, rule=rule, confidence=sample.confidence
+        )
         if hands is not None:
             # Options may have changed since the hands were prepared.
             self._choose(hands, self._wanted)
@@ -484,7 +516,9 @@ class Session:
             self._mapper_state = MapperState.ALIGNED
             return
         angles = np.clip(
-            self._commanded.q if q is None else q, robot.lower_limits, robot.upper_limits
+            self._commanded.q if q is None else q,
+            robot.lower_limits,
+            robot.upper_limits,
         )
         wrist = self._commanded.wrist if robot.is_floating else None
         mapper.reset(robot_q=angles, robot_wrist=wrist)
@@ -496,7 +530,9 @@ class Session:
         residuals = step.diagnostics.get("residual_norms", np.empty(0))
         return {
             "point_error": to_row(step.point_error),
-            "residual": float(np.sqrt(residuals.dot(residuals) / max(len(residuals), 1))),
+            "residual": float(
+                np.sqrt(residuals.dot(residuals) / max(len(residuals), 1))
+            ),
             "at_limit": tuple(np.array(self.robot.joint_names)[step.at_bound].tolist()),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
@@ -504,7 +540,9 @@ class Session:
             **_trust(step),
         }
 
-    def _command(self, now: float, status: str, flags: list[str], **diagnostics: Any) -> Command:
+    def _command(
+        self, now: float, status: str, flags: list[str], **diagnostics: Any
+    ) -> Command:
         released = ["released"] if self._state.is_released else []
         released += ["stopped"] if self._state.is_stopped else []
         return Command(
@@ -526,7 +564,11 @@ class Session:
 def _trust(step: MapStep) -> dict[str, Any]:
     """Return the fields of a command that say how much a sample is to be trusted."""
     consistency = None if math.isnan(step.consistency) else step.consistency
-    return {"rule": step.rule, "consistency": consistency, "confidence": step.confidence}
+    return {
+        "rule": step.rule,
+        "consistency": consistency,
+        "confidence": step.confidence,
+    }
 
 
 def _new_epoch() -> int:

@@ -108,7 +108,9 @@ class Sessions:
             entry.session.last_request = self._clock()
             return entry
         if self._ended.get(secret) == "taken":
-            raise RefusedError("taken", "another client took this session over", field="session")
+            raise RefusedError(
+                "taken", "another client took this session over", field="session"
+            )
         raise RefusedError("no_session", "no such session; open one", field="session")
 
     def named(self, name: str) -> Session:
@@ -183,7 +185,9 @@ class Sessions:
         if self._store.is_persistent:
             self._store.note(session.record)
 
-    def end(self, secret: str, code: str, reason: str, *, by: Caller | str = "server") -> None:
+    def end(
+        self, secret: str, code: str, reason: str, *, by: Caller | str = "server"
+    ) -> None:
         """Close a session.
 
         Args:
@@ -199,7 +203,13 @@ class Sessions:
             self._ended.popitem(last=False)
         self.send(session.name, encode_reply(Error(code=code, message=reason)))
         self._audit.note("closed", by, session=session.name, reason=reason)
-        report(INFO, "closed", session=session.name, reason=reason, counts=dict(session.counts))
+        report(
+            INFO,
+            "closed",
+            session=session.name,
+            reason=reason,
+            counts=dict(session.counts),
+        )
 
     def send(self, name: str, payload: bytes) -> None:
         """Publish a message in the stream of a session."""
@@ -234,31 +244,46 @@ class Sessions:
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
         if len(request.session) < _SHORTEST_SECRET:
-            raise _invalid("session", f"expected at least {_SHORTEST_SECRET} random characters")
+            raise _invalid(
+                "session", f"expected at least {_SHORTEST_SECRET} random characters"
+            )
         last = self._find_named(request.name)
         held = self.entries.get(request.session)
         is_newer = held is not None and request.seq > held.seq
-        if held is not None and not (request.restore and held.session is last and is_newer):
-            raise _invalid("session", "a session with this secret exists: choose another one")
-        is_replacing = last is not None and request.restore
-        if len(self.entries) + len(self._names_opening) - is_replacing >= self._settings.sessions:
-            raise RefusedError("busy", f"all {self._settings.sessions} sessions are taken")
-        if not self._opens.take(self._clock()):
-            message = (
-                f"more than {self._settings.opens:g} sessions opened a second: try again later"
+        if held is not None and not (
+            request.restore and held.session is last and is_newer
+        ):
+            raise _invalid(
+                "session", "a session with this secret exists: choose another one"
             )
-            raise RefusedError("rate", message)
+        is_replacing = last is not None and request.restore
+        if (
+            len(self.entries) + len(self._names_opening) - is_replacing
+            >= self._settings.sessions
+        ):
+            raise RefusedError(
+                "busy", f"all {self._settings.sessions} sessions are taken"
+            )
+        if not self._opens.take(self._clock()):
+            message = f"more than {self._settings.opens:g} sessions opened a second"
+            raise RefusedError("rate", f"{message}: try again later")
         if request.time_from == "client" and not self._settings.simulated_time:
-            message = "the server uses its own clock (see handmap serve --simulated-time)"
+            message = (
+                "the server uses its own clock (see handmap serve --simulated-time)"
+            )
             raise RefusedError("denied", message, field="time_from")
         self._check_name(request, last, by)
 
     def _check_name(self, request: Open, last: Session | None, by: Caller) -> None:
         """Refuse a name that is in use, or that the client must not have."""
         if request.name in self._names_opening:
-            raise RefusedError("busy", f"session {request.name!r} is being opened", field="name")
+            raise RefusedError(
+                "busy", f"session {request.name!r} is being opened", field="name"
+            )
         if last is not None and not request.restore:
-            raise _invalid("name", f"session {request.name!r} exists: restore=true takes it over")
+            raise _invalid(
+                "name", f"session {request.name!r} exists: restore=true takes it over"
+            )
         self._check_owner(request, by)
         if request.restore and request.name is None:
             raise _invalid("name", "missing: restore needs the name of the session")
@@ -266,26 +291,39 @@ class Sessions:
     def _find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
         return next(
-            (entry.session for entry in self.entries.values() if entry.session.name == name), None
+            (
+                entry.session
+                for entry in self.entries.values()
+                if entry.session.name == name
+            ),
+            None,
         )
 
     def _check_owner(self, request: Open, by: Caller) -> None:
         """Refuse a name to a client that must not have it, or must not yet."""
         name, running = request.name or "", self._find_named(request.name)
         held = running or self._store.records.get(name)
-        heard = running.last_request if running else self._last_heard.get(name, -math.inf)
+        heard = (
+            running.last_request if running else self._last_heard.get(name, -math.inf)
+        )
         is_attended = self._clock() - heard <= LEASE
         # Without `restore`, a name is free after the lease.
         if held is None or not (request.restore or is_attended):
             return
         is_rival = running is not None and request.session not in self.entries
         client = by.owner(request.session)
-        if code := refusal(held.owner, client, is_attended=is_attended, is_rival=is_rival):
-            reasons = {"busy": f"is in use until {LEASE:g} s after its owner's last request"}
+        if code := refusal(
+            held.owner, client, is_attended=is_attended, is_rival=is_rival
+        ):
+            reasons = {
+                "busy": f"is in use until {LEASE:g} s after its owner's last request"
+            }
             reason = reasons.get(code, "belongs to another key")
             raise RefusedError(code, f"session {name!r} {reason}", field="name")
 
-    def _former(self, request: Open, name: str, robot: str, joints: int) -> Record | None:
+    def _former(
+        self, request: Open, name: str, robot: str, joints: int
+    ) -> Record | None:
         """Return the record of the former session of this name, if the request asks for it."""
         if not request.restore:
             return None

@@ -86,18 +86,25 @@ class Settings:
             InvalidInputError: If there is no such address or port, or `web` is missing.
             InvalidOptionsError: If a number is out of range, or others could move the robot.
         """
-        host, web_host = bare_host("--host", self.host), bare_host("--web-host", self.web_host)
+        host, web_host = (
+            bare_host("--host", self.host),
+            bare_host("--web-host", self.web_host),
+        )
         for name in ("port", "stream_port", "web_port", "health_port"):
             if (name, getattr(self, name)) != ("health_port", -1):
                 check_port(name, getattr(self, name))
         if not 1 <= self.sessions <= MOST_SESSIONS:
             expected = f"1 to {MOST_SESSIONS}"
-            raise InvalidOptionsError(option="sessions", expected=expected, value=self.sessions)
+            raise InvalidOptionsError(
+                option="sessions", expected=expected, value=self.sessions
+            )
         for name in ("rate", "opens", "configures", "message_size", "idle"):
             value = getattr(self, name)
             # `not a > b` also rejects NaN.
             if not value > 0.0:
-                raise InvalidOptionsError(option=name, expected="a number > 0", value=value)
+                raise InvalidOptionsError(
+                    option=name, expected="a number > 0", value=value
+                )
         if not is_loopback(host) and self.keys is None:
             raise _exposed("host", host, "keys (handmap keys FOLDER makes them)")
         self._check_web(web_host)
@@ -117,7 +124,9 @@ class Settings:
                 problem="certificate and key go together",
                 advice="give both or neither",
             )
-        is_secured = self.web_token_file is not None and self.web_certificate is not None
+        is_secured = (
+            self.web_token_file is not None and self.web_certificate is not None
+        )
         if not is_loopback(host) and not is_secured:
             raise _exposed("web_host", host, "a token, a certificate and its key")
 

@@ -58,7 +58,11 @@ class SessionState(Enum):
     @property
     def is_silent(self) -> bool:
         """Whether the watchdog acts because samples stay away."""
-        return self in (SessionState.HOLDING, SessionState.HOLDING_RELEASED, SessionState.RETURNING)
+        return self in (
+            SessionState.HOLDING,
+            SessionState.HOLDING_RELEASED,
+            SessionState.RETURNING,
+        )
 
     @property
     def mode(self) -> Mode:
@@ -158,7 +162,11 @@ class Watchdog:
     """
 
     def __init__(
-        self, timeout: float, return_after: float | None, now: float, gap: float = 1.0 / 15.0
+        self,
+        timeout: float,
+        return_after: float | None,
+        now: float,
+        gap: float = 1.0 / 15.0,
     ) -> None:
         self._timeout, self._gap = timeout, gap
         self._return_after = return_after
@@ -172,7 +180,9 @@ class Watchdog:
         """Count silence from now on, as after a reset."""
         self.last_sample = now
 
-    def event(self, state: SessionState, now: float, *, is_at_rest: bool) -> Event | None:
+    def event(
+        self, state: SessionState, now: float, *, is_at_rest: bool
+    ) -> Event | None:
         """Return the event that elapsed time brings about, if any.
 
         Call again after the transition, until nothing is due.
@@ -188,15 +198,23 @@ class Watchdog:
             # The first command of a hold is due at once.
             self._held_since, self._last_command = now, -math.inf
             return Event.SILENCE
-        if state is SessionState.HOLDING and self._return_after is not None and not is_at_rest:
-            return Event.RETURN if now - self._held_since >= self._return_after else None
+        if (
+            state is SessionState.HOLDING
+            and self._return_after is not None
+            and not is_at_rest
+        ):
+            return (
+                Event.RETURN if now - self._held_since >= self._return_after else None
+            )
         return None
 
     def hasten(self) -> None:
         """Make the next command due at once."""
         self._last_command = -math.inf
 
-    def take_turn(self, state: SessionState, now: float, *, is_braking: bool = False) -> bool:
+    def take_turn(
+        self, state: SessionState, now: float, *, is_braking: bool = False
+    ) -> bool:
         """Return whether a command is due, and note that it is sent.
 
         Args:
@@ -247,7 +265,9 @@ class Caller(NamedTuple):
     def owner(self, secret: str) -> str:
         """Return who owns a session of this client: a digest of its key, or else of the secret."""
         kind, proof = ("key", self.key) if self.key else ("secret", secret)
-        return f"{kind}:{hashlib.sha256(proof.encode(errors='surrogatepass')).hexdigest()}"
+        return (
+            f"{kind}:{hashlib.sha256(proof.encode(errors='surrogatepass')).hexdigest()}"
+        )
 
 
 def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> str:

@@ -62,7 +62,9 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def posture(self) -> tuple[np.ndarray, np.ndarray | None]:
         """Joint angles (n,) [rad] and pose of the wrist (4, 4)."""
-        return np.array(self.q), None if self.wrist is None else np.array(self.wrist).reshape(4, 4)
+        return np.array(self.q), None if self.wrist is None else np.array(
+            self.wrist
+        ).reshape(4, 4)
 
 
 class PostureStore:
@@ -103,15 +105,21 @@ class PostureStore:
         # Least recently updated first: the one to evict.
         self.records.pop(record.name, None)
         self.records[record.name] = record
-        evicted = next(iter(self.records)) if len(self.records) > MOST_SESSIONS else None
+        evicted = (
+            next(iter(self.records)) if len(self.records) > MOST_SESSIONS else None
+        )
         if evicted is not None:
             del self.records[evicted]
         if self._database is None:
             return
         try:
-            self._database.execute(_WRITE, (record.name, msgspec.msgpack.encode(record)))
+            self._database.execute(
+                _WRITE, (record.name, msgspec.msgpack.encode(record))
+            )
             if evicted is not None:
-                self._database.execute("DELETE FROM postures WHERE name = ?", (evicted,))
+                self._database.execute(
+                    "DELETE FROM postures WHERE name = ?", (evicted,)
+                )
         except sqlite3.Error as error:
             self._failures.report(ERROR, "state_unwritten", error=str(error))
 
@@ -134,7 +142,9 @@ class PostureStore:
 
     def _load(self, database: sqlite3.Connection, path: Path) -> None:
         """Read all records, which are in the order of their last updates."""
-        rows = database.execute("SELECT name, record FROM postures ORDER BY rowid").fetchall()
+        rows = database.execute(
+            "SELECT name, record FROM postures ORDER BY rowid"
+        ).fetchall()
         for name, encoded in rows:
             with suppress(msgspec.MsgspecError):
                 self.records[name] = msgspec.msgpack.decode(encoded, type=Record)
@@ -154,16 +164,23 @@ def _open(path: Path) -> sqlite3.Connection:
             problem="is of a former version, whose postures and emergency stops are not read",
             advice="name another file, and stop again what must not move",
         )
-    database = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
+    database = sqlite3.connect(
+        path, timeout=0.0, isolation_level=None, check_same_thread=False
+    )
     try:
         (kind,) = database.execute("PRAGMA application_id").fetchone()
         # A start that failed leaves a database without tables.
-        if kind != _KIND and database.execute("SELECT name FROM sqlite_master").fetchone():
+        if (
+            kind != _KIND
+            and database.execute("SELECT name FROM sqlite_master").fetchone()
+        ):
             raise sqlite3.DatabaseError
         database.executescript(_SETTINGS)
         database.execute("BEGIN IMMEDIATE")
         database.execute(f"PRAGMA application_id = {_KIND}")
-        database.execute("CREATE TABLE IF NOT EXISTS postures (name TEXT UNIQUE, record BLOB)")
+        database.execute(
+            "CREATE TABLE IF NOT EXISTS postures (name TEXT UNIQUE, record BLOB)"
+        )
         # A disk that fills up later must not lose postures: pages of rows that are deleted are used
         # again, in the database and in its log.
         unused = [(f" {i}", bytes(_LARGEST)) for i in range(MOST_SESSIONS)]
@@ -179,10 +196,14 @@ def _open(path: Path) -> sqlite3.Connection:
 def _unusable(path: Path, error: OSError | sqlite3.Error) -> InvalidInputError:
     """Return why a file cannot be used for records."""
     if isinstance(error, OSError):
-        return InvalidInputError(argument=str(path), problem=f"cannot be used: {error.strerror}")
+        return InvalidInputError(
+            argument=str(path), problem=f"cannot be used: {error.strerror}"
+        )
     if not isinstance(error, sqlite3.OperationalError):
         return InvalidInputError(
-            argument=str(path), expected="a state file of handmap", got="another or a damaged file"
+            argument=str(path),
+            expected="a state file of handmap",
+            got="another or a damaged file",
         )
     is_locked = error.sqlite_errorcode == sqlite3.SQLITE_BUSY
     problem = "another server uses it" if is_locked else f"cannot be used: {error}"

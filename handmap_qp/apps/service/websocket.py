@@ -65,7 +65,9 @@ class WebSocketTransport:
         dispatcher: Answers messages.
     """
 
-    def __init__(self, settings: Settings, token: str | None, dispatcher: Dispatcher) -> None:
+    def __init__(
+        self, settings: Settings, token: str | None, dispatcher: Dispatcher
+    ) -> None:
         self._settings, self._token, self._dispatcher = settings, token, dispatcher
         self._connections: set[_Outbox] = set()
         self._server: WebServer | None = None
@@ -116,7 +118,9 @@ class WebSocketTransport:
             return page
         if self._token is not None:
             if not _has_token(request, self._token):
-                return connection.respond(http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n")
+                return connection.respond(
+                    http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n"
+                )
             return None
         origins = request.headers.get_all("Origin")
         if all(
@@ -227,7 +231,9 @@ class _Outbox:
 
     def use(self) -> tuple[bool, bool, float]:
         """Return the rank of the connection: active ones are highest, then readers of streams."""
-        is_active = self.heard > self._opened and time.monotonic() - self.heard < _ACTIVE
+        is_active = (
+            self.heard > self._opened and time.monotonic() - self.heard < _ACTIVE
+        )
         return is_active, bool(self._streams), self.heard
 
     async def idle(self, longest: float) -> None:
@@ -270,7 +276,9 @@ class _Outbox:
                 self._is_idle.set()
                 newest, self._newest = self._newest, {}
                 for name, payload in newest.items():
-                    await self._send(_as_json(payload) if self._streams.get(name) else payload)
+                    await self._send(
+                        _as_json(payload) if self._streams.get(name) else payload
+                    )
         self.connection.transport.abort()
 
     async def _send(self, message: bytes | str) -> None:
@@ -304,16 +312,25 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
     return tls
 
 
-def _choose_subprotocol(_: ServerConnection, offered: Sequence[Subprotocol]) -> Subprotocol | None:
+def _choose_subprotocol(
+    _: ServerConnection, offered: Sequence[Subprotocol]
+) -> Subprotocol | None:
     """Select the subprotocol of the messages if a client offers it."""
     return SUBPROTOCOL if SUBPROTOCOL in offered else None
 
 
 def _has_token(request: Request, token: str) -> bool:
-    given = [value.removeprefix("Bearer ") for value in request.headers.get_all("Authorization")]
+    given = [
+        value.removeprefix("Bearer ")
+        for value in request.headers.get_all("Authorization")
+    ]
     for value in request.headers.get_all("Sec-WebSocket-Protocol"):
         offered = map(str.strip, value.split(","))
-        given += [part.removeprefix("bearer.") for part in offered if part.startswith("bearer.")]
+        given += [
+            part.removeprefix("bearer.")
+            for part in offered
+            if part.startswith("bearer.")
+        ]
     return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
 
 

@@ -20,7 +20,12 @@ from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
 from handmap_qp.apps.simulation.pictures import Stage, film, picture
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
-from handmap_qp.apps.simulation.trials import describe_trial, outcome_row, random_trials, trial_row
+from handmap_qp.apps.simulation.trials import (
+    describe_trial,
+    outcome_row,
+    random_trials,
+    trial_row,
+)
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.library import load_hand
@@ -80,7 +85,9 @@ class Simulate:
         json: Print one JSON object instead of a table.
     """
 
-    recording: tyro.conf.Positional[Annotated[Path | None, _optional("RECORDING", "none")]] = None
+    recording: tyro.conf.Positional[
+        Annotated[Path | None, _optional("RECORDING", "none")]
+    ] = None
     robot: HandName = "three_finger"
     methods: tuple[str, ...] = ("teleoperation",)
     peers: Annotated[Path | None, _optional("FOLDER", "none")] = None
@@ -114,11 +121,16 @@ class Simulate:
         if self.trials:
             found["rows"] = [trial_row(name, made) for name, made in outcomes.items()]
             found["trials"] = [
-                {**describe_trial(trial), "held": [n for n, m in outcomes.items() if m[i].is_held]}
+                {
+                    **describe_trial(trial),
+                    "held": [n for n, m in outcomes.items() if m[i].is_held],
+                }
                 for i, trial in enumerate(trials)
             ]
         else:
-            found["rows"] = [outcome_row(name, made[0]) for name, made in outcomes.items()]
+            found["rows"] = [
+                outcome_row(name, made[0]) for name, made in outcomes.items()
+            ]
         if self.json:
             print(json.dumps(found))
         else:
@@ -129,7 +141,8 @@ class Simulate:
         """Reject options that contradict each other, before any work is done."""
         if (self.recording is None) == (self.serve is None):
             raise InvalidInputError(
-                argument="RECORDING", expected="a recording with a pinch, or --serve SESSION"
+                argument="RECORDING",
+                expected="a recording with a pinch, or --serve SESSION",
             )
         files = {
             "--out": (self.out, (".npz",)),
@@ -147,11 +160,16 @@ class Simulate:
         problem, advice = "", ""
         if writes or self.serve:
             problem = "needs a recording, and writes no file"
-        elif self.objects == "varied" and (self.object, self.mass, self.friction) != _NOT_GIVEN:
+        elif (
+            self.objects == "varied"
+            and (self.object, self.mass, self.friction) != _NOT_GIVEN
+        ):
             problem = "draws object, mass and friction"
             advice = "add --objects nominal to draw places alone"
         if problem:
-            raise InvalidInputError(problem, argument="--trials", value=self.trials, advice=advice)
+            raise InvalidInputError(
+                problem, argument="--trials", value=self.trials, advice=advice
+            )
 
     def _physics(self) -> Physics:
         sign = 9.81 if self.up.startswith("-") else -9.81
@@ -165,7 +183,8 @@ class Simulate:
 
     def _body(self) -> Body:
         return Body(
-            parse_object(self.object or "box:0.03"), 0.05 if self.mass is None else self.mass
+            parse_object(self.object or "box:0.03"),
+            0.05 if self.mass is None else self.mass,
         )
 
     def _simulate(self) -> tuple[dict[str, list[PinchOutcome]], list[PinchTrial]]:
@@ -232,7 +251,9 @@ class Simulate:
             written.append(self.film)
         if self.html is not None:
             with progress("writing the page") as advance:
-                write_page(self.html, episodes, up, f"{self.robot} - handmap simulate", advance)
+                write_page(
+                    self.html, episodes, up, f"{self.robot} - handmap simulate", advance
+                )
             written.append(self.html)
         for path in () if self.json else written:
             print(f"wrote {path}")

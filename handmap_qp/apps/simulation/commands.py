@@ -9,7 +9,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from handmap_qp.apps.offline.comparison import ComparedMethod, Take, outside_methods, own_method
+from handmap_qp.apps.offline.comparison import (
+    ComparedMethod,
+    Take,
+    outside_methods,
+    own_method,
+)
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
@@ -56,13 +61,17 @@ class PinchWindow(NamedTuple):
     end: int
 
 
-def chosen_methods(names: tuple[str, ...], peers: Path | None, robot: str) -> list[ComparedMethod]:
+def chosen_methods(
+    names: tuple[str, ...], peers: Path | None, robot: str
+) -> list[ComparedMethod]:
     """Return mappings by name: of this package, and of an outside program.
 
     Raises:
         InvalidInputError: If there is no such mapping.
     """
-    outside = {m.name: m for m in outside_methods(peers, robot)} if peers is not None else {}
+    outside = (
+        {m.name: m for m in outside_methods(peers, robot)} if peers is not None else {}
+    )
     return [outside[name] if name in outside else own_method(name) for name in names]
 
 

@@ -62,7 +62,9 @@ class PhysicalModel:
     object_q: int
     base_q: int
 
-    def controls(self, command: np.ndarray, q: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    def controls(
+        self, command: np.ndarray, q: np.ndarray, velocity: np.ndarray
+    ) -> np.ndarray:
         """Return what the actuators are told, shape (n,).
 
         Args:
@@ -113,7 +115,9 @@ def build_model(
     _set_geom(spec, geom, body.shape, physics)
     _couple_followers(spec, hand)
     for name in hand.joint_names:
-        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator = spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        )
         actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     model = spec.compile()
@@ -186,7 +190,10 @@ def _add_joint(body: Any, model: pin.Model, index: int, armature: float) -> None
         axis=subspace[:3] if is_slide else subspace[3:],
         armature=armature,
     )
-    ends = [model.lowerPositionLimit[joint.idx_q], model.upperPositionLimit[joint.idx_q]]
+    ends = [
+        model.lowerPositionLimit[joint.idx_q],
+        model.upperPositionLimit[joint.idx_q],
+    ]
     if np.abs(ends).max() < _UNLIMITED:
         made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, ends
 
@@ -212,8 +219,13 @@ def _add_shapes(
     spec: Any, bodies: list[Any], geometry: pin.GeometryModel, physics: Physics
 ) -> None:
     for part in geometry.geometryObjects:
-        place = {"pos": part.placement.translation, "quat": _wxyz(part.placement.rotation)}
-        geom = bodies[part.parentJoint].add_geom(density=physics.density, **place, **_HAND)
+        place = {
+            "pos": part.placement.translation,
+            "quat": _wxyz(part.placement.rotation),
+        }
+        geom = bodies[part.parentJoint].add_geom(
+            density=physics.density, **place, **_HAND
+        )
         _set_geom(spec, geom, part.geometry, physics)
     for link in bodies[1:]:
         if not link.explicitinertial and not link.geoms:
@@ -282,17 +294,25 @@ def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
 
 
 def _install_actuators(
-    model: Any, joint_v: np.ndarray, hand: Hand, physics: Physics, compliance: np.ndarray | None
+    model: Any,
+    joint_v: np.ndarray,
+    hand: Hand,
+    physics: Physics,
+    compliance: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Set up the actuators of a compiled model; return stiffness, damping and `is_torque`."""
     arm = () if hand.spec.arm is None else hand.spec.arm.joints
     is_arm = np.array([name in arm for name in hand.joint_names])
-    stiffness = np.diag(np.where(is_arm, physics.arm_stiffness, physics.joint_stiffness))
+    stiffness = np.diag(
+        np.where(is_arm, physics.arm_stiffness, physics.joint_stiffness)
+    )
     if compliance is not None:
         if compliance.shape != stiffness.shape:
             expected = f"shape {stiffness.shape}, as {hand.name} has joints"
             raise InvalidInputError(
-                argument="compliance", expected=expected, got=f"shape {compliance.shape}"
+                argument="compliance",
+                expected=expected,
+                got=f"shape {compliance.shape}",
             )
         stiffness = np.linalg.inv(np.linalg.inv(stiffness) + compliance)
     damping = _critical(stiffness, _felt_inertia(model, joint_v))

@@ -66,7 +66,9 @@ def write_page(
             actor.draw(0.0)
         serializer = server.get_scene_serializer()
         last = max(float(actor.time[-1]) for actor in actors)
-        for count, instant in enumerate(np.arange(1.0 / _RATE, last, 1.0 / _RATE), start=1):
+        for count, instant in enumerate(
+            np.arange(1.0 / _RATE, last, 1.0 / _RATE), start=1
+        ):
             serializer.insert_sleep(1.0 / _RATE)
             for actor in actors:
                 actor.draw(float(instant))
@@ -147,8 +149,13 @@ def travel(episode: Episode, turn: np.ndarray) -> np.ndarray:
     """
     hand, at = episode.hand, episode.at
     shown = np.linspace(0, len(at.time) - 1, 12).round().astype(int)
-    points = [hand.points(at.q[i], at.wrist[i] if hand.is_floating else None) for i in shown]
-    every = np.concatenate([*points, at.wrist[:, :3, 3], at.object_pose[:1, :3, 3]]) @ turn.T
+    points = [
+        hand.points(at.q[i], at.wrist[i] if hand.is_floating else None) for i in shown
+    ]
+    every = (
+        np.concatenate([*points, at.wrist[:, :3, 3], at.object_pose[:1, :3, 3]])
+        @ turn.T
+    )
     return np.array([every.min(axis=0), every.max(axis=0)])
 
 
@@ -160,4 +167,7 @@ def _frame_camera(server: viser.ViserServer, corners: np.ndarray) -> None:
     distance = radius / np.tan(0.5 * _FIELD_OF_VIEW) + 0.5 * (high[2] - low[2])
     camera = server.initial_camera
     camera.look_at, camera.fov = middle, float(_FIELD_OF_VIEW)
-    camera.up, camera.position = np.array([0.0, 1.0, 0.0]), middle + distance * _DIRECTION
+    camera.up, camera.position = (
+        np.array([0.0, 1.0, 0.0]),
+        middle + distance * _DIRECTION,
+    )

@@ -42,7 +42,8 @@ class MeshShape:
         )
         if not is_solid:
             raise InvalidInputError(
-                argument="points", expected="points [m] that span a volume, shape (n, 3)"
+                argument="points",
+                expected="points [m] that span a volume, shape (n, 3)",
             )
         object.__setattr__(self, "points", points)
 
@@ -61,7 +62,9 @@ class Body:
 
     def __post_init__(self) -> None:
         if not isinstance(self.shape, Shape | MeshShape):
-            raise InvalidInputError(argument="shape", expected="a shape", value=self.shape)
+            raise InvalidInputError(
+                argument="shape", expected="a shape", value=self.shape
+            )
         positive_number(self.mass, "mass")
 
 
@@ -76,7 +79,9 @@ class Physics(Options, frozen=True):
     that carry the hand's own weight. An arm keeps its servos.
     """
 
-    friction: Annotated[float, number("Coulomb coefficient between hand and object.")] = 0.8
+    friction: Annotated[
+        float, number("Coulomb coefficient between hand and object.")
+    ] = 0.8
     torsion: Annotated[
         float,
         number(
@@ -94,14 +99,23 @@ class Physics(Options, frozen=True):
         float, number("Stiffness of an arm's actuators [N m/rad].", above=True)
     ] = 3000.0
     effort_limit: Annotated[
-        float, number("Largest torque at a finger's joint [N m].", 0.0, math.inf, above=True)
+        float,
+        number("Largest torque at a finger's joint [N m].", 0.0, math.inf, above=True),
     ] = math.inf
-    armature: Annotated[float, number("Inertia of each motor at its joint [kg m^2].")] = 5e-4
+    armature: Annotated[
+        float, number("Inertia of each motor at its joint [kg m^2].")
+    ] = 5e-4
     density: Annotated[
         float, number("Density of links whose URDF gives no mass [kg/m^3].", above=True)
     ] = 1000.0
-    gravity: Annotated[Vector, text("Acceleration [m/s^2], in world axes.")] = (0.0, 0.0, -9.81)
-    time_step: Annotated[float, number("Step of the simulation [s].", above=True)] = 2e-3
+    gravity: Annotated[Vector, text("Acceleration [m/s^2], in world axes.")] = (
+        0.0,
+        0.0,
+        -9.81,
+    )
+    time_step: Annotated[float, number("Step of the simulation [s].", above=True)] = (
+        2e-3
+    )
     contact_time: Annotated[
         float,
         number("Time constant with which a penetration is corrected [s].", above=True),
@@ -145,7 +159,11 @@ def parse_object(text: str) -> Shape | MeshShape:
         MissingExtraError: If a mesh is given and trimesh is not installed.
     """
     kind, _, rest = text.partition(":")
-    sizes = [float(word) for word in rest.split("x")] if re.fullmatch(r"[\d.x]+", rest) else []
+    sizes = (
+        [float(word) for word in rest.split("x")]
+        if re.fullmatch(r"[\d.x]+", rest)
+        else []
+    )
     match kind, *sizes:
         case "box", x, y, z:
             return Box((x, y, z))

@@ -50,7 +50,9 @@ class Stage:
         seen = merged([self._hand(i), self._held(i)]).moved(self._turn)
         image = render(seen, self._camera, supersampling=supersampling)
         colour, alpha = image[..., :3], image[..., 3:]
-        return np.round(255.0 * (alpha * colour + (1.0 - alpha) * _PAPER)).astype(np.uint8)
+        return np.round(255.0 * (alpha * colour + (1.0 - alpha) * _PAPER)).astype(
+            np.uint8
+        )
 
     def _hand(self, i: int) -> Triangles:
         at, hand = self.episode.at, self.episode.hand

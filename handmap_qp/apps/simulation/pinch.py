@@ -19,7 +19,12 @@ from handmap_qp.apps.grasp.checks import positive_number
 from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow
 from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
-from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator, poses_between
+from handmap_qp.apps.simulation.simulator import (
+    Episode,
+    Instant,
+    Simulator,
+    poses_between,
+)
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.fingers import THUMB, find_fingers
 from handmap_qp.hands.hand import Hand
@@ -41,7 +46,10 @@ _LAG = 1.0
 # Instants between two samples at which the closing is looked at.
 _PARTS = 4
 # The object of that simulation, far from the hand.
-_NOTHING, _FAR = Body(Sphere(0.01), 0.01), affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
+_NOTHING, _FAR = (
+    Body(Sphere(0.01), 0.01),
+    affine(np.eye(3), np.array([0.0, 0.0, 100.0])),
+)
 # Step of the numerical Jacobian [rad].
 _STEP = 1e-6
 
@@ -71,14 +79,18 @@ class Pads:
 
     def places(self, q: np.ndarray, wrist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the middles of both pads in the world [m], shape (3,) each."""
-        vector = self.hand.configuration_vector(q, wrist if self.hand.is_floating else None)
+        vector = self.hand.configuration_vector(
+            q, wrist if self.hand.is_floating else None
+        )
         pin.forwardKinematics(self.hand.model, self._data, vector)
         return self._place(self.thumb), self._place(self.finger)
 
     def gap(self, q: np.ndarray, wrist: np.ndarray) -> float:
         """Return the distance between the pads' surfaces [m]."""
         one, other = self.places(q, wrist)
-        return float(np.linalg.norm(other - one)) - self.thumb.radius - self.finger.radius
+        return (
+            float(np.linalg.norm(other - one)) - self.thumb.radius - self.finger.radius
+        )
 
     def middle(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         """Return the point midway between the pads' surfaces [m], shape (3,)."""
@@ -90,11 +102,15 @@ class Pads:
     def is_pinched(self, simulator: Simulator) -> bool:
         """Return whether the thumb and another link press on the object."""
         contacts = simulator.contacts()
-        is_thumb = np.array([self._is_of_thumb(joint) for joint in contacts.joints], dtype=bool)
+        is_thumb = np.array(
+            [self._is_of_thumb(joint) for joint in contacts.joints], dtype=bool
+        )
         pressing = contacts.normal_forces
         return min(pressing[is_thumb].sum(), pressing[~is_thumb].sum()) > _PRESSED
 
-    def squeezed(self, simulator: Simulator, command: np.ndarray, force: float) -> np.ndarray:
+    def squeezed(
+        self, simulator: Simulator, command: np.ndarray, force: float
+    ) -> np.ndarray:
         """Return a command that presses the pads together with a wanted force.
 
         With the row `r = d(gap)/dq`, springs of stiffness k at `command` press with
@@ -106,7 +122,11 @@ class Pads:
             command: Mapped command [rad], shape (n,).
             force: The force, f_0 [N].
         """
-        q, wrist, stiffness = simulator.q, simulator.wrist, simulator.physics.joint_stiffness
+        q, wrist, stiffness = (
+            simulator.q,
+            simulator.wrist,
+            simulator.physics.joint_stiffness,
+        )
         gap = self.gap(q, wrist)
         steps = q + _STEP * np.eye(len(q))
         row = np.array([(self.gap(step, wrist) - gap) / _STEP for step in steps])
@@ -210,7 +230,9 @@ class PinchScene:
         HandError: If the hand has no collision shapes.
     """
 
-    def __init__(self, commands: Commands, window: PinchWindow, physics: Physics) -> None:
+    def __init__(
+        self, commands: Commands, window: PinchWindow, physics: Physics
+    ) -> None:
         self.commands, self.window, self.physics = commands, window, physics
         self.pads = Pads(commands.hand)
 
@@ -249,7 +271,9 @@ class PinchScene:
                 simulator.set_stand(holds=False)
             elif not distances:
                 continue
-            between = simulator.object_pose[:3, 3] - pads.middle(simulator.q, simulator.wrist)
+            between = simulator.object_pose[:3, 3] - pads.middle(
+                simulator.q, simulator.wrist
+            )
             distances.append(float(np.linalg.norm(between)))
         episode = Episode.of(simulator, instants)
         # Pads that never pressed had no object to lose.
@@ -287,7 +311,11 @@ class PinchScene:
     @cached_property
     def _closing(self) -> tuple[list[Meeting], np.ndarray]:
         """The robot's own motion while the human's pinch closes, and its gaps [m], shape (k,)."""
-        commands, window, shares = self.commands, self.window, np.arange(1, _PARTS + 1) / _PARTS
+        commands, window, shares = (
+            self.commands,
+            self.window,
+            np.arange(1, _PARTS + 1) / _PARTS,
+        )
         simulator = self._start(_NOTHING, self.physics, _FAR)
         last = np.searchsorted(commands.time, commands.time[window.closed] + _LAG)
         instants = []

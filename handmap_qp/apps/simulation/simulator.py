@@ -202,7 +202,9 @@ class Simulator:
         place = None if wrist is None else check_pose(wrist, "wrist")
         if self.hand.is_floating == (place is None):
             raise InvalidInputError(
-                argument="wrist", expected="a pose for a floating hand, else None", value=wrist
+                argument="wrist",
+                expected="a pose for a floating hand, else None",
+                value=wrist,
             )
         parts, data = self.parts, self.data
         mujoco.mj_resetData(parts.model, data)
@@ -232,7 +234,9 @@ class Simulator:
         model.dof_frictionloss[first : first + 3] = friction
         model.dof_frictionloss[first + 3 : first + 6] = _STAND_LEVER * friction
 
-    def follow(self, q: npt.ArrayLike, wrist: np.ndarray | None, duration: float) -> None:
+    def follow(
+        self, q: npt.ArrayLike, wrist: np.ndarray | None, duration: float
+    ) -> None:
         """Move the command in a straight line to a posture, and simulate meanwhile.
 
         Args:
@@ -279,14 +283,18 @@ class Simulator:
             body = model.body(model.geom_bodyid[link]).name
             joint = body.removesuffix("_body") if body.endswith("_body") else ""
             rows.append((contact.pos.copy(), frame[0], frame.T @ wrench[:3], joint))
-        points, normals, forces, joints = zip(*rows, strict=True) if rows else ((), (), (), ())
+        points, normals, forces, joints = (
+            zip(*rows, strict=True) if rows else ((), (), (), ())
+        )
         vectors = (np.reshape(column, (-1, 3)) for column in (points, normals, forces))
         return Contacts(*vectors, joints=joints)
 
     def _control(self, command: np.ndarray) -> None:
         """Tell the actuators a command [rad], shape (n,)."""
         data, parts = self.data, self.parts
-        data.ctrl[:] = parts.controls(command, data.qpos[parts.joint_q], data.qvel[parts.joint_v])
+        data.ctrl[:] = parts.controls(
+            command, data.qpos[parts.joint_q], data.qvel[parts.joint_v]
+        )
 
     def _lead_base(self, base: np.ndarray) -> None:
         """Move the body that leads the floating base."""
@@ -317,7 +325,9 @@ def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.
     """
     turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
     poses = np.tile(start, (len(shares), 1, 1))
-    poses[:, :3, :3] = Rotation.from_rotvec(np.outer(shares, turn)).as_matrix() @ start[:3, :3]
+    poses[:, :3, :3] = (
+        Rotation.from_rotvec(np.outer(shares, turn)).as_matrix() @ start[:3, :3]
+    )
     poses[:, :3, 3] += np.outer(shares, end[:3, 3] - start[:3, 3])
     return poses
 

@@ -116,7 +116,9 @@ class StandIn:
         self._goal, self._epoch = (q, wrist), command.epoch
         self._count += 1
 
-    def _advance(self, goal: tuple[np.ndarray, np.ndarray | None], duration: float) -> None:
+    def _advance(
+        self, goal: tuple[np.ndarray, np.ndarray | None], duration: float
+    ) -> None:
         """Simulate towards the goal, and let the object go once it is pinched."""
         self.simulator.follow(*goal, duration)
         if self._is_standing and self._pads.is_pinched(self.simulator):
@@ -125,6 +127,10 @@ class StandIn:
 
     def _report(self, goal: tuple[np.ndarray, np.ndarray | None]) -> Report:
         now, wrist = self.simulator.instant(), goal[1]
-        error = 0.0 if wrist is None else float(np.linalg.norm((now.wrist - wrist)[:3, 3]))
+        error = (
+            0.0 if wrist is None else float(np.linalg.norm((now.wrist - wrist)[:3, 3]))
+        )
         pressing, touching = float(now.normal_force), int(now.links_touching)
-        return Report(float(now.time), self._count, self._epoch, error, pressing, touching)
+        return Report(
+            float(now.time), self._count, self._epoch, error, pressing, touching
+        )

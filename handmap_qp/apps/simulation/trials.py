@@ -22,7 +22,10 @@ _SIZES, _MASSES, _FRICTIONS = (0.02, 0.045), (0.02, 0.2), (0.5, 1.0)
 
 
 def random_trials(
-    count: int, seed: int, objects: Objects = "varied", nominal: PinchTrial | None = None
+    count: int,
+    seed: int,
+    objects: Objects = "varied",
+    nominal: PinchTrial | None = None,
 ) -> list[PinchTrial]:
     """Draw objects and places.
 
@@ -66,7 +69,11 @@ def success_rate(held: int, count: int) -> tuple[float, float, float]:
     """
     z, rate = 1.959964, held / count
     centre = (rate + z * z / (2 * count)) / (1 + z * z / count)
-    half = z * math.sqrt(rate * (1 - rate) / count + z * z / (4 * count**2)) / (1 + z * z / count)
+    half = (
+        z
+        * math.sqrt(rate * (1 - rate) / count + z * z / (4 * count**2))
+        / (1 + z * z / count)
+    )
     return rate, max(0.0, centre - half), min(1.0, centre + half)
 
 

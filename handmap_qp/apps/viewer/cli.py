@@ -73,24 +73,29 @@ class View:
 
     recording: tyro.conf.Positional[
         Annotated[
-            Path | None, tyro.conf.arg(metavar="[RECORDING]", help_behavior_hint="(or give --live)")
+            Path | None,
+            tyro.conf.arg(metavar="[RECORDING]", help_behavior_hint="(or give --live)"),
         ]
     ] = None
     robot: Annotated[
-        str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="(default: the service's)")
+        str | None,
+        tyro.conf.arg(metavar="HAND", help_behavior_hint="(default: the service's)"),
     ] = None
     live: Annotated[
-        str | None, tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)")
+        str | None,
+        tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
     ] = None
     session: OpenSession = None
     keys: KeyFiles = None
     mirror: bool = False
     person: PersonFile = None
     compare: Annotated[
-        str | None, tyro.conf.arg(metavar="METHOD", help_behavior_hint="(default: none)")
+        str | None,
+        tyro.conf.arg(metavar="METHOD", help_behavior_hint="(default: none)"),
     ] = None
     html: Annotated[
-        Path | None, tyro.conf.arg(metavar="PAGE.html", help_behavior_hint="(default: serve)")
+        Path | None,
+        tyro.conf.arg(metavar="PAGE.html", help_behavior_hint="(default: serve)"),
     ] = None
     host: str = "127.0.0.1"
     port: int = 8080
@@ -109,7 +114,9 @@ class View:
             raise MissingExtraError("viser", "view")
         check_port("--port", self.port)
         if (self.recording is None) == (self.live is None):
-            raise InvalidInputError(problem="expected either a recording or --live HOST")
+            raise InvalidInputError(
+                problem="expected either a recording or --live HOST"
+            )
         self._refuse_unused_options()
         if self.live is not None:
             self._show_live(self.live)
@@ -124,13 +131,23 @@ class View:
 
     def _refuse_unused_options(self) -> None:
         """Refuse options that would have no effect."""
-        given = {name for name in vars(self) if getattr(self, name) != getattr(View, name, None)}
-        given |= {name for name, value in vars(self.inputs).items() if value is not None}
+        given = {
+            name
+            for name in vars(self)
+            if getattr(self, name) != getattr(View, name, None)
+        }
+        given |= {
+            name for name, value in vars(self.inputs).items() if value is not None
+        }
         problems = dict.fromkeys(("session", "keys"), "needs --live")
         if self.html is not None:
-            problems |= dict.fromkeys(("host", "port", "open"), "has no effect with --html")
+            problems |= dict.fromkeys(
+                ("host", "port", "open"), "has no effect with --html"
+            )
         if self.live is not None:
-            problems = dict.fromkeys(("mirror", "compare", "layout", "side"), "needs a recording")
+            problems = dict.fromkeys(
+                ("mirror", "compare", "layout", "side"), "needs a recording"
+            )
             problems["html"] = "needs a recording: a running session has no end"
             chosen = "needs a recording: the service's client chooses it"
             problems |= dict.fromkeys(("person", *self.arguments.changed()), chosen)
@@ -156,7 +173,9 @@ class View:
         from handmap_qp.apps.viewer.remote import ServiceSession
 
         # Connect before serving, so that a missing session is reported at once.
-        source = ServiceSession(live, session=self.session, robot=self.robot, keys=self.keys)
+        source = ServiceSession(
+            live, session=self.session, robot=self.robot, keys=self.keys
+        )
         try:
             with self._serving() as server:
                 while True:
@@ -179,7 +198,9 @@ class View:
         """Serve until Ctrl-C; print the address, and open the browser if requested."""
         with serving(self.host, self.port) as server:
             host = server.get_host()
-            address = f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+            address = (
+                f"http://{f'[{host}]' if ':' in host else host}:{server.get_port()}"
+            )
             print(f"open {address} in a browser (Ctrl-C ends the view)", flush=True)
             if self.open:
                 webbrowser.open(address)
@@ -191,9 +212,16 @@ class View:
         robot = self.arguments.load_robot(name)
         recording = self.inputs.read(file, robot.spec.side, self.person)
         recording = fit_side(recording, robot, mirror=self.mirror)
-        person = measure_person(recording) if self.person is None else read_person(self.person)
+        person = (
+            measure_person(recording)
+            if self.person is None
+            else read_person(self.person)
+        )
         motion = fit_recording(recording, lengths=person.lengths)
-        human, gap = motion.human.with_points(self.arguments.human_points), person.contact_gap
+        human, gap = (
+            motion.human.with_points(self.arguments.human_points),
+            person.contact_gap,
+        )
         names = possible_presets(human, robot)
         if self.compare is not None and self.compare not in names:
             raise InvalidInputError(
@@ -205,7 +233,13 @@ class View:
         choice = self.arguments.preset_for(human, robot, gap)
         smoothing = self.arguments.smoothing
         replay = Replay(
-            recording, motion, human, robot, choice, smoothing=smoothing, contact_gap=gap
+            recording,
+            motion,
+            human,
+            robot,
+            choice,
+            smoothing=smoothing,
+            contact_gap=gap,
         )
         if self.compare is not None:
             replay.compare(replay.preset(self.compare))

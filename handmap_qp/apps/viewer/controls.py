@@ -103,21 +103,30 @@ class DisplayControls:
             hint="Shape of a ball or cube at the pivot after T_def",
         )
         self.landmarks = gui.add_checkbox(
-            "landmarks", initial_value=False, hint="The tracker's landmarks, beside the hand"
+            "landmarks",
+            initial_value=False,
+            hint="The tracker's landmarks, beside the hand",
         )
         self.trails = gui.add_checkbox(
             "trails",
             initial_value=False,
             hint=f"Where the fingertips were in the last {TRAIL_LENGTH:g} s",
         )
-        self.clear = gui.add_button("Clear trails", hint="Start the trails again from here")
+        self.clear = gui.add_button(
+            "Clear trails", hint="Start the trails again from here"
+        )
         self._is_to_clear = False
         self.clear.on_click(self._request_clear)
 
     @property
     def state(self) -> tuple[object, ...]:
         """The settings; the scene has to be drawn again if they change."""
-        return self.follow.value, self.shape.value, self.landmarks.value, self.trails.value
+        return (
+            self.follow.value,
+            self.shape.value,
+            self.landmarks.value,
+            self.trails.value,
+        )
 
     def apply_to(self, scene: HandScene) -> None:
         """Copy the settings to the scene; its next drawing shows them."""
@@ -178,7 +187,9 @@ class SteeringControls:
             )
             self._lists["compare"] = _Control(self.compare)
             self.keep = self._add_button(
-                gui, "Keep for comparison", "Keep the robot as it is now beside later options"
+                gui,
+                "Keep for comparison",
+                "Keep the robot as it is now beside later options",
             )
         self.message = gui.add_markdown("", visible=False)
         self.options = OptionControls(server, choice)
@@ -187,8 +198,12 @@ class SteeringControls:
             "Reset options and clutch",
             "Restore the initial preset and options, and resume mapping",
         )
-        self.release = self._add_button(gui, "Release", "Freeze the robot until Clutch is pressed")
-        self.clutch = self._add_button(gui, "Clutch", "Resume mapping from where the robot is")
+        self.release = self._add_button(
+            gui, "Release", "Freeze the robot until Clutch is pressed"
+        )
+        self.clutch = self._add_button(
+            gui, "Clutch", "Resume mapping from where the robot is"
+        )
         self.clutch.disabled = True
 
     def _add_button(self, gui: Any, label: str, hint: str) -> Any:
@@ -254,7 +269,9 @@ class OptionControls:
     @property
     def handles(self) -> dict[str, Any]:
         """The viser controls of the method and the QP, by option name."""
-        return {name: control.handle for name, control in (self._method | self._ik).items()}
+        return {
+            name: control.handle for name, control in (self._method | self._ik).items()
+        }
 
     def take_changes(self) -> dict[str, Any]:
         """Return the options that the user has changed since the last call, by name."""
@@ -289,7 +306,9 @@ class OptionControls:
         """Make the control that suits an option's values."""
         label, hint = option.name.replace("_", " "), option.about
         if option.plain is bool:
-            return _Control(self._gui.add_checkbox(label, bool(option.default), hint=hint))
+            return _Control(
+                self._gui.add_checkbox(label, bool(option.default), hint=hint)
+            )
         if option.choices:
             return self._list(option, label)
         if option.range is not None:
@@ -313,7 +332,9 @@ class OptionControls:
                 handle.max = value
             return min(value, handle.max)
 
-        return _Control(handle, to_shown, lambda value: (value or None) if is_optional else value)
+        return _Control(
+            handle, to_shown, lambda value: (value or None) if is_optional else value
+        )
 
     def _list(self, option: Option, label: str) -> _Control:
         handle = self._gui.add_dropdown(
@@ -330,7 +351,9 @@ class OptionControls:
                 handle.options = (*handle.options, _GIVEN)
             return _GIVEN
 
-        return _Control(handle, to_shown, lambda value: given[0] if value == _GIVEN else value)
+        return _Control(
+            handle, to_shown, lambda value: given[0] if value == _GIVEN else value
+        )
 
 
 def _as_text(value: Any) -> str:
@@ -342,7 +365,9 @@ def _as_text(value: Any) -> str:
 def _from_text(text: str) -> Any:
     """Return the value of a text: nothing, a word, or numbers with commas between."""
     try:
-        return tuple(yaml.safe_load(f"[{text}]")) if "," in text else yaml.safe_load(text)
+        return (
+            tuple(yaml.safe_load(f"[{text}]")) if "," in text else yaml.safe_load(text)
+        )
     except yaml.YAMLError:
         return text
 
@@ -402,7 +427,10 @@ class ExportControls:
     """
 
     def __init__(
-        self, server: viser.ViserServer, options_text: Callable[[], str], page: Callable[[], bytes]
+        self,
+        server: viser.ViserServer,
+        options_text: Callable[[], str],
+        page: Callable[[], bytes],
     ) -> None:
         self._contents: dict[str, Callable[[Any], bytes]] = {
             "options.yaml": lambda _: options_text().encode(),
@@ -441,7 +469,9 @@ class ExportControls:
 def _picture(client: Any) -> bytes:
     """Let the browser draw the hands, and return the picture."""
     height, width = client.camera.image_height, client.camera.image_width
-    return on_white(client.get_render(height, width, transport_format="png", timeout=_PATIENCE))
+    return on_white(
+        client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
+    )
 
 
 def on_white(image: np.ndarray) -> bytes:
@@ -454,4 +484,6 @@ def on_white(image: np.ndarray) -> bytes:
 
     opacity = image[..., 3:] / 255.0
     opaque = image[..., :3] * opacity + 255.0 * (1.0 - opacity)
-    return bytes(imageio.imwrite("<bytes>", opaque.round().astype(np.uint8), extension=".png"))
+    return bytes(
+        imageio.imwrite("<bytes>", opaque.round().astype(np.uint8), extension=".png")
+    )

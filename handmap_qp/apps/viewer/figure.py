@@ -41,7 +41,8 @@ LANDMARK_COLOUR = (0.10, 0.52, 0.50)
 DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
 _FINGERS = [(0, *range(first, first + 4)) for first in (1, 5, 9, 13, 17)]
 BONES = np.array(
-    [pair for chain in _FINGERS for pair in pairwise(chain)] + [(5, 9), (9, 13), (13, 17)]
+    [pair for chain in _FINGERS for pair in pairwise(chain)]
+    + [(5, 9), (9, 13), (13, 17)]
 )
 """Pairs of landmarks that a line joins, shape (n, 2)."""
 TRAIL_LENGTH = 4.0
@@ -56,7 +57,9 @@ _PADDING = 0.006
 # Percentage of the instants in which a hand may reach out of its room.
 _RARE = 4.0
 _UNIT_BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-_EDGES = np.array([(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1])
+_EDGES = np.array(
+    [(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1]
+)
 
 
 def as_bytes(colour: Colour) -> tuple[int, int, int]:
@@ -227,7 +230,9 @@ class Trail:
         self._points.clear()
         self._lines.visible = False
 
-    def add(self, time: float, tips: np.ndarray, centre: np.ndarray, *, is_pinned: bool) -> None:
+    def add(
+        self, time: float, tips: np.ndarray, centre: np.ndarray, *, is_pinned: bool
+    ) -> None:
         """Add where the tips are, and draw the trail.
 
         It starts again where time goes backwards or leaps.
@@ -241,7 +246,8 @@ class Trail:
         """
         points = self._points
         if points and not (
-            0.0 <= time - points[-1][0] < TRAIL_LENGTH and tips.shape == points[-1][1].shape
+            0.0 <= time - points[-1][0] < TRAIL_LENGTH
+            and tips.shape == points[-1][1].shape
         ):
             points.clear()
         if len(points) > 1 and time - points[-2][0] < _TRAIL_PERIOD:
@@ -250,7 +256,9 @@ class Trail:
         points.append((time, tips, centre))
         while time - points[0][0] > TRAIL_LENGTH:
             points.popleft()
-        places = np.array([tips - is_pinned * (then - centre) for _, tips, then in points])
+        places = np.array(
+            [tips - is_pinned * (then - centre) for _, tips, then in points]
+        )
         self._lines.visible = len(places) > 1
         if len(places) > 1:
             steps = np.stack([places[:-1], places[1:]], axis=2)
@@ -264,8 +272,12 @@ class LandmarkFigure(Figure):
         super().__init__(server, "landmarks", LANDMARK_COLOUR)
         self.is_shown = False
         self.name("landmarks")
-        self._points = Spheres(server, "/landmarks/points", _LANDMARK_RADIUS, LANDMARK_COLOUR)
-        self._bones = _add_lines(server, "/landmarks/bones", len(BONES), LANDMARK_COLOUR, 3.0)
+        self._points = Spheres(
+            server, "/landmarks/points", _LANDMARK_RADIUS, LANDMARK_COLOUR
+        )
+        self._bones = _add_lines(
+            server, "/landmarks/bones", len(BONES), LANDMARK_COLOUR, 3.0
+        )
 
     def centre_of(self, sample: ViewSample) -> np.ndarray | None:
         """Return the mean of the landmarks."""
@@ -343,7 +355,9 @@ class HandFigure(Figure):
             low, high = corners.min(axis=0), corners.max(axis=0)
             self._focus = 0.5 * (low + high)
             self.radius = 0.4 * float(np.linalg.norm(high - low))
-        self._points = Spheres(server, f"/{node}/points", self.point_size * self.radius, colour)
+        self._points = Spheres(
+            server, f"/{node}/points", self.point_size * self.radius, colour
+        )
 
     def seen(self, sample: ViewSample) -> Seen:
         """Return joint angles, wrist pose and reference points at a sample, where known."""
@@ -432,7 +446,9 @@ class HumanFigure(HandFigure):
 
     point_size = 0.08
 
-    def __init__(self, server: viser.ViserServer, hand: Hand, points: np.ndarray | None) -> None:
+    def __init__(
+        self, server: viser.ViserServer, hand: Hand, points: np.ndarray | None
+    ) -> None:
         super().__init__(server, "human", hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
         self.name("human")
@@ -441,13 +457,19 @@ class HumanFigure(HandFigure):
 
         def ball(name: str, colour: tuple[int, int, int], **look: Any) -> Any:
             path = f"/human/{name}"
-            return server.scene.add_icosphere(path, self._size, colour, cast_shadow=False, **look)
+            return server.scene.add_icosphere(
+                path, self._size, colour, cast_shadow=False, **look
+            )
 
         self._ellipsoid = ball(
             "ellipsoid", as_bytes(DEFORMATION_COLOUR), subdivisions=4, opacity=0.2
         )
-        self._ball = ball("ball", (150, 150, 160), subdivisions=2, wireframe=True, opacity=0.15)
-        self._cube = _add_lines(server, "/human/cube", len(_EDGES), DEFORMATION_COLOUR, 2.5)
+        self._ball = ball(
+            "ball", (150, 150, 160), subdivisions=2, wireframe=True, opacity=0.15
+        )
+        self._cube = _add_lines(
+            server, "/human/cube", len(_EDGES), DEFORMATION_COLOUR, 2.5
+        )
 
     def seen(self, sample: ViewSample) -> Seen:
         """Return joint angles, wrist pose and reference points at a sample, where known."""
@@ -505,7 +527,9 @@ class RobotFigure(HandFigure):
         """Draw the hand, its points and targets, and write its name and state."""
         super().draw(sample)
         self._targets.move(sample.targets)
-        self.name("\n".join(filter(None, (self.hand.name, self.label, state_text(sample)))))
+        self.name(
+            "\n".join(filter(None, (self.hand.name, self.label, state_text(sample))))
+        )
 
 
 def state_text(sample: ViewSample) -> str:
@@ -536,7 +560,9 @@ def link_meshes(hand: Hand) -> dict[str, list[Any]]:
         for i, visual in enumerate(link.iterfind("visual")):
             visual.set("name", f"{link.get('name')}_shape_{i}")
     text = io.BytesIO(ET.tostring(robot))
-    urdf = URDF.load(text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec)))
+    urdf = URDF.load(
+        text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec))
+    )
     graph, shapes = urdf.scene.graph, defaultdict(list)
     for node in graph.nodes_geometry:
         link = graph.transforms.parents[node]

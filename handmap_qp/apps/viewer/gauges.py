@@ -95,11 +95,15 @@ class InstantGauges:
             teleoperation if omitted.
     """
 
-    def __init__(self, variants: Sequence[Variant], contact_gap: float | None = None) -> None:
+    def __init__(
+        self, variants: Sequence[Variant], contact_gap: float | None = None
+    ) -> None:
         self._labels = [variant.label for variant in variants]
         self._robot = robot = variants[0].robot
         self._groups = joints_by_finger(robot)
-        self._contact_gap = Teleoperation().contact_gap if contact_gap is None else contact_gap
+        self._contact_gap = (
+            Teleoperation().contact_gap if contact_gap is None else contact_gap
+        )
         try:
             self._meter = GapMeter(robot)
         except HandError:
@@ -108,14 +112,20 @@ class InstantGauges:
 
     def read(self, sample: ViewSample) -> Readings:
         """Return the numbers of a robot's sample."""
-        errors, wrist, wanted = sample.point_error, sample.robot_wrist, sample.wrist_target
+        errors, wrist, wanted = (
+            sample.point_error,
+            sample.robot_wrist,
+            sample.wrist_target,
+        )
         shift = angle = np.nan
         if wanted is not None and self._robot.has_moving_wrist:
             shift = np.linalg.norm(wrist[:3, 3] - wanted[:3, 3])
             angle = np.linalg.norm(pin.log3(wanted[:3, :3].T @ wrist[:3, :3]))
         gaps = {} if self._meter is None else self._meter.pinches(sample.robot_q[None])
         pinches = {finger: float(gap[0]) for finger, gap in gaps.items()}
-        return Readings(errors.mean(), errors.max(), float(shift), float(angle), pinches)
+        return Readings(
+            errors.mean(), errors.max(), float(shift), float(angle), pinches
+        )
 
     def human_pinches(self, sample: ViewSample) -> dict[str, float]:
         """Return the human's gap between thumb and each other finger [m], by the finger's name.
@@ -136,7 +146,10 @@ class InstantGauges:
         )
         rows = "".join(
             f'<tr><td style="color:#666">{name}</td>'
-            + "".join(f'<td style="{_CELL}">{_text(factor * r[i], unit)}</td>' for r in readings)
+            + "".join(
+                f'<td style="{_CELL}">{_text(factor * r[i], unit)}</td>'
+                for r in readings
+            )
             + "</tr>"
             for i, name, factor, unit in (
                 (0, "point error, mean", 1e3, " mm"),
@@ -161,8 +174,14 @@ class InstantGauges:
         low, high, q = robot.lower_limits, robot.upper_limits, sample.robot_q
         postures = [q, robot.rest, *(other.robot_q for other in others)]
         shares = 100.0 * np.clip((np.array(postures) - low) / (high - low), 0.0, 1.0)
-        held = np.zeros(len(q), dtype=bool) if sample.is_limited is None else sample.is_limited
-        colours = np.where(robot.at_position_limit(q), RED, np.where(held, ORANGE, FIRST))
+        held = (
+            np.zeros(len(q), dtype=bool)
+            if sample.is_limited is None
+            else sample.is_limited
+        )
+        colours = np.where(
+            robot.at_position_limit(q), RED, np.where(held, ORANGE, FIRST)
+        )
         bars = list(map(_joint_bar, robot.joint_names, q, shares.T, colours))
         groups = "".join(
             f'<div style="color:#666;margin-top:2px">{escape(finger)}</div>'
@@ -204,7 +223,10 @@ def _pinch_bars(human: Mapping[str, float], readings: Sequence[Readings]) -> str
     fingers = dict.fromkeys([name for reading in readings for name in reading.pinches])
     rows = []
     for finger in fingers:
-        gaps = [table.get(finger, np.nan) for table in (human, *(r.pinches for r in readings))]
+        gaps = [
+            table.get(finger, np.nan)
+            for table in (human, *(r.pinches for r in readings))
+        ]
         entries = list(zip(gaps, (HUMAN, FIRST, SECOND), strict=False))
         bars = "".join(
             f'<div style="height:4px;margin:1px 0;background:{colour};'
@@ -243,7 +265,9 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
     Returns:
         Indices into `Hand.joint_names`; every joint once.
     """
-    moved = {name: finger.columns.tolist() for name, finger in find_fingers(robot).items()}
+    moved = {
+        name: finger.columns.tolist() for name, finger in find_fingers(robot).items()
+    }
     counts = Counter(joint for joints in moved.values() for joint in joints)
     own = {i: name for name, joints in moved.items() for i in joints if counts[i] == 1}
     groups: dict[str, list[int]] = {}
@@ -269,7 +293,9 @@ def bin_starts(count: int, most: int) -> np.ndarray:
 def round_up(value: float, steps: Sequence[float]) -> float:
     """Return the next round number above a value, of these steps in a decade and 10."""
     decade = 10.0 ** np.floor(np.log10(value))
-    return float(next(s for s in (*steps, 10.0) if s * decade >= value * (1.0 - 1e-9)) * decade)
+    return float(
+        next(s for s in (*steps, 10.0) if s * decade >= value * (1.0 - 1e-9)) * decade
+    )
 
 
 class Gauges:
@@ -367,10 +393,16 @@ class Gauges:
 def error_entries(variants: Sequence[Variant]) -> list[tuple[str, str]]:
     """Return names and colours of the plotted errors of one robot or two."""
     first = variants[0].label if len(variants) > 1 else "mean"
-    return [(first, FIRST), ("largest", GREY), *((v.label, SECOND) for v in variants[1:])]
+    return [
+        (first, FIRST),
+        ("largest", GREY),
+        *((v.label, SECOND) for v in variants[1:]),
+    ]
 
 
-def _add_plot(server: viser.ViserServer, title: str, names: Sequence[tuple[str, str]]) -> Any:
+def _add_plot(
+    server: viser.ViserServer, title: str, names: Sequence[tuple[str, str]]
+) -> Any:
     """Add a plot of series over time, with a dot on the first of them at the current sample."""
     from viser import uplot
 
@@ -380,7 +412,12 @@ def _add_plot(server: viser.ViserServer, title: str, names: Sequence[tuple[str, 
         *(uplot.Series(label=name, stroke=colour, width=1.5) for name, colour in names),
         uplot.Series(label="now", stroke=ORANGE, width=0, points=dot),
     )
-    label = {"label": "time [s]", "labelFont": "11px sans-serif", "labelSize": 16, "size": 30}
+    label = {
+        "label": "time [s]",
+        "labelFont": "11px sans-serif",
+        "labelSize": 16,
+        "size": 30,
+    }
     return server.gui.add_uplot(
         (np.arange(2.0), *np.zeros((len(series) - 1, 2))),
         series,

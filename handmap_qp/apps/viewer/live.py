@@ -62,7 +62,11 @@ class LiveViewer:
     """
 
     def __init__(
-        self, server: viser.ViserServer, source: ServiceSession, *, patience: float = 10.0
+        self,
+        server: viser.ViserServer,
+        source: ServiceSession,
+        *,
+        patience: float = 10.0,
     ) -> None:
         self._source = source
         self.recent: deque[tuple[ViewSample, tuple[float, ...]]] = deque()
@@ -108,7 +112,9 @@ class LiveViewer:
         with show:
             self.display = DisplayControls(server)
         with save:
-            self.exports = ExportControls(server, lambda: options_text(source.choice), self._page)
+            self.exports = ExportControls(
+                server, lambda: options_text(source.choice), self._page
+            )
         self._gauges_due = 0.0
 
     def tick(self) -> None:

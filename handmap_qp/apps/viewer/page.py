@@ -68,7 +68,9 @@ def make_page(
         page, view = serializer.as_html(), scene.cameras.view
     body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), contact_gap)
     head = _part("page_head.html").replace("__VIEW__", json.dumps(view))
-    page = page.replace("<title>Viser</title>", f"<title>{escape(title)} - handmap view</title>", 1)
+    page = page.replace(
+        "<title>Viser</title>", f"<title>{escape(title)} - handmap view</title>", 1
+    )
     page = page.replace("</head>", head + "</head>", 1)
     start = page.index(">", page.index("<body")) + 1
     return (page[:start] + body + page[start:]).encode()
@@ -98,7 +100,9 @@ def _body(
         "__ERRORS__": legend(error_entries(variants)),
         "__OPTIONS__": "".join(_option_table(variant) for variant in variants),
         # Instants are much alike, so they are small when compressed.
-        "__GAUGES__": base64.b64encode(gzip.compress(json.dumps(shown).encode())).decode(),
+        "__GAUGES__": base64.b64encode(
+            gzip.compress(json.dumps(shown).encode())
+        ).decode(),
     }
     body = _part("page_body.html")
     for name, text in parts.items():
@@ -132,8 +136,14 @@ def _error_plot(variants: Sequence[Variant]) -> dict[str, Any]:
 
     Each bin of samples gives its largest. `top` is the end of the axis; 0 without any error.
     """
-    rows = [np.array([gauge_row(sample) for sample in variant.samples]).T for variant in variants]
-    time, errors = rows[0][0] - rows[0][0][0], [*rows[0][1:3], *(row[1] for row in rows[1:])]
+    rows = [
+        np.array([gauge_row(sample) for sample in variant.samples]).T
+        for variant in variants
+    ]
+    time, errors = (
+        rows[0][0] - rows[0][0][0],
+        [*rows[0][1:3], *(row[1] for row in rows[1:])],
+    )
     starts = bin_starts(len(time), _MOST_POINTS)
     binned = np.fmax.reduceat(errors, starts, axis=1)
     top = np.nanmax(binned) if np.isfinite(binned).any() else 0.0
@@ -142,7 +152,13 @@ def _error_plot(variants: Sequence[Variant]) -> dict[str, Any]:
         "span": max(float(time[-1]), 1e-3),
         "top": top and round_up(max(top, 1e-3), (1.0, 2.0, 4.0, 6.0, 8.0)),
         "lines": [
-            [colour, [None if np.isnan(value) else value for value in error.round(3).tolist()]]
+            [
+                colour,
+                [
+                    None if np.isnan(value) else value
+                    for value in error.round(3).tolist()
+                ],
+            ]
             for error, (_, colour) in zip(binned, error_entries(variants), strict=True)
         ],
     }

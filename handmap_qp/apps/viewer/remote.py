@@ -50,7 +50,16 @@ _STATUS_PERIOD = 1.0
 # Longest wait for a command, and so the longest delay of a request [s].
 _WAIT = 0.02
 # Session properties that determine the view's hands and whether it can steer.
-_HANDS = ("robot", "side", "input", "lengths", "human_points", "robot_points", "mount", "is_shared")
+_HANDS = (
+    "robot",
+    "side",
+    "input",
+    "lengths",
+    "human_points",
+    "robot_points",
+    "mount",
+    "is_shared",
+)
 _T = TypeVar("_T")
 
 
@@ -112,7 +121,9 @@ class ServiceSession:
             self.choice = _choice(about)
             lengths = None
             if about["lengths"] is not None:
-                lengths = HumanLengths(**{k: np.array(v) for k, v in about["lengths"].items()})
+                lengths = HumanLengths(
+                    **{k: np.array(v) for k, v in about["lengths"].items()}
+                )
             self.human = load_hand(
                 human_name(about["side"]), points=about["human_points"], lengths=lengths
             )
@@ -120,7 +131,9 @@ class ServiceSession:
             self.robot = self._with_method_points()
             # Landmarks are mapped as they are; joint angles are fitted for drawing only.
             is_tracked = about["input"] == "landmarks"
-            self._fitter = LandmarkFitter(about["side"], lengths) if is_tracked else None
+            self._fitter = (
+                LandmarkFitter(about["side"], lengths) if is_tracked else None
+            )
         except BaseException:
             self._client.close()
             raise
@@ -151,7 +164,10 @@ class ServiceSession:
                     continue
                 if not self._is_as_before(command):
                     self._update_status()
-                    if not self.is_outdated and command.joint_names != self.robot.joint_names:
+                    if (
+                        not self.is_outdated
+                        and command.joint_names != self.robot.joint_names
+                    ):
                         raise InvalidInputError(
                             argument="--robot",
                             problem=f"session {self.name} is of another hand than "
@@ -186,7 +202,9 @@ class ServiceSession:
         rest = dict(changes)
         preset = rest.pop("preset", None)
         ik = {name: rest.pop(name) for name in rest.keys() & IK_NAMES}
-        self._requests.append(lambda: self._client.configure(preset=preset, options=rest, ik=ik))
+        self._requests.append(
+            lambda: self._client.configure(preset=preset, options=rest, ik=ik)
+        )
 
     def _carry_out_requests(self) -> None:
         """Carry out pending requests and record their outcome."""
@@ -221,10 +239,14 @@ class ServiceSession:
             names = () if session else self._try(self._client.status).names
             if len(names) > 1:
                 raise self._error(
-                    "several sessions are open", f"choose one with --session: {', '.join(names)}"
+                    "several sessions are open",
+                    f"choose one with --session: {', '.join(names)}",
                 )
             self.name = session or "".join(names)
-            problem, advice = "no session is open there", "start a client that opens one"
+            problem, advice = (
+                "no session is open there",
+                "start a client that opens one",
+            )
             if self.name:
                 state = self._try(self._client.watch, self.name)
                 self.is_released = state.is_released
@@ -275,7 +297,9 @@ class ServiceSession:
         targets, landmarks = np.array(detail["targets"]), detail["landmarks"]
         human_q, human_wrist = self._human_posture(detail)
         # The last detail of a held robot may be of another method.
-        has_targets = len(targets) == len(self.robot.reference_points) and not self.is_released
+        has_targets = (
+            len(targets) == len(self.robot.reference_points) and not self.is_released
+        )
         return ViewSample(
             time=command.server_time - self._start,
             human_q=human_q,
@@ -284,19 +308,27 @@ class ServiceSession:
             landmarks=None if landmarks is None else np.array(landmarks),
             robot_q=q,
             robot_wrist=wrist,
-            robot_points=self.robot.points(q, wrist if self.robot.is_floating else None),
+            robot_points=self.robot.points(
+                q, wrist if self.robot.is_floating else None
+            ),
             targets=targets if has_targets else None,
             deformation=np.array(detail["motion_deformation"])[:3, :3],
             pivot=np.array(detail["pivot"]),
             is_limited=np.isin(self.robot.joint_names, command.at_limit),
-            status=f"{command.status}: {command.rule}" if command.rule else command.status,
+            status=f"{command.status}: {command.rule}"
+            if command.rule
+            else command.status,
             duration=command.solve_time,
             is_seen=command.detail is not None,
         )
 
-    def _human_posture(self, detail: dict[str, Any]) -> tuple[np.ndarray | None, np.ndarray]:
+    def _human_posture(
+        self, detail: dict[str, Any]
+    ) -> tuple[np.ndarray | None, np.ndarray]:
         """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
-        q, wrist, landmarks = (detail[name] for name in ("human_q", "human_wrist", "landmarks"))
+        q, wrist, landmarks = (
+            detail[name] for name in ("human_q", "human_wrist", "landmarks")
+        )
         if landmarks is not None and self._fitter is not None:
             with suppress(InvalidInputError):
                 return self._fitter.fit(np.array(landmarks))[:2]
@@ -316,7 +348,10 @@ class ServiceSession:
 
     def _error(self, problem: str, advice: str = "") -> InvalidInputError:
         return InvalidInputError(
-            argument="--live", problem=f"{self._host}: {problem}", value=self._host, advice=advice
+            argument="--live",
+            problem=f"{self._host}: {problem}",
+            value=self._host,
+            advice=advice,
         )
 
 

@@ -77,7 +77,8 @@ class Replay:
     ) -> None:
         if not motion.valid.any():
             raise InvalidInputError(
-                argument="motion", problem="no sample is valid, there is nothing to show"
+                argument="motion",
+                problem="no sample is valid, there is nothing to show",
             )
         self.human = human
         self.time = motion.time - motion.time[0]
@@ -149,7 +150,9 @@ class Replay:
         Raises:
             HandmapError: If it cannot be used; the replay is then unchanged.
         """
-        self.other = None if choice is None else self._map(choice, label or choice.preset)
+        self.other = (
+            None if choice is None else self._map(choice, label or choice.preset)
+        )
         self._other_switches = dict(self.switches)
 
     def switch(self, request: str, index: int) -> None:
@@ -181,7 +184,9 @@ class Replay:
         followed = [not step.is_held for step in steps]
         first = followed.index(True) if any(followed) else 0
         steps[:first] = [steps[first]] * first
-        samples = tuple(self._sample(i, step, followed[i]) for i, step in enumerate(steps))
+        samples = tuple(
+            self._sample(i, step, followed[i]) for i, step in enumerate(steps)
+        )
         return Variant(label, mapper.robot, choice, samples)
 
     def _sample(self, i: int, step: MapStep, is_seen: bool) -> ViewSample:
@@ -240,7 +245,9 @@ class ReplayViewer:
         self._pending: list[Callable[[], None]] = []
         with control:
             self.play_bar = PlayBar(server, float(replay.time[-1]))
-            self.steering = SteeringControls(server, self._start, replay.presets, self._compared)
+            self.steering = SteeringControls(
+                server, self._start, replay.presets, self._compared
+            )
         with show:
             self.display = DisplayControls(server)
         with save:
@@ -254,7 +261,14 @@ class ReplayViewer:
     @property
     def index(self) -> int:
         """Index of the sample that is shown."""
-        last = int(np.searchsorted(self.replay.time, self.play_bar.time + 0.005, side="right")) - 1
+        last = (
+            int(
+                np.searchsorted(
+                    self.replay.time, self.play_bar.time + 0.005, side="right"
+                )
+            )
+            - 1
+        )
         return min(max(last, 0), len(self.replay.samples) - 1)
 
     @property
@@ -280,7 +294,9 @@ class ReplayViewer:
             self.steering.show_released(self.replay.is_released(self.index))
             self._drawn = state
         now = time.monotonic()
-        if samples != self._gauges_drawn and (elapsed == 0.0 or now >= self._gauges_due):
+        if samples != self._gauges_drawn and (
+            elapsed == 0.0 or now >= self._gauges_due
+        ):
             self.gauges.draw(samples, self.index)
             self._gauges_drawn, self._gauges_due = samples, now + GAUGES_PERIOD
 
@@ -293,7 +309,9 @@ class ReplayViewer:
         chosen, changes = steering.take_lists(), steering.options.take_changes()
         requests = steering.take_requests()
         if "preset" in chosen or "reset" in requests:
-            self._base = self._start if "reset" in requests else replay.preset(chosen["preset"])
+            self._base = (
+                self._start if "reset" in requests else replay.preset(chosen["preset"])
+            )
             self._changes, changes = {}, {}
             steering.show_choice(self._base)
         for request in requests:
@@ -339,5 +357,7 @@ class ReplayViewer:
         self._plot()
 
     def _plot(self) -> None:
-        rows = ([gauge_row(s) for s in variant.samples] for variant in self.replay.variants)
+        rows = (
+            [gauge_row(s) for s in variant.samples] for variant in self.replay.variants
+        )
         self.gauges.set_rows(*rows)

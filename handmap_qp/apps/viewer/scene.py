@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from handmap_qp.apps.viewer.figure import Figure, HumanFigure, LandmarkFigure, RobotFigure, Shape
+from handmap_qp.apps.viewer.figure import (
+    Figure,
+    HumanFigure,
+    LandmarkFigure,
+    RobotFigure,
+    Shape,
+)
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import quat_wxyz_from_rotation
@@ -83,7 +89,9 @@ class HandScene:
         self._landmarks = self._human = None
         if human is not None:
             self._landmarks = LandmarkFigure(server)
-            self._human = HumanFigure(server, human, variants[0].samples[0].human_points)
+            self._human = HumanFigure(
+                server, human, variants[0].samples[0].human_points
+            )
         self._robots: list[RobotFigure] = []
         self._solid: Any = solid and server.scene.add_mesh_simple(
             "/robot/object", solid.vertices, solid.faces, color=(226, 178, 76)
@@ -102,7 +110,11 @@ class HandScene:
             self._robots.append(RobotFigure(self.server, variants[i].robot, i))
         upright = None
         wrist = variants[0].samples[0].human_wrist
-        if self._human is not None and self._landmarks is not None and wrist is not None:
+        if (
+            self._human is not None
+            and self._landmarks is not None
+            and wrist is not None
+        ):
             upright = (wrist @ self._human.hand.wrist_to_palm)[:3, :3].T
             self._human.turn(upright)
             self._landmarks.turn(upright)
@@ -131,7 +143,9 @@ class HandScene:
         if self._human is not None and self._landmarks is not None:
             self._landmarks.is_shown = self.has_landmarks
             self._human.shape = self.deformation_shape
-        row = [figure for figure in self._figures if figure.is_shown and len(figure.extent)]
+        row = [
+            figure for figure in self._figures if figure.is_shown and len(figure.extent)
+        ]
         with self.server.atomic():
             low = self._lay_out(row)
             for figure in row:
@@ -147,7 +161,9 @@ class HandScene:
         if (centre := figure.centre_of(sample)) is None:
             return
         is_pinned = self.follow == "hands"
-        figure.place(figure.axes @ centre if is_pinned else figure.travel.mean(axis=0), low)
+        figure.place(
+            figure.axes @ centre if is_pinned else figure.travel.mean(axis=0), low
+        )
         tips = figure.tips(sample) if self.has_trails else None
         if tips is not None:
             figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
@@ -167,7 +183,10 @@ class HandScene:
     def _lay_out(self, row: Sequence[Figure]) -> float:
         """Place the figures side by side, fit the cameras, and return the height of the names."""
         is_travelling = self.follow == "world"
-        sizes = [figure.size + is_travelling * np.ptp(figure.travel, axis=0) for figure in row]
+        sizes = [
+            figure.size + is_travelling * np.ptp(figure.travel, axis=0)
+            for figure in row
+        ]
         _, height, depth = np.max(sizes, axis=0)
         width = sum(size[0] for size in sizes) + _GAP * (len(row) - 1)
         # Seen from the palm side, +x points left.
@@ -249,7 +268,9 @@ class BrowserCameras:
         return float(distance), float(-0.5 * _NAMES * pixel)
 
 
-def _robot_axes(robot: Hand, variant: Variant, upright: np.ndarray | None) -> np.ndarray:
+def _robot_axes(
+    robot: Hand, variant: Variant, upright: np.ndarray | None
+) -> np.ndarray:
     """Return the rotation from V to the scene's axes, shape (3, 3).
 
     Args:

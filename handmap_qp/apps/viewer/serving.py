@@ -63,8 +63,12 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
             value=host,
         ) from error
     with _own_pages_only(host), contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=host, port=port, label="handmap view", verbose=False)
-    server.gui.configure_theme(control_width="medium", show_logo=False, show_share_button=False)
+        server = viser.ViserServer(
+            host=host, port=port, label="handmap view", verbose=False
+        )
+    server.gui.configure_theme(
+        control_width="medium", show_logo=False, show_share_button=False
+    )
     try:
         yield server
     finally:
@@ -84,7 +88,9 @@ def _own_pages_only(host: str) -> Iterator[None]:
 
     serve = websocket_server.serve
 
-    def serve_own_pages(handler: Any, *where: Any, process_request: Any, **settings: Any) -> Any:
+    def serve_own_pages(
+        handler: Any, *where: Any, process_request: Any, **settings: Any
+    ) -> Any:
         def check(connection: Any, request: Any) -> Any:
             if is_own_page(
                 host, request.headers.get("Host", ""), request.headers.get_all("Origin")
@@ -116,7 +122,9 @@ def is_own_page(host: str, asked: str, origins: list[str]) -> bool:
     )
 
 
-def run_frames(draw: Callable[[float], None], is_over: Callable[[], bool] = lambda: False) -> None:
+def run_frames(
+    draw: Callable[[float], None], is_over: Callable[[], bool] = lambda: False
+) -> None:
     """Draw frames at most 30 times a second.
 
     Args:

@@ -123,14 +123,20 @@ class BoundFingertipVectors(PalmMethod):
                 advice="load the human with points='joints', and name the robot's fingers",
             )
         self.human_origins = np.array([names[KNUCKLES[finger]] for finger in leading])
-        self.robot_origins = points_in_palm_at(robot, [chains[finger].knuckle for finger in led])
+        self.robot_origins = points_in_palm_at(
+            robot, [chains[finger].knuckle for finger in led]
+        )
         reaches = np.array([chains[finger].reach for finger in led])
         lengths = bone_lengths(human, leading)
-        self.scales = np.full(len(led), scale) if scale is not None else reaches / lengths
+        self.scales = (
+            np.full(len(led), scale) if scale is not None else reaches / lengths
+        )
 
     def _size(self, hand: Hand, points: np.ndarray) -> float:
         palm = hand.wrist_to_palm[:3, 3]
-        return float(np.linalg.norm(hand.points(hand.rest)[points] - palm, axis=1).mean())
+        return float(
+            np.linalg.norm(hand.points(hand.rest)[points] - palm, axis=1).mean()
+        )
 
 
 class FingertipVectorMap:

@@ -110,10 +110,12 @@ class Homogeneous(MethodOptions, frozen=True):
             high=10.0,
         ),
     ] = 1.0
-    stretch_min: Annotated[float, number("Smallest stretch that is imposed.", high=1.0)] = 0.2
-    stretch_max: Annotated[float, number("Largest stretch that is imposed.", 1.0, float("inf"))] = (
-        3.0
-    )
+    stretch_min: Annotated[
+        float, number("Smallest stretch that is imposed.", high=1.0)
+    ] = 0.2
+    stretch_max: Annotated[
+        float, number("Largest stretch that is imposed.", 1.0, float("inf"))
+    ] = 3.0
 
     def check(self) -> None:
         """Reject combinations without a meaning; see `Options.check`."""
@@ -175,7 +177,9 @@ PRESETS = {
         "gestures: T cannot tell a pointing finger from a fist",
     ),
     "fixed_wrist": Preset(
-        Homogeneous(rigid_from="none", pivot="palm", reference="rest", alignment="palm"),
+        Homogeneous(
+            rigid_from="none", pivot="palm", reference="rest", alignment="palm"
+        ),
         IkOptions(),
         "in-hand motion on a hand whose wrist cannot move: all of T deforms the fingers' grasp",
         "gestures; the motion of the human's own wrist goes to the fingers as well",
@@ -192,7 +196,11 @@ class BoundHomogeneous:
         self.options, self.human, self.robot = options, human, robot
         self.renews_reference = options.reference == "previous"
         self.needs_wrist = "rigid_from='wrist'" if options.rigid_from == "wrist" else ""
-        needs = [f"{name}='palm'" for name in ("pivot", "alignment") if _is_palm(options, name)]
+        needs = [
+            f"{name}='palm'"
+            for name in ("pivot", "alignment")
+            if _is_palm(options, name)
+        ]
         needs += ["reference='rest'"] if options.reference == "rest" else []
         self.reference_needs_wrist = " and ".join(needs)
         self._check_hands()
@@ -222,7 +230,9 @@ class BoundHomogeneous:
         if self.options.reference != "rest":
             return HomogeneousMap(self, sample, robot)
         if sample.wrist is None:
-            raise InvalidInputError(argument="wrist_pose", problem="needed for reference='rest'")
+            raise InvalidInputError(
+                argument="wrist_pose", problem="needed for reference='rest'"
+            )
         hand, points = self.robot, self.human.points(self.human.rest, sample.wrist)
         to_here = robot.wrist @ inverse_pose(hand.frame_pose("wrist", hand.rest))
         placed = transform_points(to_here, hand.points(hand.rest))
@@ -252,7 +262,9 @@ class BoundHomogeneous:
 class HomogeneousMap:
     """From samples to targets, counted from one reference of both hands; see `TargetMap`."""
 
-    def __init__(self, method: BoundHomogeneous, sample: HumanPose, robot: RobotPosture) -> None:
+    def __init__(
+        self, method: BoundHomogeneous, sample: HumanPose, robot: RobotPosture
+    ) -> None:
         options, human, hand = method.options, method.human, method.robot
         self._options, self._wrist = options, sample.wrist
         # A chain of references has no posture to come back to but the hand's own.
@@ -264,7 +276,9 @@ class HomogeneousMap:
             has_prior=bool(method.needs_wrist),
         )
         robot_palm = robot.wrist @ hand.wrist_to_palm
-        human_palm = None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
+        human_palm = (
+            None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
+        )
         if options.pivot == "centroid":
             pivot = self._estimator.centroid
             robot_pivot = hand.point_weights @ robot.points / hand.point_weights.sum()
@@ -278,7 +292,9 @@ class HomogeneousMap:
         self._origin = robot_pivot - options.scale * Q @ pivot
         self._human_offsets = sample.points - pivot
         self._robot_offsets = robot.points - robot_pivot
-        self._robot_wrist = affine(robot.wrist[:3, :3], robot.wrist[:3, 3] - robot_pivot)
+        self._robot_wrist = affine(
+            robot.wrist[:3, :3], robot.wrist[:3, 3] - robot_pivot
+        )
         self._share = _residual_share(
             options.residual_gain, sample.points, robot.points, method.partners
         )
@@ -293,7 +309,9 @@ class HomogeneousMap:
         stretches = np.clip(factors.stretches, options.stretch_min, options.stretch_max)
         is_clamped = not np.array_equal(stretches, factors.stretches)
         if is_clamped or options.deformation_gain != 1.0:
-            linear = factors.stretch(stretches**options.deformation_gain).dot(factors.rotation)
+            linear = factors.stretch(stretches**options.deformation_gain).dot(
+                factors.rotation
+            )
         if options.rigid_from == "none":
             rotation, rigid_image = np.eye(3), pivot
         elif turn is None or rigid_image is None:
@@ -305,7 +323,9 @@ class HomogeneousMap:
             # The residual refers to the imposed motion, so it makes up for clamping and gain.
             residual = sample.points - (self._human_offsets.dot(linear.T) + image)
             points += self._share.dot(residual) @ Q.T
-        wrist = affine(Q @ rotation @ Q.T, self._placed(rigid_image)).dot(self._robot_wrist)
+        wrist = affine(Q @ rotation @ Q.T, self._placed(rigid_image)).dot(
+            self._robot_wrist
+        )
         return Targets(
             points,
             wrist,
@@ -315,13 +335,17 @@ class HomogeneousMap:
             flags=("stretch_clamped",) if is_clamped else (),
         )
 
-    def _wrist_motion(self, sample: HumanPose) -> tuple[np.ndarray | None, np.ndarray | None]:
+    def _wrist_motion(
+        self, sample: HumanPose
+    ) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Return the wrist's rotation since the reference, and where it takes the pivot."""
         if self._options.rigid_from != "wrist":
             return None, None
         before, now = self._wrist, sample.wrist
         if before is None or now is None:
-            raise InvalidInputError(argument="wrist_pose", problem="needed for rigid_from='wrist'")
+            raise InvalidInputError(
+                argument="wrist_pose", problem="needed for rigid_from='wrist'"
+            )
         rotation = now[:3, :3].dot(before[:3, :3].T)
         return rotation, rotation.dot(self._pivot - before[:3, 3]) + now[:3, 3]
 
@@ -360,7 +384,9 @@ class HomogeneousDiagnostics(Diagnostics):
     @property
     def motion_deformation(self) -> np.ndarray:
         """T_def (eq. 2), after clamping and gain, shape (4, 4)."""
-        return about(self._linear @ self._rotation.T, self._rigid_image, self.pivot_image)
+        return about(
+            self._linear @ self._rotation.T, self._rigid_image, self.pivot_image
+        )
 
     @property
     def residual_norms(self) -> np.ndarray:

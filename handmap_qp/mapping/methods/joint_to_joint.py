@@ -121,7 +121,9 @@ class JointPositions:
         """Return a row a joint; see `Task.linearise`."""
         jacobian = np.zeros((len(self._active), hand.nv))
         jacobian[np.arange(len(self._active)), self._active] = _JOINT_WEIGHT
-        return TaskRows(_JOINT_WEIGHT * (hand.q[self._q_indices] - self._wanted), jacobian)
+        return TaskRows(
+            _JOINT_WEIGHT * (hand.q[self._q_indices] - self._wanted), jacobian
+        )
 
 
 class BoundJointToJoint(PalmMethod):
@@ -135,7 +137,9 @@ class BoundJointToJoint(PalmMethod):
 
     def __init__(self, human: Hand, robot: Hand) -> None:
         super().__init__(human, robot)
-        chains = {name: chain for name, chain in find_fingers(robot).items() if chain.joints}
+        chains = {
+            name: chain for name, chain in find_fingers(robot).items() if chain.joints
+        }
         if not chains:
             raise InvalidOptionsError(
                 option="method",
@@ -175,7 +179,9 @@ class BoundJointToJoint(PalmMethod):
 class JointMap:
     """From samples to targets; see `TargetMap`."""
 
-    def __init__(self, method: BoundJointToJoint, sample: HumanPose, robot: RobotPosture) -> None:
+    def __init__(
+        self, method: BoundJointToJoint, sample: HumanPose, robot: RobotPosture
+    ) -> None:
         self.rest = method.robot.rest
         self._method = method
         self._follower = PalmFollower(method.human, method.robot, sample, robot)
@@ -186,7 +192,9 @@ class JointMap:
         """Measure the human's angles, and place the robot's points where its joints would."""
         method, robot = self._method, self._method.robot
         human_palm, palm = self._follower.palms(sample.wrist)
-        angles = method.angles.measure(transform_points(inverse_pose(human_palm), sample.points))
+        angles = method.angles.measure(
+            transform_points(inverse_pose(human_palm), sample.points)
+        )
         q = method.positions(angles)
         robot.write_configuration(self._vector, q, np.eye(4))
         self._configuration.place_frames(self._vector)
@@ -200,7 +208,11 @@ class JointMap:
 
 
 def _finger_links(
-    human: Hand, robot: Hand, finger: Finger, others: list[Finger], human_columns: np.ndarray
+    human: Hand,
+    robot: Hand,
+    finger: Finger,
+    others: list[Finger],
+    human_columns: np.ndarray,
 ) -> list[JointLink]:
     """Find which joints of one finger correspond, from where to where they go, and which way."""
     is_thumb, columns = finger.name == THUMB, finger.columns.tolist()
@@ -210,7 +222,9 @@ def _finger_links(
         # A thumb's axes are not parallel: the first joint brings it before the palm.
         spreads, flexes = columns[:1], columns[1:]
     pairs = [(column, [0]) for column in spreads[:1]]
-    pairs += [(column, _leaders(place, len(flexes))) for place, column in enumerate(flexes)]
+    pairs += [
+        (column, _leaders(place, len(flexes))) for place, column in enumerate(flexes)
+    ]
     found = []
     for column, leaders in pairs:
         # Every flexion of the resting hand is one: its sign is the sense.
@@ -219,10 +233,15 @@ def _finger_links(
             senses[k] = -1.0 if k > 0 and human.rest[human_columns[k]] < 0.0 else 1.0
         end = _closed_end(human, robot, finger, others, column, human_columns, senses)
         zero = human.rest[human_columns] if end.counts_from_rest else np.zeros(4)
-        limits = np.array([human.lower_limits[human_columns], human.upper_limits[human_columns]])
+        limits = np.array(
+            [human.lower_limits[human_columns], human.upper_limits[human_columns]]
+        )
         reach = np.where(senses < 0.0, -limits[::-1], limits) * np.abs(senses)
         least, most = reach.sum(axis=1) - senses @ zero
-        lower, upper = float(robot.lower_limits[column]), float(robot.upper_limits[column])
+        lower, upper = (
+            float(robot.lower_limits[column]),
+            float(robot.upper_limits[column]),
+        )
         found.append(
             JointLink(
                 finger.name,
@@ -260,7 +279,11 @@ def _closed_end(
     human_columns: np.ndarray,
     senses: np.ndarray,
 ) -> _ClosedEnd:
-    is_thumb, flexion, view = finger.name == THUMB, finger.flexion, PalmKinematics(robot)
+    is_thumb, flexion, view = (
+        finger.name == THUMB,
+        finger.flexion,
+        PalmKinematics(robot),
+    )
     if flexion is not None and finger.closing[column] and not is_thumb:
         start = float(flexion.straight[flexion.columns == column][0])
         return _ClosedEnd(start, bool(finger.closing[column] > 0.0))
@@ -268,11 +291,16 @@ def _closed_end(
     places = view.points(ends, [finger.tip, finger.knuckle])
     lengths = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
     if is_thumb and finger.reach - lengths.min() > _CURLING * finger.reach:
-        return _ClosedEnd(float(finger.stretched[column]), bool(lengths[1] <= lengths[0]))
+        return _ClosedEnd(
+            float(finger.stretched[column]), bool(lengths[1] <= lengths[0])
+        )
     motion = view.motion(robot.rest, finger.tip)[:, column]
     if not motion[3:].any():
         # A jaw closes towards the other fingertips.
-        ends, tips = ends_of(robot, robot.rest, [column]), [each.tip for each in (finger, *others)]
+        ends, tips = (
+            ends_of(robot, robot.rest, [column]),
+            [each.tip for each in (finger, *others)],
+        )
         is_upper = nearing(view, ends, tips, 0) >= 0.0
         return _ClosedEnd(float(ends[int(not is_upper), column]), is_upper, is_thumb)
     leader = int(np.flatnonzero(senses)[0])

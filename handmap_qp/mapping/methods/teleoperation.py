@@ -20,7 +20,12 @@ from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import hand_pair
-from handmap_qp.mapping.landmarks import PalmFollower, PalmMethod, palm_of, transform_point
+from handmap_qp.mapping.landmarks import (
+    PalmFollower,
+    PalmMethod,
+    palm_of,
+    transform_point,
+)
 from handmap_qp.mapping.method import (
     FOLLOWING,
     Diagnostics,
@@ -38,7 +43,12 @@ _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _SQUEEZE = 0.003
 # Margin between thumb and finger: least, per human gap beyond where it begins, most [m].
-_CONTACT_MARGIN, _CONTACT_SLOPE, _CONTACT_FROM, _CONTACT_MOST = 0.0005, 0.25, 0.018, 0.005
+_CONTACT_MARGIN, _CONTACT_SLOPE, _CONTACT_FROM, _CONTACT_MOST = (
+    0.0005,
+    0.25,
+    0.018,
+    0.005,
+)
 # Levenberg-Marquardt factors of the distance rows: with less, gloves and coupled fingers shake.
 _EXTENSION_DAMPING, _PINCH_DAMPING = 1.5, 3.0
 # Margin between all other links [m].
@@ -50,11 +60,16 @@ class Teleoperation(MethodOptions, frozen=True):
 
     residual_gain: Annotated[
         float,
-        number("Part of each finger's residual to T that its partner takes over.", high=1.0),
+        number(
+            "Part of each finger's residual to T that its partner takes over.", high=1.0
+        ),
     ] = 1.0
     extension_weight: Annotated[
         float,
-        number("Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.", high=1e3),
+        number(
+            "Weight of the fingers' extension, per 10 mm of knuckle-to-tip distance.",
+            high=1e3,
+        ),
     ] = 1.0
     thumb_extension_weight: Annotated[
         float,
@@ -65,7 +80,10 @@ class Teleoperation(MethodOptions, frozen=True):
     ] = 2.5
     pinch_weight: Annotated[
         float,
-        number("Weight of a pinch row, per 10 mm of distance between pads; 0 for none.", high=1e3),
+        number(
+            "Weight of a pinch row, per 10 mm of distance between pads; 0 for none.",
+            high=1e3,
+        ),
     ] = 5.0
     contact_gap: Annotated[
         float,
@@ -75,7 +93,9 @@ class Teleoperation(MethodOptions, frozen=True):
             high=0.04,
         ),
     ] = 0.013
-    ridge: Annotated[float, number("Pull of T towards a rotation.", high=1e3, above=True)] = 0.1
+    ridge: Annotated[
+        float, number("Pull of T towards a rotation.", high=1e3, above=True)
+    ] = 0.1
     scale: Annotated[
         float,
         number(
@@ -83,7 +103,9 @@ class Teleoperation(MethodOptions, frozen=True):
             high=1e3,
         ),
     ] = 1.0
-    avoids_contact: Annotated[bool, text("Whether links of the robot are kept apart.")] = True
+    avoids_contact: Annotated[
+        bool, text("Whether links of the robot are kept apart.")
+    ] = True
 
     def bind(self, human: Hand, robot: Hand) -> BoundTeleoperation:
         """Measure both hands and match their postures; see `Method.bind`."""
@@ -161,15 +183,23 @@ class BoundTeleoperation(PalmMethod):
         pair = self.pair
         super().__init__(human, pair.robot)
         self.contacts = pair.contacts if choices.avoids_contact else None
-        self.estimator = MotionEstimator(pair.human_rest[pair.shape_points], ridge=choices.ridge)
-        self.pinched = tuple(f for f in pair.fingers if f != THUMB) if THUMB in pair.fingers else ()
+        self.estimator = MotionEstimator(
+            pair.human_rest[pair.shape_points], ridge=choices.ridge
+        )
+        self.pinched = (
+            tuple(f for f in pair.fingers if f != THUMB)
+            if THUMB in pair.fingers
+            else ()
+        )
         self._prepare_distances()
         self._prepare_margins()
 
     def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm, moved so that the knuckles of both hands have one centre."""
         palm = super().start_palm(sample)
-        palm[:3, 3] += palm[:3, :3] @ (self.pair.human_knuckles - self.pair.robot_knuckles)
+        palm[:3, 3] += palm[:3, :3] @ (
+            self.pair.human_knuckles - self.pair.robot_knuckles
+        )
         return palm
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> TeleoperationMap:
@@ -189,9 +219,15 @@ class BoundTeleoperation(PalmMethod):
         pairs += [(first, first + k) for k in range(1, len(pads))]
         places += [(pad.joint, pad.offset) for pad in pads]
         points = AttachedPoints(pair.robot, places)
-        damping = [_EXTENSION_DAMPING] * len(pair.fingers) + [_PINCH_DAMPING] * len(self.pinched)
-        self.distances = PointDistances(points, pairs, np.zeros(len(pairs)), damping=damping)
-        self._prepare_aims(np.array([pads[0].radius + pad.radius - _SQUEEZE for pad in pads[1:]]))
+        damping = [_EXTENSION_DAMPING] * len(pair.fingers) + [_PINCH_DAMPING] * len(
+            self.pinched
+        )
+        self.distances = PointDistances(
+            points, pairs, np.zeros(len(pairs)), damping=damping
+        )
+        self._prepare_aims(
+            np.array([pads[0].radius + pad.radius - _SQUEEZE for pad in pads[1:]])
+        )
 
     def _prepare_aims(self, touching: np.ndarray) -> None:
         """Make wanted distance and weight of each row functions of the human's distance.
@@ -205,17 +241,27 @@ class BoundTeleoperation(PalmMethod):
         """
         pair, choices = self.pair, self.choices
         human = pair.human_rest
-        at_rest = np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1) / pair.human_reach
+        at_rest = (
+            np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1)
+            / pair.human_reach
+        )
         # Between jaws, an object is as large as between the human's fingers.
-        ratio = np.full(len(touching), 1.0 if pair.has_jaws else float(pair.reach_ratios.mean()))
+        ratio = np.full(
+            len(touching), 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
+        )
         # Jaws follow a gap of any size.
         nearness = np.inf if pair.has_jaws else _PINCH_FROM / _PINCH_OVER
         always = np.ones(len(pair.fingers))
         extension_weights = [
-            choices.thumb_extension_weight if finger == THUMB else choices.extension_weight
+            choices.thumb_extension_weight
+            if finger == THUMB
+            else choices.extension_weight
             for finger in pair.fingers
         ]
-        closing, full = np.full(len(touching), -1.0 / _PINCH_OVER), np.ones(len(touching))
+        closing, full = (
+            np.full(len(touching), -1.0 / _PINCH_OVER),
+            np.ones(len(touching)),
+        )
         self.aim_slopes = np.concatenate([pair.robot_reach / pair.human_reach, ratio])
         self.aim_offsets = np.concatenate(
             [
@@ -227,7 +273,9 @@ class BoundTeleoperation(PalmMethod):
         self.largest_aims = np.concatenate([pair.robot_reach, np.inf * full])
         self.share_slopes = np.concatenate([0.0 * always, closing])
         self.share_offsets = np.concatenate([always, nearness * full])
-        self.row_weights = np.concatenate([extension_weights, choices.pinch_weight * full])
+        self.row_weights = np.concatenate(
+            [extension_weights, choices.pinch_weight * full]
+        )
 
     def shares_and_aims(self, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return share of the weight and wanted distance of each row; shapes (..., k) all."""
@@ -239,8 +287,14 @@ class BoundTeleoperation(PalmMethod):
         """Say which contact pair belongs to which pinch."""
         fingers = () if self.contacts is None else self.contacts.fingers
         self.base_margins = np.full(len(fingers), _LINK_MARGIN)
-        closing = [(k, self.pinched.index(f)) for k, f in enumerate(fingers) if f in self.pinched]
-        self.pinch_pairs, self.pinch_of_pair = np.array(closing, dtype=int).reshape(-1, 2).T
+        closing = [
+            (k, self.pinched.index(f))
+            for k, f in enumerate(fingers)
+            if f in self.pinched
+        ]
+        self.pinch_pairs, self.pinch_of_pair = (
+            np.array(closing, dtype=int).reshape(-1, 2).T
+        )
         pads = self.pair.pads
         covers = [pads[THUMB].cover + pads[finger].cover for finger in self.pinched]
         self.pinch_margins = _CONTACT_MARGIN + np.array(covers).take(self.pinch_of_pair)
@@ -249,7 +303,9 @@ class BoundTeleoperation(PalmMethod):
 class TeleoperationMap:
     """From samples to targets; see `TargetMap`."""
 
-    def __init__(self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture) -> None:
+    def __init__(
+        self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
+    ) -> None:
         pair = method.pair
         self.rest = pair.matched
         self._method, self._pair = method, pair
@@ -313,13 +369,22 @@ class TeleoperationMap:
         `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
         """
         pair, ratio = self._pair, self._pair.finger_ratio
-        gain, centroid = self._method.choices.residual_gain * ratio, estimate.centroid_before
+        gain, centroid = (
+            self._method.choices.residual_gain * ratio,
+            estimate.centroid_before,
+        )
         shift = estimate.centroid_after[..., None, :]
         offsets = (
-            pair.robot_rest - pair.robot_centre - gain * (pair.human_rest[pair.partners] - centroid)
+            pair.robot_rest
+            - pair.robot_centre
+            - gain * (pair.human_rest[pair.partners] - centroid)
         )
         followed = offsets @ estimate.linear.swapaxes(-1, -2) + pair.robot_centre
-        return followed + ratio * (shift - centroid) + gain * (now[..., pair.partners, :] - shift)
+        return (
+            followed
+            + ratio * (shift - centroid)
+            + gain * (now[..., pair.partners, :] - shift)
+        )
 
     def _margins(self, gaps: np.ndarray) -> np.ndarray | None:
         """Widen the margin between thumb and finger with the human's gap: nothing may touch.
@@ -333,10 +398,14 @@ class TeleoperationMap:
         method = self._method
         if method.contacts is None:
             return None
-        wide = np.minimum(np.maximum(_CONTACT_SLOPE * (gaps - _CONTACT_FROM), 0.0), _CONTACT_MOST)
+        wide = np.minimum(
+            np.maximum(_CONTACT_SLOPE * (gaps - _CONTACT_FROM), 0.0), _CONTACT_MOST
+        )
         margins = np.empty((*gaps.shape[:-1], len(method.base_margins)))
         margins[:] = method.base_margins
-        margins[..., method.pinch_pairs] = method.pinch_margins + wide[..., method.pinch_of_pair]
+        margins[..., method.pinch_pairs] = (
+            method.pinch_margins + wide[..., method.pinch_of_pair]
+        )
         return margins
 
 

@@ -25,7 +25,11 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import MethodOptions
-from handmap_qp.mapping.virtual_object import BoundVirtualObject, ObjectMotion, to_compare
+from handmap_qp.mapping.virtual_object import (
+    BoundVirtualObject,
+    ObjectMotion,
+    to_compare,
+)
 from handmap_qp.options import number
 from handmap_qp.se3 import nearest_rotation
 
@@ -63,7 +67,9 @@ class VirtualEllipsoid(MethodOptions, frozen=True):
 
     def bind(self, human: Hand, robot: Hand) -> BoundVirtualObject:
         """Choose the points of both hands; see `Method.bind`."""
-        return BoundVirtualObject(partial(Ellipsoid, ridge=self.ridge), self.scale, human, robot)
+        return BoundVirtualObject(
+            partial(Ellipsoid, ridge=self.ridge), self.scale, human, robot
+        )
 
 
 PRESETS = {"virtual-ellipsoid": to_compare(VirtualEllipsoid(), "ellipsoid")}
@@ -103,7 +109,9 @@ class Ellipsoid:
             rotation = nearest_rotation(covariance * ratios)
             along = np.einsum("ij,ij->j", rotation, covariance)
             common = max(float(along.sum()) / float(self._squares.sum()), 0.0)
-            fitted = np.maximum((along + self._pull * common) / (self._squares + self._pull), 0.0)
+            fitted = np.maximum(
+                (along + self._pull * common) / (self._squares + self._pull), 0.0
+            )
             change, ratios = float(np.abs(fitted - ratios).max()), fitted
             if change <= _SETTLED:
                 break
@@ -112,7 +120,9 @@ class Ellipsoid:
         return ObjectMotion(shift, linear, ratios)
 
 
-def enclosing_ellipsoid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def enclosing_ellipsoid(
+    points: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find the ellipsoid of the smallest volume that encloses points.
 
     Points that lie in a plane or on a line get the smallest ellipse or segment. By Khachiyan's

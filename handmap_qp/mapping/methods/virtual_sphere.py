@@ -22,7 +22,11 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.method import MethodOptions
-from handmap_qp.mapping.virtual_object import BoundVirtualObject, ObjectMotion, to_compare
+from handmap_qp.mapping.virtual_object import (
+    BoundVirtualObject,
+    ObjectMotion,
+    to_compare,
+)
 from handmap_qp.options import number
 from handmap_qp.se3 import nearest_rotation
 
@@ -107,7 +111,9 @@ def enclosing_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
         support, centre, radius = found
 
 
-def _smallest_ball(points: np.ndarray, chosen: list[int]) -> tuple[list[int], np.ndarray, float]:
+def _smallest_ball(
+    points: np.ndarray, chosen: list[int]
+) -> tuple[list[int], np.ndarray, float]:
     """Return the smallest ball of at most five points: those on its surface, centre and radius."""
     best: tuple[list[int], np.ndarray, float] = (chosen, points[chosen[0]], np.inf)
     for count in range(1, min(len(chosen), 4) + 1):

@@ -102,7 +102,11 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     entries = form.entries(file)
     chosen = [entry for entry in entries if name in ("", entry.name)]
     if not chosen:
-        problem = f"has no recording {name!r}; {_listing(entries)}" if name else "has no recordings"
+        problem = (
+            f"has no recording {name!r}; {_listing(entries)}"
+            if name
+            else "has no recordings"
+        )
         raise RecordingError(problem, file=file)
     return tuple(Source(file, form, entry) for entry in chosen)
 
@@ -151,7 +155,9 @@ def read_recording(path: Path | str, side: Side | None = None) -> Recording:
     """
     sources = list_sources(path)
     if len(sources) > 1 and side is not None:
-        sources = tuple(source for source in sources if source.entry.side == side) or sources
+        sources = (
+            tuple(source for source in sources if source.entry.side == side) or sources
+        )
     if len(sources) > 1:
         listing = _listing([source.entry for source in sources])
         problem = f"{listing}: name one of them after {SEPARATOR}"
@@ -161,7 +167,9 @@ def read_recording(path: Path | str, side: Side | None = None) -> Recording:
 
 def known_suffixes() -> tuple[str, ...]:
     """Return the suffixes of all formats."""
-    return tuple(dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes))
+    return tuple(
+        dict.fromkeys(suffix for form in FORMATS.values() for suffix in form.suffixes)
+    )
 
 
 def format_of(path: Path) -> RecordingFormat:
@@ -173,7 +181,9 @@ def format_of(path: Path) -> RecordingFormat:
     if not path.exists():
         raise RecordingError("cannot be read: No such file or directory", file=path)
     suffix = path.suffix.lower()
-    candidates = [form for form in FORMATS.values() if path.is_dir() or suffix in form.suffixes]
+    candidates = [
+        form for form in FORMATS.values() if path.is_dir() or suffix in form.suffixes
+    ]
     for form in candidates:
         if form.recognises(path):
             return form
@@ -200,7 +210,9 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
         return FORMATS[name]
     if name is not None:
         names = ", ".join(FORMATS)
-        raise InvalidInputError(argument="--format", expected=f"one of {names}", value=name)
+        raise InvalidInputError(
+            argument="--format", expected=f"one of {names}", value=name
+        )
     for form in FORMATS.values():
         if path.suffix.lower() in (form.suffixes or ("",)):
             return form
@@ -209,7 +221,9 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
 
 
 def write_recordings(
-    recordings: Sequence[Recording], path: Path | str, form: RecordingFormat | None = None
+    recordings: Sequence[Recording],
+    path: Path | str,
+    form: RecordingFormat | None = None,
 ) -> tuple[str, ...]:
     """Write recordings to one file or data set.
 
@@ -235,7 +249,9 @@ def _path_text(path: Path | str) -> str:
     """Return a path as text, and reject something else than a path."""
     text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
     if not isinstance(text, str):
-        raise InvalidInputError(argument="path", expected="the path of a file", value=path)
+        raise InvalidInputError(
+            argument="path", expected="the path of a file", value=path
+        )
     return text
 
 

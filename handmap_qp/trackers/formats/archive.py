@@ -51,7 +51,9 @@ def member_names(file: Path) -> set[str]:
         return {_name(member) for member in archive.infolist()}
 
 
-def read_archive(file: Path, names: Container[str] | None = None) -> dict[str, np.ndarray]:
+def read_archive(
+    file: Path, names: Container[str] | None = None
+) -> dict[str, np.ndarray]:
     """Read arrays of an `.npz` file.
 
     Args:
@@ -69,7 +71,9 @@ def read_archive(file: Path, names: Container[str] | None = None) -> dict[str, n
             raise RecordingError(
                 f"holds {size >> 20} MB, more than the {most} that are read", file=file
             )
-        return {_name(member): _read_member(file, archive, member) for member in members}
+        return {
+            _name(member): _read_member(file, archive, member) for member in members
+        }
 
 
 def _name(member: zipfile.ZipInfo) -> str:
@@ -88,14 +92,23 @@ def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
         yield archive
 
 
-def _read_member(file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+def _read_member(
+    file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo
+) -> np.ndarray:
     """Read one array, whose header must agree with the size of the member."""
-    with damages(file, "is not a plain array", _name(member)), archive.open(member) as stream:
+    with (
+        damages(file, "is not a plain array", _name(member)),
+        archive.open(member) as stream,
+    ):
         with warnings.catch_warnings():
             # numpy warns of headers that Python 2 wrote.
             warnings.simplefilter("ignore")
             version = npy.read_magic(stream)
-            read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+            read = (
+                npy.read_array_header_1_0
+                if version == (1, 0)
+                else npy.read_array_header_2_0
+            )
             shape, is_fortran, dtype = read(stream)
         if dtype.hasobject:
             raise ValueError("holds Python objects, which are not read")
@@ -123,4 +136,6 @@ def damages(file: Path, problem: str, array: str = "") -> Iterator[None]:
             problem, text = "cannot be read", error.strerror
         else:
             text = " ".join(str(error).split())[:160]
-        raise RecordingError(f"{problem}: {text}".rstrip(": "), file=file, array=array) from error
+        raise RecordingError(
+            f"{problem}: {text}".rstrip(": "), file=file, array=array
+        ) from error

@@ -18,9 +18,13 @@ from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
 from handmap_qp.se3 import as_floats
 
 SIDES: tuple[Side, ...] = ("left", "right")
-LANDMARK_COLUMNS: tuple[str, ...] = tuple(f"{name}_{a}" for name in LANDMARK_NAMES for a in "xyz")
+LANDMARK_COLUMNS: tuple[str, ...] = tuple(
+    f"{name}_{a}" for name in LANDMARK_NAMES for a in "xyz"
+)
 """Names of the 63 coordinates of a sample, for formats that have columns."""
-POSE_COLUMNS: tuple[str, ...] = tuple(f"wrist_pose_{i}{j}" for i in range(3) for j in range(4))
+POSE_COLUMNS: tuple[str, ...] = tuple(
+    f"wrist_pose_{i}{j}" for i in range(3) for j in range(4)
+)
 """Names of the upper three rows of the wrist's pose, row by row."""
 _WORDS = {
     "wrist": "the wrist's orientation",
@@ -117,7 +121,11 @@ class RecordingFormat(abc.ABC):
 
 
 def _has(recording: Recording, field: str) -> bool:
-    return bool(recording.source) if field == "source" else getattr(recording, field) is not None
+    return (
+        bool(recording.source)
+        if field == "source"
+        else getattr(recording, field) is not None
+    )
 
 
 def require(package: str) -> Any:
@@ -208,11 +216,21 @@ def build_recording(
             rows = np.isnan(wrist).all()
             wrist = None if rows else _poses_of_rows(wrist)
         confidence = others.pop("confidence", None)
-        if confidence is not None and np.isnan(as_floats(confidence, "confidence")).all():
+        if (
+            confidence is not None
+            and np.isnan(as_floats(confidence, "confidence")).all()
+        ):
             confidence = None
         name = others.pop("name", "") or entry_stem(path, entry)
         return Recording(
-            name, time, points, seen, entry.side, wrist=wrist, confidence=confidence, **others
+            name,
+            time,
+            points,
+            seen,
+            entry.side,
+            wrist=wrist,
+            confidence=confidence,
+            **others,
         )
 
 

@@ -64,7 +64,10 @@ class CsvFormat(RecordingFormat):
             places, side = [header[name] for name in names], header["side"]
             table = np.array(
                 [
-                    [_number(path, line, names[i], row[k]) for i, k in enumerate(places)]
+                    [
+                        _number(path, line, names[i], row[k])
+                        for i, k in enumerate(places)
+                    ]
                     for line, row in rows
                     if side_of(row[side], path, "side", line) == entry.side
                 ]
@@ -73,7 +76,9 @@ class CsvFormat(RecordingFormat):
         poses = [name for name in POSE_COLUMNS if name in columns]
         if poses and len(poses) < len(POSE_COLUMNS):
             name = next(name for name in POSE_COLUMNS if name not in columns)
-            raise RecordingError(f"has wrist poses, but no column {name!r}", file=path, line=1)
+            raise RecordingError(
+                f"has wrist poses, but no column {name!r}", file=path, line=1
+            )
         return build_recording(
             path,
             entry,
@@ -81,7 +86,9 @@ class CsvFormat(RecordingFormat):
             np.stack([columns[name] for name in LANDMARK_COLUMNS], axis=1),
             valid=columns.get("valid"),
             confidence=columns.get("confidence"),
-            wrist=np.stack([columns[name] for name in poses], axis=1) if poses else None,
+            wrist=np.stack([columns[name] for name in poses], axis=1)
+            if poses
+            else None,
         )
 
     def unread(self, path: Path) -> tuple[str, ...]:
@@ -112,7 +119,9 @@ def _rows(recording: Recording, columns: Sequence[str]) -> Iterator[list[str]]:
     blocks = {
         "time": recording.time[:, None],
         LANDMARK_COLUMNS[0]: landmark_rows(recording),
-        "confidence": np.full((len(recording), 1), np.nan) if given is None else given[:, None],
+        "confidence": np.full((len(recording), 1), np.nan)
+        if given is None
+        else given[:, None],
         POSE_COLUMNS[0]: pose_rows(recording),
     }
     numbers = np.hstack([block for name, block in blocks.items() if name in columns])
@@ -129,7 +138,10 @@ Rows = Iterator[tuple[int, list[str]]]
 @contextmanager
 def _table(path: Path) -> Iterator[tuple[dict[str, int], Rows]]:
     """Open a CSV file: its columns by name, and its rows below the header."""
-    with damages(path, "is not a CSV table"), path.open(encoding="utf-8", newline="") as file:
+    with (
+        damages(path, "is not a CSV table"),
+        path.open(encoding="utf-8", newline="") as file,
+    ):
         rows = _rows_of(path, file)
         _, names = next(rows, (0, []))
         header = {name.strip(): i for i, name in enumerate(names)}

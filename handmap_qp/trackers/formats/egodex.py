@@ -24,7 +24,13 @@ from handmap_qp.trackers.formats.base import (
     build_recording,
     finite_samples,
 )
-from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, has_group, numbers, opened
+from handmap_qp.trackers.formats.hdf5 import (
+    SUFFIXES,
+    created,
+    has_group,
+    numbers,
+    opened,
+)
 from handmap_qp.trackers.wrist_axes import palm_axes
 
 RATE = 30.0
@@ -73,11 +79,15 @@ class EgoDexFormat(RecordingFormat):
         names = joint_names(entry.side)
         with opened(path) as file:
             group = file["transforms"]
-            poses = [numbers(path, group, name, (entry.samples, 4, 4)) for name in names]
+            poses = [
+                numbers(path, group, name, (entry.samples, 4, 4)) for name in names
+            ]
             shares = None
             if "confidences" in file:
                 given = file["confidences"]
-                shares = np.array([numbers(path, given, name, (entry.samples,)) for name in names])
+                shares = np.array(
+                    [numbers(path, given, name, (entry.samples,)) for name in names]
+                )
             time = np.arange(entry.samples) / RATE
             if "time" in file:
                 time = numbers(path, file, "time", (entry.samples,))

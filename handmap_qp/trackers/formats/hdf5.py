@@ -61,7 +61,9 @@ def numbers(path: Path, group: Any, name: str, shape: tuple[int, ...]) -> np.nda
     item, place = group.get(name), f"{group.name.rstrip('/')}/{name}"
     if not hasattr(item, "dtype"):
         shown = ", ".join(sorted(group)[:6]) + (", ..." if len(group) > 6 else "")
-        raise RecordingError(f"is missing; there are {shown or 'none'}", file=path, array=place)
+        raise RecordingError(
+            f"is missing; there are {shown or 'none'}", file=path, array=place
+        )
     if item.shape != shape or item.dtype.kind not in "biuf":
         sizes = ", ".join(map(str, shape))
         problem = f"expected numbers of shape ({sizes}), got {item.dtype} of shape {item.shape}"

@@ -85,7 +85,9 @@ class LeRobotFormat(RecordingFormat):
 
     name = "lerobot"
     suffixes: tuple[str, ...] = ()
-    about = "a folder in the form of LeRobot v3 (parquet); written, not read; any number"
+    about = (
+        "a folder in the form of LeRobot v3 (parquet); written, not read; any number"
+    )
 
     def recognises(self, path: Path) -> bool:
         """Tell whether the folder has the description of a data set."""
@@ -102,33 +104,45 @@ class LeRobotFormat(RecordingFormat):
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as an episode."""
         if not recordings:
-            raise InvalidInputError(argument="recordings", expected="at least one", got="none")
+            raise InvalidInputError(
+                argument="recordings", expected="at least one", got="none"
+            )
         features = dict(_FEATURES)
         for name in ("confidence", "wrist"):
             if all(getattr(recording, name) is None for recording in recordings):
                 del features[f"observation.{name}"]
         steps = np.concatenate([recording.steps for recording in recordings])
         fps = max(1.0, float(np.round(1.0 / np.median(steps))))
-        with LeRobotWriter(path, fps=fps, features=features, robot_type="human_hand") as writer:
+        with LeRobotWriter(
+            path, fps=fps, features=features, robot_type="human_hand"
+        ) as writer:
             for recording in recordings:
                 given = recording.confidence
                 values = {
                     "landmarks": landmark_rows(recording),
                     "wrist": pose_rows(recording),
                     "valid": recording.valid,
-                    "confidence": np.full(len(recording), np.nan) if given is None else given,
+                    "confidence": np.full(len(recording), np.nan)
+                    if given is None
+                    else given,
                     "time": recording.time,
                 }
                 writer.add(
                     {f"observation.{name}": array for name, array in values.items()},
                     f"{recording.side} human hand",
-                    {"name": recording.name, "side": recording.side, "source": recording.source},
+                    {
+                        "name": recording.name,
+                        "side": recording.side,
+                        "source": recording.source,
+                    },
                 )
 
 
 def _written_only(path: Path) -> RecordingError:
     problem = "is a LeRobot data set, which is written and not read"
-    return RecordingError(f"{problem}: read the recordings that it was made from", file=path)
+    return RecordingError(
+        f"{problem}: read the recordings that it was made from", file=path
+    )
 
 
 class LeRobotWriter:
@@ -160,7 +174,9 @@ class LeRobotWriter:
         self._pa, self._pq = require("pyarrow"), require("pyarrow.parquet")
         if root.exists() and (not root.is_dir() or any(root.iterdir())):
             raise InvalidInputError(
-                argument=argument, problem=f"{root} exists already", advice="remove it first"
+                argument=argument,
+                problem=f"{root} exists already",
+                advice="remove it first",
             )
         self._root, self._argument = root, argument
         self._fps, self._robot_type = fps, robot_type
@@ -176,7 +192,9 @@ class LeRobotWriter:
         parent = self._root.parent
         make_folder(parent, self._argument)
         with writing(self._root, self._argument):
-            self._folder = Path(tempfile.mkdtemp(prefix=f".{self._root.name}-", dir=parent))
+            self._folder = Path(
+                tempfile.mkdtemp(prefix=f".{self._root.name}-", dir=parent)
+            )
         return self
 
     def __exit__(
@@ -204,7 +222,10 @@ class LeRobotWriter:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def add(
-        self, columns: Mapping[str, np.ndarray], task: str, about: Mapping[str, Any] | None = None
+        self,
+        columns: Mapping[str, np.ndarray],
+        task: str,
+        about: Mapping[str, Any] | None = None,
     ) -> int:
         """Add an episode.
 
@@ -228,7 +249,9 @@ class LeRobotWriter:
             "frame_index": frames,
             "episode_index": np.full_like(frames, episode),
             "index": start + frames,
-            "task_index": np.full_like(frames, self._tasks.setdefault(task, len(self._tasks))),
+            "task_index": np.full_like(
+                frames, self._tasks.setdefault(task, len(self._tasks))
+            ),
         }
         with writing(self._root, self._argument):
             self._write_data(self._table(values))
@@ -358,7 +381,9 @@ class LeRobotWriter:
             "creator": {"library": "pyarrow", "version": self._pa.__version__},
             "pandas_version": "2.0.0",
         }
-        table = self._pa.table(columns).replace_schema_metadata({"pandas": json.dumps(about)})
+        table = self._pa.table(columns).replace_schema_metadata(
+            {"pandas": json.dumps(about)}
+        )
         file = self._folder / "meta" / "tasks.parquet"
         file.parent.mkdir(exist_ok=True)
         self._pq.write_table(table, file)
@@ -409,5 +434,6 @@ def joined_stats(one: Stats, other: Stats) -> Stats:
 
 def _as_lists(stats: Mapping[str, Stats]) -> dict[str, dict[str, list[float]]]:
     return {
-        name: {key: array.tolist() for key, array in own.items()} for name, own in stats.items()
+        name: {key: array.tolist() for key, array in own.items()}
+        for name, own in stats.items()
     }

@@ -22,14 +22,25 @@ from handmap_qp.trackers.formats.base import (
 )
 from handmap_qp.trackers.formats.mano_model import load_model
 
-FROM_MANO = np.array([0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20])
+FROM_MANO = np.array(
+    [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20]
+)
 """Index in MANO's order of each landmark.
 
 That order is 16 joints (wrist; index, middle, little, ring and thumb, three each), then the tips
 from thumb to little.
 """
 _POSES = ("pose", "hand_pose")
-_KNOWN = {"joints", "side", "time", "fps", "valid", "betas", "transl", "global_orient"} | {*_POSES}
+_KNOWN = {
+    "joints",
+    "side",
+    "time",
+    "fps",
+    "valid",
+    "betas",
+    "transl",
+    "global_orient",
+} | {*_POSES}
 
 
 class ManoFormat(RecordingFormat):
@@ -63,7 +74,9 @@ class ManoFormat(RecordingFormat):
         if "side" not in arrays:
             raise RecordingError("has no array 'side': right or left", file=path)
         main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
-        return (Entry("", side_of(arrays["side"], path, "side"), len(np.atleast_1d(main))),)
+        return (
+            Entry("", side_of(arrays["side"], path, "side"), len(np.atleast_1d(main))),
+        )
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the hand."""
@@ -75,7 +88,12 @@ class ManoFormat(RecordingFormat):
                 joints = self._forward(path, arrays, entry)
             time = self._time(path, arrays, len(joints))
         return build_recording(
-            path, entry, time, joints[:, FROM_MANO], valid=arrays.get("valid"), source="MANO"
+            path,
+            entry,
+            time,
+            joints[:, FROM_MANO],
+            valid=arrays.get("valid"),
+            source="MANO",
         )
 
     def unread(self, path: Path) -> tuple[str, ...]:
@@ -104,28 +122,36 @@ class ManoFormat(RecordingFormat):
             raise RecordingError("has neither 'time' nor 'fps'", file=path)
         fps = float(as_floats(arrays["fps"], "fps", shape=(), is_finite=True))
         if not fps > 0.0:
-            raise RecordingError(f"expected a rate > 0, got {fps:g}", file=path, array="fps")
+            raise RecordingError(
+                f"expected a rate > 0, got {fps:g}", file=path, array="fps"
+            )
         return np.arange(count) / fps
 
-    def _forward(self, path: Path, arrays: dict[str, np.ndarray], entry: Entry) -> np.ndarray:
+    def _forward(
+        self, path: Path, arrays: dict[str, np.ndarray], entry: Entry
+    ) -> np.ndarray:
         """Return the joints of parameters, by the user's model."""
         if "flat_hand_mean" not in arrays:
-            problem = (
-                "has no array 'flat_hand_mean', which says whether a pose of 0 is the flat hand"
-            )
-            raise RecordingError(problem, file=path)
+            problem = "has no array 'flat_hand_mean'"
+            meaning = "which says whether a pose of 0 is the flat hand"
+            raise RecordingError(f"{problem}, {meaning}", file=path)
         count = entry.samples
         if "pose" in arrays:
             pose = as_floats(arrays["pose"], "pose", shape=(count, 48), is_finite=True)
             root, fingers = pose[:, :3], pose[:, 3:]
         else:
             root = as_floats(
-                arrays.get("global_orient"), "global_orient", shape=(count, 3), is_finite=True
+                arrays.get("global_orient"),
+                "global_orient",
+                shape=(count, 3),
+                is_finite=True,
             )
             fingers = as_floats(
                 arrays["hand_pose"], "hand_pose", shape=(count, "k"), is_finite=True
             )
-        shape = as_floats(arrays.get("betas", np.zeros(10)), "betas", shape=(10,), is_finite=True)
+        shape = as_floats(
+            arrays.get("betas", np.zeros(10)), "betas", shape=(10,), is_finite=True
+        )
         shift = arrays.get("transl", np.zeros((count, 3)))
         shift = as_floats(shift, "transl", shape=(count, 3), is_finite=True)
         model = load_model(entry.side, self._model)

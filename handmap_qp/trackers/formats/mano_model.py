@@ -46,7 +46,9 @@ class ManoModel(NamedTuple):
     hands_components: np.ndarray
     kintree_table: np.ndarray
 
-    def joints(self, turns: np.ndarray, shape: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    def joints(
+        self, turns: np.ndarray, shape: np.ndarray, translation: np.ndarray
+    ) -> np.ndarray:
         """Compute joints and fingertips.
 
         Args:
@@ -88,7 +90,9 @@ def load_model(side: str, given: Path | None = None) -> ManoModel:
         RecordingError: If there is none, it cannot be read, or an array has another shape. A pickle
             is read without running code in it: it may hold arrays only.
     """
-    named = given or (Path(os.environ[ENVIRONMENT]) if os.environ.get(ENVIRONMENT) else None)
+    named = given or (
+        Path(os.environ[ENVIRONMENT]) if os.environ.get(ENVIRONMENT) else None
+    )
     if named is None:
         raise RecordingError(
             "MANO parameters need the licensed model (mano.is.tue.mpg.de): give the path of "
@@ -96,7 +100,9 @@ def load_model(side: str, given: Path | None = None) -> ManoModel:
             file=Path(f"MANO_{side.upper()}.pkl"),
         )
     file = named / f"MANO_{side.upper()}.pkl" if named.is_dir() else named
-    values: dict[str, Any] = read_archive(file) if file.suffix == ".npz" else _read_pickle(file)
+    values: dict[str, Any] = (
+        read_archive(file) if file.suffix == ".npz" else _read_pickle(file)
+    )
     arrays = {}
     for name, shape in _SHAPES_OF.items():
         if name not in values:
@@ -111,7 +117,9 @@ def load_model(side: str, given: Path | None = None) -> ManoModel:
         arrays[name] = array.astype(float)
     parents = arrays["kintree_table"][0, 1:]
     if not (parents < np.arange(1, _JOINTS)).all():
-        raise RecordingError("expected parents before children", file=file, array="kintree_table")
+        raise RecordingError(
+            "expected parents before children", file=file, array="kintree_table"
+        )
     return ManoModel(**arrays)
 
 
@@ -166,7 +174,11 @@ def _read_pickle(file: Path) -> dict[str, Any]:
         values = _ArrayUnpickler(io.BytesIO(content), encoding="latin1").load()
     except (pickle.UnpicklingError, ImportError, *DAMAGES) as error:
         text = " ".join(str(error).split())
-        raise RecordingError(f"cannot be read as a MANO model: {text[:160]}", file=file) from error
+        raise RecordingError(
+            f"cannot be read as a MANO model: {text[:160]}", file=file
+        ) from error
     if not isinstance(values, dict):
-        raise RecordingError("cannot be read as a MANO model: it is no table", file=file)
+        raise RecordingError(
+            "cannot be read as a MANO model: it is no table", file=file
+        )
     return values

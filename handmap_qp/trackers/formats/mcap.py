@@ -56,7 +56,9 @@ class McapFormat(RecordingFormat):
 
     name = "mcap"
     suffixes = (".mcap",)
-    about = "a ROS 2 bag: sensor_msgs/JointState, and landmarks as geometry_msgs/PoseArray"
+    about = (
+        "a ROS 2 bag: sensor_msgs/JointState, and landmarks as geometry_msgs/PoseArray"
+    )
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a file, or the folder of a bag."""
@@ -76,17 +78,30 @@ class McapFormat(RecordingFormat):
             topics = _hands(path, bag)[entry.side]
             name = _main(topics)
             pairs = list(_messages(bag, name))
-            messages, times = [message for _, message in pairs], [_instant(m) for _, m in pairs]
-            wrist = _wrist_poses(path, bag, topics["wrist"], times) if "wrist" in topics else None
+            messages, times = (
+                [message for _, message in pairs],
+                [_instant(m) for _, m in pairs],
+            )
+            wrist = (
+                _wrist_poses(path, bag, topics["wrist"], times)
+                if "wrist" in topics
+                else None
+            )
             if "landmarks" in topics:
                 landmarks = _landmarks(path, name, messages)
             else:
                 landmarks = _forward(path, name, messages, entry.side, wrist)
             confidence = None
             if "confidence" in topics:
-                found = {log: message.data for log, message in _messages(bag, topics["confidence"])}
+                found = {
+                    log: message.data
+                    for log, message in _messages(bag, topics["confidence"])
+                }
                 confidence = np.array([found.get(log, np.nan) for log, _ in pairs])
-        if wrist is not None and not np.isfinite(wrist[finite_samples(landmarks)]).all():
+        if (
+            wrist is not None
+            and not np.isfinite(wrist[finite_samples(landmarks)]).all()
+        ):
             wrist = None
         return build_recording(
             path,
@@ -102,7 +117,11 @@ class McapFormat(RecordingFormat):
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the topics that a recording cannot hold."""
         with _opened(path) as bag:
-            used = {topic for topics in _hands(path, bag).values() for topic in topics.values()}
+            used = {
+                topic
+                for topics in _hands(path, bag).values()
+                for topic in topics.values()
+            }
             return tuple(f"topic {topic}" for topic in sorted(set(bag.topics) - used))
 
     def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
@@ -125,10 +144,14 @@ class McapFormat(RecordingFormat):
                 raise InvalidInputError(argument="time", expected=expected, got=got)
         with (
             replaced_path(path, "path") as temporary,
-            tempfile.TemporaryDirectory(prefix=f".{path.stem}-", dir=path.parent) as folder,
+            tempfile.TemporaryDirectory(
+                prefix=f".{path.stem}-", dir=path.parent
+            ) as folder,
         ):
             bag = Path(folder) / path.stem
-            with bags.Writer(bag, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
+            with bags.Writer(
+                bag, version=9, storage_plugin=bags.StoragePlugin.MCAP
+            ) as writer:
                 for recording in recordings:
                     _write_hand(writer, recording)
             (file,) = bag.glob("*.mcap")
@@ -200,7 +223,9 @@ def _wrist_poses(path: Path, bag: Any, topic: str, times: list[float]) -> np.nda
     poses = np.full((len(rows), 4, 4), np.nan)
     if is_given.any():
         with reading(path):
-            poses[is_given] = poses_from_quats(rows[is_given, :3], rows[is_given, 3:], topic)
+            poses[is_given] = poses_from_quats(
+                rows[is_given, :3], rows[is_given, 3:], topic
+            )
     return poses
 
 
@@ -227,7 +252,9 @@ def _forward(
             problem = (
                 f"message {i} has no position of joint {missing[0]!r}"
                 if missing
-                else (f"message {i} has {len(names)} names and {len(message.position)} positions")
+                else (
+                    f"message {i} has {len(names)} names and {len(message.position)} positions"
+                )
             )
             raise RecordingError(problem, file=path, array=topic)
         q = message.position[[names.index(name) for name in HUMAN_JOINTS]]
@@ -249,7 +276,9 @@ def _write_hand(writer: Any, recording: Recording) -> None:
     def made(kind: str, *values: Any) -> Any:
         return store.types[kind](*values)
 
-    def pose(position: np.ndarray, quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)) -> Any:
+    def pose(
+        position: np.ndarray, quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
+    ) -> Any:
         w, x, y, z = quat_wxyz
         return made(
             "geometry_msgs/msg/Pose",
@@ -262,8 +291,12 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         stamp = round(1e9 * time)
         instant = made("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
         header = made("std_msgs/msg/Header", instant, _FRAME)
-        points = recording.landmarks[i] if recording.valid[i] else np.full((21, 3), np.nan)
-        values: dict[str, tuple[Any, ...]] = {_POSES: (header, [pose(point) for point in points])}
+        points = (
+            recording.landmarks[i] if recording.valid[i] else np.full((21, 3), np.nan)
+        )
+        values: dict[str, tuple[Any, ...]] = {
+            _POSES: (header, [pose(point) for point in points])
+        }
         if motion.valid[i]:
             values[_STATE] = (header, names, motion.q[i], none, none)
         if recording.wrist is not None and recording.valid[i]:
@@ -275,4 +308,6 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         if recording.confidence is not None:
             values[_NUMBER] = (float(recording.confidence[i]),)
         for kind, given in values.items():
-            writer.write(topics[kind], stamp, store.serialize_cdr(made(kind, *given), kind))
+            writer.write(
+                topics[kind], stamp, store.serialize_cdr(made(kind, *given), kind)
+            )

@@ -52,9 +52,13 @@ class NpzFormat(RecordingFormat):
         names = member_names(path)
         sides: list[Side] = [side for side in SIDES if f"{side}_landmarks" in names]
         _check_has(path, names, [f"{side}_time" for side in sides] or _NEEDED)
-        arrays = read_archive(path, {"time", "handedness", *(f"{side}_time" for side in sides)})
+        arrays = read_archive(
+            path, {"time", "handedness", *(f"{side}_time" for side in sides)}
+        )
         if sides:
-            return tuple(Entry(side, side, np.size(arrays[f"{side}_time"])) for side in sides)
+            return tuple(
+                Entry(side, side, np.size(arrays[f"{side}_time"])) for side in sides
+            )
         side = side_of(arrays["handedness"], path, "handedness")
         return (Entry("", side, np.size(arrays["time"])),)
 
@@ -100,7 +104,9 @@ class NpzFormat(RecordingFormat):
                 "source": np.array(recording.source) if recording.source else None,
                 "handedness": None if prefix else np.array(recording.side),
             }
-            arrays |= {prefix + name: array for name, array in own.items() if array is not None}
+            arrays |= {
+                prefix + name: array for name, array in own.items() if array is not None
+            }
         with replaced_file(path, "path") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
 

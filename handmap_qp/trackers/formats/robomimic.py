@@ -24,7 +24,13 @@ from handmap_qp.trackers.formats.base import (
     pose_rows,
     side_of,
 )
-from handmap_qp.trackers.formats.hdf5 import SUFFIXES, created, has_group, numbers, opened
+from handmap_qp.trackers.formats.hdf5 import (
+    SUFFIXES,
+    created,
+    has_group,
+    numbers,
+    opened,
+)
 
 _KNOWN = {"landmarks", "time", "valid", "confidence", "wrist"}
 
@@ -59,7 +65,9 @@ class RobomimicFormat(RecordingFormat):
             obs, count = demo["obs"], entry.samples
             is_flat = len(obs["landmarks"].shape) == 2
             sizes = {"time": (), "valid": (), "confidence": (), "wrist": (12,)}
-            sizes["landmarks"] = (3 * LANDMARK_COUNT,) if is_flat else (LANDMARK_COUNT, 3)
+            sizes["landmarks"] = (
+                (3 * LANDMARK_COUNT,) if is_flat else (LANDMARK_COUNT, 3)
+            )
             columns = {
                 name: numbers(path, obs, name, (count, *size))
                 for name, size in sizes.items()
@@ -86,7 +94,9 @@ class RobomimicFormat(RecordingFormat):
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as a demonstration."""
         if not recordings:
-            raise InvalidInputError(argument="recordings", expected="at least one", got="none")
+            raise InvalidInputError(
+                argument="recordings", expected="at least one", got="none"
+            )
         with created(path) as file:
             data = file.create_group("data")
             data.attrs["total"] = sum(len(recording) for recording in recordings)
@@ -115,7 +125,11 @@ def _number(name: str) -> tuple[int, str]:
 
 def _entry(path: Path, name: str, demo: Any) -> Entry:
     if not hasattr(demo, "keys") or "obs" not in demo or "landmarks" not in demo["obs"]:
-        known = sorted(demo["obs"]) if hasattr(demo, "keys") and "obs" in demo else ["no group obs"]
+        known = (
+            sorted(demo["obs"])
+            if hasattr(demo, "keys") and "obs" in demo
+            else ["no group obs"]
+        )
         problem = f"has no landmarks; it has {', '.join(known)}"
         raise RecordingError(problem, file=path, array=f"data/{name}")
     side = side_of(demo.attrs.get("side"), path, f"data/{name}")

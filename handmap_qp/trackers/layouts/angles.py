@@ -52,7 +52,9 @@ class AngleEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     default: float | None = None
 
 
-class AngleTable(LayoutTable, frozen=True, forbid_unknown_fields=True, tag="angles", kw_only=True):
+class AngleTable(
+    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="angles", kw_only=True
+):
     """A layout of joint angles.
 
     Attributes:
@@ -86,9 +88,13 @@ class AngleLayout(Layout[AngleTable]):
                     advice=did_you_mean(joint, HUMAN_JOINTS),
                 )
             if table.angles[joints.index(joint)].scale == 0.0:
-                raise InvalidInputError(argument=f"{joint}.scale", expected="not 0", value=0.0)
+                raise InvalidInputError(
+                    argument=f"{joint}.scale", expected="not 0", value=0.0
+                )
         if table.unit not in ("deg", "rad"):
-            raise InvalidInputError(argument="unit", expected="deg or rad", value=table.unit)
+            raise InvalidInputError(
+                argument="unit", expected="deg or rad", value=table.unit
+            )
         self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
         self._scales = np.array([entry.scale for entry in table.angles])
         self._offsets = np.array([entry.offset for entry in table.angles])
@@ -131,7 +137,9 @@ class AngleLayout(Layout[AngleTable]):
             InvalidInputError: If they are in another unit, or fingers bend backwards.
         """
         q = np.zeros((len(values), len(HUMAN_JOINTS)))
-        q[:, self._joints] = UNITS[self.table.unit] * (self._scales * values + self._offsets)
+        q[:, self._joints] = UNITS[self.table.unit] * (
+            self._scales * values + self._offsets
+        )
         self._check(values, q)
         return q
 
@@ -144,13 +152,20 @@ class AngleLayout(Layout[AngleTable]):
     ) -> Hands:
         """Turn angles into landmarks by the human model; see `Layout.hands`."""
         human = sized_human(side, lengths)
-        postures = np.clip(self.postures(values), human.lower_limits, human.upper_limits)
+        postures = np.clip(
+            self.postures(values), human.lower_limits, human.upper_limits
+        )
         landmarks = np.array([human.points(q) for q in postures])
         if wrists is not None:
-            landmarks = landmarks @ wrists[:, :3, :3].transpose(0, 2, 1) + wrists[:, None, :3, 3]
+            landmarks = (
+                landmarks @ wrists[:, :3, :3].transpose(0, 2, 1)
+                + wrists[:, None, :3, 3]
+            )
         return Hands(landmarks, wrists)
 
-    def write_posture(self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray) -> np.ndarray:
+    def write_posture(
+        self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray
+    ) -> np.ndarray:
         """Return the angles of a posture; see `Layout.write_posture`."""
         own = np.asarray(q, dtype=float)[self._joints] / UNITS[self.table.unit]
         return (own - self._offsets) / self._scales
@@ -171,7 +186,9 @@ class AngleLayout(Layout[AngleTable]):
                 advice=f"these are {_WORDS[other]}: convert them, or set `unit: {other}` in a "
                 "table of your own",
             )
-        bends = [i for i, name in enumerate(HUMAN_JOINTS) if name.endswith("PIP_flexion")]
+        bends = [
+            i for i, name in enumerate(HUMAN_JOINTS) if name.endswith("PIP_flexion")
+        ]
         backwards = q[:, bends].mean(axis=1) < _BACKWARDS
         if backwards.any():
             sample = int(np.argmax(backwards))

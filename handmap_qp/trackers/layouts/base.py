@@ -32,7 +32,13 @@ from handmap_qp.trackers.wrist_axes import axes_convention
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 QuatOrder = Literal["xyzw", "wxyz"]
-UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001, "rad": 1.0, "deg": np.pi / 180.0}
+UNITS: dict[str, float] = {
+    "m": 1.0,
+    "cm": 0.01,
+    "mm": 0.001,
+    "rad": 1.0,
+    "deg": np.pi / 180.0,
+}
 """Size of a unit in metres or radians."""
 TYPICAL_LENGTH = 0.19
 """Length of the hand that angles and markers are read with where no person was measured [m]."""
@@ -55,7 +61,9 @@ class AxesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Args:
             mirror: Diagonal of the reflection that makes the data right-handed, shape (3,).
         """
-        return axes_convention(_direction(self.distal) * mirror, _direction(self.dorsal) * mirror)
+        return axes_convention(
+            _direction(self.distal) * mirror, _direction(self.dorsal) * mirror
+        )
 
 
 class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -78,7 +86,9 @@ class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.right if side == "right" or self.left is None else self.left
 
 
-class LayoutTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"):
+class LayoutTable(
+    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"
+):
     """What the tables of all kinds of layouts say.
 
     Attributes:
@@ -192,7 +202,9 @@ class Layout(abc.ABC, Generic[Table]):
         """
 
     @abc.abstractmethod
-    def write_posture(self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray) -> np.ndarray:
+    def write_posture(
+        self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray
+    ) -> np.ndarray:
         """Return values of the human hand in a posture.
 
         Args:
@@ -211,7 +223,9 @@ class Layout(abc.ABC, Generic[Table]):
             InvalidInputError: If the sample is not valid, or no hand.
         """
         if not sample.valid:
-            raise InvalidInputError(argument="sample", expected="a valid sample", got="another")
+            raise InvalidInputError(
+                argument="sample", expected="a valid sample", got="another"
+            )
         fitter = LandmarkFitter(sample.side)
         q, wrist, _ = fitter.fit(sample.landmarks)
         return self.write_posture(fitter.human, q, wrist)
@@ -245,7 +259,9 @@ class Layout(abc.ABC, Generic[Table]):
         """
         if isinstance(values, Mapping):
             found = self.find_columns(tuple(values), side)
-            values = np.array([self.default(i) if n is None else values[n] for i, n in found])
+            values = np.array(
+                [self.default(i) if n is None else values[n] for i, n in found]
+            )
         landmarks, wrists, seen = self._convert(
             np.asarray(values)[None] if np.ndim(values) else values,
             side,
@@ -283,7 +299,9 @@ class Layout(abc.ABC, Generic[Table]):
         """
         landmarks, poses, seen = self._convert(values, side, wrists, valid, lengths)
         times = np.asarray(time, dtype=float)
-        return Recording(name, times, landmarks, seen, side, f"layout {self.name}", wrist=poses)
+        return Recording(
+            name, times, landmarks, seen, side, f"layout {self.name}", wrist=poses
+        )
 
     def _convert(
         self,
@@ -299,10 +317,14 @@ class Layout(abc.ABC, Generic[Table]):
         seen = np.asarray(np.isfinite(array.reshape(len(array), -1)).all(axis=1))
         if valid is not None:
             seen = np.logical_and(seen, valid)
-        beside = None if wrists is None else self._own_wrists(np.asarray(wrists), side, seen)
+        beside = (
+            None if wrists is None else self._own_wrists(np.asarray(wrists), side, seen)
+        )
         landmarks, poses = np.full((len(array), 21, 3), np.nan), None
         if seen.any():
-            found = self.hands(array[seen], side, None if beside is None else beside[seen], lengths)
+            found = self.hands(
+                array[seen], side, None if beside is None else beside[seen], lengths
+            )
             landmarks[seen] = found.landmarks
             if found.wrists is not None:
                 poses = np.tile(np.eye(4), (len(array), 1, 1))
@@ -333,10 +355,14 @@ class Layout(abc.ABC, Generic[Table]):
             wanted = (column, *self.aliases(i))
             name = next((name for name in wanted if name in names), None)
             if name is None:
-                name = next((n for n in own if n.lower().endswith(column.lower())), None)
+                name = next(
+                    (n for n in own if n.lower().endswith(column.lower())), None
+                )
             if name is None and self.default(i) is None:
                 got = f"none; {did_you_mean(column, own)}".rstrip("; ")
-                raise InvalidInputError(argument="values", expected=f"a column {column}", got=got)
+                raise InvalidInputError(
+                    argument="values", expected=f"a column {column}", got=got
+                )
             found.append((i, name))
         return tuple(found)
 
@@ -358,7 +384,9 @@ class Layout(abc.ABC, Generic[Table]):
         try:
             array = np.asarray(values, dtype=float)
         except (TypeError, ValueError) as error:
-            raise InvalidInputError(argument="values", expected="numbers", value=values) from error
+            raise InvalidInputError(
+                argument="values", expected="numbers", value=values
+            ) from error
         shape = array.shape[1:]
         if shape in self.shapes:
             return array
@@ -373,18 +401,23 @@ class Layout(abc.ABC, Generic[Table]):
             advice=f"that is the shape of {', '.join(others)}" if others else "",
         )
 
-    def _own_wrists(self, values: np.ndarray, side: Side, seen: np.ndarray) -> np.ndarray:
+    def _own_wrists(
+        self, values: np.ndarray, side: Side, seen: np.ndarray
+    ) -> np.ndarray:
         """Return poses that came beside the values, with our axes, shape (T, 4, 4)."""
         table = self.wrist_table
         if table is None:
             raise InvalidInputError(
-                argument="wrist", expected=f"none: {self.name} says nothing about its axes"
+                argument="wrist",
+                expected=f"none: {self.name} says nothing about its axes",
             )
         if values.shape[1:] == (7,):
             values = poses_of_sevens(values, table.quaternion, "wrist")
         else:
             values = check_poses(values, "wrist", seen)
-        return to_own_axes(values, table.axes(side), self.table.reflection, self._length)
+        return to_own_axes(
+            values, table.axes(side), self.table.reflection, self._length
+        )
 
 
 def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:
@@ -433,7 +466,9 @@ def from_own_axes(
 @lru_cache(maxsize=4)  # lengths hash by identity
 def sized_human(side: Side, lengths: HumanLengths | None = None) -> Hand:
     """Return the human hand of a person, or a typical one, its points the landmarks."""
-    size: Any = {"hand_length": TYPICAL_LENGTH} if lengths is None else {"lengths": lengths}
+    size: Any = (
+        {"hand_length": TYPICAL_LENGTH} if lengths is None else {"lengths": lengths}
+    )
     return load_hand(human_name(side), points="landmarks", **size)
 
 

@@ -23,7 +23,14 @@ from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout, layouts_of_shape
 from handmap_qp.trackers.plausibility import Finding, examine_recording
 
-_TIMES = {"time": 1.0, "time_s": 1.0, "t": 1.0, "timestamp": 1.0, "time_ms": 1e-3, "time_ns": 1e-9}
+_TIMES = {
+    "time": 1.0,
+    "time_s": 1.0,
+    "t": 1.0,
+    "timestamp": 1.0,
+    "time_ms": 1e-3,
+    "time_ns": 1e-9,
+}
 """Names of arrays and columns of time, with their unit [s]."""
 _VALUES = ("values", "landmarks")
 _WRISTS = ("wrist", "wrist_pose", "right_wrist", "left_wrist")
@@ -55,11 +62,15 @@ def read_with_layout(
     file = Path(path)
     readers = {".npz": _read_npz, ".csv": _read_csv}
     if file.suffix.lower() not in readers:
-        problem = f"has the suffix {file.suffix!r}; with a layout, .npz and .csv are read"
+        problem = (
+            f"has the suffix {file.suffix!r}; with a layout, .npz and .csv are read"
+        )
         raise RecordingError(problem, file=file)
     found = readers[file.suffix.lower()](file, layout, side)
     if side is not None and found.side is not None and side != found.side:
-        raise RecordingError(f"is of a {found.side} hand, not of a {side} one", file=file)
+        raise RecordingError(
+            f"is of a {found.side} hand, not of a {side} one", file=file
+        )
     hand = side or found.side
     if hand is None:
         raise RecordingError("does not say which hand it is of: give --side", file=file)
@@ -100,18 +111,28 @@ def layout_hint(path: Path) -> str:
     return _shaped_like(arrays, "--layout ", " or ")
 
 
-def _shaped_like(arrays: Mapping[str, np.ndarray], option: str = "", between: str = ", ") -> str:
+def _shaped_like(
+    arrays: Mapping[str, np.ndarray], option: str = "", between: str = ", "
+) -> str:
     """Say which layouts have the shape of an array that is not plain landmarks."""
     for name, array in arrays.items():
         shape = array.shape[1:]
-        names = layouts_of_shape(shape) if shape and shape != (LANDMARK_COUNT, 3) else []
+        names = (
+            layouts_of_shape(shape) if shape and shape != (LANDMARK_COUNT, 3) else []
+        )
         if names:
-            return f"{name} {array.shape} has the shape of {option}{between.join(names)}"
+            return (
+                f"{name} {array.shape} has the shape of {option}{between.join(names)}"
+            )
     return ""
 
 
 def _better(
-    file: Path, layout: Layout, recording: Recording, values: np.ndarray, finding: Finding
+    file: Path,
+    layout: Layout,
+    recording: Recording,
+    values: np.ndarray,
+    finding: Finding,
 ) -> RecordingError:
     """Name the layouts of the same shape that explain the values without a mistake."""
     names = []
@@ -120,12 +141,16 @@ def _better(
             if name == layout.name:
                 continue
             try:
-                read = LAYOUTS[name].record(recording.name, recording.time, values, recording.side)
+                read = LAYOUTS[name].record(
+                    recording.name, recording.time, values, recording.side
+                )
             except InvalidInputError:
                 continue
             if examine_recording(read) is None:
                 names.append(name)
-    advice = f"read them with --layout {' or '.join(names)}" if names else finding.advice
+    advice = (
+        f"read them with --layout {' or '.join(names)}" if names else finding.advice
+    )
     problem = f"as the layout {layout.name}, {finding.problem}: {advice}"
     return RecordingError(problem, file=file)
 
@@ -149,26 +174,40 @@ def _read_npz(file: Path, layout: Layout, side: Side | None) -> _Columns:
         arrays[_values_name(file, arrays, layout, side, len(time))].astype(float),
         None if valid is None else as_flags(valid, "valid", len(time)),
         _wrists_beside(arrays, layout, side, len(time)),
-        side_of(arrays["handedness"], file, "handedness") if "handedness" in arrays else None,
+        side_of(arrays["handedness"], file, "handedness")
+        if "handedness" in arrays
+        else None,
     )
 
 
 def _values_name(
-    file: Path, arrays: Mapping[str, np.ndarray], layout: Layout, side: Side | None, count: int
+    file: Path,
+    arrays: Mapping[str, np.ndarray],
+    layout: Layout,
+    side: Side | None,
+    count: int,
 ) -> str:
     """Return the name of the array whose rows are samples of the layout."""
     accepted = {*layout.shapes, *((int(np.prod(shape)),) for shape in layout.shapes)}
-    long = {name: array for name, array in arrays.items() if array.shape[:1] == (count,)}
-    fitting = [n for n, a in long.items() if a.dtype.kind in "fiu" and a.shape[1:] in accepted]
+    long = {
+        name: array for name, array in arrays.items() if array.shape[:1] == (count,)
+    }
+    fitting = [
+        n for n, a in long.items() if a.dtype.kind in "fiu" and a.shape[1:] in accepted
+    ]
     known = (*layout.table.arrays, layout.name, *_VALUES)
     chosen = [name for name in fitting if name in known] or fitting
-    chosen = [name for name in chosen if side is None or name.startswith(side)] or chosen
+    chosen = [
+        name for name in chosen if side is None or name.startswith(side)
+    ] or chosen
     if len(chosen) == 1:
         return chosen[0]
     shapes = " or ".join(f"({count}, {', '.join(map(str, s))})" for s in layout.shapes)
     problem = f"has {'no' if not chosen else 'more than one'} array of shape {shapes}"
     hint = "" if chosen else _shaped_like(long)
-    have = ", ".join(f"{name} {array.shape}" for name, array in arrays.items() if array.ndim)
+    have = ", ".join(
+        f"{name} {array.shape}" for name, array in arrays.items() if array.ndim
+    )
     raise RecordingError(f"{problem}; {hint or f'it has {have}'}", file=file)
 
 
@@ -187,7 +226,10 @@ def _wrists_beside(
 
 
 def _read_csv(file: Path, layout: Layout, side: Side | None) -> _Columns:
-    with damages(file, "cannot be read"), file.open(newline="", encoding="utf-8-sig") as stream:
+    with (
+        damages(file, "cannot be read"),
+        file.open(newline="", encoding="utf-8-sig") as stream,
+    ):
         rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
     if len(rows) < 2:
         raise RecordingError("has no rows below its header", file=file)
@@ -197,7 +239,9 @@ def _read_csv(file: Path, layout: Layout, side: Side | None) -> _Columns:
     try:
         columns = layout.find_columns(header, hand or "right")
     except InvalidInputError as error:
-        raise RecordingError(f"{error.what}; it has {', '.join(header)}", file=file) from error
+        raise RecordingError(
+            f"{error.what}; it has {', '.join(header)}", file=file
+        ) from error
 
     def numbers(name: str) -> np.ndarray:
         place, found = header.index(name), np.full(len(rows) - 1, np.nan)
@@ -231,4 +275,6 @@ def _time(file: Path, arrays: Mapping[str, np.ndarray], layout: Layout) -> np.nd
             # Nanoseconds since 1970 need more digits than a float has.
             return (values - values[:1]).astype(float) * unit
     expected = ", ".join(dict.fromkeys((*layout.table.time, *_TIMES)))
-    raise RecordingError(f"has no time; expected one of {expected}", file=file, array="time")
+    raise RecordingError(
+        f"has no time; expected one of {expected}", file=file, array="time"
+    )

@@ -17,7 +17,13 @@ from handmap_qp.hands.urdf import mirrored_urdf
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import rigid_fit, transform_points
-from handmap_qp.trackers.layouts.base import TYPICAL_LENGTH, UNITS, Hands, Layout, LayoutTable
+from handmap_qp.trackers.layouts.base import (
+    TYPICAL_LENGTH,
+    UNITS,
+    Hands,
+    Layout,
+    LayoutTable,
+)
 
 # A left hand is fitted as its mirror image: places on links are those of a right hand.
 _MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -72,11 +78,16 @@ class MarkerLayout(Layout[MarkerTable]):
         super().__init__(table)
         names = [entry.name for entry in table.markers]
         if len(set(names)) < len(names):
-            raise InvalidInputError(argument="markers", expected="different names", value=names)
+            raise InvalidInputError(
+                argument="markers", expected="different names", value=names
+            )
         self._points = tuple(
-            PointSpec(f"marker {entry.name}", entry.link, entry.xyz) for entry in table.markers
+            PointSpec(f"marker {entry.name}", entry.link, entry.xyz)
+            for entry in table.markers
         )
-        self._on_palm = np.flatnonzero([entry.link == "palm" for entry in table.markers])
+        self._on_palm = np.flatnonzero(
+            [entry.link == "palm" for entry in table.markers]
+        )
         self._last: tuple[HumanLengths | None, tuple[Hand, Hand, PointIk]] | None = None
         if len(self._on_palm) < 3:
             expected, got = "three markers on the palm", f"{len(self._on_palm)}"
@@ -92,7 +103,9 @@ class MarkerLayout(Layout[MarkerTable]):
                 "index": i,
                 "marker": entry.name,
                 "link of the human model": entry.link,
-                "place on it [mm]": ", ".join(f"{1e3 * value:g}" for value in entry.xyz),
+                "place on it [mm]": ", ".join(
+                    f"{1e3 * value:g}" for value in entry.xyz
+                ),
             }
             for i, entry in enumerate(self.table.markers)
         ]
@@ -122,7 +135,9 @@ class MarkerLayout(Layout[MarkerTable]):
         reflection = np.diag([*mirror, 1.0])
         return Hands(np.array(found), reflection @ np.array(poses) @ reflection)
 
-    def write_posture(self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray) -> np.ndarray:
+    def write_posture(
+        self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray
+    ) -> np.ndarray:
         """Return the markers on the human hand; see `Layout.write_posture`.
 
         Those of a left hand are the mirror image of those of the right one in the same posture.
@@ -150,4 +165,6 @@ class MarkerLayout(Layout[MarkerTable]):
 def _lengths_of(human: Hand) -> HumanLengths:
     """Return the lengths of a human hand, as a right one."""
     text = human.urdf_text
-    return HumanLengths.from_urdf(text if human.spec.side == "right" else mirrored_urdf(text))
+    return HumanLengths.from_urdf(
+        text if human.spec.side == "right" else mirrored_urdf(text)
+    )

@@ -48,7 +48,9 @@ class BetweenTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     share: float
 
 
-class PointTable(LayoutTable, frozen=True, forbid_unknown_fields=True, tag="points", kw_only=True):
+class PointTable(
+    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="points", kw_only=True
+):
     """A layout of joints.
 
     Attributes:
@@ -92,13 +94,20 @@ class PointLayout(Layout[PointTable]):
             "left": np.array(table.left_landmarks or table.landmarks, dtype=int),
         }
         for name, indices in self._indices.items():
-            if len(indices) != LANDMARK_COUNT or len(set(indices.tolist())) != LANDMARK_COUNT:
+            if (
+                len(indices) != LANDMARK_COUNT
+                or len(set(indices.tolist())) != LANDMARK_COUNT
+            ):
                 expected = f"{LANDMARK_COUNT} different indices"
                 key = "landmarks" if name == "right" else "left_landmarks"
-                raise InvalidInputError(argument=key, expected=expected, got=f"{len(indices)}")
+                raise InvalidInputError(
+                    argument=key, expected=expected, got=f"{len(indices)}"
+                )
             if indices.min() < 0 or indices.max() >= table.count:
                 expected = f"indices below count, {table.count}"
-                raise InvalidInputError(argument="landmarks", expected=expected, value=indices)
+                raise InvalidInputError(
+                    argument="landmarks", expected=expected, value=indices
+                )
         if not table.poses or not set(table.poses) <= set(_FORMS):
             raise InvalidInputError(
                 argument="poses", expected="some of 3, 7 and 16", value=table.poses
@@ -112,7 +121,9 @@ class PointLayout(Layout[PointTable]):
             )
         self._wrist_index = None if joint is None else names[joint]
         self.shapes = tuple((table.count, *_FORMS[size]) for size in table.poses)
-        self.columns = tuple(f"{self.joint_name(i)}_{a}" for i in range(table.count) for a in "xyz")
+        self.columns = tuple(
+            f"{self.joint_name(i)}_{a}" for i in range(table.count) for a in "xyz"
+        )
         self.has_wrist = joint is not None and table.poses != (3,)
 
     def joint_name(self, index: int) -> str:
@@ -126,7 +137,9 @@ class PointLayout(Layout[PointTable]):
     def rows(self) -> list[dict[str, Any]]:
         """Describe every joint."""
         ours = {
-            side: {int(i): name for i, name in zip(indices, LANDMARK_NAMES, strict=True)}
+            side: {
+                int(i): name for i, name in zip(indices, LANDMARK_NAMES, strict=True)
+            }
             for side, indices in self._indices.items()
         }
         is_one = self.table.left_landmarks is None
@@ -148,7 +161,9 @@ class PointLayout(Layout[PointTable]):
     ) -> Hands:
         """Turn joints into landmarks and wrist poses; see `Layout.hands`."""
         reflection = self.table.reflection
-        positions = values[..., :3, 3] if values.shape[2:] == (4, 4) else values[..., :3]
+        positions = (
+            values[..., :3, 3] if values.shape[2:] == (4, 4) else values[..., :3]
+        )
         landmarks = positions[:, self.order(side)] * (self._scale * reflection)
         if self.table.is_relative:
             # Joints are in the tracker's wrist frame; without its pose, that is the world.
@@ -169,14 +184,18 @@ class PointLayout(Layout[PointTable]):
     def write(self, sample: HumanSample) -> np.ndarray:
         """Return the joints of a sample; those between landmarks are placed on lines."""
         if not sample.valid:
-            raise InvalidInputError(argument="sample", expected="a valid sample", got="another")
+            raise InvalidInputError(
+                argument="sample", expected="a valid sample", got="another"
+            )
         wrist = sample.wrist
         if wrist is None:
             model = sized_human(sample.side)
             wrist = rigid_fit(model.points(model.rest)[PALM], sample.landmarks[PALM])
         return self._write(sample.landmarks, wrist, sample.side)
 
-    def write_posture(self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray) -> np.ndarray:
+    def write_posture(
+        self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray
+    ) -> np.ndarray:
         """Return the joints of the human hand; see `Layout.write_posture`."""
         names = tuple(point.name for point in human.reference_points)
         model = human if names == LANDMARK_NAMES else human.with_points("landmarks")
@@ -184,7 +203,9 @@ class PointLayout(Layout[PointTable]):
         side = human.spec.side
         return self._write(landmarks @ wrist[:3, :3].T + wrist[:3, 3], wrist, side)
 
-    def _write(self, landmarks: np.ndarray, wrist: np.ndarray, side: Side) -> np.ndarray:
+    def _write(
+        self, landmarks: np.ndarray, wrist: np.ndarray, side: Side
+    ) -> np.ndarray:
         joints = np.tile(landmarks[0], (self.table.count, 1))
         joints[self.order(side)] = landmarks
         places = dict(zip(LANDMARK_NAMES, landmarks, strict=True))

@@ -46,7 +46,9 @@ def load_layout(layout: str | Path | Layout) -> Layout:
     if isinstance(layout, Layout):
         return layout
     if not isinstance(layout, str | Path):
-        raise InvalidInputError(argument="layout", expected="a name or a path", value=layout)
+        raise InvalidInputError(
+            argument="layout", expected="a name or a path", value=layout
+        )
     name = str(layout)
     if Path(name).suffix in (".yaml", ".yml"):
         return _load(Path(name))
@@ -64,12 +66,22 @@ def load_layout(layout: str | Path | Layout) -> Layout:
 
 def _load(file: Path) -> Layout:
     try:
-        table = msgspec.yaml.decode(file.read_bytes(), type=PointTable | AngleTable | MarkerTable)
+        table = msgspec.yaml.decode(
+            file.read_bytes(), type=PointTable | AngleTable | MarkerTable
+        )
         if isinstance(table, PointTable):
             return PointLayout(table)
-        return AngleLayout(table) if isinstance(table, AngleTable) else MarkerLayout(table)
+        return (
+            AngleLayout(table) if isinstance(table, AngleTable) else MarkerLayout(table)
+        )
     # ValueError and TypeError: also those of yaml and msgspec.
     except (OSError, ValueError, TypeError) as error:
-        words = f"cannot be read: {without_errno(error)}" if isinstance(error, OSError) else error
+        words = (
+            f"cannot be read: {without_errno(error)}"
+            if isinstance(error, OSError)
+            else error
+        )
         problem = f"{file}: {' '.join(str(words).split())}"
-        raise InvalidInputError(argument="layout", problem=problem, value=str(file)) from error
+        raise InvalidInputError(
+            argument="layout", problem=problem, value=str(file)
+        ) from error
