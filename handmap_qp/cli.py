@@ -439,7 +439,7 @@ def _any_command() -> Any:
             union(_members(group)),
             tyro.conf.subcommand(group, prefix_name=False),
         )
-        groups.append(Annotated[members, named])
+        groups.append(Annotated[members, named])  # ty: ignore[invalid-type-form]
     return reduce(or_, groups, union(single))
 
 
