@@ -80,6 +80,9 @@ CROSS[2, [1, 3]] = 1.0, -1.0
 _WRIST, _FIRST_POINT = 1, 2
 
 
+_UNIT = frozen(np.eye(3))
+
+
 class Configuration:
     """One posture of a model, with its reference points.
 
@@ -282,7 +285,7 @@ class Configuration:
         # The joint Jacobian is at the world's origin: [I, -[p]x] takes it to the point p.
         rows = np.empty((3 * len(self.points) + 6, 6))
         at_points = rows[:-6].reshape(-1, 3, 6)
-        at_points[:, :, :3] = np.eye(3)
+        at_points[:, :, :3] = _UNIT
         at_points[:, :, 3:] = self.points.dot(CROSS).reshape(-1, 3, 3)
         rows[-6:] = error_jacobian @ self.wrist.toActionMatrixInverse()
         return rows @ self.joint_jacobian()

@@ -30,6 +30,7 @@ from handmap_qp.hands.configuration import Configuration, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 from handmap_qp.ik.distances import KEPT, NearPairs, ShapeDistances
+from handmap_qp.ik.limits import clip
 from handmap_qp.ik.solvers import Rows
 
 _YZX, _ZXY = [1, 2, 0], [2, 0, 1]
@@ -213,7 +214,7 @@ def feasible(
     h = h / (1.0 + stopping)
     if so_far is not None:
         h = h - G.dot(so_far)
-    witness = np.clip(0.0, lower, upper)
+    witness = clip(0.0, lower, upper)
     kept = G.dot(witness)
     excess, loose = kept - h, np.maximum(h, kept)
     is_nearer = excess > _ROUGHLY
@@ -222,7 +223,7 @@ def feasible(
     apart = G[is_nearer]
     gram = apart.dot(apart.T) + _LEVER**2 * np.eye(len(apart))
     parting = -_PARTED * np.linalg.solve(gram, excess[is_nearer]).dot(apart)
-    within = np.clip(parting, _INSIDE * (lower - witness), _INSIDE * (upper - witness))
+    within = clip(parting, _INSIDE * (lower - witness), _INSIDE * (upper - witness))
     parted = kept + G.dot(within)
     does_harm = (parted > loose) & ~is_nearer
     return G, loose if does_harm.any() else np.maximum(h, parted)

@@ -39,7 +39,7 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
 from handmap_qp.ik.collision import CollisionLimit, feasible
 from handmap_qp.ik.distances import NearPairs
-from handmap_qp.ik.limits import SHORTEST_DT, BoxLimits, braking_displacement
+from handmap_qp.ik.limits import SHORTEST_DT, BoxLimits, braking_displacement, clip
 from handmap_qp.ik.solvers import solve_by_daqp
 
 _SHARES = (1.0, 0.5, 0.25, 0.1)
@@ -151,7 +151,7 @@ class Gate:
             margins: Distance that each pair keeps [m], shape (k,); the hand's own if omitted.
         """
         near = self.measured
-        if near is None or not np.array_equal(near.q, self.motion.q):
+        if near is None or near.q.tobytes() != self.motion.q.tobytes():
             near = collisions.measure(self.motion.q, dt, margins, before=near)
             self.measured = near
         return near
@@ -228,7 +228,7 @@ class Gate:
         reach = np.minimum(limit, self._limits.change(dt)) if stops else limit
         is_near = (np.abs(change) <= reach + slack) & (change <= upper + slack)
         is_there = bool((is_near & (change >= lower - slack)).all())
-        nearest = np.clip(self._towards(change, limit, dt), lower, upper)
+        nearest = clip(self._towards(change, limit, dt), lower, upper)
         wanted = change if is_there else nearest
         if self.collisions is not None:
             nearest = self._along_links(self.collisions, wanted, lower, upper, dt)
@@ -265,7 +265,7 @@ class Gate:
         scaled = [each / _SCALE for each in (-wanted, lower, upper, h)]
         found = solve_by_daqp(np.eye(len(wanted)), *scaled[:3], (G, scaled[3]))
         # Without a solution, only the brake is left.
-        return np.clip(0.0 if found is None else found * _SCALE, lower, upper)
+        return clip(0.0 if found is None else found * _SCALE, lower, upper)
 
     @cached_property
     def _placed(self) -> Configuration:
@@ -299,11 +299,11 @@ class Gate:
             np.minimum(middle - change, brake),
             np.maximum(middle + change, brake),
         )
-        first = np.clip(first, least, most)
+        first = clip(first, least, most)
         base = np.where(together, brake, first)
         candidates = [base + share * (first - base) for share in _SHARES]
         if wanted is not None:
-            candidates.insert(0, np.clip(wanted, least, most))
+            candidates.insert(0, clip(wanted, least, most))
         for tried in (*candidates, base):
             times = self._limits.stop_times(tried, dt)
             can_stop = self._limits.is_inside(
@@ -348,4 +348,4 @@ def slowed(
     lower: np.ndarray, upper: np.ndarray, farthest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the part of a box up to a displacement, or its nearest corner, shape (nv,) each."""
-    return np.clip(-farthest, lower, upper), np.clip(farthest, lower, upper)
+    return clip(-farthest, lower, upper), clip(farthest, lower, upper)

@@ -30,6 +30,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
 
@@ -63,6 +64,13 @@ class Box(NamedTuple):
     upper: np.ndarray
     least: np.ndarray
     most: np.ndarray
+
+
+def clip(
+    values: npt.ArrayLike, least: npt.ArrayLike, most: npt.ArrayLike
+) -> np.ndarray:
+    """Bring values into bounds; `np.clip` takes four times as long on small arrays."""
+    return np.minimum(np.maximum(values, least), most)
 
 
 class BoxLimits:
@@ -142,8 +150,8 @@ class BoxLimits:
         here, farthest = q[self._coordinates], self.speeds * dt
         down, up = self._lower - here, self._upper - here
         lower, upper = (
-            np.clip(down, -farthest, farthest),
-            np.clip(up, -farthest, farthest),
+            clip(down, -farthest, farthest),
+            clip(up, -farthest, farthest),
         )
         if self.acceleration == math.inf:
             return Box(lower, upper, lower, upper)
@@ -157,7 +165,7 @@ class BoxLimits:
 
         def admissible(room: np.ndarray) -> np.ndarray:
             # Past a limit there is no braking distance left; the box brings the joint back.
-            distance = np.clip(room, 0.0, _FAR)
+            distance = clip(room, 0.0, _FAR)
             most = np.minimum(braking_displacement(distance, change), usable)
             return np.where(self.together, np.minimum(most, distance / stretch), most)
 
@@ -165,8 +173,8 @@ class BoxLimits:
         lowest, highest = middle - change, middle + change
         slack = _ROUNDING * dt
         return Box(
-            np.clip(np.clip(least, lowest, highest), lower, upper),
-            np.clip(np.clip(most, lowest, highest), lower, upper),
+            clip(clip(least, lowest, highest), lower, upper),
+            clip(clip(most, lowest, highest), lower, upper),
             np.maximum(least, lowest) - slack,
             np.minimum(most, highest) + slack,
         )
@@ -192,7 +200,7 @@ class BoxLimits:
             q: Pinocchio configuration, shape (nq,).
             before: The one that it was reached from, which may be outside.
         """
-        return np.clip(
+        return clip(
             q, np.minimum(self._lowest, before), np.maximum(self._highest, before)
         )
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any, Literal
 
 import msgspec
@@ -26,7 +27,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.collision import CollisionLimit, feasible
 from handmap_qp.ik.gate import Gate, Motion
-from handmap_qp.ik.limits import SHORTEST_DT
+from handmap_qp.ik.limits import SHORTEST_DT, clip
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import Rows, make_solver, solve_problem
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
@@ -80,6 +81,13 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
         return self.targets - self.points
 
 
+@lru_cache(maxsize=16)
+def _costs(hand: Hand, options: IkOptions) -> np.ndarray:
+    """Return the cost of every row of `weighted_task`, shape (3 m + 6,), read-only."""
+    position, orientation = options.wrist_costs
+    return frozen(np.repeat([*options.point_costs(hand), position, orientation], 3))
+
+
 def weighted_task(
     hand: Hand,
     options: IkOptions,
@@ -96,8 +104,7 @@ def weighted_task(
         points: Targets of the reference points [m], shape (m, 3).
         wrist: Target of the wrist frame; None leaves it free, with zeros in its rows.
     """
-    position, orientation = options.wrist_costs
-    costs = np.repeat([*options.point_costs(hand), position, orientation], 3)
+    costs = _costs(hand, options)
     twist, derivative = np.zeros(6), np.zeros((6, 6))
     if wrist is not None:
         offset = wrist.actInv(configuration.wrist)
@@ -296,7 +303,7 @@ class PointIk:
             has_failed = step is None or not math.isfinite(last_step)
             # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
             # outside their limits back all the same: the box excludes zero there.
-            total = np.clip(
+            total = clip(
                 0.0 if step is None or has_failed else total + step, lower, upper
             )
             last_step = 0.0 if has_failed else last_step
@@ -385,7 +392,7 @@ class PointIk:
 
     def _catch_up(self) -> None:
         """Place the hand where the gate has it."""
-        if not np.array_equal(self.configuration.q, self.gate.motion.q):
+        if self.configuration.q.tobytes() != self.gate.motion.q.tobytes():
             self.configuration.place_with_jacobians(self.gate.motion.q)
 
     def _result(

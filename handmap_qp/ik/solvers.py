@@ -65,10 +65,12 @@ def solve_by_daqp(
     rows: Rows | None = None,
 ) -> np.ndarray | None:
     """Solve by DAQP, a dual active-set method: exact, and a warm start gains nothing."""
-    G, h = (np.zeros((0, len(c))), np.zeros(0)) if rows is None else rows
-    # DAQP takes the box first and the rows behind it.
-    upper = np.concatenate([upper, h])
-    lower = np.concatenate([lower, np.full(len(h), -np.inf)])
+    G = np.zeros((0, len(c)))
+    if rows is not None:
+        # DAQP takes the box first and the rows behind it.
+        G, h = rows
+        upper = np.concatenate([upper, h])
+        lower = np.concatenate([lower, np.full(len(h), -np.inf)])
     sense = np.zeros(len(upper), dtype=np.int32)
     x, _, flag, _ = daqp.solve(H, c, G, upper, lower, sense, **_DAQP)
     if flag <= 0:

@@ -537,7 +537,8 @@ class HandMapper:
                 f"[{human.lower_limits[i]:.6g}, {human.upper_limits[i]:.6g}]",
                 value=float(angles[i]),
             )
-        outside = tuple(human.joint_names[i] for i in np.flatnonzero(excess > 0.0))
+        beyond = (excess > 0.0).nonzero()[0].tolist()
+        outside = tuple(human.joint_names[i] for i in beyond)
         # The wrist stays at the origin; points move with it afterwards.
         human.write_configuration(self._human_vector, angles)
         self._human.place_frames(self._human_vector)

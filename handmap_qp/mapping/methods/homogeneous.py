@@ -306,8 +306,10 @@ class HomogeneousMap:
         estimate = self._estimator.estimate(sample.points, turn)
         linear, image = estimate.linear, estimate.image(pivot)
         factors = polar(linear)
-        stretches = np.clip(factors.stretches, options.stretch_min, options.stretch_max)
-        is_clamped = not np.array_equal(stretches, factors.stretches)
+        stretches = np.minimum(
+            np.maximum(factors.stretches, options.stretch_min), options.stretch_max
+        )
+        is_clamped = stretches.tolist() != factors.stretches.tolist()
         if is_clamped or options.deformation_gain != 1.0:
             linear = factors.stretch(stretches**options.deformation_gain).dot(
                 factors.rotation
