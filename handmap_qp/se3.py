@@ -72,11 +72,8 @@ def affine(linear: np.ndarray, translation: npt.ArrayLike) -> np.ndarray:
         Motion, shape (..., 4, 4); a new array.
     """
     motion = np.zeros((*linear.shape[:-2], 4, 4))
-    motion[..., :3, :3], motion[..., :3, 3], motion[..., 3, 3] = (
-        linear,
-        translation,
-        1.0,
-    )
+    motion[..., :3, :3], motion[..., :3, 3] = linear, translation
+    motion[..., 3, 3] = 1.0
     return motion
 
 
@@ -118,12 +115,9 @@ def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     # Eigen takes a quarter of the time of numpy on a single matrix.
     found, shape = _WORKSPACE.svd, matrix.shape
     found.compute(matrix.reshape(3, 3))
-    right = found.matrixV().T.reshape(shape)
-    return (
-        found.matrixU().reshape(shape),
-        found.singularValues().reshape(shape[:-1]),
-        right,
-    )
+    left, right = found.matrixU(), found.matrixV().T
+    values = found.singularValues().reshape(shape[:-1])
+    return left.reshape(shape), values, right.reshape(shape)
 
 
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:

@@ -130,10 +130,8 @@ class Hand:
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
         # An arm is at rest in every posture of the description.
         posture = spec.rest if spec.arm is None else spec.arm.rest | spec.rest
-        self.rest, self.matched = (
-            _frozen([posture[name] for name in self.joint_names]),
-            None,
-        )
+        self.rest = _frozen([posture[name] for name in self.joint_names])
+        self.matched = None
         if spec.matched is not None:
             posture = posture | spec.matched
             self.matched = _frozen([posture[name] for name in self.joint_names])

@@ -289,16 +289,11 @@ class Gate:
             dt: Its time [s].
         """
         brake, left = self._braking(dt), np.maximum(self.motion.stop_times - dt, 0.0)
-        middle, change, together = (
-            self.motion.velocity * dt,
-            self._limits.change(dt),
-            self._together,
-        )
+        middle, change = self.motion.velocity * dt, self._limits.change(dt)
+        together = self._together
         # From a higher limit, the stop in force may brake harder than the limit allows.
-        least, most = (
-            np.minimum(middle - change, brake),
-            np.maximum(middle + change, brake),
-        )
+        least = np.minimum(middle - change, brake)
+        most = np.maximum(middle + change, brake)
         first = clip(first, least, most)
         base = np.where(together, brake, first)
         candidates = [base + share * (first - base) for share in _SHARES]

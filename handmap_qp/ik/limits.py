@@ -102,10 +102,7 @@ class BoxLimits:
         # Pinocchio's free-flyer has limits of +-1.8e308, which stay out of all arithmetic. Infinite
         # ones take their place, so any coordinate does for its six speeds.
         self._coordinates = np.zeros(self.size, dtype=int)
-        self._lower, self._upper = (
-            np.full(self.size, -np.inf),
-            np.full(self.size, np.inf),
-        )
+        self._lower, self._upper = np.full((2, self.size), [[-np.inf], [np.inf]])
         self.speeds = np.full(self.size, np.inf)
         # The limits of a whole configuration; infinite for all but the hand's joints.
         self._lowest, self._highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])

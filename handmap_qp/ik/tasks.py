@@ -211,10 +211,8 @@ class PointDistances:
         # Points in one place have no direction: any will do to part them.
         offsets[apart <= _SHORTEST] = 0.0, 0.0, _SHORTEST
         jacobians = self._ends.jacobians(hand, positions)
-        levers, weights = (
-            jacobians[:count] - jacobians[count:],
-            self._weights / LENGTH_UNIT,
-        )
+        levers = jacobians[:count] - jacobians[count:]
+        weights = self._weights / LENGTH_UNIT
         directions = (weights / np.maximum(apart, _SHORTEST))[:, None] * offsets
         rows = np.matmul(directions[:, None], levers)[:, 0]
         residual = weights * (apart - self._distances)

@@ -94,10 +94,8 @@ class _FingerFrames:
         self._frames = [
             np.column_stack([bone, np.cross(axis, bone), axis]) for axis in axes
         ]
-        self._lower, self._upper = (
-            human.lower_limits[columns],
-            human.upper_limits[columns],
-        )
+        self._lower = human.lower_limits[columns]
+        self._upper = human.upper_limits[columns]
         # Bones that stay in one plane however the finger bends.
         parallel = np.abs(axes[1:] @ axes[1]) > _PARALLEL
         self._in_plane = int(np.argmin(parallel)) if not parallel.all() else 3

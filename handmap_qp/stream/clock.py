@@ -111,12 +111,8 @@ class RateCheck:
     """
 
     def __init__(self) -> None:
-        self._start, self._lead, self._former, self._drift = (
-            math.nan,
-            0.0,
-            math.nan,
-            0.0,
-        )
+        self._start = self._former = math.nan
+        self._lead = self._drift = 0.0
         self._rate: float | None = None
 
     def update(self, stamp: float, arrival: float) -> float | None:
