@@ -26,6 +26,7 @@ from handmap_qp.hands.spec import HandSpec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 HUMAN_COLOUR = (0.13, 0.40, 0.85)
 """Colour of the human's reference points (blue, as in the paper's Fig. 4)."""
@@ -288,6 +289,27 @@ def require_matplotlib() -> ModuleType:
     except ImportError as error:
         raise MissingExtraError("matplotlib", "plot") from error
     return matplotlib
+
+
+def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
+    """Write a figure into the file that `--picture` names.
+
+    Args:
+        figure: The figure.
+        path: The file; its suffix names the format.
+        settings: Of `Figure.savefig`.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+    """
+    try:
+        figure.savefig(path, **settings)
+    except (OSError, ValueError) as error:
+        raise InvalidInputError(
+            argument="--picture",
+            problem=f"cannot write {path}: {error}",
+            value=str(path),
+        ) from error
 
 
 def _trimesh() -> Any:

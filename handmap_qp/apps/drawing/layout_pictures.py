@@ -7,7 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.apps.drawing.hands import draw_hands, load_shape, require_matplotlib
+from handmap_qp.apps.drawing.hands import (
+    draw_hands,
+    load_shape,
+    require_matplotlib,
+    save_picture,
+)
 from handmap_qp.apps.drawing.raster import Camera
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
@@ -70,14 +75,7 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
     unit = layout.table.unit
     title = f"{layout.name}: {layout.title} ({unit})"
     figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=11)
-    try:
-        figure.savefig(path, facecolor="white")
-    except (OSError, ValueError) as error:
-        raise InvalidInputError(
-            argument="--picture",
-            problem=f"cannot write {path}: {error}",
-            value=str(path),
-        ) from error
+    save_picture(figure, path, facecolor="white")
 
 
 def _draw_side(axes: Any, layout: Layout, side: Side) -> None:

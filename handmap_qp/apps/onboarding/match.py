@@ -164,6 +164,7 @@ def draw_match(match: Match, path: Path) -> None:
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet
+    from handmap_qp.apps.drawing.hands import save_picture
 
     human, robot = match.human, match.robot
     q = resting_posture(human)
@@ -173,14 +174,7 @@ def draw_match(match: Match, path: Path) -> None:
     rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
     columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
     figure = contact_sheet(columns, rows, side=robot.spec.side)
-    try:
-        figure.savefig(path, dpi=figure.dpi)
-    except (OSError, ValueError) as error:
-        raise InvalidInputError(
-            argument="--picture",
-            problem=f"cannot write {path}: {error}",
-            value=str(path),
-        ) from error
+    save_picture(figure, path, dpi=figure.dpi)
 
 
 def check_robot(hand: Hand) -> Hand:

@@ -13,11 +13,11 @@ from handmap_qp.apps.drawing.hands import (
     draw_hands,
     load_shape,
     require_matplotlib,
+    save_picture,
     spheres,
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import transform_points
 
@@ -79,14 +79,7 @@ def draw_hand(hand: Hand, path: Path) -> None:
         count = kinds.count("follower")
         what += f", {count} follower{'s' if count > 1 else ''}"
     figure.text(0.5, 0.975, f"{what}; at rest", ha="center", va="center", fontsize=14)
-    try:
-        figure.savefig(path, facecolor="white")
-    except (OSError, ValueError) as error:
-        raise InvalidInputError(
-            argument="--picture",
-            problem=f"cannot write {path}: {error}",
-            value=str(path),
-        ) from error
+    save_picture(figure, path, facecolor="white")
 
 
 class _Scene:
