@@ -24,6 +24,11 @@ _PAIRS = np.array(
     ]
     + [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
 )
+# Each finger's three outer landmarks, each from wrist, index and little MCP joints.
+_FINGERS_FROM_PALM = (
+    np.repeat([base + k for base in _BASES for k in (1, 2, 3)], 3),
+    np.tile([0, 5, 17], 15),
+)
 # Centre and half width of log(distance / median distance) over the hands that were measured: six
 # recordings of four trackers (WebXR headset, two Leap generations, MediaPipe), the human model's
 # own proportions, and those of Buchholz et al. 1992 (`HumanLengths.from_hand_length`). The half
@@ -55,6 +60,12 @@ _LEAST_TREMBLING = 2e-4  # of a squared bone: 3 um of 30 mm
 _STUCK = (
     0.01  # of the usual trembling; rounded to 1 mm, and at rest, bones keep 0.1 of it
 )
+# A finger that the palm carries as it is: over some seconds, rounding to float32 moves it by 1 um,
+# and none of ours stays within 1 mm (Leap hands with rigid bones, 128 samples). A joint at its
+# limit, most often straight, may rest; quantised sensors repeat in all fingers.
+_CARRIED, _STEP = 5e-6, 2e-6  # m
+_OTHERS_CHANGE = 0.8  # of the steps between samples, in the middle finger by that share
+_INSIDE = np.cos(np.radians([75.0, 2.0]))  # cosines of bends that are no limits
 _QUARTILES_APART = 1.349  # standard deviations, of a normal distribution
 
 HYPEREXTENSION = (0.75, 0.20)
@@ -158,6 +169,27 @@ def stuck_fingers(landmarks: np.ndarray) -> np.ndarray:
     # Rounded landmarks of a hand at rest repeat in the tracker's world too.
     is_carried = np.ptp(landmarks[:, 4::4], axis=0).max(axis=1) > 0.0
     return (trembling < _STUCK * usual) & is_carried & (usual > _LEAST_TREMBLING)
+
+
+def carried_fingers(landmarks: np.ndarray) -> np.ndarray:
+    """Tell which bent fingers the palm carries as they are while the other fingers move.
+
+    This finds them where bones are rigid, and takes some seconds.
+
+    Args:
+        landmarks: Samples of some seconds [m], shape (T, 21, 3).
+
+    Returns:
+        True or False for each finger, shape (5,).
+    """
+    away = np.sqrt(_squares(landmarks, *_FINGERS_FROM_PALM)).reshape(-1, 5, 9)
+    ranges = np.ptp(away, axis=0).max(axis=1)
+    changing = (np.abs(np.diff(away, axis=0)) > _STEP).any(axis=2).mean(axis=0)
+    bones = np.diff(landmarks[-1, 1:].reshape(5, 4, 3), axis=1)
+    bones /= np.maximum(np.linalg.norm(bones, axis=2, keepdims=True), 1e-12)
+    bends = (bones[:, 1:] * bones[:, :-1]).sum(axis=2)
+    is_inside = ((bends > _INSIDE[0]) & (bends < _INSIDE[1])).any(axis=1)
+    return (ranges < _CARRIED) & is_inside & (median(changing) > _OTHERS_CHANGE)
 
 
 def own_misfit(distances: Distances) -> float:

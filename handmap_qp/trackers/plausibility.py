@@ -12,6 +12,7 @@ asks which mistake explains it, and names it. `check_recording` does the same fo
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.verdict import Finding
 from handmap_qp.trackers.hand_geometry import (
     Distances,
+    carried_fingers,
     log_size,
     median,
     own_distances,
@@ -46,6 +48,7 @@ _BACKWARDS = (
 )  # of 2 (`PalmarEvidence.fingers`): beyond the hyperextension of people
 _OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
 _SAME_MISFIT = 0.12  # a misfit that rises by less needs no new search for orders
+_CARRIED_BATCHES = 4  # 2 s or more: what tells a finger at rest from one that is stuck
 _FIRST_SIZES = 8  # batches at the start that say how large the hand is
 _RESIZED = 1.35  # times as large as at the start, or as small; 0.86 to 1.25 in people
 _REFUSED_SHARE = 0.25  # of a recording's valid samples
@@ -84,6 +87,7 @@ class InputCheck:
         self._wrist = WristCheck(self._sign)
         self._misfit = np.nan
         self._sizes: list[float] = []
+        self._past: deque[np.ndarray] = deque(maxlen=_CARRIED_BATCHES)
 
     @property
     def finding(self) -> Finding | None:
@@ -196,13 +200,21 @@ class InputCheck:
             return self._other_side(landmarks, wrists)
         if not is_known:
             self._misfit = misfit
-        stuck = np.flatnonzero(stuck_fingers(landmarks))
-        if len(stuck):
-            problem = f"the {FINGERS[stuck[0]]} finger repeats exactly while the others tremble"
-            return Finding(
-                "frozen", problem, "check the tracker's sensor or model of that finger"
-            )
-        return self._changed(distances, landmarks, wrists)
+        return self._stuck(landmarks) or self._changed(distances, landmarks, wrists)
+
+    def _stuck(self, landmarks: np.ndarray) -> Finding | None:
+        """Tell whether a finger repeats, by this batch or by the last ones together."""
+        self._past.append(landmarks)
+        is_stuck = stuck_fingers(landmarks)
+        if len(self._past) == _CARRIED_BATCHES:
+            is_stuck |= carried_fingers(np.concatenate(self._past))
+        if not is_stuck.any():
+            return None
+        finger = FINGERS[is_stuck.argmax()]
+        problem = f"the {finger} finger repeats exactly while the others do not"
+        return Finding(
+            "frozen", problem, "check the tracker's sensor or model of that finger"
+        )
 
     def _changed(
         self, distances: Distances, landmarks: np.ndarray, wrists: np.ndarray | None
