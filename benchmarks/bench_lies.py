@@ -427,7 +427,7 @@ def main(words: Sequence[str] | None = None) -> None:
         *lies.synthetic_takes()[: 1 if arguments.quick else None],
     ]
     if arguments.quick:
-        takes = [take.part(float(take.time[0]), 2.5) for take in takes]
+        takes = [take.part(float(take.time[0]), 4.0) for take in takes]
     every = 8.0 * EVERY if arguments.quick else EVERY
     with common.progress(
         "mistakes", (1 + len(lies.all_lies())) * len(takes)

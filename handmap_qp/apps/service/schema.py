@@ -221,7 +221,9 @@ def _type(schema: dict[str, Any]) -> str:
     if "$ref" in schema:
         return f"`{schema['$ref'].rpartition('/')[2]}`"
     if "anyOf" in schema:
-        return " or ".join(map(_type, schema["anyOf"]))
+        # null comes last; versions of msgspec differ.
+        kinds = map(_type, schema["anyOf"])
+        return " or ".join(sorted(kinds, key="null".__eq__))
     if "enum" in schema:
         return " or ".join(f"`{value}`" for value in schema["enum"])
     if "prefixItems" in schema:

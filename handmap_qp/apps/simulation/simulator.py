@@ -334,5 +334,6 @@ def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.
 
 def _sevens(poses: np.ndarray) -> np.ndarray:
     """Return poses (k, 4, 4) as positions and quaternions wxyz, as MuJoCo has them, (k, 7)."""
-    quats = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    # A copy: SciPy before 1.16 takes no array that is read-only.
+    quats = Rotation.from_matrix(poses[:, :3, :3].copy()).as_quat()
     return np.hstack([poses[:, :3, 3], quats[:, [3, 0, 1, 2]]])
