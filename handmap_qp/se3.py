@@ -172,15 +172,15 @@ def rotation_from_rpy(rpy: npt.ArrayLike) -> np.ndarray:
 def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """Find roll, pitch and yaw of a rotation (3, 3), as in a URDF [rad], pitch within +-pi / 2.
 
-    Where the pitch is a right angle, only yaw minus roll (or their sum) is determined; yaw is then
+    Where the pitch is a right angle, only yaw minus roll (or their sum) is determined; roll is then
     zero. Pinocchio's `matrixToRpy` loses digits near there.
     """
-    (xx, _, _), (yx, yy, yz), (zx, zy, zz) = rotation
-    flat = math.hypot(xx, yx)
-    pitch = math.atan2(-zx, flat)
-    if flat < 1e-9:
-        return np.array([math.atan2(-yz, yy), pitch, 0.0])
-    return np.array([math.atan2(zy, zz), pitch, math.atan2(yx, xx)])
+    (_, xy, xz), (_, yy, yz), (zx, zy, zz) = rotation
+    roll = math.atan2(zy, zz)
+    cos, sin = math.cos(roll), math.sin(roll)
+    # Of the rotation that is left without the roll, so that an uncertain roll does no harm.
+    yaw = math.atan2(sin * xz - cos * xy, cos * yy - sin * yz)
+    return np.array([roll, math.atan2(-zx, sin * zy + cos * zz), yaw])
 
 
 def rotation_from_quat_wxyz(

@@ -1,14 +1,15 @@
 """From an MJCF file to a URDF with the same kinematics: `convert_mjcf`, `cached_urdf`.
 
 A link is a body and has its frame. A body with several joints gets a massless link between each two
-of them, a ball joint becomes three hinges. A joint's position is MuJoCo's, `ref` included: the
-origin of the URDF's joint is turned back by it.
+of them, a ball joint becomes three hinges. Anchors, axes and frames are those that MuJoCo computes
+where all joints are at zero, so that a joint's position is MuJoCo's.
 """
 
 from __future__ import annotations
 
 import hashlib
 import importlib.metadata
+import math
 import os
 import tempfile
 import xml.etree.ElementTree as ET
@@ -21,19 +22,20 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
-from handmap_qp.hands.mjcf_compile import CompiledMjcf, compile_mjcf, small_range_notes
 from handmap_qp.hands.mjcf_couplings import read_couplings
-from handmap_qp.hands.mjcf_shapes import ShapeWriter, binary_stl, file_name, pose_of
-from handmap_qp.hands.urdf import joints_by_name, parse_urdf, set_numbers, set_origin
-from handmap_qp.se3 import affine
+from handmap_qp.hands.mjcf_shapes import ShapeWriter, binary_stl, file_name, unique
+from handmap_qp.hands.sources import root_tag
+from handmap_qp.hands.urdf import set_numbers, set_origin
+from handmap_qp.se3 import affine, inverse_pose
 
 _FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
 # Counts changes of the conversion, so that URDFs of an earlier one are not used.
-_CONVERSION = 2
-_WITHOUT_RANGE = (-1.0, 1.0)
+_CONVERSION = 3
+# A range of this size in radians is one of pi in degrees [rad].
+_SMALL_RANGE = 0.06
 
 
 class ConvertedMjcf(NamedTuple):
@@ -64,12 +66,53 @@ def convert_mjcf(file: Path, meshes: str = "meshes") -> ConvertedMjcf:
     `hand.yaml` floats without it. `meshes` is the folder of the meshes, relative to the URDF.
 
     Raises:
-        HandError: If MuJoCo cannot compile the file, or no joint moves in it.
+        HandError: If MuJoCo cannot compile the file, in its words, or no joint moves in it.
     """
-    compiled = compile_mjcf(file)
-    if not (compiled.model.jnt_type != _FREE).any():
+    model, name, notes = _compile(file)
+    if not (model.jnt_type != _FREE).any():
         raise HandError("no joint moves in the MJCF", file=file)
-    return _Converter(compiled, meshes).convert()
+    return _Converter(model, meshes, notes).convert(name)
+
+
+def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
+    """Return a compiled file, its name, and a note if its unit of angles was guessed.
+
+    MuJoCo's default unit of angles is the degree. Parts of robots that other files include often
+    rely on their `compiler` element for radians: where every hinge would move by a few degrees at
+    most, angles are taken as radians.
+    """
+    try:
+        if root_tag(file.read_bytes()) == "mujocoinclude":
+            problem = "is a part that other MJCF files include"
+            raise HandError(f"{problem}: give the file that includes it", file=file)
+        spec = mujoco.MjSpec.from_file(str(file))
+        # Keep bodies without joints, and shapes that only show.
+        spec.compiler.fusestatic = spec.compiler.discardvisual = False
+        model, notes = spec.compile(), []
+        is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
+        low, high = model.jnt_range[is_hinge & (model.jnt_limited != 0)].T
+        widest = float((high - low).max(initial=0.0))
+        if spec.compiler.degree and 0.0 < widest < _SMALL_RANGE:
+            notes.append(
+                f"ranges of at most {math.degrees(widest):.2g} deg make no sense: angles are "
+                "taken as radians"
+            )
+            spec.compiler.degree = False
+            model = spec.compile()
+        # Bindings decode names only when they are asked for them.
+        bytes(model.names).decode()
+    except OSError as error:
+        reason = error.strerror or error
+        raise HandError(f"cannot be read: {reason}", file=file) from error
+    except UnicodeDecodeError as error:
+        raise HandError("a word in the MJCF is not UTF-8", file=file) from error
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split())
+        raise HandError(
+            f"MuJoCo cannot compile the MJCF: {reason}", file=file
+        ) from error
+    is_named = spec.modelname and spec.modelname != "MuJoCo Model"
+    return model, spec.modelname if is_named else file.stem, notes
 
 
 def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
@@ -95,10 +138,8 @@ def cached_urdf(file: Path) -> Path:
     Raises:
         HandError: If MuJoCo cannot compile the file, or the cache cannot be written.
     """
-    cache = (
-        Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-        / "handmap_qp/mjcf"
-    )
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    cache = home / "handmap_qp/mjcf"
     versions = [importlib.metadata.version(name) for name in ("handmap-qp", "mujoco")]
     parts = [str(file.resolve()), *versions, str(_CONVERSION)]
     for other in sorted(file.parent.glob("*.xml")):
@@ -115,16 +156,12 @@ def cached_urdf(file: Path) -> Path:
         # Another process may convert the same file: the first complete folder stays.
         temporary = Path(tempfile.mkdtemp(dir=cache))
         write_converted(converted, temporary / urdf.name)
-        try:
-            temporary.rename(folder)
-        except OSError:
-            if not urdf.is_file():
-                raise
+        temporary.rename(folder)
     except OSError as error:
-        reason = error.strerror or error
-        raise HandError(
-            f"the cache {folder} cannot be written: {reason}", file=file
-        ) from error
+        if not urdf.is_file():
+            problem = f"the cache {folder} cannot be written"
+            reason = error.strerror or error
+            raise HandError(f"{problem}: {reason}", file=file) from error
     return urdf
 
 
@@ -135,10 +172,10 @@ class _Axis(NamedTuple):
         name: Its name.
         joint: Index of MuJoCo's joint.
         kind: `revolute`, `continuous` or `prismatic`.
-        anchor: Point on the axis in the body's frame [m], shape (3,).
+        anchor: Point on the axis in the world [m], shape (3,).
         direction: Unit vector in the body's frame, shape (3,).
-        reference: Position in `qpos0` [rad or m].
-        limits: Lower and upper limit [rad or m]; None if there is none.
+        is_elsewhere: Whether the anchor is not the origin of the body's frame.
+        limits: Lower and upper limit [rad or m]; empty if there is none.
     """
 
     name: str
@@ -146,64 +183,55 @@ class _Axis(NamedTuple):
     kind: str
     anchor: np.ndarray
     direction: np.ndarray
-    reference: float
-    limits: tuple[float, float] | None
-
-
-class _Names(set[str]):
-    """Names that are used already."""
-
-    def unique(self, name: str) -> str:
-        """Return a name that is not used yet, and count it as used."""
-        candidate, count = name, 2
-        while candidate in self:
-            candidate, count = f"{name}_{count}", count + 1
-        self.add(candidate)
-        return candidate
+    is_elsewhere: bool
+    limits: tuple[float, ...]
 
 
 class _Converter:
     """Writes the links and joints of one model."""
 
-    def __init__(self, compiled: CompiledMjcf, meshes: str) -> None:
-        self.model = model = compiled.model
-        self.robot = ET.Element("robot", name=file_name(compiled.name))
+    def __init__(self, model: mujoco.MjModel, meshes: str, notes: list[str]) -> None:
+        self.model, self.notes = model, notes
         self.shapes = ShapeWriter(model, meshes)
-        self.notes = compiled.notes
-        self._link_names, self._joint_names = _Names(), _Names()
+        self._link_names, self._joint_names = set[str](), set[str]()
         self.links = {
-            body: self._link_names.unique(model.body(body).name or f"body{body}")
+            body: unique(model.body(body).name or f"body{body}", self._link_names)
             for body in self._kept()
         }
         self.joints = {
-            joint: self._joint_names.unique(self._joint_name(joint))
+            joint: unique(self._joint_name(joint), self._joint_names)
             for joint in range(model.njnt)
             if model.jnt_type[joint] not in (_FREE, _BALL)
             and int(model.jnt_bodyid[joint]) in self.links
         }
-        self.rules, notes = read_couplings(model, self.joints)
-        self.notes += notes
+        self.data = mujoco.MjData(model)
+        self.data.qpos[model.jnt_qposadr[list(self.joints)]] = 0.0
+        mujoco.mj_kinematics(model, self.data)
+        self.rules, more = read_couplings(model, self.joints)
+        self.notes += more
 
-    def convert(self) -> ConvertedMjcf:
-        """Write all links and joints."""
-        for body, name in self.links.items():
+    def convert(self, name: str) -> ConvertedMjcf:
+        """Write all links and joints of a robot."""
+        robot = ET.Element("robot", name=file_name(name))
+        for body, link in self.links.items():
             if body == 0:
-                ET.SubElement(self.robot, "link", name=name)
+                ET.SubElement(robot, "link", name=link)
             else:
-                self._add_body(body, name)
-        self.notes += small_range_notes(self.model)
+                self._add_body(robot, body, link)
         if self.shapes.omitted:
             kinds = ", ".join(sorted(self.shapes.omitted))
             self.notes.append(
                 f"shapes without a counterpart in URDF are left out: {kinds}"
             )
-        ET.indent(self.robot)
-        text, notes = (
-            ET.tostring(self.robot, encoding="unicode") + "\n",
+        ET.indent(robot)
+        return ConvertedMjcf(
+            ET.tostring(robot, encoding="unicode") + "\n",
+            self.shapes.meshes,
             tuple(self.notes),
+            self.model,
+            self.links,
+            self.joints,
         )
-        meshes = self.shapes.meshes
-        return ConvertedMjcf(text, meshes, notes, self.model, self.links, self.joints)
 
     def _joint_name(self, joint: int) -> str:
         return self.model.joint(joint).name or f"joint{joint}"
@@ -212,86 +240,90 @@ class _Converter:
         """Return the world and the bodies of all trees with a hinge, a slide or a ball."""
         model = self.model
         roots = model.body_rootid[model.jnt_bodyid[model.jnt_type != _FREE]]
-        is_kept = np.isin(model.body_rootid, roots)
-        is_kept[0] = True
+        is_kept = np.isin(model.body_rootid, [0, *roots])
         left = np.flatnonzero(~is_kept & (model.body_parentid == 0)).tolist()
         if left:
-            names = ", ".join(model.body(b).name or f"body {b}" for b in left[:4])
-            more = f" and {len(left) - 4} more" if len(left) > 4 else ""
+            names = ", ".join(model.body(b).name or f"body {b}" for b in left)
             self.notes.append(
-                f"bodies without joints of their own are left out: {names}{more}"
+                f"bodies without joints of their own are left out: {names}"
             )
         return np.flatnonzero(is_kept).tolist()
 
-    def _add_body(self, body: int, name: str) -> None:
+    def _pose(self, body: int) -> np.ndarray:
+        """Return the pose of a body in the world where all joints are at zero, shape (4, 4)."""
+        return affine(self.data.xmat[body].reshape(3, 3), self.data.xpos[body])
+
+    def _add_body(self, robot: ET.Element, body: int, name: str) -> None:
         """Add a body's link, the joints that move it, and the links between these."""
-        model = self.model
-        parent = self.links[int(model.body_parentid[body])]
-        start = pose_of(model.body_pos[body], model.body_quat[body])
+        above = int(self.model.body_parentid[body])
+        parent, placed, pose = self.links[above], self._pose(above), self._pose(body)
         axes = list(self._axes(body))
-        at = np.zeros(3)  # origin of the link before, in the body's frame
-        for number, axis in enumerate(axes):
-            origin = start @ _reference_pose(axis, axis.anchor - at)
-            start, at = np.eye(4), axis.anchor
-            is_last = number == len(axes) - 1 and not axis.anchor.any()
-            child = name if is_last else self._link_names.unique(f"{name}_{number}")
-            self._add_joint(axis, parent, child, origin)
-            if not is_last:
-                ET.SubElement(self.robot, "link", name=child)
-            parent = child
-        if not axes or at.any():
-            fixed = self._joint_names.unique(f"{name}_fixed")
-            joint = ET.SubElement(self.robot, "joint", name=fixed, type="fixed")
-            _connect(joint, parent, name, start @ affine(np.eye(3), -at))
-        link = ET.SubElement(self.robot, "link", name=name)
-        self._add_inertial(link, body)
-        self.shapes.add_shapes(link, body)
+        is_moved = bool(axes) and not axes[-1].is_elsewhere
+        steps = axes if is_moved else [*axes, None]
+        for number, axis in enumerate(steps):
+            is_last = number == len(steps) - 1
+            child = name if is_last else unique(f"{name}_{number}", self._link_names)
+            joint = ET.SubElement(robot, "joint")
+            if axis is None:
+                frame = pose
+                joint.set("name", unique(f"{name}_fixed", self._joint_names))
+                joint.set("type", "fixed")
+            else:
+                frame = affine(pose[:3, :3], axis.anchor)
+                self._describe(joint, axis)
+            set_origin(joint, inverse_pose(placed) @ frame)
+            ET.SubElement(joint, "parent", link=parent)
+            ET.SubElement(joint, "child", link=child)
+            link = ET.SubElement(robot, "link", name=child)
+            if is_last:
+                self._add_inertial(link, body)
+                self.shapes.add_shapes(link, body)
+            parent, placed = child, frame
 
     def _axes(self, body: int) -> Iterator[_Axis]:
         """Iterate over the joints of a body; a ball joint is three hinges, `q = q_x q_y q_z`."""
-        model = self.model
+        model, data = self.model, self.data
+        to_body = data.xmat[body].reshape(3, 3).T
         first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
         for joint in range(first, first + count):
-            kind, anchor = model.jnt_type[joint], np.array(model.jnt_pos[joint])
-            low, high = model.jnt_range[joint].tolist()
-            limits = (low, high) if model.jnt_limited[joint] else None
-            turns = "continuous" if limits is None else "revolute"
+            kind, anchor = model.jnt_type[joint], np.array(data.xanchor[joint])
+            is_elsewhere = bool(model.jnt_pos[joint].any())
+            limits = tuple(model.jnt_range[joint].tolist())
+            if not model.jnt_limited[joint]:
+                limits = ()
+            turns = "revolute" if limits else "continuous"
             if kind == _BALL:
-                base, span = (
-                    self._joint_name(joint),
-                    None if limits is None else (-high, high),
-                )
+                name = self._joint_name(joint)
+                letters = [f"{name}_{letter}" for letter in "xyz"]
                 self.notes.append(
-                    f"the ball joint {base} is three hinges: {base}_x, {base}_y, {base}_z"
+                    f"the ball joint {name} is three hinges: {', '.join(letters)}"
                 )
-                for letter, direction in zip("xyz", np.eye(3), strict=True):
-                    name = self._joint_names.unique(f"{base}_{letter}")
-                    yield _Axis(name, joint, turns, anchor, direction, 0.0, span)
+                # MuJoCo's range of a ball is [0, largest angle].
+                limits = tuple(sign * limits[1] for sign in (-1.0, 1.0) if limits)
+                for name, axis in zip(letters, np.eye(3), strict=True):
+                    name = unique(name, self._joint_names)
+                    yield _Axis(name, joint, turns, anchor, axis, is_elsewhere, limits)
             elif kind != _FREE:
-                name, direction = self.joints[joint], np.array(model.jnt_axis[joint])
-                reference = float(model.qpos0[model.jnt_qposadr[joint]])
+                name, direction = self.joints[joint], to_body @ data.xaxis[joint]
                 if kind == _SLIDE:
-                    turns, anchor = "prismatic", np.zeros(3)
-                yield _Axis(name, joint, turns, anchor, direction, reference, limits)
+                    turns, anchor, is_elsewhere = "prismatic", data.xpos[body], False
+                yield _Axis(name, joint, turns, anchor, direction, is_elsewhere, limits)
 
-    def _add_joint(
-        self, axis: _Axis, parent: str, child: str, origin: np.ndarray
-    ) -> None:
-        model, joint = self.model, axis.joint
-        rule = self.rules.get(joint) if joint in self.joints else None
-        limits, kind = axis.limits, axis.kind
+    def _describe(self, element: ET.Element, axis: _Axis) -> None:
+        """Write a joint's axis, limits, dynamics and mimic rule."""
+        model, joint, limits, kind = self.model, axis.joint, axis.limits, axis.kind
+        rule = self.rules.get(joint)
         if rule is not None and rule.leader is None:
             limits = (rule.offset, rule.offset)
             kind = "revolute" if kind == "continuous" else kind
-        element = ET.SubElement(self.robot, "joint", name=axis.name, type=kind)
-        _connect(element, parent, child, origin)
-        set_numbers(ET.SubElement(element, "axis"), "xyz", axis.direction)
+        element.set("name", axis.name)
+        element.set("type", kind)
+        set_numbers(ET.SubElement(element, "axis"), "xyz", np.round(axis.direction, 14))
         limit = ET.SubElement(element, "limit")
-        for key, number in zip(("lower", "upper"), limits or (), strict=False):
+        for key, number in zip(("lower", "upper"), limits, strict=False):
             set_numbers(limit, key, [number])
         set_numbers(limit, "effort", [self._effort(joint)])
-        dof = int(model.jnt_dofadr[joint])
-        dynamics = ET.SubElement(element, "dynamics")
+        dof, dynamics = int(model.jnt_dofadr[joint]), ET.SubElement(element, "dynamics")
         set_numbers(dynamics, "damping", np.ravel(model.dof_damping[dof])[:1])
         set_numbers(dynamics, "friction", [model.dof_frictionloss[dof]])
         if rule is not None and rule.leader is not None:
@@ -302,49 +334,29 @@ class _Converter:
     def _effort(self, joint: int) -> float:
         """Return the largest force or torque of a joint's actuators [N or N m]."""
         model = self.model
-        if model.jnt_actfrclimited[joint]:
-            return float(np.abs(model.jnt_actfrcrange[joint]).max())
         is_motor = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-        is_motor &= (model.actuator_trnid[:, 0] == joint) & (
-            model.actuator_forcelimited != 0
-        )
-        return float(
-            np.abs(model.actuator_forcerange[is_motor]).max()
-            if any(is_motor)
-            else _NO_EFFORT_LIMIT
-        )
+        is_motor &= model.actuator_trnid[:, 0] == joint
+        ranges = model.actuator_forcerange[
+            is_motor & (model.actuator_forcelimited != 0)
+        ]
+        if model.jnt_actfrclimited[joint]:
+            ranges = model.jnt_actfrcrange[joint]
+        return float(np.abs(ranges).max(initial=0.0)) or _NO_EFFORT_LIMIT
 
     def _add_inertial(self, link: ET.Element, body: int) -> None:
         model = self.model
-        mass, pose = (
-            float(model.body_mass[body]),
-            pose_of(np.zeros(3), model.body_iquat[body]),
-        )
+        mass, rotation = float(model.body_mass[body]), np.zeros(9)
         if mass <= 0.0:
             return
-        rotation = pose[:3, :3]
-        inertia = rotation @ np.diag(model.body_inertia[body]) @ rotation.T
+        mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+        axes = rotation.reshape(3, 3)
+        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         element = ET.SubElement(link, "inertial")
-        set_origin(element, affine(np.eye(3), np.array(model.body_ipos[body])))
+        set_origin(element, affine(np.eye(3), model.body_ipos[body]))
         set_numbers(ET.SubElement(element, "mass"), "value", [mass])
         tensor = ET.SubElement(element, "inertia")
-        for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)):
+        for i, j in zip(*np.triu_indices(3), strict=True):
             set_numbers(tensor, f"i{'xyz'[i]}{'xyz'[j]}", [inertia[i, j]])
-
-
-def _reference_pose(axis: _Axis, place: np.ndarray) -> np.ndarray:
-    """Return the pose of a joint's frame at position zero, `place` being its anchor [m]."""
-    if axis.kind == "prismatic":
-        return affine(np.eye(3), place - axis.reference * axis.direction)
-    quat = np.zeros(4)
-    mujoco.mju_axisAngle2Quat(quat, axis.direction, -axis.reference)
-    return pose_of(place, quat)
-
-
-def _connect(joint: ET.Element, parent: str, child: str, origin: np.ndarray) -> None:
-    set_origin(joint, origin)
-    ET.SubElement(joint, "parent", link=parent)
-    ET.SubElement(joint, "child", link=child)
 
 
 def kinematics_difference(
@@ -352,66 +364,26 @@ def kinematics_difference(
 ) -> float:
     """Return the largest difference of an entry of any link's pose from MuJoCo's; [m] of positions.
 
-    Hinges, slides and balls are at random positions in their ranges, independent of couplings.
+    Hinges and slides are at random positions, independent of couplings; balls are at rest.
     """
     model, random = converted.model, np.random.default_rng(seed)
-    data, robot = (
-        mujoco.MjData(model),
-        pin.buildModelFromXML(_open_chain(converted.text)),
-    )
+    # MuJoCo has no speed limits, without which Pinocchio does not read a joint.
+    text = converted.text.replace("<limit ", '<limit velocity="0" ')
+    data, robot = mujoco.MjData(model), pin.buildModelFromXML(text)
     robot_data = robot.createData()
-    bodies = list(converted.links)
-    frames = [
-        robot.getFrameId(name, pin.FrameType.BODY) for name in converted.links.values()
-    ]
     worst = 0.0
     for _ in range(postures):
-        data.qpos[:], q = model.qpos0, pin.neutral(robot)
-        for joint in range(model.njnt):
-            at = int(model.jnt_qposadr[joint])
-            if model.jnt_type[joint] == _BALL:
-                base, rotation = model.joint(joint).name or f"joint{joint}", np.eye(3)
-                for axis, letter in zip(np.eye(3), "xyz", strict=True):
-                    angle = random.uniform(*_WITHOUT_RANGE)
-                    rotation = rotation @ pin.exp3(angle * axis)
-                    _set_position(robot, q, f"{base}_{letter}", angle)
-                mujoco.mju_mat2Quat(data.qpos[at : at + 4], rotation.ravel())
-            elif joint in converted.joints:
-                limits = (
-                    model.jnt_range[joint]
-                    if model.jnt_limited[joint]
-                    else _WITHOUT_RANGE
-                )
-                data.qpos[at] = random.uniform(*limits)
-                _set_position(robot, q, converted.joints[joint], data.qpos[at])
+        data.qpos[:], turns = model.qpos0, np.zeros(robot.nv)
+        for joint, name in converted.joints.items():
+            position = random.uniform(-1.0, 1.0)
+            data.qpos[model.jnt_qposadr[joint]] = position
+            turns[robot.joints[robot.getJointId(name)].idx_v] = position
         mujoco.mj_kinematics(model, data)
+        q = pin.integrate(robot, pin.neutral(robot), turns)
         pin.framesForwardKinematics(robot, robot_data, q)
-        for body, frame in zip(bodies, frames, strict=True):
-            pose = robot_data.oMf[frame].homogeneous
-            pose[:3] -= np.column_stack(
-                [data.xmat[body].reshape(3, 3), data.xpos[body]]
-            )
-            worst = max(worst, float(np.abs(pose[:3]).max()))
-    return worst
-
-
-def _open_chain(text: str) -> str:
-    """Return the URDF without mimic rules, each joint with all limits that Pinocchio asks for."""
-    robot = parse_urdf(text)
-    for joint in joints_by_name(robot).values():
-        for mimic in joint.findall("mimic"):
-            joint.remove(mimic)
-        for limit in joint.iterfind("limit"):
-            limit.attrib = (
-                dict.fromkeys(("lower", "upper", "velocity"), "0") | limit.attrib
-            )
-    return ET.tostring(robot, encoding="unicode")
-
-
-def _set_position(robot: pin.Model, q: np.ndarray, name: str, position: float) -> None:
-    """Set a joint's coordinate; Pinocchio holds a continuous one as cosine and sine."""
-    joint = robot.joints[robot.getJointId(name)]
-    is_circle = joint.nq == 2
-    q[joint.idx_q : joint.idx_q + joint.nq] = (
-        (np.cos(position), np.sin(position)) if is_circle else position
-    )
+        for body, link in converted.links.items():
+            pose = robot_data.oMf[robot.getFrameId(link, pin.FrameType.BODY)]
+            turned = pose.rotation - data.xmat[body].reshape(3, 3)
+            moved = pose.translation - data.xpos[body]
+            worst = max(worst, np.abs(turned).max(), np.abs(moved).max())
+    return float(worst)

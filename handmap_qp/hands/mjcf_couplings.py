@@ -1,31 +1,30 @@
 """Couplings of a MuJoCo model as mimic rules: joint equalities, tendons and closed loops.
 
-A URDF is a tree. A loop of one degree of freedom (`connect`), such as the four-bar linkage of a
-gripper's finger, still fits: one joint leads, and every other joint of the loop follows it along a
-curve. The curve is solved from the constraint, and its best line is written.
+Joints that constraints couple to one degree of freedom, such as the four bars of a gripper's
+finger, fit into a URDF: one of them leads, and each of the others follows it along a curve. The
+curve is solved from MuJoCo's own constraints, and its best line is written.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
+from copy import copy
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
-_EQUALITY = mujoco.mjtEq
-# Postures at which a curved coupling is compared with its line.
-_SAMPLES = 101
-# Share of the leader's range that a tendon's rule must leave.
-_LEAST_SHARE = 0.5
-# Postures at which a loop is solved, Newton iterations of each, and residual of a closed loop [m].
-_LOOP_SAMPLES, _ITERATIONS, _CLOSED = 41, 20, 1e-6
-# Singular values of the constraint's Jacobian below this share of the largest count as zero.
-_RANK = 1e-4
-# A larger difference between a curve and its line is not a mimic rule [rad or m].
-_LARGEST_ERROR = 0.1
-_STEP = 1e-6
-_LEFT_OUT = "constraint(s) close loops, which a URDF cannot: left out"
+_EQUALITY, _DISABLE = mujoco.mjtEq, mujoco.mjtDisableBit
+# Postures at which a curve is solved, Newton iterations of each, and the residual of a solution
+# [rad or m].
+_SAMPLES, _ITERATIONS, _CLOSED = 41, 20, 1e-6
+# A joint takes part in a constraint if it moves it by more than this in `qpos0`, where loops are
+# closed [m/rad, or without unit]. Singular values below this share of the largest count as zero.
+_LEAST_EFFECT, _RANK = 1e-4, 1e-4
+# A line that is farther from its curve is not written, and a nearer one needs no note [rad or m].
+_LARGEST_ERROR, _NO_ERROR = 0.1, 1e-9
 
 
 class Coupling(NamedTuple):
@@ -42,15 +41,14 @@ class Coupling(NamedTuple):
     offset: float
 
 
-_Rules = dict[int, Coupling]
+_Solution = tuple[dict[int, Coupling], list[str]]
+"""Rules of the followers of a group, and notes on them."""
 
 
 def read_couplings(
     model: mujoco.MjModel, names: Mapping[int, str]
 ) -> tuple[dict[int, Coupling], list[str]]:
     """Read the equality constraints and tendons of a model.
-
-    A joint that is coupled twice keeps its first rule.
 
     Args:
         model: The model.
@@ -59,333 +57,220 @@ def read_couplings(
     Returns:
         The rules by follower, and a note on each coupling that a URDF cannot express exactly.
     """
-    rules: _Rules = {}
+    constraints, omitted = _Constraints(model, names), Counter[str]()
+    solutions: list[_Solution | None] = [None]
+    while None in solutions:
+        groups = constraints.groups()
+        solutions = [constraints.solve(*group) for group in groups]
+        for (_, rows), solution in zip(groups, solutions, strict=True):
+            if solution is None:
+                omitted.update(constraints.drop(rows))
+    rules: dict[int, Coupling] = {}
     notes: list[str] = []
-    ruled: set[int] = set()
-    kinds = [_EQUALITY(int(kind)) for kind in model.eq_type]
-    for index, kind in enumerate(kinds):
-        if kind == _EQUALITY.mjEQ_JOINT:
-            notes += _add_equality(model, index, names, rules)
-        elif kind == _EQUALITY.mjEQ_TENDON and (
-            rule := _tendon_rule(model, index, names)
-        ):
-            follower, line = rule
-            if follower not in rules and not _leads_back(rules, follower, line.leader):
-                rules[follower] = line
-                ruled.add(int(model.eq_obj1id[index]))
-    if welds := kinds.count(_EQUALITY.mjEQ_WELD):
-        notes.append(f"{welds} weld {_LEFT_OUT}")
-    notes += _tendon_notes(model, names, rules, ruled)
-    loops, more = _close_loops(model, names, rules)
-    return rules | loops, notes + more
-
-
-def _close_loops(
-    model: mujoco.MjModel, names: Mapping[int, str], rules: _Rules
-) -> tuple[_Rules, list[str]]:
-    """Return the rules of closed loops by follower, and notes on them."""
-    omitted, found, notes = 0, dict[int, Coupling](), []
-    for loop in _loops(model, names):
-        solved = loop.lines(rules)
-        if solved is None:
-            omitted += len(loop.pairs)
-            continue
-        leader, lines, error = solved
-        found |= lines
-        followers = ", ".join(names[joint] for joint in lines)
-        notes.append(
-            f"a closed loop couples {followers} to {names[leader]}: lines within {error:.2g} rad "
-            "of it are written"
-        )
-    if omitted:
-        notes.append(f"{omitted} connect {_LEFT_OUT}")
-    return found, notes
-
-
-def _leads_back(rules: _Rules, follower: int, leader: int | None) -> bool:
-    """Return whether a leader follows, through other rules, its would-be follower."""
-    while leader is not None and leader in rules and leader != follower:
-        leader = rules[leader].leader
-    return leader == follower
-
-
-def _start(model: mujoco.MjModel, joint: int) -> float:
-    """Return the position of a joint in `qpos0` [rad or m]."""
-    return float(model.qpos0[model.jnt_qposadr[joint]])
-
-
-def _range(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
-    """Return the limits of a joint, or 1 to both sides of `qpos0` [rad or m]."""
-    low, high = model.jnt_range[joint].tolist()
-    at = _start(model, joint)
-    return (low, high) if model.jnt_limited[joint] else (at - 1.0, at + 1.0)
-
-
-def _add_equality(
-    model: mujoco.MjModel, index: int, names: Mapping[int, str], rules: _Rules
-) -> list[str]:
-    """Add the rule of a joint equality, as a line; return a note where it does not fit.
-
-    MuJoCo: `y - y0 = a0 + a1 (x - x0) + a2 (x - x0)^2 + ...`, with x0, y0 the positions in `qpos0`.
-    """
-    follower, leader = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-    if follower not in names:
-        return []
-    if leader >= 0 and leader not in names:
-        what = model.joint(leader).name or f"joint {leader}"
-        return [f"{names[follower]} is coupled to {what}, which is left out"]
-    if not model.eq_active0[index]:
-        return [f"the coupling of {names[follower]} is inactive in the MJCF: left out"]
-    if follower in rules or _leads_back(rules, follower, leader):
-        return [f"{names[follower]} has a second coupling, which is left out"]
-    factors, y0 = (
-        np.array(model.eq_data[index, :5], dtype=float),
-        _start(model, follower),
-    )
-    if leader < 0:
-        rules[follower] = Coupling(None, 0.0, y0 + float(factors[0]))
-        return []
-    x0 = _start(model, leader)
-    if not factors[2:].any():
-        offset = y0 + float(factors[0] - factors[1] * x0)
-        rules[follower] = Coupling(leader, float(factors[1]), offset)
-        return []
-    x = np.linspace(*_range(model, leader), _SAMPLES)
-    y = y0 + np.polyval(factors[::-1], x - x0)
-    slope, offset = np.polyfit(x, y, 1)
-    rules[follower] = Coupling(leader, float(slope), float(offset))
-    worst = float(np.abs(y - (slope * x + offset)).max())
-    return [
-        f"{names[follower]} follows {names[leader]} along a curve: a line within {worst:.3g} of it "
-        "is written"
+    for found, more in filter(None, solutions):
+        rules |= found
+        notes += more
+    notes += [
+        f"{count} {kind} constraint(s) that a URDF cannot express are left out"
+        for kind, count in omitted.items()
     ]
+    return rules, notes + _tendon_notes(model, names, rules)
 
 
-def _tendon_rule(
-    model: mujoco.MjModel, index: int, names: Mapping[int, str]
-) -> tuple[int, Coupling] | None:
-    """Return the rule of a tendon of two joints whose length is held; None for other tendons.
-
-    MuJoCo: `c1 q1 + c2 q2 = L0 + a0`, with L0 the length in `qpos0`.
-    """
-    tendon = int(model.eq_obj1id[index])
-    joints = _fixed_tendon(model, tendon)
-    if model.eq_obj2id[index] >= 0 or not model.eq_active0[index] or joints is None:
-        return None
-    if len(joints) != 2 or not all(
-        joint in names and factor for joint, factor in joints
-    ):
-        return None
-    (leader, lead), (follower, follow) = joints
-    length = float(model.tendon_length0[tendon] + model.eq_data[index, 0])
-    rule = Coupling(leader, -lead / follow, length / follow)
-    return (follower, rule) if _fits(model, follower, rule) else None
-
-
-def _fits(model: mujoco.MjModel, follower: int, rule: Coupling) -> bool:
-    """Return whether a rule leaves the joints a range; MuJoCo's soft tendons may contradict it."""
-    if not (model.jnt_limited[follower] and model.jnt_limited[rule.leader]):
-        return True
-    low, high = np.sort(rule.multiplier * model.jnt_range[rule.leader] + rule.offset)
-    least, most = model.jnt_range[follower]
-    return bool(min(high, most) - max(low, least) > _LEAST_SHARE * (high - low))
-
-
-def _fixed_tendon(model: mujoco.MjModel, tendon: int) -> list[tuple[int, float]] | None:
-    """Return the joints of a fixed tendon with their factors; None for a spatial tendon."""
+def _fixed_tendon(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
+    """Return the joints of a fixed tendon with their factors; empty for a spatial tendon."""
     first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
     wraps = slice(first, first + count)
-    if not (model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)).all():
-        return None
-    factors = model.wrap_prm[wraps]
-    return [
-        (int(j), float(f))
-        for j, f in zip(model.wrap_objid[wraps], factors, strict=True)
-    ]
-
-
-def _first(rules: _Rules, joint: int) -> int:
-    """Return the joint that moves a joint through all rules; itself if it is free or held."""
-    while joint in rules and (leader := rules[joint].leader) is not None:
-        joint = leader
-    return joint
+    if (model.wrap_type[wraps] != int(mujoco.mjtWrap.mjWRAP_JOINT)).any():
+        return {}
+    joints, factors = model.wrap_objid[wraps].tolist(), model.wrap_prm[wraps].tolist()
+    return dict(zip(joints, factors, strict=True))
 
 
 def _tendon_notes(
-    model: mujoco.MjModel, names: Mapping[int, str], rules: _Rules, ruled: set[int]
+    model: mujoco.MjModel, names: Mapping[int, str], rules: Mapping[int, Coupling]
 ) -> list[str]:
-    """Name the independent joints that fixed tendons couple, and count the other tendons.
-
-    `ruled` are the tendons that mimic rules express.
-    """
-    coupled, spatial = [], 0
-    for tendon in set(range(model.ntendon)) - ruled:
-        joints = _fixed_tendon(model, tendon)
-        if joints is None:
-            spatial += 1
-        elif len({_first(rules, joint) for joint, _ in joints}) == 1:
-            continue
-        elif all(joint in names for joint, _ in joints):
-            terms = " + ".join(f"{factor:g} {names[joint]}" for joint, factor in joints)
-            coupled.append(
-                f"{model.tendon(tendon).name or f'tendon {tendon}'} = {terms}"
+    """Name the independent joints that fixed tendons couple, and count the other tendons."""
+    notes, tendons = [], [_fixed_tendon(model, i) for i in range(model.ntendon)]
+    coupled = []
+    for i, factors in enumerate(tendons):
+        leaders = {rules[j].leader if j in rules else j for j in factors}
+        if len(leaders) > 1 and factors.keys() <= names.keys():
+            terms = " + ".join(
+                f"{factor:g} {names[j]}" for j, factor in factors.items()
             )
-    notes = []
+            coupled.append(f"{model.tendon(i).name or f'tendon {i}'} = {terms}")
     if coupled:
         notes.append(
             f"tendons couple joints that are independent here: {'; '.join(coupled)}. Where one "
             "motor drives them, couple them under `mimic` in the hand.yaml"
         )
-    if spatial:
+    if spatial := tendons.count({}):
         notes.append(f"{spatial} spatial tendon(s) are left out")
     return notes
 
 
-_End = tuple[int, np.ndarray]
-"""A body, and an anchor in its frame [m]."""
-
-
-def _loops(model: mujoco.MjModel, names: Mapping[int, str]) -> list[_Loop]:
-    """Return the loops that active `connect` constraints close, joined where they share joints."""
-    loops: list[tuple[set[int], list[tuple[_End, _End]]]] = []
-    is_connect = model.eq_type == int(_EQUALITY.mjEQ_CONNECT)
-    for index in np.flatnonzero(is_connect & (model.eq_active0 != 0)):
-        ends = _ends(model, int(index))
-        joints = _path(model, ends[0][0]) ^ _path(model, ends[1][0])
-        if not joints <= names.keys():
-            continue
-        pairs = [ends]
-        for other in [loop for loop in loops if joints & loop[0]]:
-            loops.remove(other)
-            joints, pairs = joints | other[0], other[1] + pairs
-        loops.append((joints, pairs))
-    return [_Loop(model, sorted(joints), pairs) for joints, pairs in loops]
-
-
-def _ends(model: mujoco.MjModel, index: int) -> tuple[_End, _End]:
-    """Return the two bodies of a constraint with their anchors."""
-    one, other = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        places = [
-            (int(model.site_bodyid[i]), np.array(model.site_pos[i]))
-            for i in (one, other)
-        ]
-        return places[0], places[1]
-    data = np.array(model.eq_data[index, :6], dtype=float)
-    return (one, data[:3]), (other, data[3:])
-
-
-def _path(model: mujoco.MjModel, body: int) -> set[int]:
-    """Return the joints between the world and a body."""
-    found: set[int] = set()
-    while body > 0:
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        found.update(range(first, first + count))
-        body = int(model.body_parentid[body])
-    return found
-
-
-class _Loop:
-    """A loop, or several that share joints.
+class _Constraints:
+    """The active equality constraints of a model, as MuJoCo computes them.
 
     Args:
         model: The model.
-        joints: Indices of its joints, sorted.
-        pairs: The ends of each constraint.
+        names: Names of the joints that can be coupled, by their indices.
     """
 
-    def __init__(
-        self, model: mujoco.MjModel, joints: list[int], pairs: list[tuple[_End, _End]]
-    ) -> None:
-        self.joints, self.pairs = joints, pairs
-        self._model, self._data = model, mujoco.MjData(model)
-        self._at = model.jnt_qposadr[joints]
-        self._start = np.array(model.qpos0[self._at])
+    def __init__(self, model: mujoco.MjModel, names: Mapping[int, str]) -> None:
+        self._names, self._model = names, copy(model)
+        model = self._model
+        model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+        model.opt.disableflags |= (
+            _DISABLE.mjDSBL_CONTACT
+            | _DISABLE.mjDSBL_LIMIT
+            | _DISABLE.mjDSBL_FRICTIONLOSS
+        )
+        self._data = mujoco.MjData(model)
 
-    def lines(self, rules: _Rules) -> tuple[int, _Rules, float] | None:
-        """Return the leader, the followers' lines, and the largest error of these.
+    def kind(self, constraint: int) -> str:
+        """Return the kind of a constraint, as MJCF names it."""
+        kind = _EQUALITY(int(self._model.eq_type[constraint]))
+        return kind.name.removeprefix("mjEQ_").lower()
 
-        Returns None if the loop has not one degree of freedom, does not close, or is no line.
+    def groups(self) -> list[tuple[set[int], list[int]]]:
+        """Return the joints that constraints couple to each other, and these constraints.
+
+        They are an argument of `solve` each.
         """
-        sizes = np.linalg.svd(self._jacobian(self._start), compute_uv=False)
-        freedom = len(self.joints) - (sizes > _RANK * sizes.max(initial=1e-12)).sum()
-        leader = self._leader(rules)
-        followers = [k for k, joint in enumerate(self.joints) if joint != leader]
-        if freedom != 1 or any(self.joints[k] in rules for k in followers):
-            return None
-        lead = self.joints.index(leader)
-        curve = self._curve(lead, followers)
-        if len(curve) < _LOOP_SAMPLES // 2:
-            return None
-        first, factor, shift = leader, 1.0, 0.0
-        if leader in rules and rules[leader].leader is not None:
-            first, factor, shift = rules[leader]
-        found, errors = {}, []
-        for k in followers:
-            slope, offset = np.polyfit(curve[:, lead], curve[:, k], 1)
-            errors.append(np.abs(curve[:, k] - (slope * curve[:, lead] + offset)).max())
-            line = Coupling(first, float(slope * factor), float(offset + slope * shift))
-            found[self.joints[k]] = line
-        worst = float(max(errors))
-        return (leader, found, worst) if worst < _LARGEST_ERROR else None
-
-    def _leader(self, rules: _Rules) -> int:
-        """Return the joint that a motor moves, else one that follows another, else the first."""
-        model, driven = self._model, set()
-        for kind, target in zip(
-            model.actuator_trntype, model.actuator_trnid[:, 0], strict=True
-        ):
-            if kind == int(mujoco.mjtTrn.mjTRN_JOINT):
-                driven.add(int(target))
-            elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
-                first, count = (
-                    int(model.tendon_adr[target]),
-                    int(model.tendon_num[target]),
-                )
-                driven.update(model.wrap_objid[first : first + count].tolist())
-        by_preference = (driven, rules, self.joints)
-        return next(
-            joint for among in by_preference for joint in self.joints if joint in among
+        model, data = self._model, self._data
+        data.qpos[:] = model.qpos0
+        mujoco.mj_fwdPosition(model, data)
+        rows, dofs = np.nonzero(
+            np.abs(data.efc_J.reshape(-1, model.nv)) > _LEAST_EFFECT
         )
+        touches = np.zeros((model.neq, model.njnt))
+        touches[data.efc_id[rows], model.dof_jntid[dofs]] = 1.0
+        _, labels = connected_components(touches.T @ touches)
+        groups = []
+        for label in np.unique(labels):
+            constraints = np.flatnonzero(touches[:, labels == label].any(axis=1))
+            if len(constraints):
+                joints = np.flatnonzero(labels == label).tolist()
+                groups.append((set(joints), constraints.tolist()))
+        return groups
 
-    def _curve(self, lead: int, followers: list[int]) -> np.ndarray:
-        """Follow the closed loop over its leader's range; each row is one closed posture."""
-        grid = np.linspace(*_range(self._model, self.joints[lead]), _LOOP_SAMPLES)
-        first = int(np.argmin(np.abs(grid - self._start[lead])))
-        rows: dict[int, np.ndarray] = {}
-        for way in (range(first, _LOOP_SAMPLES), range(first - 1, -1, -1)):
-            q = self._start.copy()
-            for number in way:
-                q[lead] = grid[number]
-                for _ in range(_ITERATIONS):
-                    gap = self._gap(q)
-                    if np.abs(gap).max() < 1e-3 * _CLOSED:
-                        break
-                    slopes = self._jacobian(q)[:, followers]
-                    q[followers] -= np.linalg.lstsq(slopes, gap, rcond=_RANK)[0]
-                if np.abs(self._gap(q)).max() > _CLOSED:
-                    break
-                rows[number] = q.copy()
-        return np.array([rows[number] for number in sorted(rows)])
+    def drop(self, constraints: list[int]) -> list[str]:
+        """Leave out those of a group that are no joint equalities, else all; return their kinds."""
+        others = [i for i in constraints if self.kind(i) != "joint"] or constraints
+        self._data.eq_active[others] = False
+        return [self.kind(i) for i in others]
 
-    def _gap(self, q: np.ndarray) -> np.ndarray:
-        """Return the vectors between the anchors of all constraints [m], shape (3 k,)."""
-        data = self._data
-        data.qpos[:] = self._model.qpos0
-        data.qpos[self._at] = q
-        mujoco.mj_kinematics(self._model, data)
-        points = [
-            [
-                data.xpos[body] + data.xmat[body].reshape(3, 3) @ anchor
-                for body, anchor in pair
-            ]
-            for pair in self.pairs
+    def solve(self, coupled: set[int], constraints: list[int]) -> _Solution | None:
+        """Solve a group.
+
+        Returns None if other joints belong to it, it has more than one degree of freedom, it does
+        not close, or it is not near lines.
+        """
+        if not coupled <= self._names.keys():
+            return None
+        leader = self._leader(coupled, constraints)
+        joints = [leader, *sorted(coupled - {leader})]
+        start = np.array(self._model.qpos0[self._model.jnt_qposadr[joints]])
+        slopes = self._residual(joints, constraints, start)[1]
+        freedom = len(joints) - np.linalg.matrix_rank(slopes, rtol=_RANK)
+        if freedom == 0:
+            held = self._closed(joints, constraints, start, 0)
+            positions = [] if held is None else held.tolist()
+            rules = [Coupling(None, 0.0, position) for position in positions]
+            return (dict(zip(joints, rules, strict=True)), []) if rules else None
+        curve = self._curve(joints, constraints, start) if freedom == 1 else []
+        if len(curve) < _SAMPLES // 2:
+            return None
+        postures = np.array(curve)
+        powers, followers = np.vander(postures[:, 0], 2), postures[:, 1:]
+        # Digits beyond these are noise of the fit.
+        lines = np.linalg.lstsq(powers, followers, rcond=None)[0].round(14)
+        worst = float(np.abs(followers - powers @ lines).max())
+        if worst > _LARGEST_ERROR:
+            return None
+        rules = [
+            Coupling(leader, factor, offset) for factor, offset in lines.T.tolist()
         ]
-        return np.concatenate([one - other for one, other in points])
+        names, notes = [self._names[joint] for joint in joints], []
+        if worst > _NO_ERROR:
+            notes.append(
+                f"curves couple {', '.join(names[1:])} to {names[0]}: lines within {worst:.2g} "
+                "rad or m of them are written"
+            )
+        return dict(zip(joints[1:], rules, strict=True)), notes
 
-    def _jacobian(self, q: np.ndarray) -> np.ndarray:
-        """Return the derivative of the gaps by the joints, by central differences."""
-        steps = _STEP * np.eye(len(q))
-        return np.array([self._gap(q + s) - self._gap(q - s) for s in steps]).T / (
-            2.0 * _STEP
-        )
+    def _leader(self, coupled: set[int], constraints: list[int]) -> int:
+        """Return the joint that leads in joint equalities, else one of a motor, else the first."""
+        model = self._model
+        pairs = [
+            (int(model.eq_obj1id[i]), int(model.eq_obj2id[i]))
+            for i in constraints
+            if self.kind(i) == "joint"
+        ]
+        leading = {second for _, second in pairs} - {first for first, _ in pairs}
+        driven: set[int] = set()
+        targets = model.actuator_trnid[:, 0].tolist()
+        for kind, target in zip(model.actuator_trntype, targets, strict=True):
+            if kind == int(mujoco.mjtTrn.mjTRN_JOINT):
+                driven.add(target)
+            elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+                driven.update(_fixed_tendon(model, target))
+        return max(sorted(coupled), key=lambda j: (j in leading, j in driven))
+
+    def _curve(
+        self, joints: list[int], constraints: list[int], start: np.ndarray
+    ) -> list[np.ndarray]:
+        """Follow closed postures over the range of the first joint."""
+        low, high = self._model.jnt_range[joints[0]]
+        if not self._model.jnt_limited[joints[0]]:
+            low, high = start[0] - 1.0, start[0] + 1.0
+        grid = np.linspace(low, high, _SAMPLES)
+        nearest = int(np.argmin(np.abs(grid - start[0])))
+        found = []
+        for way in (grid[nearest:], grid[:nearest][::-1]):
+            q = start
+            for position in way:
+                near = np.array([position, *q[1:]])
+                closed = self._closed(joints, constraints, near, 1)
+                if closed is None:
+                    break
+                found.append(q := closed)
+        return found
+
+    def _closed(
+        self, joints: list[int], constraints: list[int], q: np.ndarray, first: int
+    ) -> np.ndarray | None:
+        """Find a posture near another that satisfies constraints, moving the joints from `first`.
+
+        Returns None if there is none.
+        """
+        q = q.copy()
+        for _ in range(_ITERATIONS):
+            gap, slopes = self._residual(joints, constraints, q)
+            if np.abs(gap).max() < 1e-6 * _CLOSED:
+                break
+            q[first:] -= np.linalg.lstsq(slopes[:, first:], gap, rcond=_RANK)[0]
+        return q if np.abs(gap).max() < _CLOSED else None
+
+    def _residual(
+        self, joints: list[int], constraints: list[int], q: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals of constraints and their derivatives by joints.
+
+        Each constraint is scaled so that metres and radians count alike.
+        """
+        model, data = self._model, self._data
+        data.qpos[:] = model.qpos0
+        data.qpos[model.jnt_qposadr[joints]] = q
+        mujoco.mj_fwdPosition(model, data)
+        slopes = data.efc_J.reshape(-1, model.nv)[:, model.jnt_dofadr[joints]]
+        rows = np.column_stack([data.efc_pos, slopes])
+        blocks = [rows[data.efc_id == constraint] for constraint in constraints]
+        sizes = [
+            max(float(np.linalg.norm(block[:, 1:])), _LEAST_EFFECT) for block in blocks
+        ]
+        scaled = [block / size for block, size in zip(blocks, sizes, strict=True)]
+        gap, *columns = np.vstack(scaled).T
+        return gap, np.column_stack(columns)

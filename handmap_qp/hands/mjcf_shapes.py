@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 
 import mujoco
 import numpy as np
+import trimesh
+from trimesh.exchange.stl import export_stl
+from trimesh.triangles import to_kwargs
 
 from handmap_qp.hands.urdf import set_numbers, set_origin
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
 
 _GEOM = mujoco.mjtGeom
-# Rings and points per ring of the sphere that ellipsoids are scaled from.
-_RINGS, _SECTORS = 12, 24
 # Last group of geoms that MuJoCo's viewer shows unless it is asked for more.
 _LAST_SHOWN_GROUP = 2
 
@@ -42,6 +44,7 @@ class ShapeWriter:
         self._model = model
         self._folder = folder
         self._files: dict[int, str] = {}
+        self._names: set[str] = set()
         self.meshes: dict[str, np.ndarray] = {}
         self.omitted: set[str] = set()
 
@@ -84,7 +87,7 @@ class ShapeWriter:
                     yield pose @ end, _element("sphere", radius=size[:1])
             case _GEOM.mjGEOM_ELLIPSOID:
                 file = f"{self._folder}/unit_sphere.stl"
-                self.meshes.setdefault(file, _unit_sphere())
+                self.meshes.setdefault(file, trimesh.creation.icosphere().triangles)
                 element = ET.Element("mesh", filename=file)
                 set_numbers(element, "scale", size)
                 yield pose, element
@@ -94,35 +97,27 @@ class ShapeWriter:
     def _mesh(self, mesh: int) -> ET.Element:
         model = self._model
         if mesh not in self._files:
-            stem = f"{self._folder}/{file_name(model.mesh(mesh).name or f'mesh{mesh}')}"
-            file, count, taken = (
-                f"{stem}.stl",
-                2,
-                {name.lower() for name in self.meshes},
-            )
-            while file.lower() in taken:
-                file, count = f"{stem}_{count}.stl", count + 1
+            name = file_name(model.mesh(mesh).name or f"mesh{mesh}")
+            file = f"{self._folder}/{unique(name, self._names)}.stl"
             first, number = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
             vertices = model.mesh_vert[first : first + number]
             first, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
-            self.meshes[file] = np.array(
-                vertices[model.mesh_face[first : first + number]]
-            )
-            self._files[mesh] = file
+            faces = model.mesh_face[first : first + number]
+            self.meshes[file], self._files[mesh] = vertices[faces], file
         return ET.Element("mesh", filename=self._files[mesh])
+
+
+def unique(name: str, taken: set[str]) -> str:
+    """Return a name that is not taken yet, whatever its case, and count it as taken."""
+    candidates = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
+    found = next(each for each in candidates if each.lower() not in taken)
+    taken.add(found.lower())
+    return found
 
 
 def binary_stl(triangles: np.ndarray) -> bytes:
     """Return triangles [m], shape (k, 3, 3), as a binary STL file."""
-    fields = [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
-    kind: np.dtype[np.void] = np.dtype(fields)  # ty: ignore[invalid-assignment]
-    rows = np.zeros(len(triangles), kind)
-    rows["corners"] = triangles
-    first, second, third = triangles.swapaxes(0, 1)
-    normals = np.cross(second - first, third - first).astype(float)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    rows["normal"] = normals / np.where(lengths > 0.0, lengths, 1.0)
-    return bytes(80) + np.uint32(len(rows)).tobytes() + rows.tobytes()
+    return export_stl(trimesh.Trimesh(**to_kwargs(triangles), process=False))
 
 
 def file_name(name: str) -> str:
@@ -136,14 +131,3 @@ def _element(tag: str, **numbers: np.ndarray) -> ET.Element:
     for key, values in numbers.items():
         set_numbers(element, key, values)
     return element
-
-
-def _unit_sphere() -> np.ndarray:
-    """Return the triangles of a sphere of radius 1, shape (k, 3, 3)."""
-    polar = np.linspace(0.0, np.pi, _RINGS + 1)[:, None]
-    around = np.linspace(0.0, 2.0 * np.pi, _SECTORS + 1)[None, :]
-    x, y = np.sin(polar) * np.cos(around), np.sin(polar) * np.sin(around)
-    grid = np.stack([x, y, np.broadcast_to(np.cos(polar), x.shape)], axis=-1)
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    lower, upper = np.stack([a, b, c], axis=2)[:-1], np.stack([a, c, d], axis=2)[1:]
-    return np.concatenate([lower.reshape(-1, 3, 3), upper.reshape(-1, 3, 3)])
