@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf import parse_urdf, urdf_with_mesh_paths
+from handmap_qp.hands.urdf import parse_with_meshes
 
 _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""
@@ -41,7 +41,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
     Pinocchio reads all meshes in one call, which lets no other thread run for up to a third of a
     second. So it reads placeholders in their places.
     """
-    robot = parse_urdf(urdf_with_mesh_paths(hand.spec, hand.urdf_text))
+    robot = parse_with_meshes(hand.spec, hand.urdf_text)
     meshes: dict[str, tuple[str, tuple[float, ...]]] = {}
     for link in robot.iterfind("link"):
         for i, shape in enumerate(link.iterfind("collision/geometry")):

@@ -117,8 +117,7 @@ class Hand:
         self.mount: Mount = choose_mount(spec, mount)
         chosen = _choose_points(spec, points)
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
-        arm_text = None if spec.arm is None else read_urdf(spec.arm)
-        text, locked, rules = compose_urdf(spec, file_text, arm_text)
+        text, locked, rules = compose_urdf(spec, file_text)
         self._compose: Callable[[], str] = partial(str, text)
         self.model = model = build_model(spec, text, self.mount, rules)
         self.notes = tighten_model(model, rules)

@@ -176,16 +176,13 @@ class HumanLengths:
         return cls(bases=bases, segments=length * _BUCHHOLZ_SEGMENTS)
 
     @classmethod
-    def from_urdf(cls, text: str) -> Self:
+    def from_urdf(cls, text: str | bytes) -> Self:
         """Read the lengths from a right human hand's URDF, such as `urdf/human/hand.urdf`.
 
         Raises:
             HandError: If the text is not the URDF of a human hand with this package's names.
         """
-        return cls._of(_joints(parse_urdf(text)))
-
-    @classmethod
-    def _of(cls, joints: dict[str, ET.Element]) -> Self:
+        joints = _joints(parse_urdf(text))
         places = {name: origin_of(joint)[:3, 3] for name, joint in joints.items()}
         chains = [_chain(finger) for finger in FINGERS]
         rolls = [
@@ -237,7 +234,7 @@ def joint_moves(
     return moves
 
 
-def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
+def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
     """Scale a right human hand's URDF to the lengths of a person.
 
     Joint origins, fingertips and shapes move, and fingers roll; limits and names stay. Bones are
@@ -254,15 +251,9 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
 
     Raises:
         HandError: If the text is not the URDF of a human hand with this package's names.
-        InvalidInputError: If `lengths` is something else.
     """
-    if not isinstance(lengths, HumanLengths):
-        raise InvalidInputError(
-            argument="lengths", expected="HumanLengths", value=lengths
-        )
-    robot = parse_urdf(text)
-    joints = _joints(robot)
-    old = HumanLengths._of(joints)
+    robot, old = parse_urdf(text), HumanLengths.from_urdf(text)
+    joints = joints_by_name(robot)
     size = lengths.hand_length / old.hand_length
     shapes = {
         link.get("name"): [*link.iterfind("visual"), *link.iterfind("collision")]
@@ -270,18 +261,18 @@ def scaled_human_urdf(text: str, lengths: HumanLengths) -> str:
     }
     if "palm" not in shapes:
         raise _not_human("the link 'palm' is missing", value="palm")
-    for i, finger in enumerate(FINGERS):
-        chain = [joints[name] for name in _chain(finger)]
-        base = child_of(chain[0], "origin")
-        roll, pitch, yaw = get_numbers(base, "rpy", 3, "0 0 0")
-        set_numbers(base, "xyz", lengths.bases[i])
+    for name, move in joint_moves(old, lengths).items():
+        origin = child_of(joints[name], "origin")
+        roll, pitch, yaw = get_numbers(origin, "rpy", 3, "0 0 0")
+        set_numbers(origin, "xyz", move.origin)
         # Fingers point along their x axes, about which the first of the three turns is.
-        set_numbers(base, "rpy", [roll + lengths.rolls[i] - old.rolls[i], pitch, yaw])
-        for k, length in enumerate(lengths.segments[i]):
-            set_numbers(child_of(chain[k + 2], "origin"), "xyz", [length, 0.0, 0.0])
-            stretch = np.array([length / old.segments[i, k], size, size])
-            for shape in shapes.get(child_of(chain[k + 1], "child").get("link"), ()):
-                _scale_shape(shape, partial(np.multiply, stretch), size)
+        set_numbers(origin, "rpy", [roll + move.roll, pitch, yaw])
+    for finger, bones in zip(FINGERS, lengths.segments / old.segments, strict=True):
+        for name, bone in zip(_chain(finger)[1:], bones, strict=False):
+            link = child_of(joints[name], "child").get("link")
+            stretch = partial(np.multiply, [bone, size, size])
+            for shape in shapes.get(link, ()):
+                _scale_shape(shape, stretch, size)
     for shape in shapes["palm"]:
         _scale_shape(shape, _palm_map(old, lengths, shape.get("name", "")), size)
     return ET.tostring(robot, encoding="unicode")

@@ -8,7 +8,6 @@ human hand is one of them, and the only one that can be scaled to a person.
 from __future__ import annotations
 
 from contextlib import suppress
-from copy import copy
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -102,55 +101,51 @@ def load_hand(
     if not isinstance(hand, str | Path | HandSpec):
         expected = "a name, the path of a hand.yaml, or a HandSpec"
         raise InvalidInputError(argument="hand", expected=expected, value=hand)
-    is_person = hand in HUMAN_HANDS and hand_length is None
-    if is_person and isinstance(hand, str) and isinstance(lengths, HumanLengths):
-        return _person(hand, lengths, points, mount)
-    spec = hand if isinstance(hand, HandSpec) else read_hand_spec(_find(hand))
-    if lengths is None and hand_length is None:
-        return Hand(spec, points=points, mount=mount)
-    argument, value = (
-        ("hand_length", hand_length) if lengths is None else ("lengths", lengths)
-    )
+    given = {"lengths": lengths, "hand_length": hand_length}
+    given = {name: value for name, value in given.items() if value is not None}
+    if not given:
+        return Hand(_spec_of(hand), points=points, mount=mount)
+    is_standard = isinstance(hand, str) and hand in HUMAN_HANDS
+    load = _standard_human if is_standard else _load_human
+    standard, own = load(hand, mount)
+    if len(given) > 1:
+        problem = "cannot be combined with hand_length: give one of them"
+        raise InvalidInputError(problem, argument="lengths", value=lengths)
+    if hand_length is not None:
+        lengths = HumanLengths.from_hand_length(hand_length)
+    if not isinstance(lengths, HumanLengths):
+        expected = "HumanLengths"
+        raise InvalidInputError(argument="lengths", expected=expected, value=lengths)
+    moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
+    compose = partial(_person_urdf, standard.spec, lengths)
+    return standard.with_joints(moves, compose).with_points(points)
+
+
+def _spec_of(hand: str | Path | HandSpec) -> HandSpec:
+    return hand if isinstance(hand, HandSpec) else read_hand_spec(_find(hand))
+
+
+def _load_human(
+    hand: str | Path | HandSpec, mount: Mount | None
+) -> tuple[Hand, HumanLengths]:
+    """Load a human hand with its own lengths.
+
+    Raises:
+        InvalidInputError: If it is a robot.
+    """
+    spec = _spec_of(hand)
     if spec.name not in HUMAN_HANDS:
         problem = f"only the human hand can be scaled, not {spec.name}"
-        raise InvalidInputError(problem, argument=argument, value=value)
-    if lengths is None:
-        lengths = HumanLengths.from_hand_length(hand_length)  # ty: ignore[invalid-argument-type]
-    elif hand_length is not None:
-        problem = "cannot be combined with hand_length: give one of them"
-        raise InvalidInputError(problem, argument=argument, value=value)
-    text = scaled_human_urdf(read_urdf(spec), lengths)
-    return Hand(spec, points=points, mount=mount, urdf_text=text)
+        raise InvalidInputError(problem, argument="lengths", value=spec.name)
+    return Hand(spec, mount=mount), HumanLengths.from_urdf(read_urdf(spec))
 
 
-def _person(
-    name: str, lengths: HumanLengths, points: Points | None, mount: Mount | None
-) -> Hand:
-    """Scale a human hand of the package to a person, without reading its URDF again."""
-    hand = _scaled_human(name, lengths, mount)
-    chosen = hand.with_points(points)
-    # Each caller has a workspace of its own.
-    return copy(hand) if chosen is hand else chosen
-
-
-# A recording's person is loaded to look for faults, and to map it.
-@lru_cache(maxsize=2)
-def _scaled_human(name: str, lengths: HumanLengths, mount: Mount | None) -> Hand:
-    standard, own = _standard_human(name, mount)
-    spec = standard.spec
-    compose = partial(_person_urdf, spec, lengths)
-    return standard.with_joints(joint_moves(own, lengths, mirrors=spec.mirror), compose)
+# Every recording has its own person; hands are read-only.
+_standard_human = lru_cache(maxsize=8)(_load_human)
 
 
 def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:
     return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths))[0]
-
-
-@lru_cache(maxsize=8)
-def _standard_human(name: str, mount: Mount | None) -> tuple[Hand, HumanLengths]:
-    """Load a human hand of the package once, and its lengths; hands are read-only."""
-    hand = Hand(read_hand_spec(_find(name)), mount=mount)
-    return hand, HumanLengths.from_urdf(read_urdf(hand.spec))
 
 
 def list_hands() -> list[dict[str, Any]]:

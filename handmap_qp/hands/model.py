@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import get_args
 
 import numpy as np
@@ -11,12 +11,12 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.mimic import MimicRule, read_mimic_rules
+from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import HandSpec, Mount
 from handmap_qp.hands.urdf import (
-    check_has_limits,
+    NO_LIMIT,
     check_tree,
-    link_names,
-    mirrored_urdf,
+    mirror,
     mount_on_arm,
     parse_urdf,
     prepare_urdf,
@@ -48,7 +48,7 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
 
 
 def compose_urdf(
-    spec: HandSpec, text: str, arm_text: str | None = None
+    spec: HandSpec, text: str | bytes
 ) -> tuple[str, dict[str, float], tuple[MimicRule, ...]]:
     """Compose the URDF that a hand's model is built from.
 
@@ -60,34 +60,22 @@ def compose_urdf(
         spec locks, and the joints that mimic them), and the mimic rules that are left.
 
     Raises:
-        HandError: If the URDF is not a tree, the spec names links or joints that do not exist, a
-            joint is left without limits, or arm and hand have joints of the same name.
+        HandError: If a URDF is not a tree, or the spec names links or joints that do not exist.
+        MissingExtraError: If the arm's URDF lies in a package that is not installed.
     """
     try:
         robot = parse_urdf(text)
         check_tree(robot)
         locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
-        if spec.arm is not None and arm_text is not None:
-            arm, hand = parse_urdf(arm_text), robot
-            check_tree(arm)
-            for name in spec.arm.without:
-                if name not in link_names(arm):
-                    raise HandError(
-                        f"the arm has no link {name!r}", key="arm.without", value=name
-                    )
-            remove_subtrees(arm, spec.arm.without)
-            arm_locked = prepare_urdf(
-                arm, spec.arm.root, {}, spec.arm.locked, spec.arm.limits
-            )
-            robot, locked = arm, {**arm_locked, **locked}
-            mount_on_arm(arm, hand, spec.arm)
-        check_has_limits(robot)
-        text = ET.tostring(robot, encoding="unicode")
-        return (
-            mirrored_urdf(text) if spec.mirror else text,
-            locked,
-            read_mimic_rules(robot),
-        )
+        if (arm := spec.arm) is not None:
+            hand, robot = robot, parse_urdf(read_urdf(arm))
+            check_tree(robot)
+            remove_subtrees(robot, arm.without)
+            locked = prepare_urdf(robot, arm.root, {}, arm.locked, arm.limits) | locked
+            mount_on_arm(robot, hand, arm)
+        if spec.mirror:
+            mirror(robot)
+        return ET.tostring(robot, encoding="unicode"), locked, read_mimic_rules(robot)
     except HandError as error:
         raise spec.located(error) from error
 
@@ -100,45 +88,29 @@ def build_model(
     A floating hand gets a free-flyer above its root link.
 
     Raises:
-        HandError: If Pinocchio cannot read the URDF, or its joints are not those of the spec.
+        HandError: If Pinocchio cannot read the URDF, or its joints are not those of the spec and
+            their followers.
     """
-    followers = {rule.follower: rule.leader for rule in rules}
-    for name in spec.all_joints:
-        if name in followers:
-            message = (
-                f"{name!r} mimics {followers[name]!r} and cannot be set: leave it out, "
-                f"or give mimic.{name}: null"
-            )
-            raise spec.error(message, key="joints", value=name)
     root = (pin.JointModelFreeFlyer(), FLOATING_JOINT) if mount == "floating" else ()
     try:
         model = pin.buildModelFromXML(urdf_text, *root)
     except (RuntimeError, ValueError) as error:
         message = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
         raise spec.error(message, key="urdf") from error
-    _check_joints(spec, model, followers)
+    leaders = {rule.follower: rule.leader for rule in rules}
+    own, movable = set(spec.all_joints), {*model.names} - {"universe", FLOATING_JOINT}
+    for message, names in (
+        (
+            "mimics {!r}: leave it out, or give its rule in `mimic`",
+            own & leaders.keys(),
+        ),
+        ("is missing: name it here or in `locked`", movable - own - leaders.keys()),
+        ("is not a movable joint of the URDF", own - movable),
+    ):
+        for name in sorted(names):
+            problem = f"{name!r} {message.format(leaders.get(name))}"
+            raise spec.error(problem, key="joints", value=name)
     return model
-
-
-def _check_joints(spec: HandSpec, model: pin.Model, followers: Collection[str]) -> None:
-    """Reject a model whose joints are not those of the spec and their followers."""
-    for name, joint in zip(model.names, model.joints, strict=True):
-        if name in ("universe", FLOATING_JOINT):
-            continue
-        if name not in spec.all_joints and name not in followers:
-            message = (
-                f"the URDF's joint {name!r} is missing: name it here or in `locked`"
-            )
-            raise spec.error(message, key="joints", value=name)
-        if joint.nq != 1:
-            message = (
-                f"{name!r} is a {joint.shortname()}; only joints with one coordinate"
-            )
-            raise spec.error(f"{message} can be used", key="joints")
-    for name in spec.all_joints:
-        if not model.existJointName(name):
-            message = f"the URDF has no movable joint {name!r}"
-            raise spec.error(message, key="joints", value=name)
 
 
 def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> None:
@@ -226,17 +198,22 @@ def check_limits(
         postures: Rest posture and others by key [rad or m]; None where there is none.
 
     Raises:
-        HandError: With the joint at fault.
+        HandError: With the joint at fault, and the key that gives its limits.
     """
     for i, (name, *numbers) in enumerate(zip(spec.all_joints, *limits, strict=True)):
         lower, upper, speed = numbers
-        interval = f"[{lower:.6g}, {upper:.6g}]"
-        if not (np.isfinite([lower, upper]).all() and lower < upper):
+        interval, key = f"[{lower:.6g}, {upper:.6g}]", f"limits.{name}"
+        if not max(-lower, upper) < NO_LIMIT:
+            message = (
+                f"{name!r} has no limits in the URDF: give lower, upper and velocity"
+            )
+            raise spec.error(message, key=key, value=name)
+        if not lower < upper:
             message = f"{name!r} needs limits with lower < upper, got {interval}"
-            raise spec.error(f"{message}: give them in `limits`", key="urdf")
+            raise spec.error(message, key=key)
         if not (np.isfinite(speed) and speed > 0.0):
             message = f"{name!r} needs a velocity limit > 0, got {speed:.6g}"
-            raise spec.error(f"{message}: give it in `limits`", key="urdf")
+            raise spec.error(message, key=key)
         for key, posture in postures.items():
             if posture is not None and not lower <= posture[i] <= upper:
                 message = f"{posture[i]:.6g} is outside the joint's limits {interval}"
@@ -256,16 +233,14 @@ def check_wrist(
     joints = [model.frames[frame].parentJoint for frame in (wrist, palm)]
     links = (("wrist.link", spec.wrist.link), ("palm.link", spec.palm.link))
     for (key, link), joint in zip(links, joints, strict=True):
-        if mount == "floating" and joint != 1:
-            message = f"{link!r} moves with joints; on a floating hand it must be fixed to the root"
-            raise spec.error(message, key=key, value=link)
-        above = set(model.supports[joint])
-        if any(
-            i not in above and joint not in model.supports[i]
-            for i in range(1, model.njoints)
-        ):
-            message = f"{link!r} moves with the fingers; it must be fixed to the root or to an arm"
-            raise spec.error(message, key=key, value=link)
+        above = model.supports[joint]
+        beside = (i for i in range(model.njoints) if i not in above)
+        is_floating_part = mount == "floating" and joint != 1
+        if is_floating_part or any(joint not in model.supports[i] for i in beside):
+            message = (
+                f"{link!r} moves with joints of the hand; it must be fixed to the root"
+            )
+            raise spec.error(f"{message}, or to an arm", key=key, value=link)
     if joints[0] != joints[1]:
         message = (
             f"{spec.palm.link!r} moves against the wrist's link {spec.wrist.link!r}"

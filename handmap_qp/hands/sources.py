@@ -21,18 +21,6 @@ from handmap_qp.hands.spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, H
 
 # Which variable of a description's module is taken, the first that it has.
 _VARIABLES = ("URDF_PATH", "MJCF_PATH")
-# Byte-order marks, and the starts of XML files in UTF-16 without one.
-_STARTS = {
-    codecs.BOM_UTF8: "utf-8",
-    codecs.BOM_UTF32_LE: "utf-32",
-    codecs.BOM_UTF32_BE: "utf-32",
-    codecs.BOM_UTF16_LE: "utf-16",
-    codecs.BOM_UTF16_BE: "utf-16",
-    b"<\0": "utf-16-le",
-    b"\0<": "utf-16-be",
-}
-_DECLARED = re.compile(rb"""^\s*<\?xml[^>]*?encoding\s*=\s*["']([A-Za-z0-9._-]+)["']""")
-_DECLARATION = re.compile(r"^\s*<\?xml[^>]*\?>")
 _ROOT = re.compile(rb"<\s*([A-Za-z_][\w.:-]*)")
 # A comment may come first and hold an example; the root is searched behind it.
 _NOT_ELEMENTS = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
@@ -164,7 +152,7 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
     return path
 
 
-def read_urdf(spec: HandSpec | ArmSpec) -> str:
+def read_urdf(spec: HandSpec | ArmSpec) -> bytes:
     """Read the URDF of a hand or an arm.
 
     Raises:
@@ -173,7 +161,7 @@ def read_urdf(spec: HandSpec | ArmSpec) -> str:
     """
     path = urdf_path(spec)
     try:
-        return decode_xml(path.read_bytes())
+        return path.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         unset = re.search(r"\$\{(\w+)\}", str(path))
         reason = f"set the environment variable {unset[1]}" if unset else error
@@ -205,27 +193,6 @@ def find_mesh(name: str, folder: Path) -> Path:
         if (above / "package.xml").exists():
             candidates.append(above / inside)
     return next((path for path in candidates if path.exists()), candidates[0])
-
-
-def decode_xml(content: bytes) -> str:
-    """Decode an XML file by its byte-order mark or declared encoding; UTF-8 without either.
-
-    The text has no XML declaration, which would repeat an encoding that it no longer has.
-
-    Raises:
-        ValueError: If the bytes are not of the encoding, or the encoding is unknown.
-    """
-    encoding = next(
-        (name for start, name in _STARTS.items() if content.startswith(start)), None
-    )
-    if encoding is None:
-        declared = _DECLARED.search(content)
-        encoding = "utf-8" if declared is None else declared[1].decode("ascii")
-    try:
-        text = content.decode(encoding)
-    except LookupError as error:
-        raise ValueError(f"unknown encoding {encoding!r}") from error
-    return _DECLARATION.sub("", text.removeprefix("\ufeff"), count=1)
 
 
 def root_tag(content: bytes) -> str:

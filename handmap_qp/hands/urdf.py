@@ -6,13 +6,13 @@ picture) sees the same robot.
 
 from __future__ import annotations
 
-import re
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from xml.parsers.expat import errors as expat
+from xml.parsers import expat
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 
@@ -26,8 +26,14 @@ MOVABLE = ("revolute", "continuous", "prismatic")
 _FREE = ("planar", "floating")
 # Pinocchio reads a chain by recursion, and crashes at about 4,000 links.
 _DEEPEST = 2000
-# A mimicking joint without limits of its own passes none on to its leader.
-_NO_LIMIT = {"lower": -1e6, "upper": 1e6, "velocity": 1e6}
+NO_LIMIT = 1e6
+"""Written where a joint has no position limit, which URDF readers require [rad or m]."""
+# Attributes of a joint's elements that hold numbers, and how many.
+_NUMBERS = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "limit": {"lower": 1, "upper": 1, "velocity": 1},
+}
 _NOT_OF_FIXED_JOINTS = (
     "axis",
     "limit",
@@ -37,53 +43,41 @@ _NOT_OF_FIXED_JOINTS = (
     "dynamics",
 )
 
-# An element that the program xacro replaces.
-_XACRO = re.compile(r"<xacro:[a-z]")
-_ROOT = re.compile(r"(?:<!--.*?-->|<[?!][^>]*>|[^<])*<[^\s/>]+", re.DOTALL)
-_PREFIX = re.compile(r"</?([A-Za-z_][\w.-]*):[\w.-]+|\s([A-Za-z_][\w.-]*):[\w.-]+\s*=")
 
+def parse_urdf(text: str | bytes) -> ET.Element:
+    """Parse a URDF, and return the `<robot>` element.
 
-def parse_urdf(text: str) -> ET.Element:
-    """Parse a URDF without XML declaration, and return the `<robot>` element.
+    Robot software writes `<sensor:camera>` or `<controller:gazebo>` without declaring the prefix,
+    so namespaces are not resolved; the element becomes `<sensor_camera>`.
 
-    Robot software writes `<sensor:camera>` or `<controller:gazebo>` without declaring the prefix;
-    such prefixes are declared first.
+    Args:
+        text: A string, or bytes in any encoding that a byte-order mark or a declaration tells.
 
     Raises:
         HandError: If the text is not XML, is xacro, or its root is another element.
     """
-    if _XACRO.search(text):
-        message = "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
-        raise HandError(message)
+    builder, parser = ET.TreeBuilder(), expat.ParserCreate()
+    parser.buffer_text = True
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
     try:
-        robot = _parse_xml(text)
-    except (
-        ET.ParseError,
-        ValueError,
-    ) as error:  # ValueError: a character that XML cannot have
+        parser.Parse(text, True)
+    # LookupError: an unknown encoding; ValueError: a character that XML cannot have.
+    except (expat.ExpatError, LookupError, ValueError) as error:
         raise HandError(f"the URDF is not valid XML: {error}") from error
+    robot = builder.close()
+    for element in robot.iter():
+        if element.tag.startswith("xacro:"):
+            message = "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
+            raise HandError(message)
+        element.tag = element.tag.replace(":", "_")
+        for key in [key for key in element.keys() if ":" in key]:  # noqa: SIM118
+            del element.attrib[key]
     if robot.tag != "robot":
         message = f"expected a URDF with the root <robot>, got <{robot.tag}>"
         raise HandError(message, value=robot.tag)
     return robot
-
-
-def _parse_xml(text: str) -> ET.Element:
-    try:
-        return ET.fromstring(text)
-    except ET.ParseError as error:
-        root = _ROOT.match(text)
-        if error.code != expat.codes[expat.XML_ERROR_UNBOUND_PREFIX] or root is None:
-            raise
-    used = {first or second for first, second in _PREFIX.findall(text)} - {
-        "xml",
-        "xmlns",
-    }
-    bound = set(re.findall(r"xmlns:([\w.-]+)\s*=", text))
-    declarations = "".join(
-        f' xmlns:{name}="urn:{name}"' for name in sorted(used - bound)
-    )
-    return ET.fromstring(text[: root.end()] + declarations + text[root.end() :])
 
 
 # -- numbers of elements
@@ -217,8 +211,7 @@ def cut_subtree(robot: ET.Element, root: str) -> None:
     Raises:
         HandError: If there is no such link.
     """
-    if root not in link_names(robot):
-        raise HandError(f"the URDF has no link {root!r}", key="root", value=root)
+    _check_link(robot, root, "root")
     _remove_links(robot, set(link_names(robot)).difference(*_levels(robot, [root])))
     for element in list(robot):
         if element.tag not in ("link", "joint", "material"):
@@ -226,8 +219,19 @@ def cut_subtree(robot: ET.Element, root: str) -> None:
 
 
 def remove_subtrees(robot: ET.Element, roots: Collection[str]) -> None:
-    """Remove links, their descendants and the joints between them."""
+    """Remove links of an arm, their descendants and the joints between them.
+
+    Raises:
+        HandError: If there is no such link.
+    """
+    for root in roots:
+        _check_link(robot, root, "arm.without")
     _remove_links(robot, set().union(*_levels(robot, roots)))
+
+
+def _check_link(robot: ET.Element, link: str, key: str) -> None:
+    if link not in link_names(robot):
+        raise HandError(f"the URDF has no link {link!r}", key=key, value=link)
 
 
 def _remove_links(robot: ET.Element, names: set[str]) -> None:
@@ -247,69 +251,47 @@ def check_tree(robot: ET.Element) -> None:
     """Reject a URDF whose links and joints are not a tree, or in which no joint moves.
 
     Raises:
-        HandError: On duplicate names, missing links, loops, several roots, attributes that are not
-            numbers, unknown joint types, or a URDF without a movable joint.
+        HandError: On duplicate names, missing links, loops, several roots, a chain that overflows
+            the stack of URDF readers, attributes that are not numbers, unknown joint types, or a
+            URDF without a movable joint.
     """
-    links = link_names(robot)
-    joints = [joint.get("name", "") for joint in robot.iterfind("joint")]
-    for what, names in (("links", links), ("joints", joints)):
-        for name, count in Counter(names).items():
-            if count > 1:
-                raise HandError(f"the URDF has two {what} {name!r}", value=name)
-    above = _parents(robot, set(links))
-    for joint in robot.iterfind("joint"):
+    links, joints = link_names(robot), list(robot.iterfind("joint"))
+    known = set(links)
+    names = [joint.get("name", "") for joint in joints]
+    ends = [(parent, child) for _, parent, child in edges(robot)]
+    below = [child for _, child in ends]
+    for message, culprits in (
+        ("has two links {!r}", _repeated(links)),
+        ("has two joints {!r}", _repeated(names)),
+        (
+            "has a joint with the link {!r}, which it does not have",
+            [link for pair in ends for link in pair if link not in known],
+        ),
+        ("is not a tree: the link {!r} is the child of two joints", _repeated(below)),
+    ):
+        if culprits:
+            raise HandError(f"the URDF {message.format(culprits[0])}", value=culprits)
+    roots = root_links(robot)
+    if len(roots) != 1:
+        message = f"{len(roots)} roots, expected one: {', '.join(roots[:6])}"
+        raise HandError(f"the URDF has {message}", value=roots)
+    levels = list(_levels(robot, roots))
+    if len(levels) > _DEEPEST:
+        message = f"a chain of {len(levels)} links ends at {levels[-1][0]!r}"
+        raise HandError(f"{message}; expected at most {_DEEPEST}", value=levels[-1])
+    if apart := sorted(known.difference(*levels)):
+        message = (
+            f"the URDF is not a tree: loops contain or carry {', '.join(apart[:6])}"
+        )
+        raise HandError(message, value=apart)
+    for joint in joints:
         _check_joint(joint)
-    _check_one_tree(robot, links, above)
-    if not any(joint.get("type") in MOVABLE for joint in robot.iterfind("joint")):
+    if not any(joint.get("type") in MOVABLE for joint in joints):
         raise HandError("the URDF has no joint that moves")
 
 
-def _check_one_tree(
-    robot: ET.Element, links: list[str], above: Mapping[str, tuple[str, str]]
-) -> None:
-    """Reject several roots, loops, and a chain that overflows the stack of URDF readers."""
-    roots = [link for link in links if link not in above]
-    if len(roots) > 1:
-        message = (
-            f"the URDF has {len(roots)} roots, expected one: {', '.join(roots[:6])}"
-        )
-        raise HandError(message, value=roots)
-    if not roots:
-        what = "its links form a loop" if links else "it has no link"
-        raise HandError(f"the URDF is not a tree: {what}")
-    depths: dict[str, int] = {}
-    for depth, level in enumerate(_levels(robot, roots)):
-        depths |= dict.fromkeys(level, depth)
-    deepest = max(depths, key=depths.__getitem__)
-    if depths[deepest] > _DEEPEST:
-        message = (
-            f"the link {deepest!r} is at the end of a chain of {depths[deepest]} links"
-        )
-        raise HandError(f"{message}; expected at most {_DEEPEST}", value=deepest)
-    if apart := [link for link in links if link not in depths]:
-        at = apart[0]
-        for _ in links:  # upwards into the loop
-            at = above[at][1]
-        raise HandError(
-            f"the URDF is not a tree: a loop contains the link {at!r}", value=at
-        )
-
-
-def _parents(robot: ET.Element, links: set[str]) -> dict[str, tuple[str, str]]:
-    """Return the joint above every link that has one, and the parent link."""
-    above: dict[str, tuple[str, str]] = {}
-    for joint, parent, child in edges(robot):
-        name = joint.get("name", "")
-        for link in (parent, child):
-            if link not in links:
-                message = f"the joint {name!r} names the link {link!r}, which the URDF does not"
-                raise HandError(f"{message} have", value=link)
-        if child in above:
-            both = f"{above[child][0]!r} and {name!r}"
-            message = f"the link {child!r} is the child of two joints, {both}"
-            raise HandError(f"the URDF is not a tree: {message}", value=child)
-        above[child] = name, parent
-    return above
+def _repeated(names: Sequence[str]) -> list[str]:
+    return [name for name, count in Counter(names).items() if count > 1]
 
 
 def _check_joint(joint: ET.Element) -> None:
@@ -319,49 +301,21 @@ def _check_joint(joint: ET.Element) -> None:
         expected = ", ".join((*MOVABLE, "fixed", *_FREE))
         message = f"the joint {name!r} is of type {kind!r}; expected one of {expected}"
         raise HandError(message, value=kind)
-    keys = {
-        "origin": ("xyz", "rpy"),
-        "axis": ("xyz",),
-        "limit": ("lower", "upper", "velocity"),
-    }
     for element in joint:
-        for key in keys.get(element.tag, ()):
-            text = element.get(key)
-            if text is None:
-                continue
+        for key in _NUMBERS.get(element.tag, {}).keys() & element.keys():
             try:
-                values = get_numbers(element, key, 1 if element.tag == "limit" else 3)
+                values = get_numbers(element, key, _NUMBERS[element.tag][key])
             except HandError as error:
-                raise HandError(
-                    f"the joint {name!r}: {error}", value=error.value
-                ) from error
+                message = f"the joint {name!r}: {error}"
+                raise HandError(message, value=error.value) from error
             # An infinite limit means none; an infinite origin or axis means nothing.
-            is_wrong = (
-                np.isnan(values) if element.tag == "limit" else ~np.isfinite(values)
-            )
-            if is_wrong.any():
-                fault = f"<{element.tag} {key}={text!r}>, which is not a finite number"
-                raise HandError(f"the joint {name!r} has {fault}", value=text)
-
-
-def check_has_limits(robot: ET.Element) -> None:
-    """Reject joints without position limits; joints that mimic others need none.
-
-    Raises:
-        HandError: With the key in `limits` that gives them.
-    """
-    for name, joint in joints_by_name(robot).items():
-        if joint.get("type") not in MOVABLE or joint.find("mimic") is not None:
-            continue
-        limit, is_continuous = joint.find("limit"), joint.get("type") == "continuous"
-        if (
-            is_continuous
-            or limit is None
-            or not {"lower", "upper"} & limit.attrib.keys()
-        ):
-            what = "is continuous" if is_continuous else "has no limits in the URDF"
-            message = f"{name!r} {what}: give lower, upper and velocity"
-            raise HandError(message, key=f"limits.{name}", value=name)
+            is_limit = element.tag == "limit"
+            if np.isnan(values).any() or not (is_limit or np.isfinite(values).all()):
+                fault = f"<{element.tag} {key}={element.get(key)!r}>"
+                message = (
+                    f"the joint {name!r} has {fault}, which is not a finite number"
+                )
+                raise HandError(message, value=values)
 
 
 # -- edits of joints
@@ -400,12 +354,32 @@ def prepare_urdf(
             ET.SubElement(joint, "mimic", {"joint": rule.joint, **numbers})
     positions = lock_joints(robot, locked)
     fix_free_joints(robot)
-    for name, limit in limits.items():
-        _set_limits(_movable_joint(robot, name, "limits"), limit)
-    for joint in robot.iterfind("joint"):
-        if joint.get("type") in MOVABLE and joint.find("mimic") is not None:
-            _complete_follower(joint)
+    _write_limits(robot, limits)
     return positions
+
+
+def _write_limits(robot: ET.Element, limits: Mapping[str, LimitSpec]) -> None:
+    """Write limits, and give every movable joint all that URDF readers require.
+
+    A continuous joint becomes a revolute one. Without position limits, a joint gets `NO_LIMIT`.
+    """
+    movable = [j for j in robot.iterfind("joint") if j.get("type") in MOVABLE]
+    for joint in movable:
+        if joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+            for key in ("lower", "upper"):
+                child_of(joint, "limit").attrib.pop(key, None)
+    for name, limit in limits.items():
+        element = child_of(_movable_joint(robot, name, "limits"), "limit")
+        for key, value in msgspec.structs.asdict(limit).items():
+            if value is not None:
+                set_numbers(element, key, [value])
+    for joint in movable:
+        limit = child_of(joint, "limit").attrib
+        if not {"lower", "upper"} & limit.keys():
+            limit |= {"lower": repr(-NO_LIMIT), "upper": repr(NO_LIMIT)}
+        for key in ("velocity", "effort"):
+            limit.setdefault(key, "0")
 
 
 def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, float]:
@@ -418,9 +392,8 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
         HandError: If there is no such joint, or it has more than one coordinate.
     """
     joints = joints_by_name(robot)
-    pending, locked = dict(positions), {}
-    while pending:
-        name, position = pending.popitem()
+    pending, locked = list(positions.items()), {}
+    for name, position in pending:
         if name not in joints:
             raise HandError(f"the URDF has no joint {name!r}", key="locked", value=name)
         if joints[name].get("type") == "fixed":
@@ -429,14 +402,11 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
         locked[name] = position
         for follower, joint in joints.items():
             mimic = joint.find("mimic")
-            if (
-                mimic is not None
-                and mimic.get("joint") == name
-                and follower not in positions
-            ):
+            follows = mimic is not None and mimic.get("joint") == name
+            if mimic is not None and follows and follower not in positions:
                 (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
                 (offset,) = get_numbers(mimic, "offset", 1, "0")
-                pending[follower] = multiplier * position + offset
+                pending.append((follower, multiplier * position + offset))
     return {name: locked[name] for name in joints if name in locked}
 
 
@@ -474,33 +444,6 @@ def _fix(joint: ET.Element) -> None:
     joint.set("type", "fixed")
 
 
-def _set_limits(joint: ET.Element, limit: LimitSpec) -> None:
-    """Write limits; a continuous joint that gets both becomes a revolute one."""
-    element = child_of(joint, "limit")
-    for key in ("lower", "upper", "velocity"):
-        if (value := getattr(limit, key)) is not None:
-            set_numbers(element, key, [value])
-    for key in ("effort", "velocity"):
-        element.attrib.setdefault(key, "0")
-    if joint.get("type") == "continuous" and None not in (limit.lower, limit.upper):
-        joint.set("type", "revolute")
-
-
-def _complete_follower(joint: ET.Element) -> None:
-    """Give a mimicking joint the limit element that URDF readers require.
-
-    Without position limits it gets very wide ones, so that it does not bound its leader. A
-    continuous one becomes revolute.
-    """
-    limit = child_of(joint, "limit")
-    has_position = {"lower", "upper"} & limit.attrib.keys()
-    for key in ("velocity",) if has_position else tuple(_NO_LIMIT):
-        limit.attrib.setdefault(key, repr(_NO_LIMIT[key]))
-    limit.attrib.setdefault("effort", "0")
-    if joint.get("type") == "continuous":
-        joint.set("type", "revolute")
-
-
 def _movable_joint(robot: ET.Element, name: str, section: str) -> ET.Element:
     joint = joints_by_name(robot).get(name)
     if joint is None or joint.get("type") not in MOVABLE:
@@ -519,8 +462,8 @@ def set_mesh_paths(robot: ET.Element, folder: Path) -> None:
             mesh.set("filename", str(find_mesh(name, folder).resolve()))
 
 
-def urdf_with_mesh_paths(spec: HandSpec, urdf_text: str) -> str:
-    """Return a hand's URDF with absolute paths of its meshes, for readers that know no folder.
+def parse_with_meshes(spec: HandSpec, urdf_text: str) -> ET.Element:
+    """Parse a hand's URDF, with absolute paths of its meshes for readers that know no folder.
 
     Raises:
         HandError: If the text is not a URDF.
@@ -528,7 +471,7 @@ def urdf_with_mesh_paths(spec: HandSpec, urdf_text: str) -> str:
     """
     robot = parse_urdf(urdf_text)
     set_mesh_paths(robot, urdf_path(spec).parent)
-    return ET.tostring(robot, encoding="unicode")
+    return robot
 
 
 # -- a hand on an arm, a mirrored hand
@@ -537,48 +480,29 @@ def urdf_with_mesh_paths(spec: HandSpec, urdf_text: str) -> str:
 def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
     """Join an arm, which becomes the whole robot, and a hand.
 
-    The arm's links, fixed joints and materials are renamed where the hand has the same names.
+    The arm's links, joints and materials are renamed where the hand has the same names.
 
     Raises:
-        HandError: If the arm has no such link, or both have a movable joint of the same name.
+        HandError: If the arm has no such link.
     """
-    if spec.tip not in link_names(arm):
-        raise HandError(
-            f"the arm has no link {spec.tip!r}", key="arm.tip", value=spec.tip
-        )
+    _check_link(arm, spec.tip, "arm.tip")
     (root,), tip = root_links(hand), spec.tip
     if tip in link_names(hand):
         tip = f"{spec.name}_{tip}"
-    _rename_duplicates(arm, hand, spec.name)
+    tags = ("link", "joint", "material")
+    taken = {tag: {each.get("name") for each in hand.iter(tag)} for tag in tags}
+    taken |= dict.fromkeys(("parent", "child"), taken["link"])
+    for element in arm.iter():
+        key = "link" if element.tag in ("parent", "child") else "name"
+        if (name := element.get(key)) in taken.get(element.tag, ()):
+            element.set(key, f"{spec.name}_{name}")
     # The composed URDF counts as the hand's file, so relative names would be looked for there.
     set_mesh_paths(arm, urdf_path(spec).parent)
-    mount = ET.SubElement(arm, "joint", {"name": "hand_mount", "type": "fixed"})
-    ET.SubElement(mount, "parent", {"link": tip})
-    ET.SubElement(mount, "child", {"link": root})
-    origin = ET.SubElement(mount, "origin")
-    set_numbers(origin, "xyz", spec.xyz)
-    set_numbers(origin, "rpy", spec.rpy)
+    mount = ET.SubElement(arm, "joint", name="hand_mount", type="fixed")
+    ET.SubElement(mount, "parent", link=tip)
+    ET.SubElement(mount, "child", link=root)
+    set_origin(mount, affine(rotation_from_rpy(spec.rpy), spec.xyz))
     arm.extend(list(hand))
-
-
-def _rename_duplicates(arm: ET.Element, hand: ET.Element, prefix: str) -> None:
-    """Put a prefix before the arm's names that the hand has too."""
-    taken = {
-        tag: {e.get("name") for e in hand.iter(tag)}
-        for tag in ("link", "joint", "material")
-    }
-    for element in arm.iter():
-        is_end = element.tag in ("parent", "child")
-        key, names = (
-            ("link", taken["link"]) if is_end else ("name", taken.get(element.tag, ()))
-        )
-        name = element.get(key)
-        if name not in names:
-            continue
-        if element.tag == "joint" and element.get("type") in MOVABLE:
-            message = f"arm and hand both have a joint {name!r}"
-            raise HandError(message, key="arm.joints", value=name)
-        element.set(key, f"{prefix}_{name}")
 
 
 # With M = diag(-1, 1, 1), a pose T becomes M T M: translations change the sign of x, and
@@ -587,21 +511,28 @@ _MIRRORED = {
     "origin": {"xyz": (-1.0, 1.0, 1.0), "rpy": (1.0, -1.0, -1.0)},
     "inertia": {"ixy": (-1.0,), "ixz": (-1.0,)},
 }
+_AXIS = (-1.0, 1.0, 1.0)
 
 
 def mirrored_urdf(text: str) -> str:
+    """Mirror a URDF as text: `mirror`."""
+    robot = parse_urdf(text)
+    mirror(robot)
+    return ET.tostring(robot, encoding="unicode")
+
+
+def mirror(robot: ET.Element) -> None:
     """Mirror a URDF in the plane x = 0 of its root link: a right hand becomes a left one.
 
     The coordinates of every link are mirrored as well: a point `(x, y, z)` of a link becomes `(-x,
     y, z)`. Names, limits and the meaning of q stay, and the same q gives the mirrored posture:
     with `M = diag(-1, 1, 1)`, the axis `a` of a prismatic joint becomes `M a`, and that of a
-    turning joint, a pseudovector, `-M a`. Comments are lost.
+    turning joint, a pseudovector, `-M a`.
 
     Raises:
-        HandError: If the text is not a URDF, or holds a mesh (its file cannot be mirrored here) or
-            a joint that is neither fixed nor has one coordinate.
+        HandError: If it holds a mesh (its file cannot be mirrored here) or a joint that is neither
+            fixed nor has one coordinate.
     """
-    robot = parse_urdf(text)
     for shape in robot.iterfind(".//geometry/*"):
         if shape.tag not in ("box", "cylinder", "sphere", "capsule"):
             message = "a hand can be mirrored only if its shapes are primitives"
@@ -609,23 +540,15 @@ def mirrored_urdf(text: str) -> str:
     for element in robot.iter():
         for key, signs in _MIRRORED.get(element.tag, {}).items():
             if key in element.attrib:
-                set_numbers(
-                    element,
-                    key,
-                    np.multiply(signs, get_numbers(element, key, len(signs))),
-                )
+                numbers = get_numbers(element, key, len(signs))
+                set_numbers(element, key, np.multiply(signs, numbers))
     for joint in robot.iterfind("joint"):
-        _mirror_axis(joint)
-    return ET.tostring(robot, encoding="unicode")
-
-
-def _mirror_axis(joint: ET.Element) -> None:
-    kind = joint.get("type", "")
-    if kind in MOVABLE:
-        sign = 1.0 if kind == "prismatic" else -1.0
-        axis = child_of(joint, "axis")
-        x, y, z = get_numbers(axis, "xyz", 3, "1 0 0")
-        set_numbers(axis, "xyz", [-sign * x, sign * y, sign * z])
-    elif kind != "fixed":
-        message = f"a {kind or 'nameless'} joint cannot be mirrored"
-        raise HandError(message, key=joint.get("name"), value=kind)
+        kind = joint.get("type", "")
+        if kind in MOVABLE:
+            axis = child_of(joint, "axis")
+            signs = _AXIS if kind == "prismatic" else np.negative(_AXIS)
+            numbers = get_numbers(axis, "xyz", 3, "1 0 0")
+            set_numbers(axis, "xyz", np.multiply(signs, numbers))
+        elif kind != "fixed":
+            message = f"a {kind or 'nameless'} joint cannot be mirrored"
+            raise HandError(message, key=joint.get("name"), value=kind)

@@ -22,7 +22,6 @@ from handmap_qp import (
     PointSpec,
     load_hand,
 )
-from handmap_qp.hands.human import scaled_human_urdf
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import MimicSpec, PalmSpec, check_point, read_hand_spec
 from handmap_qp.hands.synergies import Synergies, load_synergies
@@ -164,10 +163,9 @@ LOADING: dict[str, tuple[Callable[[], Any], str]] = {
     "breadth": (lambda: HumanLengths.from_hand_length(0.19, [0.1]), "hand_breadth"),  # ty: ignore[invalid-argument-type]
     "lengths": (lambda: load_hand("human", lengths=0.19), "lengths"),  # ty: ignore[invalid-argument-type]
     "both": (lambda: load_hand("human", lengths=LENGTHS, hand_length=0.19), "lengths"),
-    "of a robot": (lambda: load_hand("three_finger", hand_length=0.19), "hand_length"),
+    "of a robot": (lambda: load_hand("three_finger", hand_length=0.19), "lengths"),
     "spec": (lambda: Hand("human"), "spec"),  # ty: ignore[invalid-argument-type]
     "URDF": (lambda: Hand(HAND.spec, urdf_text=5), "urdf_text"),  # ty: ignore[invalid-argument-type]
-    "scaling": (lambda: scaled_human_urdf(HAND.urdf_text, None), "lengths"),  # ty: ignore[invalid-argument-type]
     "vector": (
         lambda: HAND.write_configuration(np.zeros(3), HAND.rest, np.eye(4)),
         "vector, q and wrist_pose",

@@ -62,7 +62,7 @@ def test_the_wrist_is_where_the_arm_carries_it(
     hand, spec = ON_ARM[arm], ARMS[arm]
     q = within(hand, generator)
     flange = pose_of(
-        pin.buildModelFromXML(read_urdf(spec)),
+        pin.buildModelFromXML(read_urdf(spec).decode()),
         spec.tip,
         dict(zip(spec.joints, q, strict=False)),
     )
@@ -104,7 +104,7 @@ def test_the_jacobian_holds_arm_and_fingers(
 @every_arm
 def test_an_arm_keeps_its_own_limits(arm: str) -> None:
     hand, spec = ON_ARM[arm], ARMS[arm]
-    model = pin.buildModelFromXML(read_urdf(spec))
+    model = pin.buildModelFromXML(read_urdf(spec).decode())
     at = [model.joints[model.getJointId(name)] for name in spec.joints]
     count = len(spec.joints)
     assert hand.joint_names == (*spec.joints, *ALLEGRO.joint_names)
@@ -187,7 +187,9 @@ def test_links_of_the_same_name_do_not_meet() -> None:
         Hand(mounted(spec, ARMS["ur5"]), urdf_text=text),
     )
     flange = pose_of(
-        pin.buildModelFromXML(read_urdf(ARMS["ur5"])), "tool0", ARMS["ur5"].rest
+        pin.buildModelFromXML(read_urdf(ARMS["ur5"]).decode()),
+        "tool0",
+        ARMS["ur5"].rest,
     )
     np.testing.assert_allclose(
         hand.points(hand.rest),
@@ -275,7 +277,7 @@ def test_a_locked_joint_stands_where_it_was_put(
 def test_a_hand_cut_from_a_robot_moves_as_on_it(name: str) -> None:
     hand = load_hand(name)
     root = hand.spec.root or ""
-    model = pin.buildModelFromXML(read_urdf(hand.spec))
+    model = pin.buildModelFromXML(read_urdf(hand.spec).decode())
     generator = np.random.default_rng(0)
     for _ in range(5):
         q = hand.lower_limits + generator.random(len(hand.rest)) * (
@@ -296,7 +298,7 @@ def test_a_hand_cut_from_a_robot_moves_as_on_it(name: str) -> None:
 @pytest.mark.parametrize("name", ["g1_arm_left", "tiago_arm"])
 def test_a_hand_on_its_robot_moves_with_the_arm_alone(name: str) -> None:
     hand = load_hand(name)
-    model = pin.buildModelFromXML(read_urdf(hand.spec))
+    model = pin.buildModelFromXML(read_urdf(hand.spec).decode())
     assert hand.has_moving_wrist
     assert not hand.is_floating
     assert hand.all_joint_names == (

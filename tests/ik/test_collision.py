@@ -213,8 +213,13 @@ def test_a_link_with_two_shapes_has_two_rows() -> None:
         '<collision name="knob"><origin xyz="0 0 0.02"/>'
         '<geometry><sphere radius="0.01"/></geometry></collision>'
     )
-    text = read_urdf(hand.spec).replace(
-        '<collision name="finger1_distal">', f'{shape}<collision name="finger1_distal">'
+    text = (
+        read_urdf(hand.spec)
+        .decode()
+        .replace(
+            '<collision name="finger1_distal">',
+            f'{shape}<collision name="finger1_distal">',
+        )
     )
     limit = CollisionLimit(Hand(hand.spec, mount="fixed", urdf_text=text))
     assert len(limit.pairs) == len(CollisionLimit(hand).pairs) + 4
@@ -226,11 +231,12 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
     box = trimesh.creation.box((0.05, 0.017, 0.017))
     box.export(tmp_path / "box.stl")
     hand = load("three_finger")
-    assert DISTAL_SHAPE in read_urdf(hand.spec)
+    assert DISTAL_SHAPE in read_urdf(hand.spec).decode()
     distances = []
     for geometry in ('<box size="0.05 0.017 0.017"/>', '<mesh filename="box.stl"/>'):
         text = (
             read_urdf(hand.spec)
+            .decode()
             .replace(DISTAL_SHAPE, geometry)
             .replace("<capsule ", "<no_capsule ")
         )
@@ -249,7 +255,11 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
 
 def test_a_mesh_that_is_not_there_is_named(tmp_path: Path) -> None:
     hand = load("three_finger")
-    text = read_urdf(hand.spec).replace(DISTAL_SHAPE, '<mesh filename="gone.stl"/>')
+    text = (
+        read_urdf(hand.spec)
+        .decode()
+        .replace(DISTAL_SHAPE, '<mesh filename="gone.stl"/>')
+    )
     with pytest.raises(HandError, match="collision shapes"):
         CollisionLimit(
             Hand(msgspec.structs.replace(hand.spec, directory=tmp_path), urdf_text=text)

@@ -42,7 +42,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
-from handmap_qp.hands.urdf import parse_urdf, urdf_with_mesh_paths
+from handmap_qp.hands.urdf import parse_with_meshes
 from handmap_qp.se3 import transform_points
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
@@ -336,7 +336,7 @@ def _check_places(hand: Hand, tables: Tables) -> Findings:
 
 
 def _check_meshes(hand: Hand, tables: Tables) -> Findings:
-    robot = parse_urdf(urdf_with_mesh_paths(hand.spec, hand.urdf_text))
+    robot = parse_with_meshes(hand.spec, hand.urdf_text)
     for tag, use in (
         ("collision", "self-collision and pinches"),
         ("visual", "pictures"),

@@ -28,7 +28,6 @@ from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, Place
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.pads import ball_in
-from handmap_qp.hands.sources import decode_xml
 from handmap_qp.hands.spec import (
     HandSpec,
     PadSpec,
@@ -107,11 +106,8 @@ def detect(
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
     try:
-        text = decode_xml(urdf.read_bytes())
-    except (
-        OSError,
-        ValueError,
-    ) as error:  # ValueError: also a null character in the path
+        text = urdf.read_bytes()
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise HandError(f"cannot be read: {without_errno(error)}", file=urdf) from error
     return detect_text(
         text, urdf, root=root, base=base, side=side, thumb=thumb, name=name
@@ -119,7 +115,7 @@ def detect(
 
 
 def detect_text(
-    text: str,
+    text: str | bytes,
     urdf: Path,
     *,
     root: str | None = None,
@@ -387,7 +383,7 @@ def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
 
 
 def _on_arm(
-    text: str, urdf: Path, spec: HandSpec, base: str
+    text: str | bytes, urdf: Path, spec: HandSpec, base: str
 ) -> tuple[HandSpec, list[str]]:
     """Return the hand with the arm from `base` to it; all other joints are locked."""
     robot = Robot(text, urdf, root=base)

@@ -17,7 +17,6 @@ import yaml
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError, without_errno
-from handmap_qp.hands.sources import decode_xml
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.human.sample import LANDMARK_NAMES
 
@@ -137,7 +136,7 @@ def migrate(
     if not urdf.is_file():
         problem = f"{configuration.file}: no URDF {urdf}: give the file by --urdf"
         raise HandError(problem, key="urdf_path", value=configuration.urdf)
-    robot = Robot(decode_xml(urdf.read_bytes()), urdf)
+    robot = Robot(urdf.read_bytes(), urdf)
     links = configuration.links
     carriers = {landmark: _carrier(robot, link) for landmark, link in links.items()}
     found = detect(urdf, thumb=carriers.get("thumb_tip"), name=name)

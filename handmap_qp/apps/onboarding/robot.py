@@ -91,7 +91,9 @@ class Robot:
         HandError: If the URDF cannot be used, in one line.
     """
 
-    def __init__(self, text: str, file: Path, *, root: str | None = None) -> None:
+    def __init__(
+        self, text: str | bytes, file: Path, *, root: str | None = None
+    ) -> None:
         self.file = file
         self._remarks: dict[str, list[str]] = {}
         try:
