@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from handmap_qp.human.sample import HumanSample
     from handmap_qp.ik.options import IkOptions
     from handmap_qp.ik.tasks import AttachedPoints, PointDistances, Task, TaskRows
+    from handmap_qp.mapping.by_name import METHODS
     from handmap_qp.mapping.decomposition import (
         Decomposition,
         Primitives,
@@ -41,7 +42,6 @@ if TYPE_CHECKING:
     from handmap_qp.mapping.estimation import MotionEstimate, estimate_motion
     from handmap_qp.mapping.mapper import HandMapper
     from handmap_qp.mapping.method import Method
-    from handmap_qp.mapping.methods.by_name import METHODS
     from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
     from handmap_qp.mapping.methods.homogeneous import (
         TELEMANIPULATION,
@@ -127,7 +127,7 @@ _NAMES = {
     "mapping.estimation": "MotionEstimate estimate_motion",
     "mapping.mapper": "HandMapper",
     "mapping.method": "Method",
-    "mapping.methods.by_name": "METHODS",
+    "mapping.by_name": "METHODS",
     "mapping.methods.fingertip_vectors": "FingertipVectors",
     "mapping.methods.homogeneous": "Homogeneous MappingOptions TELEMANIPULATION",
     "mapping.methods.joint_to_joint": "JointToJoint",

@@ -7,23 +7,15 @@ one leaves its object as it was.
 
 from __future__ import annotations
 
-import enum
+import copyreg
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
+from msgspec import UNSET
 
 _LONGEST_VALUE = 80  # characters
-
-
-class _Missing(enum.Enum):
-    """Stands for a value that was not given, because None is a value."""
-
-    MISSING = enum.auto()
-
-
-MISSING: Final = _Missing.MISSING
 
 
 class HandmapError(Exception):
@@ -31,13 +23,16 @@ class HandmapError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions are unpickled by calling their class with `args`, which cannot give keywords.
-        return _rebuilt, (type(self), self.args, self.__dict__)
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # ty: ignore[unresolved-attribute]
 
 
 class _DescribedError(HandmapError, ValueError):
     """What is wrong with one named thing, as attributes from which the text is composed.
 
     Attributes:
+        argument: The argument at fault, such as `human_q` or `points[3]`; empty where there is
+            none.
+        option: The option at fault, likewise.
         problem: What is wrong, where "expected X, got Y" does not say it.
         expected: What it must be.
         value: What it is; None where it was not given.
@@ -46,14 +41,23 @@ class _DescribedError(HandmapError, ValueError):
     """
 
     def __init__(
-        self, name: str, problem: str, expected: str, value: Any, got: str, advice: str
+        self,
+        problem: str = "",
+        *,
+        argument: str = "",
+        option: str = "",
+        expected: str = "",
+        value: Any = UNSET,
+        got: str = "",
+        advice: str = "",
     ) -> None:
-        super().__init__(name, problem, expected, got, advice)
-        self._name = name
+        super().__init__(problem)
+        self.argument = argument
+        self.option = option
         self.problem = problem
         self.expected = expected
-        self.value = None if value is MISSING else value
-        self.got = got or ("" if value is MISSING else describe_value(value))
+        self.value = None if value is UNSET else value
+        self.got = got or ("" if value is UNSET else describe_value(value))
         self.advice = advice
 
     @property
@@ -64,29 +68,11 @@ class _DescribedError(HandmapError, ValueError):
 
     def __str__(self) -> str:
         """Compose `name: expected X, got Y: advice` in one line."""
-        return ": ".join(part for part in (self._name, self.what, self.advice) if part)
+        return _joined(self.argument or self.option, self.what, self.advice)
 
 
 class InvalidInputError(_DescribedError):
-    """A value given to a public function cannot be used.
-
-    Attributes:
-        argument: The argument at fault, such as `human_q` or `points[3]`; empty where there is
-            none. The other arguments are attributes too (`_DescribedError`).
-    """
-
-    def __init__(
-        self,
-        problem: str = "",
-        *,
-        argument: str = "",
-        expected: str = "",
-        value: Any = MISSING,
-        got: str = "",
-        advice: str = "",
-    ) -> None:
-        super().__init__(argument, problem, expected, value, got, advice)
-        self.argument = argument
+    """A value given to a public function cannot be used; `argument` names it."""
 
 
 class DiskFullError(InvalidInputError):
@@ -94,25 +80,7 @@ class DiskFullError(InvalidInputError):
 
 
 class InvalidOptionsError(_DescribedError):
-    """Options that contradict each other or the hands they are used with.
-
-    Attributes:
-        option: The option at fault; empty where there is no single one. The other arguments are
-            attributes too (`_DescribedError`).
-    """
-
-    def __init__(
-        self,
-        problem: str = "",
-        *,
-        option: str = "",
-        expected: str = "",
-        value: Any = MISSING,
-        got: str = "",
-        advice: str = "",
-    ) -> None:
-        super().__init__(option, problem, expected, value, got, advice)
-        self.option = option
+    """Options contradict each other or the hands they are used with; `option` is at fault."""
 
 
 class HandError(HandmapError, ValueError):
@@ -141,8 +109,7 @@ class HandError(HandmapError, ValueError):
 
     def __str__(self) -> str:
         """Compose `file: key: problem` in one line."""
-        place = [str(part) for part in (self.file, self.key) if part is not None]
-        return ": ".join([*place, self.problem])
+        return _joined(self.file, self.key, self.problem)
 
 
 class RecordingError(HandmapError, ValueError):
@@ -166,12 +133,9 @@ class RecordingError(HandmapError, ValueError):
 
     def __str__(self) -> str:
         """Compose `file: line: array: problem` in one line."""
-        line = "" if self.line is None else f"line {self.line}"
-        text = ": ".join(
-            part for part in (str(self.file), line, self.array, self.problem) if part
-        )
+        line = self.line and f"line {self.line}"
         # Names inside a damaged file may have line breaks.
-        return " ".join(text.split())
+        return " ".join(_joined(self.file, line, self.array, self.problem).split())
 
 
 class DegeneratePointsError(HandmapError, ValueError):
@@ -284,10 +248,6 @@ def describe_value(value: Any) -> str:
     return text if len(text) <= _LONGEST_VALUE else f"{text[: _LONGEST_VALUE - 3]}..."
 
 
-def _rebuilt(
-    kind: type[HandmapError], args: tuple[Any, ...], state: dict[str, Any]
-) -> Exception:
-    """Unpickle an error: its arguments as `Exception` holds them, and its attributes."""
-    error = kind.__new__(kind, *args)
-    error.__dict__.update(state)
-    return error
+def _joined(*parts: object) -> str:
+    """Return the parts of an error's text that are not empty, with colons between."""
+    return ": ".join(str(part) for part in parts if part)

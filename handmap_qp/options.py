@@ -191,7 +191,7 @@ def check_names(kind: type[Options], names: Iterable[str]) -> None:
     if unknown := sorted(set(names) - set(known)):
         raise InvalidOptionsError(
             option=unknown[0],
-            problem="no such option",
+            problem=f"{kind.__name__} has no such option",
             advice=f"there are {', '.join(known)}",
         )
 

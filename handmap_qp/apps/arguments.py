@@ -21,7 +21,6 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import read_person
 from handmap_qp.human.recording import Recording, mirrored
-from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import (
     PRESETS,
     Choice,
@@ -29,6 +28,7 @@ from handmap_qp.mapping.presets import (
     known_options,
     preset_choice,
     preset_with,
+    read_options,
 )
 from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.trackers.formats import read_hands, read_recording

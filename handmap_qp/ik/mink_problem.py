@@ -1,17 +1,17 @@
 """The QP as published: built by `mink.build_ik` over Pinocchio, solved by `qpsolvers`.
 
 `IkOptions(formulation="mink", solver=...)` takes it in place of the direct formulation of
-`handmap_qp.ik.qp`, which is equal to it and faster. Each class is one term of the cost or one
-limit, so `mink.build_ik` composes them with tasks and limits of your own (subclass `mink.Task` and
+`handmap_qp.ik.qp`, which is equal to it and faster. Each `Term` is one term of the cost, so
+`mink.build_ik` composes them with tasks and limits of your own (subclass `mink.Task` and
 `mink.Limit`). mink's error convention holds: a task asks for `J dq = -gain * error`. Its
-Levenberg-Marquardt term grows with the square of the error. Ours, in `DampingTask`, grows with the
+Levenberg-Marquardt term grows with the square of the error. Ours, in `damping_term`, grows with the
 error (see `IkOptions.error_damping`).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -26,181 +26,138 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import Rows
 from handmap_qp.ik.tasks import Goal, Task
 
+ErrorAndJacobian = tuple[np.ndarray, np.ndarray]
 
-class PointTask(mink.Task):
-    """All reference points to their targets, as one stacked task.
+
+class Term(mink.Task):
+    """A term `|diag(cost) (J dq + e)|^2` of the cost.
+
+    Args:
+        cost: Weight of each row, shape (r,), or one for all, shape (1,).
+        linearise: Returns e, shape (r,), and J, shape (r, nv), at a configuration.
+    """
+
+    def __init__(
+        self, cost: np.ndarray, linearise: Callable[[Any], ErrorAndJacobian]
+    ) -> None:
+        super().__init__(cost=cost)
+        self.linearise = linearise
+
+    def compute_error(self, configuration: Any) -> np.ndarray:
+        """Return e, shape (r,)."""
+        return self.linearise(configuration)[0]
+
+    def compute_jacobian(self, configuration: Any) -> np.ndarray:
+        """Return J, shape (r, nv)."""
+        return self.linearise(configuration)[1]
+
+
+def point_term(targets: np.ndarray, cost: np.ndarray) -> Term:
+    """Return the term of all reference points to their targets.
 
     Args:
         targets: Targets of the points [m], shape (m, 3).
         cost: Weight of each point's error [cost]/[m], shape (m,).
     """
 
-    def __init__(self, targets: np.ndarray, cost: np.ndarray) -> None:
-        super().__init__(cost=np.repeat(cost, 3))
-        self.targets = targets
+    def linearise(hand: Configuration) -> ErrorAndJacobian:
+        return (hand.points - targets).ravel(), hand.point_jacobian()
 
-    def compute_error(self, configuration: Any) -> np.ndarray:
-        """Return point minus target [m], shape (3 m,)."""
-        return (configuration.points - self.targets).ravel()
-
-    def compute_jacobian(self, configuration: Any) -> np.ndarray:
-        """Return the derivative of the points, world axes, shape (3 m, nv)."""
-        return configuration.point_jacobian()
+    return Term(np.repeat(cost, 3), linearise)
 
 
-class WristTask(mink.Task):
-    """The wrist frame to a pose, by the SE(3) logarithm in the wrist's own axes.
+def wrist_term(target: pin.SE3, costs: tuple[float, float]) -> Term:
+    """Return the term of the wrist frame to a pose, by the SE(3) logarithm in the wrist's own axes.
 
     Args:
         target: Target of the wrist frame.
-        position_cost: Weight of the translational error [cost]/[m].
-        orientation_cost: Weight of the rotational error [cost]/[rad].
+        costs: Weights of the translational error [cost]/[m] and the rotational one [cost]/[rad].
     """
 
-    def __init__(
-        self, target: pin.SE3, position_cost: float, orientation_cost: float
-    ) -> None:
-        super().__init__(cost=np.repeat([position_cost, orientation_cost], 3))
-        self.target = target
+    def linearise(hand: Configuration) -> ErrorAndJacobian:
+        error = -pin.log6(hand.wrist.actInv(target)).vector
+        return error, hand.wrist_jacobian(pin.Jlog6(target.actInv(hand.wrist)))
 
-    def compute_error(self, configuration: Any) -> np.ndarray:
-        """Return minus the twist from the wrist to its target, shape (6,)."""
-        return -pin.log6(configuration.wrist.actInv(self.target)).vector
-
-    def compute_jacobian(self, configuration: Any) -> np.ndarray:
-        """Return the derivative of the error, shape (6, nv)."""
-        return configuration.wrist_jacobian(
-            pin.Jlog6(self.target.actInv(configuration.wrist))
-        )
+    return Term(np.repeat(costs, 3), linearise)
 
 
-class PostureTask(mink.Task):
-    """All joints to a posture: the null-space term of eq. (8), and costs of speed.
+def posture_term(hand: Hand, cost: float, posture: np.ndarray) -> Term:
+    """Return the term of all joints to a posture: the null-space term of eq. (8), costs of speed.
 
     Args:
         hand: The hand.
         cost: Weight of every joint's error [cost]/[rad].
         posture: Joint positions to pull to, shape (n,).
     """
-
-    def __init__(self, hand: Hand, cost: float, posture: np.ndarray) -> None:
-        super().__init__(cost=np.full(len(posture), cost))
-        self._indices, self._posture = hand.q_indices, posture
-        self._jacobian = np.eye(len(hand.active_columns))[hand.joint_columns]
-
-    def compute_error(self, configuration: Any) -> np.ndarray:
-        """Return joint position minus posture [rad or m], shape (n,)."""
-        return configuration.q[self._indices] - self._posture
-
-    def compute_jacobian(self, configuration: Any) -> np.ndarray:
-        """Return the selection of the joints, shape (n, nv)."""
-        return self._jacobian
+    jacobian = np.eye(len(hand.active_columns))[hand.joint_columns]
+    return Term(
+        np.full(len(posture), cost),
+        lambda placed: (placed.q[hand.q_indices] - posture, jacobian),
+    )
 
 
-class DampingTask(mink.Task):
-    """Damping: zero displacement as a target.
-
-    It keeps the step short near singular postures, and shorter with larger errors.
+def damping_term(
+    nv: int,
+    cost: float,
+    error_damping: float = 0.0,
+    of: Sequence[Term] = (),
+    free_translations: int = 0,
+) -> Term:
+    """Return damping: zero displacement as a target, in shorter steps with larger errors.
 
     Args:
         nv: Number of velocity coordinates.
         cost: Weight of every coordinate's displacement.
         error_damping: Further squared cost of every coordinate, per weighted error and per weighted
-            norm of its Jacobian column, of the tasks in `of`.
-        of: Tasks whose errors and Jacobians count.
+            norm of its Jacobian column, of the terms in `of`.
+        of: Terms whose errors and Jacobians count.
         free_translations: Number of leading coordinates that translate, without this damping.
     """
 
-    def __init__(
-        self,
-        nv: int,
-        cost: float,
-        error_damping: float = 0.0,
-        of: Sequence[mink.Task] = (),
-        free_translations: int = 0,
-    ) -> None:
-        super().__init__(cost=np.full(nv, cost))
-        self._error_damping, self._of = error_damping, of
-        self._turns = np.arange(nv) >= free_translations
+    def linearise(hand: Configuration) -> ErrorAndJacobian:
+        rows = [(term.cost, *term.linearise(hand)) for term in of]
+        error = math.sqrt(sum(np.square(cost * e).sum() for cost, e, _ in rows))
+        levers = [np.square(cost[:, None] * J).sum(axis=0) for cost, _, J in rows]
+        further = error_damping * error * np.sqrt(sum(levers, np.zeros(nv)))
+        further[:free_translations] = 0.0
+        return np.zeros(nv), np.diag(np.sqrt(cost**2 + further))
 
-    def compute_qp_residual(
-        self, configuration: Any
-    ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return the diagonal weighted Jacobian and a zero error."""
-        errors = [task.cost * task.compute_error(configuration) for task in self._of]
-        levers = [
-            task.cost[:, None] * task.compute_jacobian(configuration)
-            for task in self._of
-        ]
-        error = math.sqrt(sum(e @ e for e in errors))
-        lever = np.sqrt(
-            sum(((J**2).sum(axis=0) for J in levers), np.zeros(len(self.cost)))
-        )
-        squared_cost = self.cost**2 + self._error_damping * error * lever * self._turns
-        return np.diag(np.sqrt(squared_cost)), np.zeros(len(self.cost)), 0.0
-
-    def compute_error(self, configuration: Any) -> np.ndarray:
-        """Return zero, shape (nv,)."""
-        return np.zeros(len(self.cost))
-
-    def compute_jacobian(self, configuration: Any) -> np.ndarray:
-        """Return the identity, shape (nv, nv)."""
-        return np.eye(len(self.cost))
+    return Term(np.ones(1), linearise)
 
 
-class RowsTask(mink.Task):
-    """A `Task` as a `mink.Task`: its rows, and its damping as further rows without an error."""
+def task_term(task: Task) -> Term:
+    """Return the rows of a `Task`, with its damping as further rows without an error."""
 
-    def __init__(self, task: Task) -> None:
-        super().__init__(cost=np.ones(1))
-        self._task = task
+    def linearise(hand: Configuration) -> ErrorAndJacobian:
+        residual, jacobian, damping = task.linearise(hand)
+        roots = np.sqrt(np.broadcast_to(damping, (hand.nv,)))
+        error = np.concatenate([residual, np.zeros(hand.nv)])
+        return error, np.vstack([jacobian, np.diag(roots)])
 
-    def compute_error(self, configuration: Any) -> np.ndarray:
-        """Return the task's weighted error, with zeros for its damping, shape (r + nv,)."""
-        residual = self._task.linearise(configuration).residual
-        return np.concatenate([residual, np.zeros(configuration.nv)])
-
-    def compute_jacobian(self, configuration: Any) -> np.ndarray:
-        """Return its weighted Jacobian, with the rows of its damping, shape (r + nv, nv)."""
-        _, jacobian, damping = self._task.linearise(configuration)
-        roots = np.sqrt(np.broadcast_to(damping, (configuration.nv,)))
-        return np.vstack([jacobian, np.diag(roots)])
+    return Term(np.ones(1), linearise)
 
 
-class BoxLimit(mink.Limit):
-    """Bounds of the displacement as rows `[I; -I] dq <= [upper; -lower]`, without infinite ones.
+class RowsLimit(mink.Limit):
+    """Bounds as rows `[I; -I] dq <= [upper; -lower]`, without infinite ones, and further rows.
 
     Args:
         lower: Lower bound of the displacement, shape (nv,).
         upper: Upper bound, shape (nv,).
+        rows: G, shape (r, nv), and h, shape (r,), of self-collision avoidance; none if omitted.
     """
 
-    def __init__(self, lower: np.ndarray, upper: np.ndarray) -> None:
-        self._lower, self._upper = lower, upper
+    def __init__(
+        self, lower: np.ndarray, upper: np.ndarray, rows: Rows | None = None
+    ) -> None:
+        eye = np.eye(len(upper))
+        further, least = (np.zeros((0, len(upper))), ()) if rows is None else rows
+        G, h = np.vstack([eye, -eye, further]), np.concatenate([upper, -lower, least])
+        finite = np.isfinite(h)
+        self._rows = mink.Constraint(G[finite], h[finite])
 
     def compute_qp_inequalities(self, configuration: Any, dt: float) -> mink.Constraint:
         """Return the rows, upper bounds first."""
-        eye = np.eye(len(self._upper))
-        G, h = np.vstack([eye, -eye]), np.concatenate([self._upper, -self._lower])
-        finite = np.isfinite(h)
-        return (
-            mink.Constraint(G[finite], h[finite]) if finite.any() else mink.Constraint()
-        )
-
-
-class RowsLimit(mink.Limit):
-    """Rows `G dq <= h`: self-collision avoidance.
-
-    Args:
-        rows: G, shape (r, nv), and h, shape (r,).
-    """
-
-    def __init__(self, rows: Rows) -> None:
-        self._rows = rows
-
-    def compute_qp_inequalities(self, configuration: Any, dt: float) -> mink.Constraint:
-        """Return the rows."""
-        return mink.Constraint(*self._rows)
+        return self._rows if len(self._rows.h) else mink.Constraint()
 
 
 class _ActiveConfiguration:
@@ -214,22 +171,15 @@ class _ActiveConfiguration:
         return getattr(self._configuration, name)
 
 
-def make_limits(
-    lower: np.ndarray, upper: np.ndarray, rows: Rows | None
-) -> list[mink.Limit]:
-    """Return the box, and the rows of self-collision avoidance if there are any."""
-    return [BoxLimit(lower, upper), *([] if rows is None else [RowsLimit(rows)])]
-
-
-def make_tasks(hand: Hand, options: IkOptions, goal: Goal) -> list[mink.Task]:
-    """Return the tasks whose sum is the cost of one sample."""
-    followed: list[mink.Task] = [PointTask(goal.points, options.point_costs(hand))]
+def make_terms(hand: Hand, options: IkOptions, goal: Goal) -> list[Term]:
+    """Return the terms whose sum is the cost of one sample."""
+    followed = [point_term(goal.points, options.point_costs(hand))]
     if goal.wrist is not None:
-        followed.append(WristTask(goal.wrist, *options.wrist_costs))
+        followed.append(wrist_term(goal.wrist, options.wrist_costs))
     nv, free = len(hand.active_columns), 3 if hand.is_floating else 0
-    damping = DampingTask(nv, options.damping, options.error_damping, followed, free)
-    postures = [PostureTask(hand, *posture) for posture in goal.postures]
-    return [*followed, damping, *postures, *map(RowsTask, goal.tasks)]
+    damping = damping_term(nv, options.damping, options.error_damping, followed, free)
+    postures = [posture_term(hand, *posture) for posture in goal.postures]
+    return [*followed, damping, *postures, *map(task_term, goal.tasks)]
 
 
 def build_problem(
@@ -237,7 +187,7 @@ def build_problem(
     options: IkOptions,
     configuration: Configuration,
     goal: Goal,
-    limits: Sequence[mink.Limit],
+    limit: mink.Limit,
     *,
     extra_tasks: Sequence[mink.Task] = (),
 ) -> qpsolvers.Problem:
@@ -248,7 +198,7 @@ def build_problem(
         options: The weights.
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
-        limits: Limits of the displacement.
+        limit: Limit of the displacement.
         extra_tasks: Further terms of the cost as tasks of mink.
 
     Returns:
@@ -257,5 +207,5 @@ def build_problem(
     # Our configuration has the attributes that build_ik and our tasks read of mink's, which is one
     # of MuJoCo. The limits are of displacements, so the time has no meaning.
     active: Any = _ActiveConfiguration(configuration)
-    tasks = [*make_tasks(hand, options, goal), *extra_tasks]
-    return mink.build_ik(active, tasks, 1.0, damping=0.0, limits=limits)
+    tasks = [*make_terms(hand, options, goal), *extra_tasks]
+    return mink.build_ik(active, tasks, 1.0, damping=0.0, limits=[limit])

@@ -385,8 +385,8 @@ class PointIk:
         if self.options.formulation == "mink":
             from handmap_qp.ik import mink_problem
 
-            limits = mink_problem.make_limits(lower, upper, rows)
-            posed = mink_problem.build_problem(*problem, limits)
+            limit = mink_problem.RowsLimit(lower, upper, rows)
+            posed = mink_problem.build_problem(*problem, limit)
             return solve_problem(posed, self.options.solver)
         return self._solver(*direct_cost(*problem), lower, upper, rows)
 

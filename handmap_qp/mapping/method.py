@@ -224,9 +224,11 @@ class Preset(NamedTuple):
         ik: Weights and settings of the QP.
         purpose: Intended use, in words.
         weakness: Known weaknesses, in words.
+        rank: Place in lists of presets: those with a lower one come first.
     """
 
     method: MethodOptions
     ik: IkOptions
     purpose: str
     weakness: str
+    rank: int = 2

@@ -1,44 +1,57 @@
 """Presets: a mapping method, its options and QP weights that go together, by name.
 
-Every method of the package has one or more (`PRESETS` of its module). Other packages add theirs by
-entry points of the group `handmap_qp.presets`, each of which names a `Preset`.
+Every module in `handmap_qp.mapping.methods` is a method with one or more presets (`PRESETS`); to be
+there is all that it takes. Other packages add theirs by entry points of the group
+`handmap_qp.presets`, each of which names a `Preset`.
+
+A YAML file of options, which `--options` reads and the view writes, has the names that
+`Choice.with_changes` and the service take: `preset`, and options of its method and of the QP.
+Options that are not in the file have the values of the preset.
+
+    preset: teleoperation
+    pinch_weight: 6.0
+    damping: 0.2
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from importlib import import_module
+from pathlib import Path
+from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
-from handmap_qp.errors import HandmapError, InvalidOptionsError, did_you_mean
+import msgspec
+import yaml
+
+from handmap_qp.errors import (
+    HandmapError,
+    InvalidInputError,
+    InvalidOptionsError,
+    did_you_mean,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping import methods
 from handmap_qp.mapping.hand_pair import KNUCKLES, MIDDLES, TIPS
 from handmap_qp.mapping.method import MethodOptions, Preset
 from handmap_qp.options import Option, options_of
 from handmap_qp.plugins import Plugins
 
-_MODULES = (
-    "teleoperation",
-    "homogeneous",
-    "fingertip_vectors",
-    "joint_to_joint",
-    "virtual_sphere",
-    "virtual_ellipsoid",
-)
-
 
 def _own() -> dict[str, Preset]:
-    modules = [import_module(f"handmap_qp.mapping.methods.{name}") for name in _MODULES]
-    return {
-        name: preset for module in modules for name, preset in module.PRESETS.items()
-    }
+    found = [
+        item
+        for module in iter_modules(methods.__path__, f"{methods.__name__}.")
+        for item in import_module(module.name).PRESETS.items()
+    ]
+    return dict(sorted(found, key=lambda item: item[1].rank))
 
 
 def _check(preset: Preset) -> None:
-    if not (isinstance(preset, Preset) and isinstance(preset.method, MethodOptions)):
-        raise TypeError("expected a Preset whose method is a MethodOptions")
+    if not isinstance(preset, Preset):
+        raise TypeError("expected a Preset")
 
 
 PRESETS: Mapping[str, Preset] = Plugins("handmap_qp.presets", _own, _check)
@@ -161,13 +174,6 @@ class Choice(NamedTuple):
         rest = dict(changes)
         start = preset_choice(rest.pop("preset")) if "preset" in rest else self
         ik = {name: rest.pop(name) for name in IK_NAMES & rest.keys()}
-        known = [option.name for option in options_of(type(start.method))]
-        if unknown := sorted(set(rest) - set(known)):
-            raise InvalidOptionsError(
-                option=unknown[0],
-                problem=f"the preset {start.preset} has no such option",
-                advice="choose another preset, or leave it out",
-            )
         return start._replace(
             method=start.method.replaced(**rest), ik=start.ik.replaced(**ik)
         )
@@ -204,3 +210,47 @@ def preset_choice(name: str, contact_gap: float | None = None) -> Choice:
     if contact_gap is not None and "contact_gap" in method.values:
         method = method.replaced(contact_gap=contact_gap)
     return Choice(name, method, preset.ik)
+
+
+def read_options(path: Path | str) -> dict[str, Any]:
+    """Read a file of options.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Values by name, as `Choice.with_changes` takes them. Their ranges are not checked here.
+
+    Raises:
+        InvalidInputError: If the file cannot be read, is not a table, or has an unknown name;
+            `argument` is then that name.
+    """
+    file, known = Path(path), {"preset", *known_options()}
+    try:
+        table = msgspec.yaml.decode(file.read_bytes(), type=dict[Any, Any])
+    except OSError as error:
+        problem = f"{file}: cannot be read: {error.strerror or error}"
+        raise InvalidInputError(argument="options", problem=problem) from error
+    except (msgspec.MsgspecError, ValueError) as error:
+        problem = f"{file}: is not a table in YAML: {' '.join(str(error).split())}"
+        advice = "write lines such as `preset: teleoperation`"
+        raise InvalidInputError(problem, argument="options", advice=advice) from error
+    for name in map(str, table.keys() - known):
+        raise InvalidInputError(
+            argument=name,
+            problem=f"{file} has an unknown option",
+            advice=did_you_mean(name, known) or "see handmap map --help",
+        )
+    return table
+
+
+def options_text(choice: Choice, start: Choice | None = None) -> str:
+    """Return the text of a file with the options that differ from their preset's.
+
+    Args:
+        choice: Preset and options.
+        start: The preset with the values that need not be written; its own if omitted.
+    """
+    start = preset_choice(choice.preset) if start is None else start
+    changes = {"preset": choice.preset} | start.changes_to(choice)
+    return yaml.safe_dump(msgspec.to_builtins(changes), sort_keys=False)

@@ -20,7 +20,7 @@ from handmap_qp import IkOptions
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.mink_problem import DampingTask, build_problem, make_limits
+from handmap_qp.ik.mink_problem import RowsLimit, build_problem, damping_term
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import solve_by_daqp, solve_problem
 from handmap_qp.ik.tasks import Goal
@@ -53,10 +53,10 @@ def way_1(
 ) -> qpsolvers.Problem:
     wrist = None if case.wrist_target is None else pin.SE3(case.wrist_target)
     goal = Goal(case.point_targets, wrist, [(ik.options.rest_weight, ik.hand.rest)], ())
-    limits = make_limits(*ik.gate.bounds(case.dt), None)
+    limit = RowsLimit(*ik.gate.bounds(case.dt))
     configuration = ik.configuration
     return build_problem(
-        ik.hand, ik.options, configuration, goal, limits, extra_tasks=extra_tasks
+        ik.hand, ik.options, configuration, goal, limit, extra_tasks=extra_tasks
     )
 
 
@@ -230,7 +230,7 @@ def test_a_users_task_joins_the_mink_problem() -> None:
     hand = hand_of(HANDS[0])
     case = next(random_cases(hand, 1))
     ik = placed(hand, case)
-    alone, joined = way_1(ik, case), way_1(ik, case, [DampingTask(hand.model.nv, 3.0)])
+    alone, joined = way_1(ik, case), way_1(ik, case, [damping_term(hand.model.nv, 3.0)])
     np.testing.assert_allclose(
         joined.P - alone.P, 9.0 * np.eye(hand.model.nv), atol=1e-9
     )

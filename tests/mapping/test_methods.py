@@ -25,6 +25,7 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.by_name import METHODS
 from handmap_qp.mapping.method import (
     BoundMethod,
     HumanPose,
@@ -32,7 +33,6 @@ from handmap_qp.mapping.method import (
     TargetMap,
     Targets,
 )
-from handmap_qp.mapping.methods.by_name import METHODS
 from handmap_qp.mapping.methods.fingertip_vectors import FingertipVectors
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
 from handmap_qp.se3 import affine, transform_points

@@ -13,8 +13,13 @@ from hypothesis import strategies as st
 from handmap_qp import InvalidInputError, cli, load_hand
 from handmap_qp.apps.arguments import MappingArguments, QpFlags
 from handmap_qp.mapping.methods.homogeneous import MappingOptions
-from handmap_qp.mapping.options_file import options_text, read_options
-from handmap_qp.mapping.presets import IK_NAMES, PRESETS, preset_choice
+from handmap_qp.mapping.presets import (
+    IK_NAMES,
+    PRESETS,
+    options_text,
+    preset_choice,
+    read_options,
+)
 
 HUMAN, ROBOT = load_hand("human"), load_hand("allegro_right")
 
@@ -74,9 +79,9 @@ def test_every_option_has_one_meaning_in_the_file() -> None:
     ("text", "argument", "words"),
     [
         ("pinch_wieght: 2", "pinch_wieght", "did you mean pinch_weight?"),
-        ("- 1", "options", "expected a table"),
-        ("a: [", "options", "is not YAML"),
-        ("\x00", "options", "is not YAML"),
+        ("- 1", "options", "is not a table"),
+        ("a: [", "options", "is not a table"),
+        ("\x00", "options", "is not a table"),
         (None, "options", "cannot be read"),
     ],
 )

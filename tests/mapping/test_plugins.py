@@ -222,7 +222,7 @@ LINES = (
     (
         f"{MAP} --preset paper --wrist-share 0.25",
         2,
-        "the preset paper has no such option",
+        "Homogeneous has no such option",
     ),
     (f"{MAP} --help", 0, "Share of the wrist's way."),
     ("convert demo::right demo.json", 0, "wrote demo.json"),

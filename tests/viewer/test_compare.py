@@ -22,7 +22,7 @@ from handmap_qp.apps.viewer.replay import ReplayViewer
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import BrowserCameras, HandScene, Solid
 from handmap_qp.human.landmarks import TIPS
-from handmap_qp.mapping.methods.by_name import METHODS
+from handmap_qp.mapping.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 

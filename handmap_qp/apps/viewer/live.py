@@ -20,8 +20,7 @@ from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import HandScene
 from handmap_qp.apps.viewer.serving import GAUGES_PERIOD, run_frames
 from handmap_qp.errors import HandmapError, InvalidInputError
-from handmap_qp.mapping.options_file import options_text
-from handmap_qp.mapping.presets import possible_presets
+from handmap_qp.mapping.presets import options_text, possible_presets
 
 if TYPE_CHECKING:
     import viser

@@ -169,12 +169,14 @@ PRESETS = {
         IkOptions(),
         "eqs. (5)-(8) as published: rigid part and deformation from the points alone",
         "gestures; closing the fingers turns the robot's wrist, by 24 deg for a half-closed hand",
+        rank=1,
     ),
     "object": Preset(
         Homogeneous(rigid_from="wrist", pivot="palm", reference="rest"),
         FOLLOWING,
         "in-hand motion: the palm follows the wrist, and T deforms the fingers' grasp; no partners",
         "gestures: T cannot tell a pointing finger from a fist",
+        rank=1,
     ),
     "fixed_wrist": Preset(
         Homogeneous(
@@ -183,6 +185,7 @@ PRESETS = {
         IkOptions(),
         "in-hand motion on a hand whose wrist cannot move: all of T deforms the fingers' grasp",
         "gestures; the motion of the human's own wrist goes to the fingers as well",
+        rank=1,
     ),
 }
 

@@ -118,6 +118,7 @@ PRESETS = {
         FOLLOWING.replaced(rest_weight=0.05),
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
+        rank=0,
     )
 }
 
