@@ -24,7 +24,7 @@ import synthetic
 from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.qp import PointIk, direct_cost
 from handmap_qp.ik.solvers import QpSolver, Rows, make_solver, solve_by_daqp
 from handmap_qp.se3 import affine
 
@@ -97,7 +97,10 @@ def _hard_problem(ik: PointIk, kind: int, rng: np.random.Generator) -> Problem:
         scale=10.0 ** rng.uniform(-3.0, 0.0), size=ik.configuration.points.shape
     )
     wrist = affine(pin.exp3(rng.normal(size=3)), rng.normal(scale=0.3, size=3))
-    return Problem(*ik.problem(targets, wrist, 10.0 ** rng.uniform(-3.0, -1.0)))
+    dt = 10.0 ** rng.uniform(-3.0, -1.0)
+    goal = ik._goal(targets, wrist, dt, None, ())
+    cost = direct_cost(hand, ik.options, ik.configuration, goal)
+    return Problem(*cost, *ik.gate.bounds(dt))
 
 
 def exact_answer(problem: Problem) -> np.ndarray:

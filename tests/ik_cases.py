@@ -18,6 +18,9 @@ from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import WristSpec, read_hand_spec
 from handmap_qp.hands.urdf import parse_urdf
+from handmap_qp.ik.limits import SHORTEST_DT
+from handmap_qp.ik.qp import PointIk, direct_cost
+from handmap_qp.ik.tasks import Task
 
 ARM_JOINTS = ("arm_turn", "arm_lift", "arm_roll")
 _ARM = """
@@ -209,3 +212,18 @@ def _unit(rng: np.random.Generator) -> np.ndarray:
 def _direction(rng: np.random.Generator) -> np.ndarray:
     axis = rng.normal(size=3)
     return axis / np.linalg.norm(axis)
+
+
+def problem_of(
+    ik: PointIk,
+    points: np.ndarray,
+    wrist: np.ndarray | None,
+    dt: float,
+    *,
+    tasks: tuple[Task, ...] = (),
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return H, c and both bounds of the first iteration of `PointIk.solve`."""
+    dt = max(dt, SHORTEST_DT)
+    goal = ik._goal(points, wrist, dt, None, tasks)
+    cost = direct_cost(ik.hand, ik.options, ik.configuration, goal)
+    return *cost, *ik.gate.bounds(dt)

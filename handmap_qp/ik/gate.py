@@ -37,8 +37,7 @@ import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.ik.collision import CollisionLimit, feasible
-from handmap_qp.ik.distances import NearPairs
+from handmap_qp.ik.collision import CollisionLimit, NearPairs, feasible
 from handmap_qp.ik.limits import SHORTEST_DT, BoxLimits, braking_displacement, clip
 from handmap_qp.ik.solvers import solve_by_daqp
 
@@ -129,12 +128,10 @@ class Gate:
             dt: Time for it [s].
             share: Share of the speed limits to use, as far as braking allows.
         """
-        bounds = self._limits.bounds(self.motion.q, dt, self.motion.velocity)
-        return (
-            bounds
-            if share == 1.0
-            else slowed(*bounds, share * dt * self._limits.speeds)
-        )
+        lower, upper, *_ = self._limits.box(self.motion.q, dt, self.motion.velocity)
+        farthest = share * dt * self._limits.speeds
+        # Up to that displacement, or the nearest corner of the box.
+        return clip(-farthest, lower, upper), clip(farthest, lower, upper)
 
     def stopping(self, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it."""
@@ -337,10 +334,3 @@ class Gate:
         step = displacement if expansion is None else expansion.matrix.dot(displacement)
         reached = self._limits.clipped(pin.integrate(self._hand.model, q, step), q)
         self.motion = Motion(reached, displacement, dt, stop_times)
-
-
-def slowed(
-    lower: np.ndarray, upper: np.ndarray, farthest: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the part of a box up to a displacement, or its nearest corner, shape (nv,) each."""
-    return clip(-farthest, lower, upper), clip(farthest, lower, upper)

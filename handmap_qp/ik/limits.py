@@ -99,17 +99,16 @@ class BoxLimits:
         together: np.ndarray | None = None,
     ) -> None:
         self.size = len(hand.active_columns)
-        # Pinocchio's free-flyer has limits of +-1.8e308, which stay out of all arithmetic. Infinite
-        # ones take their place, so any coordinate does for its six speeds.
-        self._coordinates = np.zeros(self.size, dtype=int)
-        self._lower, self._upper = np.full((2, self.size), [[-np.inf], [np.inf]])
-        self.speeds = np.full(self.size, np.inf)
-        # The limits of a whole configuration; infinite for all but the hand's joints.
+        # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all
+        # arithmetic. Infinite ones take their place, so its first coordinate does for six speeds.
         self._lowest, self._highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
-        joints = hand.joint_columns
+        self._lowest[hand.q_indices] = hand.lower_limits
+        self._highest[hand.q_indices] = hand.upper_limits
+        joints, self._coordinates = hand.joint_columns, np.zeros(self.size, dtype=int)
         self._coordinates[joints] = hand.q_indices
-        self._lower[joints] = self._lowest[hand.q_indices] = hand.lower_limits
-        self._upper[joints] = self._highest[hand.q_indices] = hand.upper_limits
+        self._lower = self._lowest[self._coordinates]
+        self._upper = self._highest[self._coordinates]
+        self.speeds = np.full(self.size, np.inf)
         if has_velocity_limits:
             self.speeds[joints] = hand.velocity_limits
             if hand.is_floating:
@@ -117,33 +116,21 @@ class BoxLimits:
                 self.speeds[:6] = np.repeat(
                     [wrist.max_linear_speed, wrist.max_angular_speed], 3
                 )
-        self.together = (
-            np.zeros(self.size, dtype=bool) if together is None else together
-        )
+        none = np.zeros(self.size, dtype=bool)
+        self.together = none if together is None else together
         # A limit beyond all speeds is none; as such, its products with times cannot overflow.
         is_limited = max_acceleration is not None and max_acceleration < _NO_LIMIT
         self.acceleration = max_acceleration if is_limited else math.inf
 
-    def bounds(
-        self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lower and upper bound of the displacement from `q`.
+    def box(self, q: np.ndarray, dt: float, velocity: npt.ArrayLike = 0.0) -> Box:
+        """Return the bounds of the displacement, and which need no further check.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
             dt: Time for the displacement [s].
-            previous_velocity: Displacement of the last sample divided by its time, shape (nv,); at
-                rest if omitted. Matters only to acceleration limits.
-
-        Returns:
-            Two arrays of shape (nv,), `lower <= upper`.
+            velocity: Displacement of the last sample divided by its time, shape (nv,). Matters only
+                to acceleration limits.
         """
-        return self.box(q, dt, previous_velocity)[:2]
-
-    def box(
-        self, q: np.ndarray, dt: float, previous_velocity: np.ndarray | None = None
-    ) -> Box:
-        """Return the bounds, and which displacements need no further check; as `bounds`."""
         here, farthest = q[self._coordinates], self.speeds * dt
         down, up = self._lower - here, self._upper - here
         lower, upper = (
@@ -152,10 +139,7 @@ class BoxLimits:
         )
         if self.acceleration == math.inf:
             return Box(lower, upper, lower, upper)
-        velocity = (
-            np.zeros(self.size) if previous_velocity is None else previous_velocity
-        )
-        change, middle = self.change(dt), velocity * dt
+        change, middle = self.change(dt), np.multiply(velocity, dt)
         stretch = 1.0 + self.stopping(velocity, dt) * self.together
         # Faster than this, a stop would take too long.
         usable = self.acceleration * (LONGEST_STOP * dt)
@@ -218,7 +202,7 @@ class BoxLimits:
         longest = times.max(initial=0.0, where=self.together)
         return np.where(self.together, longest, times)
 
-    def stopping(self, velocity: np.ndarray, dt: float) -> float:
+    def stopping(self, velocity: npt.ArrayLike, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it.
 
         Args:
@@ -227,7 +211,7 @@ class BoxLimits:
         """
         if self.acceleration == math.inf or not self.together.any():
             return 0.0
-        fastest = float(np.abs(velocity).max(where=self.together, initial=0.0))
+        fastest = float((np.abs(velocity) * self.together).max())
         return 0.5 * (fastest / self.acceleration + dt) / dt
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.distances import NearPairs
+from handmap_qp.ik.collision import NearPairs
 from handmap_qp.ik.gate import Gate, Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk, weighted_task

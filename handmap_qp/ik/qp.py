@@ -224,15 +224,6 @@ class PointIk:
         """Return a solver with other options that moves the same hand on from where it is."""
         return PointIk(self.hand, options, self.gate.motion, contacts=self._contacts)
 
-    def on_hand(self, hand: Hand, contacts: ShapePairs | None) -> PointIk:
-        """Return a solver for the same hand with other reference points, going on from here.
-
-        Args:
-            hand: The hand; its joints and its mount are those of this one.
-            contacts: Pairs of shapes to keep apart.
-        """
-        return PointIk(hand, self.options, self.gate.motion, contacts=contacts)
-
     def place(self, q: np.ndarray) -> None:
         """Put the hand at a configuration, at rest.
 
@@ -336,25 +327,6 @@ class PointIk:
             np.full(len(displacement), np.inf),
         )
         return self._result("released", points, displacement, -free, free, 0, 0.0)
-
-    def problem(
-        self,
-        point_targets: np.ndarray,
-        wrist_target: np.ndarray | None,
-        dt: float,
-        *,
-        rest: np.ndarray | None = None,
-        tasks: Sequence[Task] = (),
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return the QP of the first iteration; arguments as of `solve`.
-
-        Returns:
-            H, shape (k, k); c, lower and upper bound, shape (k,) each.
-        """
-        dt = max(dt, SHORTEST_DT)
-        goal = self._goal(point_targets, wrist_target, dt, rest, tasks)
-        H, c = direct_cost(self.hand, self.options, self.configuration, goal)
-        return H, c, *self.gate.bounds(dt)
 
     def _goal(
         self,

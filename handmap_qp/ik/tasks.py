@@ -146,13 +146,6 @@ class AttachedPoints:
         )
         return hand.contracted((linear + turning) * self._moved)
 
-    def taken(self, indices: np.ndarray) -> AttachedPoints:
-        """Return some of the points, in the order of their indices."""
-        points = copy(self)
-        points._joints = [self._joints[i] for i in indices]
-        points._offsets, points._moved = self._offsets[indices], self._moved[indices]
-        return points
-
 
 class PointDistances:
     """Keep pairs of points at given distances.
@@ -186,8 +179,7 @@ class PointDistances:
                 expected=f"two different points below {len(points)}",
                 value=pairs,
             )
-        # The first points of all pairs, then the second ones.
-        self._ends = points.taken(indices.T.ravel())
+        self._points, (self._first, self._second) = points, indices.T
         self._distances = _check_numbers(distances, len(indices), "distances")
         self._weights = _check_numbers(weights, len(indices), "weights")
         self._damping = _check_numbers(damping, len(indices), "damping")
@@ -205,13 +197,13 @@ class PointDistances:
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row a pair; see `Task.linearise`."""
-        count, positions = len(self._weights), self._ends.positions(hand)
-        offsets = positions[:count] - positions[count:]
+        positions = self._points.positions(hand)
+        offsets = positions[self._first] - positions[self._second]
         apart = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
         # Points in one place have no direction: any will do to part them.
         offsets[apart <= _SHORTEST] = 0.0, 0.0, _SHORTEST
-        jacobians = self._ends.jacobians(hand, positions)
-        levers = jacobians[:count] - jacobians[count:]
+        jacobians = self._points.jacobians(hand, positions)
+        levers = jacobians[self._first] - jacobians[self._second]
         weights = self._weights / LENGTH_UNIT
         directions = (weights / np.maximum(apart, _SHORTEST))[:, None] * offsets
         rows = np.matmul(directions[:, None], levers)[:, 0]
@@ -224,15 +216,11 @@ class PointDistances:
 
 
 def _check_numbers(values: npt.ArrayLike, count: int, name: str) -> np.ndarray:
-    array = as_floats(values, name)
-    if array.ndim == 0:
-        array = np.full(count, float(array))
-    if array.shape != (count,) or not (
-        np.isfinite(array).all() and (array >= 0.0).all()
-    ):
+    array = as_floats(values, name, is_finite=True)
+    if array.shape not in ((), (count,)) or (array < 0.0).any():
         raise InvalidInputError(
             argument=name,
             expected=f"{count} finite numbers >= 0, or one for all",
             value=values,
         )
-    return array.copy()
+    return np.full(count, array)

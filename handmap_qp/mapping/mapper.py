@@ -459,7 +459,8 @@ class HandMapper:
             chosen, weights = _method_of(method, {})
             ik = weights if ik is None and isinstance(method, str) else ik
             bound = chosen.bind(self.human, self._given_robot)
-            solver = plan.ik.on_hand(bound.robot, bound.contacts)
+            contacts, motion = bound.contacts, plan.ik.gate.motion
+            solver = PointIk(bound.robot, plan.ik.options, motion, contacts=contacts)
             plan = replace(plan, method=chosen, bound=bound, ik=solver)
             reference = None if reference is None else _bound_again(reference, bound)
         if ik is not None:

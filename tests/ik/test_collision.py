@@ -16,7 +16,7 @@ import trimesh
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ik_cases import random_cases
+from ik_cases import problem_of, random_cases
 
 from handmap_qp import HandError, IkOptions, MissingExtraError, load_hand
 from handmap_qp.errors import InvalidOptionsError
@@ -47,7 +47,7 @@ def avoiding_step(
     ik: PointIk, limit: CollisionLimit, targets: np.ndarray, dt: float
 ) -> np.ndarray | None:
     """Return the step of the QP with the rows of all pairs, before the gate."""
-    H, c, lower, upper = ik.problem(targets, None, dt)
+    H, c, lower, upper = problem_of(ik, targets, None, dt)
     near = limit.measure(ik.configuration.q)
     rows = feasible(limit.rows(ik.configuration, near), lower, upper)
     return solve_by_daqp(H, c, lower, upper, rows)

@@ -9,7 +9,7 @@ import pytest
 from handmap_qp import Hand, load_hand
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import all_pairs
-from handmap_qp.ik.distances import NearPairs, ShapeDistances
+from handmap_qp.ik.collision import NearPairs, ShapeDistances
 
 HORIZON = 0.012
 

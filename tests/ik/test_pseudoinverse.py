@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
-from ik_cases import HANDS, Case, each_plain_hand, hand_of, random_cases
+from ik_cases import HANDS, Case, each_plain_hand, hand_of, problem_of, random_cases
 
 from handmap_qp import IkOptions, load_hand
 from handmap_qp.errors import InvalidOptionsError
@@ -66,7 +66,7 @@ def slack_qp(hand: Hand, case: Case, options: IkOptions) -> np.ndarray:
     """Return the QP's step with limits too wide to be active."""
     ik = PointIk(hand, options)
     ik.place(case.q)
-    H, c, lower, _ = ik.problem(case.point_targets, case.wrist_target, case.dt)
+    H, c, lower, _ = problem_of(ik, case.point_targets, case.wrist_target, case.dt)
     wide = np.full(len(lower), 1e4)
     dq = solve_by_daqp(H, c, -wide, wide)
     assert dq is not None
@@ -185,7 +185,7 @@ def test_plain_steps_ignore_limits_and_clipped_ones_hold_them() -> None:
             PseudoinverseIk(hand, options),
             PseudoinverseIk(hand, options, limits="clip"),
         )
-        lower, upper = box.bounds(case.q, case.dt)
+        lower, upper = box.box(case.q, case.dt)[:2]
         for ik in (plain, clipped):
             ik.place(case.q)
             ik.solve(case.point_targets, case.wrist_target, case.dt)
@@ -208,7 +208,9 @@ def test_clipping_costs_more_than_the_qp(damping: float) -> None:
     for case in random_cases(hand, 40, seed=5, is_inside=True):
         ik = PointIk(hand, options)
         ik.place(case.q)
-        H, c, lower, upper = ik.problem(case.point_targets, case.wrist_target, case.dt)
+        H, c, lower, upper = problem_of(
+            ik, case.point_targets, case.wrist_target, case.dt
+        )
         best = solve_by_daqp(H, c, lower, upper)
         assert best is not None
         clipped = np.clip(eq_8(hand, case, options, damping), lower, upper)

@@ -14,6 +14,7 @@ from ik_cases import (
     arm_hand,
     each_kind_of_hand,
     hand_of,
+    problem_of,
     random_cases,
 )
 from strategies import generators
@@ -22,7 +23,7 @@ from handmap_qp import HandError, HandMapper, IkOptions, load_hand
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.ik.gate import slowed
+from handmap_qp.ik.gate import Gate, Motion
 from handmap_qp.ik.limits import BoxLimits
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import make_solver, solve_by_daqp
@@ -53,9 +54,9 @@ def test_the_box_never_contradicts_itself(rng: np.random.Generator, dt: float) -
                 has_velocity_limits=has_velocity_limits,
                 max_acceleration=acceleration,
             )
-            lower, upper = limits.bounds(
+            lower, upper = limits.box(
                 any_posture(hand, rng, outside=2.0), dt, velocity
-            )
+            )[:2]
             assert (lower <= upper).all()
             assert not np.isnan([lower, upper]).any()
 
@@ -66,7 +67,7 @@ def test_inside_its_limits_the_box_is_position_and_speed_limits_together(
 ) -> None:
     hand = HAND
     q = any_posture(hand, rng, outside=0.0)
-    lower, upper = BoxLimits(hand).bounds(q, dt)
+    lower, upper = BoxLimits(hand).box(q, dt)[:2]
     angles, reach = q[hand.q_indices], hand.velocity_limits * dt
     np.testing.assert_array_equal(
         upper[hand.joint_columns], np.minimum(hand.upper_limits - angles, reach)
@@ -86,9 +87,9 @@ def test_from_outside_a_joint_comes_back_as_fast_as_it_may(
 ) -> None:
     hand, dt = HAND, 0.01
     angles = hand.upper_limits + rng.uniform(0.001, 1.0, len(hand.joint_names))
-    lower, upper = BoxLimits(hand).bounds(
+    lower, upper = BoxLimits(hand).box(
         hand.configuration_vector(angles, np.eye(4)), dt
-    )
+    )[:2]
     overshoot = angles - hand.upper_limits
     back = np.minimum(overshoot, hand.velocity_limits * dt)
     np.testing.assert_allclose(upper[hand.joint_columns], -back, atol=1e-15)
@@ -110,7 +111,7 @@ def test_from_rest_acceleration_never_stands_against_position(
     velocity = np.zeros(len(hand.active_columns))
     for _ in range(60):
         dt = 10.0 ** rng.uniform(-3, -1)
-        lower, upper = limits.bounds(q, dt, velocity)
+        lower, upper = limits.box(q, dt, velocity)[:2]
         # Mostly full speed into one corner: the hardest case for the brakes.
         dq = np.where(rng.random(len(lower)) < 0.9, upper, rng.uniform(lower, upper))
         assert (
@@ -130,17 +131,17 @@ def test_position_and_speed_go_before_acceleration(rng: np.random.Generator) -> 
     limits, plain = BoxLimits(hand, max_acceleration=1e-3), BoxLimits(hand)
     q = any_posture(hand, rng)
     direction = rng.choice([-1.0, 1.0], len(hand.active_columns))
-    lower, upper = limits.bounds(q, dt, 1e4 * direction)
-    least, most = plain.bounds(q, dt)
+    lower, upper = limits.box(q, dt, 1e4 * direction)[:2]
+    least, most = plain.box(q, dt)[:2]
     np.testing.assert_array_equal(lower, np.where(direction > 0.0, most, least))
     np.testing.assert_array_equal(upper, lower)
 
 
 def test_an_infinite_acceleration_limit_limits_nothing() -> None:
     q = any_posture(HAND, np.random.default_rng(0))
-    expected = BoxLimits(HAND).bounds(q, 0.01)
+    expected = BoxLimits(HAND).box(q, 0.01)[:2]
     for bound, other in zip(
-        BoxLimits(HAND, max_acceleration=np.inf).bounds(q, 0.01), expected, strict=True
+        BoxLimits(HAND, max_acceleration=np.inf).box(q, 0.01)[:2], expected, strict=True
     ):
         np.testing.assert_allclose(bound, other, atol=1e-15)
 
@@ -159,7 +160,9 @@ def test_the_solver_leaves_nothing_to_clip(which: tuple[str, str, str | None]) -
     hand, ik = hand_of(which), PointIk(hand_of(which), IkOptions())
     for case in random_cases(hand, 30, seed=8):
         ik.place(case.q)
-        H, c, lower, upper = ik.problem(case.point_targets, case.wrist_target, case.dt)
+        H, c, lower, upper = problem_of(
+            ik, case.point_targets, case.wrist_target, case.dt
+        )
         dq = solve_by_daqp(H, c, lower, upper)
         assert dq is not None
         # The solver's tolerance; measured: 2e-16.
@@ -180,7 +183,7 @@ def test_the_hessian_is_near_one(which: tuple[str, str, str | None]) -> None:
             if case.wrist_target is not None
             else None
         )
-        H = ik.problem(near, wrist, case.dt)[0]
+        H = problem_of(ik, near, wrist, case.dt)[0]
         if (
             not (hand.has_moving_wrist and not hand.is_floating)
             and hand.name != "panda_gripper"
@@ -198,7 +201,7 @@ def test_limits_hold_from_anywhere_to_anywhere(
     for case in random_cases(hand, 30, seed=10):
         ik.place(case.q)
         ik.solve(case.point_targets, case.wrist_target, case.dt)
-        lower, upper = BoxLimits(hand).bounds(case.q, case.dt)
+        lower, upper = BoxLimits(hand).box(case.q, case.dt)[:2]
         dq = pin.difference(hand.model, case.q, ik.configuration.q)[hand.active_columns]
         assert (dq <= upper + 1e-9).all()
         assert (dq >= lower - 1e-9).all()
@@ -221,7 +224,7 @@ def test_a_joint_that_the_box_holds_is_said_to_be_held(solver: str) -> None:
         )
         result = ik.solve(targets, wrist, 1.0 / 60.0)
         if result.last_step < 1e-8:
-            H, c, *_ = ik.problem(targets, wrist, 1.0 / 60.0)
+            H, c, *_ = problem_of(ik, targets, wrist, 1.0 / 60.0)
             slope = c / np.diag(H)
             # Measured: 2e-8 for free joints, at least 1.7e-4 for joints at a bound.
             np.testing.assert_array_equal(
@@ -238,7 +241,9 @@ def test_limits_hold_exactly_with_a_solver_that_stops_at_a_tolerance() -> None:
     violations = []
     for case in random_cases(hand, 60, seed=14):
         ik.place(case.q)
-        H, c, lower, upper = ik.problem(case.point_targets, case.wrist_target, case.dt)
+        H, c, lower, upper = problem_of(
+            ik, case.point_targets, case.wrist_target, case.dt
+        )
         raw = make_solver("osqp")(H, c, lower, upper)
         assert raw is not None
         violations.append(max((raw - upper).max(), (lower - raw).max()))
@@ -328,7 +333,7 @@ def test_a_weight_of_1_costs_1_for_10_mm_or_a_tenth_of_a_radian(
     for value in (1.0, 3.0):
         ik = PointIk(hand, IkOptions(**{weight: value}))  # ty: ignore[invalid-argument-type]
         ik.place(hand.configuration_vector(hand.rest, np.eye(4)))
-        H = ik.problem(ik.configuration.points, np.eye(4), 0.01)[0]
+        H = problem_of(ik, ik.configuration.points, np.eye(4), 0.01)[0]
         costs.append(unit**2 * np.diag(H)[columns])
     # The difference of two weights cancels all other terms.
     np.testing.assert_allclose(costs[1] - costs[0], rows * (3.0**2 - 1.0**2), rtol=1e-9)
@@ -426,12 +431,12 @@ def test_a_slower_box_is_in_the_box_and_keeps_the_share_where_braking_allows(
     generator: np.random.Generator, share: float, dt: float
 ) -> None:
     hand = HAND
-    limits = BoxLimits(hand, max_acceleration=10.0)
     q = any_posture(hand, generator, outside=0.2)
-    velocity = generator.uniform(-3.0, 3.0, limits.size)
-    full = limits.bounds(q, dt, velocity)
-    farthest = share * dt * limits.speeds
-    lower, upper = slowed(*full, farthest)
+    velocity = generator.uniform(-3.0, 3.0, len(hand.active_columns))
+    motion = Motion(q, velocity, 1.0, np.zeros_like(velocity))
+    gate = Gate(hand, motion, max_acceleration=10.0)
+    full, (lower, upper) = gate.bounds(dt), gate.bounds(dt, share)
+    farthest = share * dt * BoxLimits(hand).speeds
     assert (full[0] <= lower).all()
     assert (lower <= upper).all()
     assert (upper <= full[1]).all()

@@ -20,8 +20,7 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import CollisionSpec, PalmSpec, WristSpec
-from handmap_qp.ik.collision import CollisionLimit
-from handmap_qp.ik.distances import ShapeDistances
+from handmap_qp.ik.collision import CollisionLimit, ShapeDistances
 from handmap_qp.ik.limits import braking_displacement
 from handmap_qp.ik.qp import PointIk
 

@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import qpsolvers
-from ik_cases import HANDS, Case, each_kind_of_hand, hand_of, random_cases
+from ik_cases import HANDS, Case, each_kind_of_hand, hand_of, problem_of, random_cases
 from oracles.mujoco_ik import MujocoIk
 
 from handmap_qp import IkOptions
@@ -63,7 +63,7 @@ def way_1(
 def way_2(
     ik: PointIk, case: Case
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    return ik.problem(case.point_targets, case.wrist_target, case.dt)
+    return problem_of(ik, case.point_targets, case.wrist_target, case.dt)
 
 
 def step_of(ik: PointIk, case: Case) -> np.ndarray:
