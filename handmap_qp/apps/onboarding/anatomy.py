@@ -6,8 +6,10 @@ plane of the knuckles, or names. What is derived from an answer is never surer t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,6 +20,7 @@ from handmap_qp.hands.spec import Side
 
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
+_T = TypeVar("_T")
 # Confidence with two kinds of evidence that agree, with one, and with two that disagree.
 _CERTAIN, _LIKELY, _DISPUTED = 0.95, 0.75, 0.5
 # Score margins above which an answer is clear, or better than none.
@@ -59,13 +62,8 @@ class Clue:
     @property
     def certainty(self) -> str:
         """The confidence in words."""
-        return (
-            "certain"
-            if self.confidence >= 0.9
-            else "likely"
-            if self.confidence >= 0.6
-            else "a guess: check it"
-        )
+        levels = ((0.9, "certain"), (0.6, "likely"), (0.0, "a guess: check it"))
+        return next(words for least, words in levels if self.confidence >= least)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +85,26 @@ class Anatomy:
     clues: tuple[Clue, ...]
 
 
+class _Found(NamedTuple):
+    """A direction in the palm link's coordinates, and the evidence for it.
+
+    Attributes:
+        direction: A unit vector, shape (3,).
+        how: Evidence, a sentence without a full stop.
+        confidence: From 0 to 1.
+        sign: Confidence in its sign alone.
+    """
+
+    direction: np.ndarray
+    how: str
+    confidence: float
+    sign: float = 1.0
+
+    def clue(self, what: str) -> Clue:
+        """Return it as a property of the hand."""
+        return Clue(what, _shown(self.direction), self.how, self.confidence)
+
+
 def find_anatomy(
     flexion: HandFlexion,
     names: list[list[str]],
@@ -104,51 +122,28 @@ def find_anatomy(
         thumb: Index of the thumb, if known.
     """
     hand = _Evidence(flexion, names, thumb)
-    distal, distal_clue = hand.find_distal()
-    bend = hand.find_dorsal(distal)
-    is_round = (
-        hand.thumb is not None and flexion.directions[hand.thumb] @ distal < _OPPOSED
-    )
-    if is_round and len(hand.rest) > 1:
-        # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
-        how = "the thumb points the other way: the best direction may be nearer to the palm's"
-        how = f"{distal_clue.how}; {how}"
-        distal_clue = replace(distal_clue, how=how, confidence=_DISPUTED)
-    bend = replace(bend, confidence=min(bend.confidence, distal_clue.confidence))
-    across = np.cross(distal, bend.dorsal)
-    radial = hand.find_radial(across)
-    named = named_side([*hints, *(name for group in names for name in group)])
-    bend, side, side_clue = _find_side(
-        bend, radial, hand.thumb_clue, named, side, across
+    distal = hand.find_distal()
+    dorsal = hand.find_dorsal(distal.direction)
+    dorsal = dorsal._replace(confidence=min(dorsal.confidence, distal.confidence))
+    radial = hand.find_radial(np.cross(distal.direction, dorsal.direction))
+    declared = side or named_side([*hints, *itertools.chain(*names)])
+    turned, found, clue = _find_side(
+        distal.direction,
+        dorsal,
+        radial,
+        hand.thumb_clue,
+        declared,
+        is_given=side is not None,
     )
     # The thumb's side orders the fingers; only without it the side does.
-    across = np.cross(distal, bend.dorsal)
-    towards = radial.direction
     if radial.confidence == 0.0:
-        towards = -across if side == "right" else across
-    fingers, order_clue = hand.name_fingers(towards, max(radial.confidence, 0.2))
-    dorsal_clue = Clue("dorsal", _shown(bend.dorsal), bend.how, bend.confidence)
-    clues = (hand.thumb_clue, distal_clue, dorsal_clue, side_clue, order_clue)
-    return Anatomy(distal, bend.dorsal, side, fingers, clues)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Bend:
-    """The dorsal direction, and the evidence for its axis and for its sign."""
-
-    dorsal: np.ndarray
-    how: str
-    confidence: float
-    sign_certainty: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Radial:
-    """The direction across the palm towards the thumb; confidence 0 if the thumb is central."""
-
-    direction: np.ndarray
-    how: str
-    confidence: float
+        across = np.cross(distal.direction, turned.direction)
+        radial = radial._replace(
+            direction=-across if found == "right" else across, confidence=0.2
+        )
+    fingers, order = hand.name_fingers(radial)
+    clues = (hand.thumb_clue, distal.clue("distal"), turned.clue("dorsal"), clue, order)
+    return Anatomy(distal.direction, turned.direction, found, fingers, clues)
 
 
 class _Evidence:
@@ -158,141 +153,137 @@ class _Evidence:
         thumb: Index of the thumb; None if there is one finger only.
         thumb_clue: Evidence for it.
         rest: Indices of the other fingers.
-        axis: Mean axis of their flexion, disregarding its sense; None without a common one.
+        axis: Mean axis of their flexion, disregarding its sense; zero without a common one.
     """
 
     def __init__(
         self, flexion: HandFlexion, names: list[list[str]], thumb: int | None
     ) -> None:
         self.flexion, self.names, self.labels = flexion, names, named_fingers(names)
-        self.thumb, self.thumb_clue = self._find_thumb(thumb)
+        self.thumb, how, confidence = self._find_thumb(thumb)
+        answer = "none" if self.thumb is None else names[self.thumb][-1]
+        self.thumb_clue = Clue("thumb", answer, how, confidence)
         self.rest = [i for i in range(len(names)) if i != self.thumb]
         axes = flexion.axes[self.rest]
         axes = axes[np.linalg.norm(axes, axis=1) > 0.5]
         values, vectors = np.linalg.eigh(axes.T @ axes)
         # Jaws and hands with fingers all around have no common axis.
         has_axis = len(axes) and values[-1] >= 0.8 * len(axes)
-        self.axis = vectors[:, -1] if has_axis else None
+        self.axis = vectors[:, -1] if has_axis else np.zeros(3)
 
-    # -- thumb
+    def _find_thumb(self, given: int | None) -> tuple[int | None, str, float]:
+        """Find the finger that differs from the others, or that the names call a thumb.
 
-    def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:
-        """Find the finger that differs from the others, or that the names call a thumb."""
+        Returns:
+            Its index, the evidence, and the confidence.
+        """
         names, count = self.names, len(self.names)
         if given is not None:
-            return given, Clue("thumb", names[given][-1], "as given", 1.0)
+            return given, "as given", 1.0
         if count < 2:
-            return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
-        position, direction, way = parts = _differences(self.flexion)
+            return None, "the hand has one finger only", 0.9
+        parts = _differences(self.flexion)
         # A different number of joints counts, but less than any of the others.
-        joints = np.array(
-            [[len(one) != len(other) for other in names] for one in names]
-        )
-        scores = _stands_out(0.5 * (position + direction + way) + 0.15 * joints)
+        sizes = np.array([len(one) for one in names])
+        scores = _stands_out(0.5 * sum(parts) + 0.15 * (sizes[:, None] != sizes))
         best, ranked = int(np.argmax(scores)), np.sort(scores)
         margin = float(ranked[-1] - ranked[-2]) if count > 2 else 0.0
-        named = self.labels.index("thumb") if "thumb" in self.labels else None
-        if named is not None and (named == best or margin < _CLEAR):
-            if named == best and margin > _VISIBLE:
-                how = "from the link names; its position and flexion differ from the others'"
-                return named, _thumb_clue(names[named], how, _CERTAIN, margin)
-            how = "from the link names; the kinematics is ambiguous"
-            return named, _thumb_clue(names[named], how, _LIKELY)
-        if margin > _VISIBLE:
-            how = "its position, direction and flexion differ from those of the other fingers"
-            if named is not None:
-                how += f"; the link names suggest {names[named][-1]}"
-                return best, _thumb_clue(names[best], how, _DISPUTED, margin)
-            agreeing = sum(
-                int(np.argmax(part)) == best and max(part) > _VISIBLE
-                for part in map(_stands_out, parts)
-            )
-            confidence = _CERTAIN if margin > _CLEAR and agreeing > 1 else _LIKELY
-            return best, _thumb_clue(names[best], how, confidence, margin)
-        how = "of two similar fingers the first one was taken"
-        if count > 2:
-            how = "the fingers are alike, so the first one was taken"
-        chosen = best if margin > 1e-6 else 0
-        return chosen, _thumb_clue(names[chosen], how, 0.3)
+        peaks = [_stands_out(part) for part in parts]
+        agreeing = sum(
+            np.argmax(peak) == best and max(peak) > _VISIBLE for peak in peaks
+        )
+        is_named = "thumb" in self.labels
+        named = self.labels.index("thumb") if is_named else best
+        shown = f" (margin {margin:.2f} of 1)"
+        differs = f"its position, direction and flexion differ from the others'{shown}"
+        is_clear = margin > _CLEAR and agreeing > 1
+        alike = (
+            "the fingers are alike: the first, or the one that differs most, was taken"
+        )
+        return _first(
+            (is_named and named == best and margin > _VISIBLE,
+             (named, f"from the link names; {differs}", _CERTAIN)),
+            (is_named and (named == best or margin < _CLEAR),
+             (named, "from the link names; the kinematics is ambiguous", _LIKELY)),
+            (is_named,
+             (best, f"{differs}; the link names suggest {names[named][-1]}", _DISPUTED)),
+            (margin > _VISIBLE, (best, differs, _CERTAIN if is_clear else _LIKELY)),
+            (True, (best if margin > 1e-6 else 0, alike, 0.3)),
+        )  # fmt: skip
 
-    # -- directions
-
-    def find_distal(self) -> tuple[np.ndarray, Clue]:
+    def find_distal(self) -> _Found:
         """Find the direction of the stretched fingers."""
         flexion, rest, axis = self.flexion, self.rest, self.axis
-        mean = flexion.directions[rest].mean(axis=0)
         # Fingers and thumb of a gripper lean to opposite sides: take the middle of both.
+        mean = flexion.directions[rest].mean(axis=0)
         if len(flexion.bases) == 2:
             mean = flexion.directions.mean(axis=0)
-        elif self.thumb is not None and self._is_gripper(self.thumb):
-            mean = mean + flexion.directions[self.thumb]
-            mean = mean / max(float(np.linalg.norm(mean)), 1e-9)
+        elif self._is_gripper():
+            mean = _unit(mean + flexion.directions[self.thumb])
         agreement = float(np.linalg.norm(mean))
         if agreement < 0.2:
             mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
-        if axis is not None and np.linalg.norm(mean - (mean @ axis) * axis) > 0.2:
-            mean = mean - (mean @ axis) * axis
-        knuckles = flexion.bases[rest if len(flexion.bases) > 2 else ...].mean(axis=0)
-        mean = _snapped(mean / np.linalg.norm(mean), knuckles, axis)
+        if np.linalg.norm(_beside(mean, axis)) > 0.2:
+            mean = _beside(mean, axis)
+        knuckles = flexion.bases[rest if len(flexion.bases) > 2 else ...]
+        mean = _snapped(_unit(mean), knuckles.mean(axis=0), axis)
         how = f"the mean direction of the straight fingers (agreement {agreement:.2f} of 1)"
         confidence = _LIKELY if agreement > 0.8 else 0.4
-        more = ""
-        if angle_between(mean, knuckles) < _AGREEING:
-            more = "the knuckles lie in this direction from the palm's origin"
-        elif len(rest) > 2 and axis is not None:
-            line = _widest(flexion.bases[rest])
-            if abs(mean @ line) < np.sin(np.radians(_AGREEING)):
-                more = "at right angles to the row of the knuckles"
-        if agreement > 0.85 and more:
+        line = _widest(knuckles) if len(rest) > 2 and axis.any() else mean
+        confirmations = (
+            (angle_between(mean, knuckles.mean(axis=0)) < _AGREEING,
+             "the knuckles lie in this direction from the palm's origin"),
+            (abs(mean @ line) < np.sin(np.radians(_AGREEING)),
+             "at right angles to the row of the knuckles"),
+        )  # fmt: skip
+        more = next((text for holds, text in confirmations if holds), "")
+        if more and agreement > 0.85:
             how, confidence = f"{how}; {more}", _CERTAIN
-        return mean, Clue("distal", _shown(mean), how, confidence)
+        thumb = flexion.directions[rest if self.thumb is None else [self.thumb]]
+        if len(rest) > 1 and thumb.mean(axis=0) @ mean < _OPPOSED:
+            # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
+            how = f"{how}; the thumb points the other way: the palm's direction may be better"
+            confidence = _DISPUTED
+        return _Found(mean, how, confidence)
 
-    def _is_gripper(self, thumb: int) -> bool:
+    def _is_gripper(self) -> bool:
         """Return whether a thumb is as long as the fingers, and faces them at less than 90 deg."""
-        flexion, rest = self.flexion, self.rest
-        lengths = flexion.reach[[thumb, *rest]]
+        flexion, thumb, rest = self.flexion, self.thumb, self.rest
+        if thumb is None:
+            return False
+        lengths = flexion.reach
         faces = flexion.axes[thumb] @ flexion.axes[rest].mean(axis=0) < _FACING
-        is_ahead = (
-            flexion.directions[thumb] @ flexion.directions[rest].mean(axis=0) > _AHEAD
-        )
-        return bool(faces and is_ahead and np.ptp(lengths) < _ALIKE * lengths.mean())
+        ahead = flexion.directions[thumb] @ flexion.directions[rest].mean(axis=0)
+        is_alike = np.ptp(lengths) < _ALIKE * lengths.mean()
+        return bool(faces and ahead > _AHEAD and is_alike)
 
-    def find_dorsal(self, distal: np.ndarray) -> _Bend:
+    def find_dorsal(self, distal: np.ndarray) -> _Found:
         """Find the back of the hand: opposite to the way in which the fingertips flex."""
-        flexion, rest = self.flexion, self.rest
-        palmar = flexion.ways[rest].mean(axis=0)
-        agreement = float(np.linalg.norm(palmar))
-        palmar = palmar - (palmar @ distal) * distal
+        flexion, rest, thumb = self.flexion, self.rest, self.thumb
+        mean = flexion.ways[rest].mean(axis=0)
+        agreement, palmar = float(np.linalg.norm(mean)), _beside(mean, distal)
         how = f"opposite to the fingertips' motion in flexion (agreement {agreement:.2f} of 1)"
-        certainty = float(np.median(flexion.certainty[rest]))
-        upright = np.zeros(3) if self.axis is None else np.cross(self.axis, distal)
+        sign = float(np.median(flexion.certainty[rest]))
+        upright = np.cross(self.axis, distal)
         if abs(palmar @ upright) > 0.2:
             # The axes of flexion are exact; the way of the tips depends on the posture.
             palmar = np.sign(palmar @ upright) * upright
-        if np.linalg.norm(palmar) < 0.2 and self.thumb is not None:
-            palmar = flexion.tips_open[self.thumb] - flexion.tips_open[rest].mean(
-                axis=0
-            )
-            palmar = palmar - (palmar @ distal) * distal
+        if np.linalg.norm(palmar) < 0.2 and thumb is not None:
+            to_thumb = flexion.tips_open[thumb] - flexion.tips_open[rest].mean(axis=0)
+            palmar, sign = _beside(to_thumb, distal), 0.5
             how = "away from the thumb, because the other fingertips flex in different directions"
-            certainty = 0.5
         if np.linalg.norm(palmar) < 1e-6:
-            palmar = np.eye(3)[np.argmin(np.abs(distal))]
-            palmar = palmar - (palmar @ distal) * distal
+            palmar, sign = _beside(np.eye(3)[np.argmin(np.abs(distal))], distal), 0.05
             how = "undetermined: an arbitrary direction at right angles to distal"
-            certainty = 0.05
-        dorsal = _snapped(-palmar / np.linalg.norm(palmar))
-        dorsal = dorsal - (dorsal @ distal) * distal
-        dorsal = np.where(np.abs(dorsal) < 1e-9, 0.0, dorsal)
-        dorsal = dorsal / np.linalg.norm(dorsal)
-        confidence = min(certainty, _LIKELY if agreement > 0.4 else _DISPUTED)
+        dorsal = _unit(_rounded(_beside(_snapped(_unit(-palmar)), distal)))
+        confidence = min(sign, _LIKELY if agreement > 0.4 else _DISPUTED)
         more, contradiction = self._confirmations(distal, dorsal)
-        if more and agreement > 0.85 and certainty > 0.6:
-            how = f"{how}; {' and '.join(more)}"
-            confidence = max(confidence, min(certainty, _CERTAIN))
+        if more and agreement > 0.85 and sign > 0.6:
+            how = "; ".join([how, *more])
+            confidence = max(confidence, min(sign, _CERTAIN))
         if contradiction:
             how, confidence = f"{how}; {contradiction}", min(confidence, _DISPUTED)
-        return _Bend(dorsal, how, confidence, certainty)
+        return _Found(dorsal, how, confidence, sign)
 
     def _confirmations(
         self, distal: np.ndarray, dorsal: np.ndarray
@@ -305,53 +296,57 @@ class _Evidence:
             [],
             "",
         )
+        knuckles = flexion.bases[rest]
         if len(rest) > 2:
-            normal = np.cross(_widest(flexion.bases[rest]), distal)
+            normal = np.cross(_widest(knuckles), distal)
             angle = angle_between(normal, dorsal)
             angle = min(angle, 180.0 - angle)
-            if np.linalg.norm(normal) > 0.5 and angle < _AGREEING:
+            if np.linalg.norm(normal) < 0.5:
+                angle = 1.5 * _AGREEING
+            if angle < _AGREEING:
                 more.append("at right angles to the row of the knuckles")
-            elif np.linalg.norm(normal) > 0.5 and angle > 2.0 * _AGREEING:
+            elif angle > 2.0 * _AGREEING:
                 against = f"the row of the knuckles is {angle:.0f} degrees off the palm's plane"
         if thumb is not None and flexion.certainty[thumb] > 0.6:
-            height = (
-                flexion.tips_closed[thumb] - flexion.bases[rest].mean(axis=0)
-            ) @ -dorsal
+            height = (flexion.tips_closed[thumb] - knuckles.mean(axis=0)) @ -dorsal
             if height > 0.1 * flexion.reach[rest].mean():
                 more.append("the thumb closes on the other side")
         return more, against
 
-    def find_radial(self, across: np.ndarray) -> _Radial:
-        """Find the thumb's side of the palm: by its place, or by the other fingers' names."""
-        flexion = self.flexion
-        named = {self.labels[i]: i for i in self.rest}
-        row = (
-            flexion.bases[[named[label] for label in FINGERS if label in named]]
-            @ across
-        )
-        steps, named_sign = np.diff(row), 0.0
-        if (
-            len(steps)
-            and (np.abs(steps) > 0.5 * _NARROW).all()
-            and len({*np.sign(steps)}) == 1
-        ):
-            named_sign = -float(np.sign(steps[0]))
-        by_names = _Radial(named_sign * across, "the fingers' names", _LIKELY)
+    def find_radial(self, across: np.ndarray) -> _Found:
+        """Find the thumb's side of the palm: by its place, or by the other fingers' names.
+
+        Returns:
+            The direction across the palm towards the thumb; confidence 0 if the thumb is central.
+        """
         place, is_outside = self._thumb_place(across)
-        if abs(place) > _VISIBLE and len(flexion.bases) > 2:
-            sign = float(np.sign(place))
-            if named_sign == sign:
-                how = "the thumb's place and the fingers' names"
-                return _Radial(sign * across, how, _CERTAIN)
-            if named_sign and abs(place) < _CLEAR:
-                return by_names
-            clear = _LIKELY if abs(place) > _CLEAR else 0.65
-            if named_sign:
-                clear = min(clear, _DISPUTED)
-            elif abs(place) > 2.0 * _CLEAR and is_outside:
-                clear = _CERTAIN
-            return _Radial(sign * across, "the thumb's place", clear)
-        return by_names if named_sign else _Radial(across, "", 0.0)
+        bases = {self.labels[i]: self.flexion.bases[i] for i in self.rest}
+        row = [bases[label] @ across for label in FINGERS if label in bases]
+        steps = np.diff(row)
+        is_row = np.ptp(np.sign(steps)) == 0.0 if len(steps) else False
+        named = (
+            -np.sign(steps[0])
+            if is_row and np.abs(steps).min() > 0.5 * _NARROW
+            else 0.0
+        )
+        by_names = "the fingers' names"
+        by_place = (
+            np.sign(place) if abs(place) > _VISIBLE and len(self.names) > 2 else 0.0
+        )
+        is_clear = abs(place) > _CLEAR
+        sign, how, confidence = _first(
+            (not by_place and not named, (1.0, "", 0.0)),
+            (not by_place, (named, by_names, _LIKELY)),
+            (named == by_place, (named, f"the thumb's place and {by_names}", _CERTAIN)),
+            (named and not is_clear, (named, by_names, _LIKELY)),
+            (named, (by_place, "the thumb's place", _DISPUTED)),
+            (
+                abs(place) > 2.0 * _CLEAR and is_outside,
+                (by_place, "the thumb's place", _CERTAIN),
+            ),
+            (True, (by_place, "the thumb's place", _LIKELY if is_clear else 0.65)),
+        )
+        return _Found(sign * across, how, confidence)
 
     def _thumb_place(self, across: np.ndarray) -> tuple[float, bool]:
         """Return how far the thumb is to one side, in half widths of the palm.
@@ -363,160 +358,155 @@ class _Evidence:
             return 0.0, False
         row = flexion.bases[rest] @ across
         width = max(float(np.ptp(row)) / 2.0, 0.25 * float(flexion.reach[rest].mean()))
-        ends = (
-            np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
-            - row.mean()
-        )
-        place = float(ends.mean()) / width
-        return place, bool((ends * place > 0.0).all())
+        ends = np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
+        ends = (ends - row.mean()) / width
+        return float(ends.mean()), bool((ends * ends.mean() > 0.0).all())
 
-    # -- fingers
-
-    def name_fingers(
-        self, radial: np.ndarray, confidence: float
-    ) -> tuple[tuple[str, ...], Clue]:
+    def name_fingers(self, radial: _Found) -> tuple[tuple[str, ...], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
-        flexion, rest, labels = self.flexion, self.rest, self.labels
+        flexion, labels, sure = self.flexion, self.labels, self.thumb_clue.confidence
         # Order fingers by base and tip: fingers spread towards their tips, and bases may lie one
         # behind the other.
-        places = (flexion.bases + 0.3 * (flexion.tips_open - flexion.bases)) @ radial
-        order = sorted(rest, key=lambda i: -places[i])
-        narrowest = float(-np.diff(places[order]).max()) if len(order) > 1 else np.inf
-        called = dict.fromkeys([] if self.thumb is None else [self.thumb], "thumb")
-        for place, i in enumerate(order):
-            called[i] = FINGERS[place] if place < len(FINGERS) else f"finger{place + 2}"
-        how = "ordered by position across the palm, from the thumb's side"
-        if len(order) > 1:
-            how += f"; neighbours are at least {1e3 * narrowest:.0f} mm apart"
-        sure = self.thumb_clue.confidence
-        confidence = min(confidence, _CERTAIN if narrowest > _NARROW else 0.4, sure)
-        own = {i: label for i in rest if (label := labels[i]) in FINGERS}
-        if rest and len(own) == len(rest):
-            by_name = sorted(rest, key=lambda i: FINGERS.index(own[i]))
-            if by_name == order:
-                how = f"{how}; the names agree"
-                confidence = _CERTAIN if sure >= _LIKELY else _LIKELY
-                called |= own
-            elif narrowest < 2.0 * _NARROW or confidence < _LIKELY:
-                how, confidence = "from the names; their places are ambiguous", _LIKELY
-                order = by_name
-                called |= own
-            else:
-                how = f"{how}; the names say {', '.join(own[i] for i in order)}"
-                confidence = min(confidence, _DISPUTED)
-        answer = [
-            called[i] for i in ([] if self.thumb is None else [self.thumb]) + order
-        ]
-        if len(rest) < 2:
+        places = (0.7 * flexion.bases + 0.3 * flexion.tips_open) @ radial.direction
+        order = sorted(self.rest, key=lambda i: -places[i])
+        apart = float(-np.diff(places[order]).max(initial=-np.inf))
+        own = sorted(
+            (FINGERS.index(labels[i]), i) for i in self.rest if labels[i] in FINGERS
+        )
+        by_name = [i for _, i in own]
+        confidence = min(radial.confidence, _CERTAIN if apart > _NARROW else 0.4, sure)
+        if len(order) < 2:
             # Nothing is left to choose but the thumb.
             confidence = max(confidence, min(0.9, sure))
-        clue = Clue("fingers", ", ".join(answer), how, confidence)
-        return tuple(called[i] for i in range(len(labels))), clue
-
-
-def _thumb_clue(
-    names: list[str], how: str, confidence: float, margin: float | None = None
-) -> Clue:
-    shown = "" if margin is None else f" (margin {margin:.2f} of 1)"
-    return Clue("thumb", names[-1], how + shown, confidence)
+        called = {
+            i: FINGERS[k] if k < len(FINGERS) else f"finger{k + 2}"
+            for k, i in enumerate(order)
+        }
+        is_named = 0 < len(order) == len(by_name)
+        is_narrow = apart < 2.0 * _NARROW or confidence < _LIKELY
+        how = "ordered by position across the palm, from the thumb's side"
+        said = ", ".join(FINGERS[k] for k, _ in own)
+        how, confidence = _first(
+            (not is_named, (how, confidence)),
+            (by_name == order,
+             (f"{how}; the names agree", _CERTAIN if sure >= _LIKELY else _LIKELY)),
+            (is_narrow, ("from the names; their places are ambiguous", _LIKELY)),
+            (True, (f"{how}; the names say {said}", min(confidence, _DISPUTED))),
+        )  # fmt: skip
+        if is_named and (by_name == order or is_narrow):
+            called, order = {i: FINGERS[k] for k, i in own}, by_name
+        if self.thumb is not None:
+            called[self.thumb], order = "thumb", [self.thumb, *order]
+        answer = ", ".join(called[i] for i in order)
+        names = tuple(called[i] for i in range(len(labels)))
+        return names, Clue("fingers", answer, how, confidence)
 
 
 def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return how much fingers differ in position, direction and flexion, 0 to 1, shape (F, F)."""
     lines = flexion.tips_open - flexion.roots
-    lengths = np.maximum(np.linalg.norm(lines, axis=1), 1e-9)
-    directions = lines / lengths[:, None]
-    along = directions[:, None] + directions
+    lengths, directions = np.linalg.norm(lines, axis=1), _unit(lines)
+    along = _unit(directions[:, None] + directions)
     apart = np.abs(((flexion.roots[:, None] - flexion.roots) * along).sum(axis=2))
-    sums = np.linalg.norm(along, axis=2)
-    ahead = 2.0 * apart / np.maximum(sums, 1e-6) / np.maximum(lengths[:, None], lengths)
-    ahead = np.where(sums > 1e-6, np.minimum(1.0, ahead), 0.0)
+    longer = np.maximum(np.maximum(lengths[:, None], lengths), 1e-9)
+    ahead = np.minimum(1.0, 2.0 * apart / longer)
     return ahead, 1.0 - directions @ directions.T, 1.0 - flexion.ways @ flexion.ways.T
 
 
 def _stands_out(differences: np.ndarray) -> np.ndarray:
     """Return how much each finger differs from the others, less how much they differ, (F,)."""
-    scores = []
-    for i in range(len(differences)):
-        others = np.delete(np.arange(len(differences)), i)
-        among = differences[np.ix_(others, others)].sum()
-        among /= max(1, len(others) * (len(others) - 1))
-        scores.append(differences[i, others].mean() - among)
-    return np.array(scores)
+    others = len(differences) - 1
+    own = differences.sum(axis=1) - differences.diagonal()
+    among = (
+        differences.sum()
+        - differences.sum(axis=0)
+        - differences.sum(axis=1)
+        + differences.diagonal()
+    )
+    return own / others - among / max(1, others * (others - 1))
 
 
 def _find_side(
-    bend: _Bend,
-    radial: _Radial,
+    distal: np.ndarray,
+    dorsal: _Found,
+    radial: _Found,
     thumb: Clue,
-    named: Side | None,
-    given: Side | None,
-    across: np.ndarray,
-) -> tuple[_Bend, Side, Clue]:
+    declared: Side | None,
+    *,
+    is_given: bool,
+) -> tuple[_Found, Side, Clue]:
     """Find the side: a right hand seen from the back, fingers up, has its thumb on the left.
 
     A given side, or a named one, sets the sign of the dorsal direction if the thumb is clearly on
     one side of the palm.
+
+    Returns:
+        The dorsal direction, the side, and the evidence for it.
     """
-    is_given, declared = given is not None, given or named
+    is_right = radial.direction @ np.cross(distal, dorsal.direction) < 0.0
+    found: Side = "right" if is_right else "left"
     source = "as given" if is_given else "from the names"
-    found: Side = "right" if radial.direction @ across < 0.0 else "left"
-    if radial.confidence == 0.0:
-        if declared is None:
-            return (
-                bend,
-                "right",
-                Clue("side", "right", "undetermined; right by convention", 0.2),
-            )
-        how = f"{source}; the thumb is in the middle"
-        return bend, declared, Clue("side", declared, how, 1.0 if is_given else 0.65)
-    where = "left" if found == "right" else "right"
-    how = f"seen from the back with the fingers up, the thumb is on the {where} ({radial.how})"
-    if declared is None:
-        confidence = min(radial.confidence, thumb.confidence, bend.confidence)
-        return bend, found, Clue("side", found, how, confidence)
-    if declared == found:
-        least = min(radial.confidence, thumb.confidence)
-        confidence = 1.0 if is_given else _CERTAIN if least >= _LIKELY else _LIKELY
-        what = source if is_given else f"{source}, and {how}"
-        return _confirmed(bend), declared, Clue("side", declared, what, confidence)
-    # They disagree: names yield to clear flexion, an owner's word does not.
-    is_clear = bend.sign_certainty > 0.9
-    if not is_given and is_clear and radial.confidence >= _LIKELY:
-        return (
-            bend,
-            found,
-            Clue("side", found, f"{how}; the names say {declared}", _DISPUTED),
-        )
-    why, how = "flexion is symmetric", source
-    sure, confidence = min(_LIKELY, radial.confidence), min(_LIKELY, thumb.confidence)
-    if is_clear:
-        why, sure, confidence = (
-            "the ranges of the joints suggest the opposite",
-            0.4,
-            0.5,
-        )
-        how = f"{source}; the ranges of the joints suggest {found}"
-    elif is_given:
-        confidence = 0.9
-    turned = f"the back of a {declared} hand with its thumb there; {why}"
-    bend = _Bend(-bend.dorsal + 0.0, turned, sure, 0.0)
-    return bend, declared, Clue("side", declared, how, confidence)
+    seen = (
+        f"seen from the back with the fingers up, the thumb is on the "
+        f"{'left' if is_right else 'right'} ({radial.how})"
+    )
+    least = min(radial.confidence, thumb.confidence)
+    is_central, is_clear = radial.confidence == 0.0, dorsal.sign > 0.9
+    agrees = declared == found
+    opposite = f"the ranges of the joints suggest {found}"
+    named: Side = declared or found
+    side, how, confidence = _first(
+        (is_central and declared is None, ("right", "undetermined; right by convention", 0.2)),
+        (is_central, (named, f"{source}; the thumb is in the middle", 1.0 if is_given else 0.65)),
+        (declared is None, (found, seen, min(least, dorsal.confidence))),
+        (agrees and is_given, (found, source, 1.0)),
+        (agrees, (found, f"{source}, and {seen}", _CERTAIN if least >= _LIKELY else _LIKELY)),
+        # They disagree: names yield to clear flexion, an owner's word does not.
+        (not is_given and is_clear and radial.confidence >= _LIKELY,
+         (found, f"{seen}; the names say {declared}", _DISPUTED)),
+        (is_clear, (named, f"{source}; {opposite}", 0.5)),
+        (True, (named, source, 0.9 if is_given else min(_LIKELY, thumb.confidence))),
+    )  # fmt: skip
+    clue = Clue("side", side, how, confidence)
+    if is_central or declared is None:
+        return dorsal, side, clue
+    if side == found:
+        return _confirmed(dorsal) if agrees else dorsal, side, clue
+    why = opposite if is_clear else "flexion is symmetric"
+    sure = 0.4 if is_clear else min(_LIKELY, radial.confidence)
+    how = f"the back of a {side} hand with its thumb there; {why}"
+    return _Found(-dorsal.direction + 0.0, how, sure, 0.0), side, clue
 
 
-def _confirmed(bend: _Bend) -> _Bend:
+def _confirmed(dorsal: _Found) -> _Found:
     """Return a dorsal direction with which the side agrees."""
-    raised = bend.confidence
-    if bend.sign_certainty > 0.6 and raised >= _LIKELY:
-        raised = _CERTAIN
-    elif bend.sign_certainty > 0.05:
-        raised = max(raised, _LIKELY)
-    if raised > bend.confidence or raised < _LIKELY:
-        return replace(bend, how=f"{bend.how}; the side agrees", confidence=raised)
-    return bend
+    least = 0.0
+    if dorsal.sign > 0.05:
+        is_likely = dorsal.sign > 0.6 and dorsal.confidence >= _LIKELY
+        least = _CERTAIN if is_likely else _LIKELY
+    how = f"{dorsal.how}; the side agrees"
+    return dorsal._replace(how=how, confidence=max(dorsal.confidence, least))
+
+
+def _first(*rules: tuple[object, _T]) -> _T:
+    """Return the answer of the first rule that holds; the last one always does."""
+    return next(answer for holds, answer in rules if holds)
 
 
 # -- geometry
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+
+
+def _beside(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return the part of a vector at right angles to a unit vector."""
+    return vector - (vector @ direction) * direction
+
+
+def _rounded(direction: np.ndarray) -> np.ndarray:
+    return np.where(np.abs(direction) < 1e-6, 0.0, direction)
 
 
 def _widest(points: np.ndarray) -> np.ndarray:
@@ -525,13 +515,8 @@ def _widest(points: np.ndarray) -> np.ndarray:
 
 
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the angle between two vectors [deg]; 180 if one is zero."""
-    length = float(np.linalg.norm(one) * np.linalg.norm(other))
-    return (
-        float(np.degrees(np.arccos(np.clip(one @ other / length, -1.0, 1.0))))
-        if length
-        else 180
-    )
+    """Return the angle between two vectors [deg]; 90 if one is zero."""
+    return float(np.degrees(np.arccos(np.clip(_unit(one) @ _unit(other), -1.0, 1.0))))
 
 
 def _snapped(
@@ -539,7 +524,7 @@ def _snapped(
     knuckles: np.ndarray | None = None,
     axis: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Return the link's axis next to a direction, or else the direction, normalised.
+    """Return the link's axis next to a direction, or else the direction.
 
     The mean direction of spread fingers is a few degrees off the link's axis. Fingers that cannot
     stretch fully are farther off it. The link's axis is then taken if the axis of flexion is
@@ -554,15 +539,13 @@ def _snapped(
         lateral = np.delete(np.abs(axis), nearest).max() > np.cos(
             np.radians(_SNAP_AXIS)
         )
-        sagittal = knuckles - (knuckles @ axis) * axis
-        if lateral and angle_between(sagittal, ahead) < angle:
+        if lateral and angle_between(_beside(knuckles, axis), ahead) < angle:
             return ahead
-    direction = np.where(np.abs(direction) < 1e-6, 0.0, direction)
-    return direction / np.linalg.norm(direction)
+    return _unit(_rounded(direction))
 
 
 def _shown(direction: np.ndarray) -> str:
-    for axis, name in enumerate("xyz"):
-        if abs(direction[axis]) > 0.9999:
-            return f"{'+' if direction[axis] > 0 else '-'}{name}"
+    nearest = int(np.argmax(np.abs(direction)))
+    if abs(direction[nearest]) > 0.9999:
+        return f"{'+' if direction[nearest] > 0 else '-'}{'xyz'[nearest]}"
     return "[" + ", ".join(f"{value:.3f}" for value in direction) + "]"

@@ -43,7 +43,6 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.urdf import parse_with_meshes
-from handmap_qp.se3 import transform_points
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME, _FIST_ANGLE = 0.5, 1.5
@@ -323,10 +322,12 @@ def _check_places(hand: Hand, tables: Tables) -> Findings:
     except HandError:
         return
     for point in hand.reference_points:
-        body = robot.body(point.link) if point.link in robot.links else ""
-        if not body or not len(cloud := robot.body_surface(body)):
+        if point.link not in robot.frames:
             continue
-        place = transform_points(robot.pose_in(point.link, body), np.array(point.xyz))
+        body, place = robot.place_of(point.link, np.array(point.xyz))
+        cloud = robot.surface(body)
+        if not len(cloud):
+            continue
         outside = np.maximum(cloud.min(axis=0) - place, place - cloud.max(axis=0))
         distance = float(np.linalg.norm(np.maximum(outside, 0.0)))
         if distance > _OFF_THE_LINK:

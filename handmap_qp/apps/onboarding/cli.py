@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 import tyro
 
 from handmap_qp.apps.arguments import HandName, InputArguments
@@ -153,7 +154,14 @@ class HandsInit:
             side=self.side,
             thumb=self.thumb,
             name=self.name,
-        ).from_source(source.reference, source.notes)
+        )
+        found = replace(
+            found,
+            spec=msgspec.structs.replace(
+                found.spec, urdf=source.reference or found.spec.urdf
+            ),
+            notes=(*source.notes, *found.notes),
+        )
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
         found = with_collision_pairs(found, hand)

@@ -7,7 +7,8 @@ base joints flex if they move the tip in the same direction.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,6 @@ from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.hands.fingers import (
     PARALLEL,
     Finger,
-    Flexion,
     PalmKinematics,
     ends_of,
     joint_motion,
@@ -31,15 +31,20 @@ _STRETCHED, _PHALANX = 0.985, 0.2
 _LEAST_HEIGHT = 0.05
 
 
-@dataclass(frozen=True, slots=True, eq=False)
 class HandFlexion:
     """How a hand's fingers flex; F fingers, n active joints.
+
+    Args:
+        robot: The robot.
+        fingers: Its fingers.
+        palmar: Direction out of the palm in the palm link's frame, if known: the way of fingers
+            that curl equally far both ways, shape (3,).
 
     Attributes:
         q_open: Straight fingers [rad or m], shape (n,).
         q_closed: The same with every flexing joint at the end of its range where the finger is
             closed, shape (n,).
-        flexes: Which joints flex or close a finger, shape (n,).
+        sign: Sense in which each joint flexes or closes a finger, 0 if it does not, shape (n,).
         moves: Which joint moves which fingertip, shape (F, n).
         roots: Origin of each finger's first joint in the palm link's frame [m], shape (F, 3).
         bases: Knuckle of each finger: the point of the first flexing axis nearest to the tip, or
@@ -54,216 +59,152 @@ class HandFlexion:
             first phalanx of fingers that cannot stretch, shape (F, 3).
     """
 
-    q_open: np.ndarray
-    q_closed: np.ndarray
-    flexes: np.ndarray
-    moves: np.ndarray
-    roots: np.ndarray
-    bases: np.ndarray
-    tips_open: np.ndarray
-    tips_closed: np.ndarray
-    reach: np.ndarray
-    ways: np.ndarray
-    axes: np.ndarray
-    certainty: np.ndarray
-    directions: np.ndarray
-
-
-def find_flexion(
-    robot: Robot, fingers: list[Finger], palmar: np.ndarray | None = None
-) -> HandFlexion:
-    """Find how the fingers of a hand flex.
-
-    Args:
-        robot: The robot.
-        fingers: Its fingers.
-        palmar: Direction out of the palm in the palm link's frame, if known: the way of fingers
-            that curl equally far both ways, shape (3,).
-
-    Returns:
-        Open and closed posture, and the flexion of every finger.
-    """
-    hand = _Closing(robot, fingers)
-    hand.settle_even(palmar)
-    hand.close_jaws()
-    hand.sign_base_joints()
-    sign, q_open = hand.sign, hand.q_open
-    lower, upper = robot.lower_limits, robot.upper_limits
-    # A jaw is open at one end of its range, which need not be zero.
-    slides = (sign != 0.0) & ~hand.curls & robot.slides
-    open_jaws = np.where(slides, np.where(sign > 0.0, lower, upper), q_open)
-    q_closed = np.where(sign > 0.0, upper, np.where(sign < 0.0, lower, q_open))
-    tips_open, tips_closed = hand.view.points(
-        np.array([open_jaws, q_closed]), hand.tips
-    )
-    bases = hand.roots.copy()
-    for i, group in hand.groups.items():
-        bases[i] = group.knuckle
-    moves = np.zeros((len(fingers), len(sign)), dtype=bool)
-    for i, finger in enumerate(fingers):
-        moves[i, finger.columns] = True
-    lines = [hand.line(i, bases[i], tip) for i, tip in enumerate(tips_open)]
-    return HandFlexion(
-        q_open=open_jaws,
-        q_closed=q_closed,
-        flexes=sign != 0.0,
-        moves=moves,
-        roots=hand.roots,
-        bases=bases,
-        tips_open=tips_open,
-        tips_closed=tips_closed,
-        reach=np.linalg.norm(tips_open - bases, axis=1),
-        ways=hand.ways,
-        axes=hand.axes,
-        certainty=hand.certainty,
-        directions=np.array([_unit(line) for line in lines]),
-    )
-
-
-class _Closing:
-    """Which joints close a hand's fingers, and in which sense.
-
-    Attributes:
-        groups: Flexion of every finger that curls, in the open posture, by its index.
-        curls: Which joints curl a finger, shape (n,).
-        sign: Sense in which each joint closes a finger, 0 if unknown, shape (n,).
-    """
-
-    def __init__(self, robot: Robot, fingers: list[Finger]) -> None:
-        self.robot, self.fingers, self.view = robot, fingers, PalmKinematics(robot)
-        self.tips = [finger.tip for finger in fingers]
+    def __init__(
+        self,
+        robot: Robot,
+        fingers: Sequence[Finger],
+        palmar: np.ndarray | None = None,
+    ) -> None:
+        self._robot, self._fingers, self._view = robot, fingers, PalmKinematics(robot)
+        self._tips = [finger.tip for finger in fingers]
         self.roots = np.array(
-            [self.view.axes(robot.zero, finger.joints[:1])[1][0] for finger in fingers]
+            [self._view.axes(robot.zero, finger.joints[:1])[1][0] for finger in fingers]
         )
-        curling = {
-            i: finger.flexion
-            for i, finger in enumerate(fingers)
-            if finger.flexion is not None and finger.flexion.curls
-        }
+        self.moves = np.zeros((len(fingers), len(robot.zero)), dtype=bool)
+        straight = np.ma.masked_all(self.moves.shape)
+        found = {}
+        for i, finger in enumerate(fingers):
+            self.moves[i, finger.columns] = True
+            if finger.flexion is not None and finger.flexion.curls:
+                found[i] = finger.flexion
+                straight[i, finger.flexion.columns] = finger.flexion.straight
         # A joint that moves several fingers takes the mean of their straight positions.
-        sums, counts = np.zeros(len(robot.zero)), np.zeros(len(robot.zero))
-        for group in curling.values():
-            sums[group.columns] += group.straight
-            counts[group.columns] += 1.0
-        self.curls = counts > 0.0
-        self.q_open = np.where(self.curls, sums / np.maximum(counts, 1.0), robot.zero)
-        self.groups: dict[int, Flexion] = {}
-        self.sign = np.zeros(len(robot.zero))
-        self.certainty = np.zeros(len(fingers))
+        mean = straight.mean(axis=0)
+        self.q_open = mean.filled(robot.zero)
+        self.sign, self.certainty = np.zeros(len(robot.zero)), np.zeros(len(fingers))
         self.ways, self.axes = np.zeros((2, len(fingers), 3))
-        self.motions = np.array(
-            [self.view.motion(self.q_open, tip) for tip in self.tips]
-        )
-        for i, group in curling.items():
+        motions = [self._view.motion(self.q_open, tip)[:3] for tip in self._tips]
+        self._motions = np.array(motions)
+        self._groups = {}
+        for i, group in found.items():
             axis, knuckle, signs = fingers[i].flexion_at(self.q_open)
-            self.groups[i] = replace(group, axis=axis, knuckle=knuckle, signs=signs)
+            self._groups[i] = replace(group, axis=axis, knuckle=knuckle, signs=signs)
             self.sign[group.columns] += group.certainty * group.sense * signs
         self.sign = np.sign(self.sign)
-        for i, group in self.groups.items():
+        for i, group in self._groups.items():
             if group.certainty > 0.0:
                 self._settle(i, group.certainty)
+        self._settle_even(palmar)
+        self._close_jaws()
+        self._sign_base_joints()
+        ends = ends_of(robot, self.q_open, np.arange(len(self.sign)), self.sign)
+        self.q_closed = np.where(self.sign == 0.0, self.q_open, ends[1])
+        # A jaw is open at one end of its range, which need not be zero.
+        jaws = (self.sign != 0.0) & np.ma.getmaskarray(mean) & robot.slides
+        straight_q, self.q_open = self.q_open, np.where(jaws, ends[0], self.q_open)
+        postures = np.array([self.q_open, self.q_closed])
+        self.tips_open, self.tips_closed = self._view.points(postures, self._tips)
+        self.bases = self.roots.copy()
+        for i, group in self._groups.items():
+            self.bases[i] = group.knuckle
+        lines = self.tips_open - self.bases
+        self.reach = np.linalg.norm(lines, axis=1)
+        for i in self._groups:
+            lines[i] = self._line(i, straight_q)
+        self.directions = _unit(lines)
 
     def _settle(self, i: int, certainty: float) -> None:
         """Set the tip's motion at the start of flexion, the flexion's axis, and the confidence."""
-        group = self.groups[i]
+        group = self._groups[i]
         sign = self.sign[group.columns]
-        self.ways[i] = _unit(self.motions[i, :3, group.columns].T @ sign)
-        self.axes[i] = np.sign((sign * group.signs).sum()) * group.axis
+        self.ways[i] = _unit(self._motions[i][:, group.columns] @ sign)
+        self.axes[i] = np.sign(sign @ group.signs) * group.axis
         self.certainty[i] = certainty
 
-    def settle_even(self, palmar: np.ndarray | None) -> None:
+    def _settle_even(self, palmar: np.ndarray | None) -> None:
         """Choose the direction of groups that curl equally far both ways.
 
         Follow the palm if it is known, else the other fingers, else towards the other tips, else
         the positive sense.
         """
-        known = self.ways[self.certainty > 0.0].sum(axis=0)
+        known = self.ways.sum(axis=0)
         slopes = {
-            i: self.motions[i, :3, group.columns].T @ group.signs
-            for i, group in self.groups.items()
+            i: self._motions[i][:, group.columns] @ group.signs
+            for i, group in self._groups.items()
             if self.certainty[i] == 0.0
         }
         for alike in _alike(slopes):
-            senses = [np.sign(slopes[i] @ slopes[alike[0]]) or 1.0 for i in alike]
-            slope = np.sum(
-                [s * slopes[i] for s, i in zip(senses, alike, strict=True)], axis=0
-            )
+            senses = {i: np.sign(slopes[i] @ slopes[alike[0]]) or 1.0 for i in alike}
+            slope = sum(senses[i] * slopes[i] for i in alike)
+            groups = {i: self._groups[i] for i in alike}
             nearer = sum(
-                self._nearing(i, self.groups[i].columns, s * self.groups[i].signs)
-                for s, i in zip(senses, alike, strict=True)
+                self._nearing(i, group.columns, senses[i] * group.signs)
+                for i, group in groups.items()
             )
             votes = (
-                (0.0 if palmar is None else float(slope @ palmar), 0.7),
-                (0.5 * float(slope @ known), 0.6),
+                (0.0 if palmar is None else slope @ palmar, 0.7),
+                (0.5 * slope @ known, 0.6),
                 (self._side_of_others(alike, slope), 0.5),
                 (nearer, 0.4),
                 (1.0, 0.1),
             )
             clear = min(0.1 * float(np.linalg.norm(slope)), 0.5)
             vote, confidence = next(pair for pair in votes if abs(pair[0]) > clear)
-            for sense, i in zip(senses, alike, strict=True):
-                columns, signs = self.groups[i].columns, self.groups[i].signs
-                given = self.sign[columns]
-                self.sign[columns] = np.where(
-                    given == 0.0, np.sign(vote) * sense * signs, given
-                )
+            for i, group in groups.items():
+                given = self.sign[group.columns]
+                own = np.sign(vote) * senses[i] * group.signs
+                self.sign[group.columns] = np.where(given == 0.0, own, given)
                 self._settle(i, confidence)
 
-    def close_jaws(self) -> None:
+    def _close_jaws(self) -> None:
         """Flex fingers without curling joints towards the other tips."""
-        for i in np.flatnonzero(self.certainty == 0.0).tolist():
-            nearer = {
-                j: self._nearing(i, [j]) for j in self.fingers[i].columns.tolist()
-            }
-            j = max(nearer, key=lambda one: abs(nearer[one]), default=-1)
-            if j >= 0 and abs(nearer[j]) >= 1e-4:
-                self.sign[j] = np.sign(nearer[j])
-                self.ways[i] = _unit(self.sign[j] * self.motions[i, :3, j])
+        for i in np.flatnonzero(self.certainty == 0.0):
+            columns = self._fingers[i].columns
+            nearer = np.array([self._nearing(i, [j]) for j in columns])
+            best = int(np.argmax(np.abs(nearer)))
+            if abs(nearer[best]) >= 1e-4:
+                j = columns[best]
+                self.sign[j] = np.sign(nearer[best])
+                self.ways[i] = _unit(self.sign[j] * self._motions[i][:, j])
                 self.certainty[i] = 0.7
 
-    def sign_base_joints(self) -> None:
+    def _sign_base_joints(self) -> None:
         """Set the direction of base joints that move the tip as flexion does."""
-        speeds = np.linalg.norm(self.motions[:, :3], axis=1)
-        along = np.einsum("fkn,fk->fn", self.motions[:, :3], self.ways)
-        for j in np.flatnonzero(self.sign == 0.0).tolist():
-            mine = (speeds[:, j] > 1e-4) & (self.certainty > 0.0)
-            cosine = (along[mine, j] / speeds[mine, j]).mean() if mine.any() else 0.0
-            if abs(cosine) > _FLEXING:
-                self.sign[j] = np.sign(cosine)
+        speeds = np.linalg.norm(self._motions, axis=1)
+        along = np.einsum("fkn,fk->fn", self._motions, self.ways)
+        mine = (speeds > 1e-4) & (self.certainty[:, None] > 0.0)
+        cosines = np.ma.array(along / np.maximum(speeds, 1e-9), mask=~mine).mean(axis=0)
+        flexes = (self.sign == 0.0) & (np.abs(cosines.filled(0.0)) > _FLEXING)
+        self.sign[flexes] = np.sign(cosines[flexes])
 
-    def line(self, i: int, base: np.ndarray, tip: np.ndarray) -> np.ndarray:
+    def _line(self, i: int, q: np.ndarray) -> np.ndarray:
         """Return a straight finger's line; that of its first phalanx if it stays bent."""
-        line = tip - base
-        if i in self.groups:
-            axis, columns = self.groups[i].axis, self.groups[i].columns
-            model, joints = self.robot.model, self.fingers[i].joints
-            rows = joint_motion(self.robot)[[model.joints[j].idx_v for j in joints]]
-            turns, points = self.view.axes(self.q_open, joints)
-            points = points[rows[:, columns].any(axis=1) & turns.any(axis=1)] - base
-            flat = points - np.outer(points @ axis, axis)
-            order = np.argsort(np.linalg.norm(flat, axis=1), kind="stable")[1:]
-            parts = np.diff([np.zeros(3), *flat[order], line], axis=0)
-            lengths = np.linalg.norm(parts, axis=1)
-            is_bent = np.linalg.norm(line) < _STRETCHED * lengths.sum()
-            if is_bent and lengths[0] > _PHALANX * lengths.sum():
-                return parts[0]
-        return line
+        line, group = self.tips_open[i] - self.bases[i], self._groups[i]
+        model, joints = self._robot.model, self._fingers[i].joints
+        rows = joint_motion(self._robot)[[model.joints[j].idx_v for j in joints]]
+        turns, points = self._view.axes(q, joints)
+        mine = rows[:, group.columns].any(axis=1) & turns.any(axis=1)
+        points = points[mine] - self.bases[i]
+        flat = points - np.outer(points @ group.axis, group.axis)
+        order = np.argsort(np.linalg.norm(flat, axis=1), kind="stable")[1:]
+        parts = np.diff([np.zeros(3), *flat[order], line], axis=0)
+        lengths = np.linalg.norm(parts, axis=1)
+        is_bent = np.linalg.norm(line) < _STRETCHED * lengths.sum()
+        return parts[0] if is_bent and lengths[0] > _PHALANX * lengths.sum() else line
 
     def _side_of_others(self, mine: list[int], slope: np.ndarray) -> float:
         """Return whether the other fingers are in the direction `slope` of two or more alike ones.
 
         A thumb is on the palm's side of the fingers. The answer is 1 or -1, and 0 if unclear.
         """
-        others = [i for i in range(len(self.roots)) if i not in mine]
-        length = float(np.linalg.norm(slope))
-        if len(mine) < 2 or not others or length < 1e-9:
+        if len(mine) < 2 or len(mine) == len(self.roots):
             return 0.0
-        tips = self.view.points(self.q_open, self.tips)
+        tips = self._view.points(self.q_open, self._tips)
         places = 0.5 * (self.roots + tips)
-        height = (
-            float((places[others].mean(axis=0) - places[mine].mean(axis=0)) @ slope)
-            / length
+        to_others = np.delete(places, mine, axis=0).mean(axis=0) - places[mine].mean(
+            axis=0
         )
+        height = float(to_others @ _unit(slope))
         reach = float(np.linalg.norm(tips[mine] - self.roots[mine], axis=1).mean())
         return 0.0 if abs(height) < _LEAST_HEIGHT * reach else float(np.sign(height))
 
@@ -271,22 +212,25 @@ class _Closing:
         self, i: int, columns: np.ndarray | list[int], signs: np.ndarray | float = 1.0
     ) -> float:
         """Return how much joints bring a tip to another on average from end to end [m]."""
-        ends = ends_of(self.robot, self.q_open, columns, signs)
-        return nearing(self.view, ends, self.tips, i) / max(1, len(self.tips) - 1)
+        ends = ends_of(self._robot, self.q_open, columns, signs)
+        return nearing(self._view, ends, self._tips, i) / max(1, len(self._tips) - 1)
 
 
 def _alike(slopes: dict[int, np.ndarray]) -> list[list[int]]:
     """Return the fingers that move in parallel together: they close to the same side."""
     found: list[list[int]] = []
     for i, slope in slopes.items():
-        for alike in found:
-            if abs(float(_unit(slope) @ _unit(slopes[alike[0]]))) > PARALLEL:
-                alike.append(i)
-                break
-        else:
+        parallel = (
+            alike
+            for alike in found
+            if abs(_unit(slope) @ _unit(slopes[alike[0]])) > PARALLEL
+        )
+        if (alike := next(parallel, None)) is None:
             found.append([i])
+        else:
+            alike.append(i)
     return sorted(found, key=len, reverse=True)
 
 
-def _unit(vector: np.ndarray) -> np.ndarray:
-    return vector / max(float(np.linalg.norm(vector)), 1e-9)
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)

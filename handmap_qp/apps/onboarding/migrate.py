@@ -165,16 +165,16 @@ def _carrier(robot: Robot, link: str) -> str:
     Raises:
         HandError: If there is no such link, or no joint moves it.
     """
-    if link not in robot.links:
+    if link not in robot.frames:
         raise HandError(
             f"has no link {link!r} of the configuration", file=robot.file, value=link
         )
-    passed = robot.chain(link, robot.root)
-    if not passed:
+    body = robot.body(link)
+    if not body:
         raise HandError(
             f"no joint moves the link {link!r}", file=robot.file, value=link
         )
-    return passed[-1][0]
+    return robot.model.names[body]
 
 
 def _renamed(found: Detection, carriers: dict[str, str]) -> list[PointSpec]:
