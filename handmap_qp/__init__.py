@@ -50,8 +50,10 @@ if TYPE_CHECKING:
     )
     from handmap_qp.mapping.methods.joint_to_joint import JointToJoint
     from handmap_qp.mapping.methods.teleoperation import Teleoperation
-    from handmap_qp.mapping.methods.virtual_ellipsoid import VirtualEllipsoid
-    from handmap_qp.mapping.methods.virtual_sphere import VirtualSphere
+    from handmap_qp.mapping.methods.virtual_object import (
+        VirtualEllipsoid,
+        VirtualSphere,
+    )
     from handmap_qp.mapping.presets import PRESETS
     from handmap_qp.mapping.step import MapStep, RobotCommand
     from handmap_qp.stream.follower import Follower
@@ -132,8 +134,7 @@ _NAMES = {
     "mapping.methods.homogeneous": "Homogeneous MappingOptions TELEMANIPULATION",
     "mapping.methods.joint_to_joint": "JointToJoint",
     "mapping.methods.teleoperation": "Teleoperation",
-    "mapping.methods.virtual_ellipsoid": "VirtualEllipsoid",
-    "mapping.methods.virtual_sphere": "VirtualSphere",
+    "mapping.methods.virtual_object": "VirtualEllipsoid VirtualSphere",
     "mapping.presets": "PRESETS",
     "mapping.step": "MapStep RobotCommand",
     "trackers.layouts.base": "Layout",

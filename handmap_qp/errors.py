@@ -23,7 +23,7 @@ class HandmapError(Exception):
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Exceptions are unpickled by calling their class with `args`, which cannot give keywords.
-        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # ty: ignore[unresolved-attribute]
+        return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # ty: ignore[missing-attribute]
 
 
 class _DescribedError(HandmapError, ValueError):

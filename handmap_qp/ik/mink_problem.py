@@ -153,11 +153,13 @@ class RowsLimit(mink.Limit):
         further, least = (np.zeros((0, len(upper))), ()) if rows is None else rows
         G, h = np.vstack([eye, -eye, further]), np.concatenate([upper, -lower, least])
         finite = np.isfinite(h)
-        self._rows = mink.Constraint(G[finite], h[finite])
+        self._rows = mink.Constraint()
+        if finite.any():
+            self._rows = mink.Constraint(G[finite], h[finite])
 
     def compute_qp_inequalities(self, configuration: Any, dt: float) -> mink.Constraint:
         """Return the rows, upper bounds first."""
-        return self._rows if len(self._rows.h) else mink.Constraint()
+        return self._rows
 
 
 class _ActiveConfiguration:

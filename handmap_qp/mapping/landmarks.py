@@ -9,13 +9,20 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.human.landmarks import landmarks_at_rest
 from handmap_qp.mapping.method import HumanPose, RobotPosture
-from handmap_qp.se3 import FARTHEST, affine, frozen, inverse_pose, rigid_fit
+from handmap_qp.se3 import (
+    FARTHEST,
+    affine,
+    frozen,
+    inverse_pose,
+    rigid_fit,
+    transform_points,
+)
 
 _ORIGIN = frozen(np.zeros(3))
 
 
 class PalmMethod:
-    """Base of methods for two hands whose wrist target is that of a `PalmFollower`.
+    """Base of methods for two hands whose wrist target is that of a `PalmMap`.
 
     See `BoundMethod`.
     """
@@ -33,70 +40,82 @@ class PalmMethod:
         return palm_of(sample, self.human)
 
 
-class PalmFollower:
-    """Moves the robot's palm as the human's palm moves from a reference on.
+class PalmMap:
+    """Base of maps that move the robot's palm as the human's palm moves from a reference on.
 
     Both palms have the same rotation, and the same translation (or `scale` times it) in world axes;
     the translation is that of an anchor point on each palm. If anchors and axes coincide at the
-    reference, they stay together. A robot with a fixed wrist keeps its palm.
+    reference, they stay together. A robot with a fixed wrist keeps its palm. See `TargetMap`.
 
     Args:
-        human: The hand that leads.
-        robot: The hand that follows.
+        method: The method for two hands.
         sample: The human hand at the reference.
         posture: The robot hand at the reference.
         human_anchor: The human's anchor in its palm frame [m], shape (3,); the origin if omitted.
         robot_anchor: The robot's, likewise.
         scale: Factor on the translation.
+
+    Attributes:
+        rest: Joint positions that the QP's rest term pulls to, shape (n,).
+        robot_points: The robot's points at the reference, in palm axes [m], shape (n_r, 3).
     """
 
     def __init__(
         self,
-        human: Hand,
-        robot: Hand,
+        method: PalmMethod,
         sample: HumanPose,
         posture: RobotPosture,
         human_anchor: np.ndarray = _ORIGIN,
         robot_anchor: np.ndarray = _ORIGIN,
         scale: float = 1.0,
     ) -> None:
+        human, robot = method.human, method.robot
+        self.rest = robot.rest
         self._human_wrist_to_palm = human.wrist_to_palm
         self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
         self._is_still = not robot.has_moving_wrist
-        before, self._start = (
-            palm_of(sample, human),
-            posture.wrist @ robot.wrist_to_palm,
-        )
-        self._rotation = before[:3, :3].T @ self._start[:3, :3]
+        before, start = palm_of(sample, human), posture.wrist @ robot.wrist_to_palm
+        self._start = start
+        self.robot_points = transform_points(inverse_pose(start), posture.points)
+        self._rotation = before[:3, :3].T @ start[:3, :3]
         # The robot's palm seen from the human's: its origin there, and the rest in world axes.
         self._origin = human_anchor - self._rotation.dot(robot_anchor)
         self._human_start = transform_point(before, human_anchor)
-        self._offset = transform_point(self._start, robot_anchor) - self._human_start
+        self._offset = transform_point(start, robot_anchor) - self._human_start
         self._human_anchor, self._further = human_anchor, scale - 1.0
 
-    def palms(self, wrist: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Return the human's palm and the target of the robot's palm, shape (..., 4, 4) each.
+    def follow(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Move the robot's palm with a sample's, or with those of many along leading axes.
 
-        Args:
-            wrist: Pose of the human's wrist, shape (..., 4, 4).
+        Returns:
+            The human's palm and the target of the robot's palm, shape (..., 4, 4) each; the human's
+            points in palm axes [m], shape (..., n_h, 3).
 
         Raises:
-            InvalidInputError: If it was not measured.
+            InvalidInputError: If the wrist was not measured.
         """
-        if wrist is None:
+        if sample.wrist is None:
             raise _missing_wrist()
-        human = wrist @ self._human_wrist_to_palm
+        human = sample.wrist @ self._human_wrist_to_palm
+        points = transform_points(inverse_pose(human), sample.points)
         if self._is_still:
-            return human, np.broadcast_to(self._start, human.shape)
+            return human, np.broadcast_to(self._start, human.shape), points
         origin = transform_point(human, self._origin) + self._offset
         if self._further:
             moved = transform_point(human, self._human_anchor) - self._human_start
             origin += self._further * moved
-        return human, affine(human[..., :3, :3] @ self._rotation, origin)
+        return human, affine(human[..., :3, :3] @ self._rotation, origin), points
 
-    def wrist(self, palm: np.ndarray) -> np.ndarray:
-        """Return the robot's wrist pose for a pose of its palm, shape (..., 4, 4)."""
-        return palm @ self._robot_palm_to_wrist
+    def placed(
+        self, palm: np.ndarray, points: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the targets of points in the robot's palm, and of its wrist.
+
+        Args:
+            palm: The robot's palm, shape (..., 4, 4).
+            points: In its axes [m], shape (..., n_r, 3).
+        """
+        return transform_points(palm, points), palm @ self._robot_palm_to_wrist
 
 
 def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:

@@ -47,6 +47,8 @@ from handmap_qp.se3 import (
     transform_points,
 )
 
+_PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
+
 
 class HandMapper:
     """Turns the motion of a human hand into the motion of a robot hand.
@@ -119,7 +121,6 @@ class HandMapper:
         bound = chosen.bind(human, robot)
         solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
         self._plan = _Plan(chosen, bound, solver, tuple(tasks))
-        self._human_vector = human.configuration_vector(human.rest)
         self._start: _Start | None = _Start(robot.rest, None)
         self._reference: _Reference | None = None
         self._is_released = False
@@ -357,15 +358,9 @@ class HandMapper:
             The step, whose targets and points are the robot's own.
         """
         started, ik, robot = perf_counter(), self._plan.ik, self.robot
-        start, held = self._start, ik.hold(check_dt(dt))
-        if start is None:
-            vector = ik.configuration.q
-        else:
-            # Before the first sample, a floating robot has no place yet.
-            wrist = (
-                np.eye(4) if start.wrist is None and robot.is_floating else start.wrist
-            )
-            vector = robot.configuration_vector(start.q, wrist)
+        held, start = ik.hold(check_dt(dt)), self._start
+        # Before the first sample, a floating robot has no place yet.
+        vector = ik.configuration.q if start is None else start.vector(robot, np.eye(4))
         posture = _posture(robot, vector)
         if seen is None:
             seen = HumanPose(
@@ -412,7 +407,9 @@ class HandMapper:
                 advice="give both or neither",
             )
         start = _Start(
-            self.robot.rest if robot_q is None else self._check_robot(robot_q),
+            self.robot.rest
+            if robot_q is None
+            else _check_joints(self.robot, robot_q, "robot_q")[0].copy(),
             None if robot_wrist is None else self._check_robot_wrist(robot_wrist),
         )
         reference = None
@@ -479,12 +476,11 @@ class HandMapper:
         if start is None:
             vector = self._plan.ik.configuration.q
         else:
-            wrist = start.wrist
-            if wrist is None and bound.robot.is_floating:
-                wrist = bound.start_palm(sample) @ inverse_pose(
-                    bound.robot.wrist_to_palm
-                )
-            vector = bound.robot.configuration_vector(start.q, wrist)
+            palm = np.eye(4)
+            if start.wrist is None and bound.robot.is_floating:
+                palm = bound.start_palm(sample)
+            to_wrist = inverse_pose(bound.robot.wrist_to_palm)
+            vector = start.vector(bound.robot, palm @ to_wrist)
         kept, posture = _copied(sample), _posture(bound.robot, vector)
         begins_at = None if start is None else vector.copy()
         return _Reference(kept, posture, bound.start(kept, posture), begins_at)
@@ -497,20 +493,12 @@ class HandMapper:
 
     def _needs_wrist(self) -> str:
         """Return what the next sample's wrist pose is needed for; empty if for nothing."""
-        bound = self._plan.bound
-        if bound.needs_wrist:
-            return bound.needs_wrist
-        if self._reference is not None and not bound.renews_reference:
-            return ""
-        if bound.reference_needs_wrist:
-            return bound.reference_needs_wrist
-        if (
-            self._start is not None
-            and self._start.wrist is None
-            and self.robot.is_floating
-        ):
-            return "placing the robot at the reference (or give reset a robot_wrist)"
-        return ""
+        bound, needs = self._plan.bound, ""
+        if self._reference is None or bound.renews_reference:
+            start, needs = self._start, bound.reference_needs_wrist
+            if start is not None and start.wrist is None and self.robot.is_floating:
+                needs = needs or _PLACING
+        return bound.needs_wrist or needs
 
     # -- checks of what comes in
 
@@ -526,38 +514,12 @@ class HandMapper:
     ) -> tuple[HumanPose, tuple[str, ...]]:
         """Compute the human's points (eq. 4); name the joints that are outside their limits."""
         wrist, human = check_pose(wrist_pose, "wrist_pose", self.quat_order), self.human
-        angles = as_floats(human_q, "human_q", shape=human.lower_limits.shape)
-        excess = np.maximum(human.lower_limits - angles, angles - human.upper_limits)
-        # `<=` is also false for NaN.
-        if not (excess <= self.joint_tolerance).all():
-            i = int(np.argmax(excess))
-            raise InvalidInputError(
-                argument="human_q",
-                problem=f"{human.joint_names[i]} is {angles[i]:.6g} rad, expected within "
-                f"{self.joint_tolerance:g} rad of "
-                f"[{human.lower_limits[i]:.6g}, {human.upper_limits[i]:.6g}]",
-                value=float(angles[i]),
-            )
+        angles, excess = _check_joints(human, human_q, "human_q", self.joint_tolerance)
         beyond = (excess > 0.0).nonzero()[0].tolist()
         outside = tuple(human.joint_names[i] for i in beyond)
-        # The wrist stays at the origin; points move with it afterwards.
-        human.write_configuration(self._human_vector, angles)
-        self._human.place_frames(self._human_vector)
+        self._human.place_frames(human.configuration_vector(angles))
+        # The wrist is at the origin; points move with it afterwards.
         return HumanPose(transform_points(wrist, self._human.points), wrist), outside
-
-    def _check_robot(self, robot_q: npt.ArrayLike) -> np.ndarray:
-        robot = self.robot
-        angles = as_floats(robot_q, "robot_q", shape=robot.rest.shape).copy()
-        outside = ~((angles >= robot.lower_limits) & (angles <= robot.upper_limits))
-        if outside.any():
-            i = int(np.argmax(outside))
-            raise InvalidInputError(
-                argument="robot_q",
-                problem=f"{robot.joint_names[i]} is {angles[i]:.6g} rad, expected within "
-                f"[{robot.lower_limits[i]:.6g}, {robot.upper_limits[i]:.6g}]",
-                value=float(angles[i]),
-            )
-        return angles
 
     def _check_robot_wrist(self, robot_wrist: PoseLike) -> np.ndarray:
         if not self.robot.is_floating:
@@ -585,6 +547,12 @@ class _Start:
 
     q: np.ndarray
     wrist: np.ndarray | None
+
+    def vector(self, robot: Hand, wrist: np.ndarray) -> np.ndarray:
+        """Return the configuration (nq,), with a wrist pose where none was given."""
+        if self.wrist is not None:
+            wrist = self.wrist
+        return robot.configuration_vector(self.q, wrist if robot.is_floating else None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -633,6 +601,25 @@ def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
     return RobotPosture(
         vector[robot.q_indices], placed.points.copy(), placed.wrist.homogeneous
     )
+
+
+def _check_joints(
+    hand: Hand, q: npt.ArrayLike, name: str, tolerance: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return joint positions, and how far each is outside its limits, at most a tolerance."""
+    lower, upper = hand.lower_limits, hand.upper_limits
+    angles = as_floats(q, name, shape=lower.shape)
+    excess = np.maximum(lower - angles, angles - upper)
+    # `<=` is also false for NaN.
+    if not (excess <= tolerance).all():
+        i = int(np.argmax(excess))
+        raise InvalidInputError(
+            argument=name,
+            problem=f"{hand.joint_names[i]} is {angles[i]:.6g} rad, expected within "
+            f"[{lower[i] - tolerance:.6g}, {upper[i] + tolerance:.6g}]",
+            value=float(angles[i]),
+        )
+    return angles, excess
 
 
 def _copied(sample: HumanPose) -> HumanPose:

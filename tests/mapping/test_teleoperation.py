@@ -26,7 +26,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import hand_pair
-from handmap_qp.mapping.landmarks import PalmFollower
+from handmap_qp.mapping.landmarks import PalmMap, PalmMethod
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import smoothstep
 from handmap_qp.mapping.presets import PRESETS, default_preset
@@ -404,11 +404,10 @@ def test_scale_shortens_the_way_of_the_palm_and_keeps_its_turn() -> None:
     posture = RobotPosture(robot.rest, robot.points(robot.rest), np.eye(4))
 
     def moved(scale: float) -> tuple[np.ndarray, np.ndarray]:
-        follower = PalmFollower(
-            human, robot, start, posture, anchors[0], anchors[1], scale
-        )
-        before = follower.palms(start.wrist)[1]
-        palm = follower.palms(turned)[1]
+        method = PalmMethod(human, robot)
+        follower = PalmMap(method, start, posture, *anchors, scale)
+        before = follower.follow(start)[1]
+        palm = follower.follow(HumanPose(points, turned))[1]
         place, origin = (
             pose[:3, :3] @ anchors[1] + pose[:3, 3] for pose in (palm, before)
         )

@@ -7,8 +7,10 @@ import pytest
 from virtual_object_cases import HUMAN, rotation_of, sphere_matrix
 
 from handmap_qp import HandMapper, InvalidOptionsError, VirtualEllipsoid, load_hand
-from handmap_qp.mapping.methods.virtual_ellipsoid import Ellipsoid, enclosing_ellipsoid
-from handmap_qp.mapping.methods.virtual_sphere import Sphere
+from handmap_qp.mapping.methods.virtual_object import (
+    VirtualSphere,
+    enclosing_ellipsoid,
+)
 
 
 @pytest.mark.parametrize("count", [4, 5, 9, 30])
@@ -50,7 +52,7 @@ def test_points_in_a_plane_or_on_a_line_have_an_ellipse_or_a_segment() -> None:
 def test_a_motion_along_the_axes_is_recovered_exactly_without_a_ridge() -> None:
     rng = np.random.default_rng(1)
     points = rng.normal(size=(6, 3)) * [0.05, 0.03, 0.02]
-    ellipsoid = Ellipsoid(points)
+    ellipsoid = VirtualEllipsoid(ridge=0.0).enclose(points)
     turn, ratios, shift = (
         rotation_of(0.4, -0.7, 0.2),
         np.array([0.6, 1.2, 0.9]),
@@ -68,7 +70,7 @@ def test_a_similarity_is_recovered_with_any_ridge() -> None:
     points = HUMAN.points(HUMAN.rest)
     turn, shift = rotation_of(-0.3, 0.1, 0.5), np.array([0.01, 0.02, -0.03])
     for ridge in (0.0, 0.1, 10.0):
-        ellipsoid = Ellipsoid(points, ridge)
+        ellipsoid = VirtualEllipsoid(ridge=ridge).enclose(points)
         after = 0.7 * (points - ellipsoid.centre) @ turn.T + ellipsoid.centre + shift
         motion = ellipsoid.motion_to(after)
         np.testing.assert_allclose(motion.linear, 0.7 * turn, atol=1e-6)
@@ -78,13 +80,15 @@ def test_a_similarity_is_recovered_with_any_ridge() -> None:
 def test_a_large_ridge_makes_a_sphere_of_it_and_none_fits_best() -> None:
     before = HUMAN.points(HUMAN.rest)
     after = HUMAN.points(0.5 * (HUMAN.rest + HUMAN.upper_limits))
-    sphere = Sphere(before).motion_to(after)
+    sphere = VirtualSphere().enclose(before).motion_to(after)
     np.testing.assert_allclose(
-        Ellipsoid(before, 1e9).motion_to(after).linear, sphere.linear, atol=1e-6
+        VirtualEllipsoid(ridge=1e9).enclose(before).motion_to(after).linear,
+        sphere.linear,
+        atol=1e-6,
     )
     misfits = []
     for ridge in (0.0, 0.1, 1e9):
-        linear = Ellipsoid(before, ridge).motion_to(after).linear
+        linear = VirtualEllipsoid(ridge=ridge).enclose(before).motion_to(after).linear
         moved = (before - before.mean(axis=0)) @ linear.T
         misfits.append(np.linalg.norm(moved - (after - after.mean(axis=0))))
     assert misfits[0] < misfits[1] < misfits[2]
@@ -94,7 +98,7 @@ def test_small_displacements_move_it_as_its_matrix_says() -> None:
     # Nine columns: those of the sphere, with one for growth along each axis.
     rng = np.random.default_rng(2)
     points = rng.normal(size=(7, 3)) * [0.05, 0.03, 0.02]
-    ellipsoid = Ellipsoid(points)
+    ellipsoid = VirtualEllipsoid(ridge=0.0).enclose(points)
     offsets = points - ellipsoid.centre
     along = [np.outer(offsets @ axis, axis).ravel() for axis in ellipsoid.axes.T]
     sphere = sphere_matrix(points, ellipsoid.centre)

@@ -29,7 +29,7 @@ from handmap_qp.mapping.hand_pair import (
     points_in_palm_at,
     require_partners,
 )
-from handmap_qp.mapping.landmarks import PalmFollower, PalmMethod
+from handmap_qp.mapping.landmarks import PalmMap, PalmMethod
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -39,7 +39,6 @@ from handmap_qp.mapping.method import (
     Targets,
 )
 from handmap_qp.options import number, text
-from handmap_qp.se3 import inverse_pose, transform_points
 
 
 class FingertipVectors(MethodOptions, frozen=True):
@@ -139,31 +138,24 @@ class BoundFingertipVectors(PalmMethod):
         )
 
 
-class FingertipVectorMap:
+class FingertipVectorMap(PalmMap):
     """From samples to targets; see `TargetMap`."""
 
     def __init__(
         self, method: BoundFingertipVectors, sample: HumanPose, robot: RobotPosture
     ) -> None:
-        self.rest = method.robot.rest
+        super().__init__(method, sample, robot)
         self._method = method
-        self._follower = PalmFollower(method.human, method.robot, sample, robot)
-        robot_palm = robot.wrist @ method.robot.wrist_to_palm
-        self._in_palm = transform_points(inverse_pose(robot_palm), robot.points)
 
     def targets(self, sample: HumanPose) -> Targets:
         """Scale the vectors and lay them on the robot's origins."""
         method = self._method
         robot_points, human_points = method.pairs
-        human_palm, palm = self._follower.palms(sample.wrist)
-        now = transform_points(inverse_pose(human_palm), sample.points)
+        _, palm, now = self.follow(sample)
         origins = 0.0 if method.human_origins is None else now[method.human_origins]
         vectors = now[human_points] - origins
         # Points without a partner stay where they are in the palm.
-        in_palm = self._in_palm.copy()
-        in_palm[robot_points] = method.robot_origins + method.scales[:, None] * vectors
-        return Targets(
-            transform_points(palm, in_palm),
-            self._follower.wrist(palm),
-            {"vectors": vectors, "scales": method.scales.copy()},
-        )
+        points = self.robot_points.copy()
+        points[robot_points] = method.robot_origins + method.scales[:, None] * vectors
+        diagnostics = {"vectors": vectors, "scales": method.scales.copy()}
+        return Targets(*self.placed(palm, points), diagnostics)

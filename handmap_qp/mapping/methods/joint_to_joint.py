@@ -38,7 +38,7 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.finger_angles import FingerAngles
-from handmap_qp.mapping.landmarks import PalmFollower, PalmMethod
+from handmap_qp.mapping.landmarks import PalmMap, PalmMethod
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -176,32 +176,27 @@ class BoundJointToJoint(PalmMethod):
         return q
 
 
-class JointMap:
+class JointMap(PalmMap):
     """From samples to targets; see `TargetMap`."""
 
     def __init__(
         self, method: BoundJointToJoint, sample: HumanPose, robot: RobotPosture
     ) -> None:
-        self.rest = method.robot.rest
+        super().__init__(method, sample, robot)
         self._method = method
-        self._follower = PalmFollower(method.human, method.robot, sample, robot)
         self._configuration = method.robot.configuration()
-        self._vector = np.zeros(method.robot.model.nq)
 
     def targets(self, sample: HumanPose) -> Targets:
         """Measure the human's angles, and place the robot's points where its joints would."""
         method, robot = self._method, self._method.robot
-        human_palm, palm = self._follower.palms(sample.wrist)
-        angles = method.angles.measure(
-            transform_points(inverse_pose(human_palm), sample.points)
-        )
+        _, palm, now = self.follow(sample)
+        angles = method.angles.measure(now)
         q = method.positions(angles)
-        robot.write_configuration(self._vector, q, np.eye(4))
-        self._configuration.place_frames(self._vector)
-        placed = self._configuration.wrist.homogeneous @ robot.wrist_to_palm
+        placed = self._configuration
+        placed.place_frames(robot.configuration_vector(q))
+        to_palm = inverse_pose(placed.wrist.homogeneous @ robot.wrist_to_palm)
         return Targets(
-            transform_points(palm @ inverse_pose(placed), self._configuration.points),
-            self._follower.wrist(palm),
+            *self.placed(palm, transform_points(to_palm, placed.points)),
             {"angles": angles, "q": q},
             (JointPositions(robot, method.columns, q),),
         )

@@ -21,7 +21,7 @@ from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.landmarks import (
-    PalmFollower,
+    PalmMap,
     PalmMethod,
     palm_of,
     transform_point,
@@ -36,7 +36,7 @@ from handmap_qp.mapping.method import (
     Targets,
 )
 from handmap_qp.options import number, text
-from handmap_qp.se3 import inverse_pose, lengths, transform_points
+from handmap_qp.se3 import inverse_pose, lengths
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
@@ -301,24 +301,17 @@ class BoundTeleoperation(PalmMethod):
         self.pinch_margins = _CONTACT_MARGIN + np.array(covers).take(self.pinch_of_pair)
 
 
-class TeleoperationMap:
+class TeleoperationMap(PalmMap):
     """From samples to targets; see `TargetMap`."""
 
     def __init__(
         self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
     ) -> None:
-        pair = method.pair
+        pair, scale = method.pair, method.choices.scale
+        anchors = pair.human_knuckles, pair.robot_knuckles
+        super().__init__(method, sample, robot, *anchors, scale)
         self.rest = pair.matched
         self._method, self._pair = method, pair
-        self._follower = PalmFollower(
-            method.human,
-            pair.robot,
-            sample,
-            robot,
-            pair.human_knuckles,
-            pair.robot_knuckles,
-            method.choices.scale,
-        )
         self._palm_before = palm_of(sample, method.human)
         # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
         # thumb's.
@@ -335,14 +328,13 @@ class TeleoperationMap:
     def targets_of(self, samples: HumanPose) -> list[Targets]:
         """Return the targets of many samples along a leading axis; see `TargetMap`."""
         method, pair, count = self._method, self._pair, len(self._pair.fingers)
-        human_palms, palms = self._follower.palms(samples.wrist)
-        now = transform_points(inverse_pose(human_palms), samples.points)
+        human_palms, palms, now = self.follow(samples)
         estimate = method.estimator.estimate(now[:, pair.shape_points])
         distances = lengths(now[:, self._to] - now[:, self._from])
         extensions, gaps = distances[:, :count] / pair.human_reach, distances[:, count:]
         shares, aims = method.shares_and_aims(distances)
-        points = transform_points(palms, self._moved(estimate, now))
-        wrists, weights = self._follower.wrist(palms), method.row_weights * shares
+        points, wrists = self.placed(palms, self._moved(estimate, now))
+        weights = method.row_weights * shares
         margins = self._margins(gaps)
         return [
             Targets(
