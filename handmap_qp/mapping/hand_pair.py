@@ -5,12 +5,9 @@ All of it is measured on the two models, once for each pair of hands.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property, lru_cache
-from typing import Any
-from weakref import WeakValueDictionary
 
 import numpy as np
 import pinocchio as pin
@@ -24,7 +21,6 @@ from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.human.landmarks import landmarks_at_rest
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
@@ -89,6 +85,7 @@ class HandPair:
         fingers: Names of the common fingers, the thumb first where there is one.
         chains: The robot's fingers, by name.
         pads: Their pads.
+        contacts: All pairs of the robot's collision shapes that may collide.
         partners: Index of the human reference point that each robot reference point follows, (m,).
         tips: Index of the human reference point at each common fingertip, shape (f,).
         knuckles: The same at the base of each common finger.
@@ -115,6 +112,7 @@ class HandPair:
         self.human, self._measured = human, _robot_fingers(robot)
         names = {point.name: k for k, point in enumerate(human.reference_points)}
         self.chains, self.pads = self._measured.chains, self._measured.pads
+        self.contacts: ShapePairs = self._measured.contacts
         self.fingers, self.has_jaws = self._measured.names, self._measured.has_jaws
         self._check(names)
         self.robot = copy(self._measured.with_points)
@@ -163,11 +161,6 @@ class HandPair:
         spans = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
         self.robot_extension = frozen(spans / self.robot_reach)
 
-    @property
-    def contacts(self) -> ShapePairs:
-        """All pairs of the robot's collision shapes that may collide."""
-        return self._measured.contacts
-
     def _check(self, names: dict[str, int]) -> None:
         if not self.fingers:
             raise InvalidOptionsError(
@@ -213,12 +206,11 @@ class HandPair:
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
 
     def _first_guess(self) -> np.ndarray:
-        """Return the posture that matches the person of the package's own hand, once known."""
-        if self.human.name not in HUMAN_HANDS or self.human is _standard_human(
-            self.human.name
-        ):
+        """Return the posture that matches the package's own person, near which all others' are."""
+        human = self.human
+        if human.name not in HUMAN_HANDS or human is _standard_human(human.name):
             return self.robot.rest
-        return _standard_match(self.human.name, self._measured.hand)
+        return hand_pair(_standard_human(human.name), self._measured.hand).matched
 
     def _open_jaws(self) -> np.ndarray:
         """Solve the posture in which each jaw's gap to the thumb is the resting human's."""
@@ -252,9 +244,8 @@ class HandPair:
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
         above = middle + gain * (tip - human_middle)
         ends = find_fingers(self.human)
-        human_pinching = _pinching_thumb(
-            self.human, ends, _human_pads(self.human, ends)
-        )
+        pads = find_pads(self.human, ends)
+        human_pinching = _pinching_thumb(self.human, ends, pads)
         return (
             _THUMB_FROM_PINCH
             * (self._measured.pinching_thumb + gain * (tip - human_pinching))
@@ -309,11 +300,6 @@ class _RobotFingers:
 _robot_fingers = lru_cache(maxsize=32)(_RobotFingers)
 
 
-@lru_cache(maxsize=32)
-def _standard_match(name: str, robot: Hand) -> np.ndarray:
-    return frozen(HandPair(_standard_human(name), robot).solve_matched())
-
-
 @lru_cache(maxsize=2)
 def _standard_human(name: str) -> Hand:
     return load_hand(name, points="landmarks")
@@ -353,23 +339,8 @@ def require_partners(
     return pairs
 
 
-def hand_pair(
-    human: Hand, robot: Hand, matched: tuple[float, ...] | None = None
-) -> HandPair:
-    """Return the pair of two hands, solved once; arguments as of `HandPair`."""
-    key = (human, robot, matched)
-    pair = _PAIRS.get(key)
-    if pair is None:
-        pair = _PAIRS[key] = HandPair(
-            human, robot, None if matched is None else np.array(matched)
-        )
-        _RECENT.append(pair)
-    return pair
-
-
-# People come and go: their pairs live as long as something uses them, and a few longer.
-_PAIRS: WeakValueDictionary[tuple[Any, ...], HandPair] = WeakValueDictionary()
-_RECENT: deque[HandPair] = deque(maxlen=8)
+hand_pair = lru_cache(maxsize=16)(HandPair)
+"""The pair of two hands, solved once; arguments as of `HandPair`."""
 
 
 def _finger_points(
@@ -453,44 +424,10 @@ def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def _named_points_at_rest(human: Hand) -> dict[str, np.ndarray]:
-    """Return the points that a hand's description names, at rest [m], shape (3,) each.
-
-    Of a hand with all landmarks, these.
-    """
-    names = human.spec.sets.get("landmarks")
-    if names is not None:
-        return dict(zip(names, landmarks_at_rest(human), strict=True))
+    """Return the points that a hand's description names, at rest [m], shape (3,) each."""
     points = human.with_points(human.spec.points)
     names = [point.name for point in points.reference_points]
     return dict(zip(names, points.points(human.rest), strict=True))
-
-
-def _human_pads(human: Hand, ends: Mapping[str, Finger]) -> dict[str, Pad]:
-    """Return the pads of a person's fingers.
-
-    All thicknesses of the package's hands scale with the length of the hand, so its shapes need not
-    be read for every person.
-    """
-    if human.name not in HUMAN_HANDS:
-        return find_pads(human, ends)
-    length, radii = _standard_pads(human.name)
-    size = _hand_length(human) / length
-    return {finger: Pad(*end.tip, size * radii[finger]) for finger, end in ends.items()}
-
-
-@lru_cache(maxsize=2)
-def _standard_pads(name: str) -> tuple[float, dict[str, float]]:
-    """Return the length of a human hand of the package [m], and the radii of its pads [m]."""
-    human = load_hand(name)
-    pads = find_pads(human, find_fingers(human))
-    return _hand_length(human), {finger: pad.radius for finger, pad in pads.items()}
-
-
-def _hand_length(human: Hand) -> float:
-    """Return the distance from wrist to middle fingertip along the bones [m]."""
-    points = _named_points_at_rest(human)
-    palm = points["middle_mcp"] - points["wrist"]
-    return float(np.linalg.norm(palm) + bone_lengths(human, ["middle"])[0])
 
 
 def _pinching_thumb(

@@ -446,12 +446,12 @@ def test_the_weight_of_the_thumbs_extension_counts_for_the_thumb_alone() -> None
         q[HUMAN.joint_names.index(name)] = angle
     method = Teleoperation(pinch_weight=0.0).bind(HUMAN, ALLEGRO)
     pair, points = method.pair, HUMAN.points(q)
-    distances = np.zeros(len(method.row_weights))
+    distances = np.zeros(len(method.aim_slopes))
     distances[: len(pair.fingers)] = np.linalg.norm(
         points[pair.tips] - points[pair.knuckles], axis=1
     )
     thumb = pair.fingers.index(THUMB)
-    asked = method.shares_and_aims(distances)[1][thumb] / pair.robot_reach[thumb]
+    asked = method.aims(distances)[thumb] / pair.robot_reach[thumb]
     shares = []
     for weight in (0.0, 2.5, 10.0):
         choices = Teleoperation(thumb_extension_weight=weight, pinch_weight=0.0)

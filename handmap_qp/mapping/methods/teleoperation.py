@@ -226,63 +226,42 @@ class BoundTeleoperation(PalmMethod):
         self.distances = PointDistances(
             points, pairs, np.zeros(len(pairs)), damping=damping
         )
-        self._prepare_aims(
-            np.array([pads[0].radius + pad.radius - _SQUEEZE for pad in pads[1:]])
-        )
+        self._prepare_aims()
 
-    def _prepare_aims(self, touching: np.ndarray) -> None:
-        """Make wanted distance and weight of each row functions of the human's distance.
-
-        The wanted distance is linear between two bounds. A pinch is wanted as the thumb and the
-        finger come near; its share goes smoothly from 0 to 1 as a linear function of their gap
-        does. Extension is always wanted.
-
-        Args:
-            touching: Distance of the robot's pads where they press on each other [m], shape (p,).
-        """
-        pair, choices = self.pair, self.choices
-        human = pair.human_rest
-        at_rest = (
-            np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1)
-            / pair.human_reach
-        )
+    def _prepare_aims(self) -> None:
+        """Make the wanted distance of each row a linear function of the human's, within bounds."""
+        pair, choices, human = self.pair, self.choices, self.pair.human_rest
+        at_rest = np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1)
+        posture = pair.robot_extension - at_rest / pair.human_reach
+        radii = [pair.pads[f].radius for f in (THUMB, *self.pinched) if self.pinched]
+        # The robot's pads press on each other here.
+        touching = np.array([radii[0] + radius - _SQUEEZE for radius in radii[1:]])
         # Between jaws, an object is as large as between the human's fingers.
-        ratio = np.full(
-            len(touching), 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
-        )
-        # Jaws follow a gap of any size.
-        nearness = np.inf if pair.has_jaws else _PINCH_FROM / _PINCH_OVER
-        always = np.ones(len(pair.fingers))
-        extension_weights = [
-            choices.thumb_extension_weight
-            if finger == THUMB
-            else choices.extension_weight
-            for finger in pair.fingers
-        ]
-        closing, full = (
-            np.full(len(touching), -1.0 / _PINCH_OVER),
-            np.ones(len(touching)),
-        )
-        self.aim_slopes = np.concatenate([pair.robot_reach / pair.human_reach, ratio])
+        ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
+        many, few = np.ones(len(pair.fingers)), np.ones(len(touching))
+        self.aim_slopes = np.concatenate([pair.reach_ratios, ratio * few])
         self.aim_offsets = np.concatenate(
-            [
-                pair.robot_reach * (pair.robot_extension - at_rest),
-                touching - ratio * choices.contact_gap,
-            ]
+            [pair.robot_reach * posture, touching - ratio * choices.contact_gap]
         )
-        self.least_aims = np.concatenate([0.0 * always, touching])
-        self.largest_aims = np.concatenate([pair.robot_reach, np.inf * full])
-        self.share_slopes = np.concatenate([0.0 * always, closing])
-        self.share_offsets = np.concatenate([always, nearness * full])
-        self.row_weights = np.concatenate(
-            [extension_weights, choices.pinch_weight * full]
+        self.least_aims = np.concatenate([0.0 * many, touching])
+        self.largest_aims = np.concatenate([pair.robot_reach, np.inf * few])
+        weights = {THUMB: choices.thumb_extension_weight}
+        self.extension_weights = np.array(
+            [weights.get(finger, choices.extension_weight) for finger in pair.fingers]
         )
 
-    def shares_and_aims(self, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return share of the weight and wanted distance of each row; shapes (..., k) all."""
-        shares = smoothstep(self.share_slopes * distances + self.share_offsets)
+    def aims(self, distances: np.ndarray) -> np.ndarray:
+        """Return the wanted distance of each row for the human's, shape (..., k) both."""
         aims = self.aim_slopes * distances + self.aim_offsets
-        return shares, np.minimum(np.maximum(aims, self.least_aims), self.largest_aims)
+        return np.minimum(np.maximum(aims, self.least_aims), self.largest_aims)
+
+    def pinching(self, gaps: np.ndarray) -> np.ndarray:
+        """Return the share of its weight that each pinch row has at a gap, shape (..., p) both.
+
+        It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
+        """
+        far = np.inf if self.pair.has_jaws else _PINCH_FROM
+        return smoothstep((far - gaps) / _PINCH_OVER)
 
     def _prepare_margins(self) -> None:
         """Say which contact pair belongs to which pinch."""
@@ -332,9 +311,10 @@ class TeleoperationMap(PalmMap):
         estimate = method.estimator.estimate(now[:, pair.shape_points])
         distances = lengths(now[:, self._to] - now[:, self._from])
         extensions, gaps = distances[:, :count] / pair.human_reach, distances[:, count:]
-        shares, aims = method.shares_and_aims(distances)
+        aims, pinching = method.aims(distances), method.pinching(gaps)
         points, wrists = self.placed(palms, self._moved(estimate, now))
-        weights = method.row_weights * shares
+        extending = np.broadcast_to(method.extension_weights, extensions.shape)
+        weights = np.hstack([extending, method.choices.pinch_weight * pinching])
         margins = self._margins(gaps)
         return [
             Targets(
@@ -345,7 +325,7 @@ class TeleoperationMap(PalmMap):
                     self._palm_before,
                     human_palms[i],
                     gaps[i],
-                    shares[i, count:],
+                    pinching[i],
                     extensions[i],
                 ),
                 (method.distances.aimed_at(aims[i], weights[i]),),
