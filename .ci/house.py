@@ -356,7 +356,7 @@ def measure_samples(root: Path) -> dict[str, float]:
 
     from handmap_qp import Follower, HandMapper, HumanLengths, HumanSample, load_hand
     from handmap_qp.apps.service.dispatch import Dispatcher
-    from handmap_qp.apps.service.metrics import Metrics
+    from handmap_qp.apps.service.logs import Metrics
     from handmap_qp.apps.service.opening import HandCache
     from handmap_qp.apps.service.settings import Settings
     from handmap_qp.client.messages import PROTOCOL, Open, Step

@@ -23,8 +23,7 @@ import numpy as np
 from checker import Checker
 
 from handmap_qp.apps.service.opening import HandCache, Hands, prepare_hands
-from handmap_qp.apps.service.samples import to_matrix
-from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.session import Session, to_matrix
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import (
     PROTOCOL,

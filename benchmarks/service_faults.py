@@ -37,8 +37,8 @@ from service_clients import TIMEOUT, Honest, HumanMotion, honest, summary
 from service_fuzz import fuzz
 from service_process import MemoryWatch, ServiceProcess, serving
 
+from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import Client, KeyFiles, ServiceError, ServiceTimeoutError
 
 _LONGEST_GAP = 0.05

@@ -21,10 +21,11 @@ import asyncio
 import math
 import secrets
 import time as clock
-from collections.abc import Generator
+from collections.abc import Callable, Coroutine, Generator
 from contextlib import suppress
+from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -35,7 +36,7 @@ import zmq.auth
 
 from . import messages
 from .messages import (
-    FORMER_OPTIONS,
+    PROTECTING,
     PROTOCOL,
     PROTOCOLS,
     TOPIC_END,
@@ -54,6 +55,7 @@ ADDRESS = "tcp://127.0.0.1:5570"
 KeyFiles = tuple[Path | str, Path | str]
 Request = dict[str, Any]
 Use = Literal["requests", "samples", "stream"]
+Turn = Literal["call", "stream"]
 R = TypeVar("R", bound=Reply)
 T = TypeVar("T")
 
@@ -159,7 +161,7 @@ def _plain(value: Any) -> Any:
 
 _ENCODE = msgspec.msgpack.Encoder(enc_hook=_plain).encode
 _DECODE = msgspec.msgpack.Decoder(Opened | Command | State | Done | Error).decode
-_OPTIONS = ("options", *FORMER_OPTIONS, "ik")
+_OPTIONS = ("options", "mapping", "teleoperation", "ik")
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 
@@ -207,6 +209,11 @@ class _Core:
         self._keys = None if keys is None else _load_keys(keys)
         self._seq, self._protocol = 0, PROTOCOL
         self._sockets: dict[Use, tuple[tuple[str, str], Any]] = {}
+        # Calls of several tasks take turns. One task may wait for the stream meanwhile.
+        self._turns: dict[Turn, asyncio.Lock] = {
+            "call": asyncio.Lock(),
+            "stream": asyncio.Lock(),
+        }
         self._forget()
 
     def _forget(self) -> None:
@@ -230,9 +237,12 @@ class _Core:
             request["values"] = np.ravel(request["values"])
         return request
 
-    def _stop(self, name: str | None, reason: str) -> Steps[Done]:
+    def _do(self, request: Request) -> Steps[None]:
+        yield from self._call(request, Done)
+
+    def _stop(self, name: str | None, reason: str) -> Steps[None]:
         addressee = {} if name is None else {"session": "", "name": name}
-        return self._call({"type": "stop", "reason": reason} | addressee, Done)
+        return self._do({"type": "stop", "reason": reason} | addressee)
 
     def _send(self, sample: Request) -> Steps[None]:
         if self.opened is None:
@@ -280,7 +290,7 @@ class _Core:
         try:
             if self.opened is not None:
                 with suppress(ServiceError, ServiceTimeoutError):
-                    yield from self._call({"type": "close"}, Done)
+                    yield from self._do({"type": "close"})
         finally:
             self._forget()
             for use in tuple(self._sockets):
@@ -394,19 +404,13 @@ class _Core:
             self._addressee = {"session": request["session"]}
             self._stream_name, self._stream_port = reply.name, reply.stream_port
             self._socket("stream")  # subscribe before the first command
-        elif wanted and kind in _ENGAGING and "name" not in request:
+        elif not wanted or "name" in request:
+            return
+        elif kind in _ENGAGING:
             wanted["is_released"] = kind not in ("clutch", "reset")
             self._released_at = reply.seq
-        elif wanted and kind == "configure":
-            for field in _OPTIONS:
-                before = wanted.pop(field, {})
-                # A preset replaces all options.
-                kept = {} if "preset" in request else before
-                if changed := kept | request.get(field, {}):
-                    wanted[field] = changed
-            wanted |= {
-                key: request[key] for key in ("preset", "has_detail") if key in request
-            }
+        elif kind == "configure":
+            _note_changes(wanted, request)
 
     def _socket(self, use: Use) -> Any:
         """Return the socket for a use, connected when it is first needed for a session."""
@@ -442,6 +446,17 @@ class _Core:
         self._sockets.pop(use)[1].close(linger=0)
 
 
+def _note_changes(wanted: Request, request: Request) -> None:
+    """Note changes of options in the request that opens the session again."""
+    if "preset" in request:
+        # A preset replaces all options but those that protect the robot.
+        kept = {name: wanted.pop(name, {}) for name in _OPTIONS}["ik"]
+        wanted["ik"] = {name: kept[name] for name in PROTECTING if name in kept}
+    for name in Changes.__annotations__.keys() & request.keys():
+        value = request[name]
+        wanted[name] = wanted.get(name, {}) | value if name in _OPTIONS else value
+
+
 def _load_keys(files: KeyFiles) -> tuple[bytes, bytes, bytes]:
     """Return this client's public and secret key, and the server's public key."""
     (public, secret), (server, _) = (zmq.auth.load_certificate(file) for file in files)
@@ -450,6 +465,16 @@ def _load_keys(files: KeyFiles) -> tuple[bytes, bytes, bytes]:
             f"{files}: expected NAME.key_secret and server.key; the first holds no secret key"
         )
     return public, secret, server
+
+
+def _awaited(method: Callable[..., T]) -> Callable[..., Coroutine[Any, Any, T]]:
+    """Return a method of `Client` for `AsyncClient`, where `_run` returns a coroutine."""
+
+    @wraps(method)
+    async def call(*values: Any, **fields: Any) -> T:
+        return await cast(Any, method(*values, **fields))
+
+    return call
 
 
 def _wait(io: _Io) -> tuple[int, int]:
@@ -533,7 +558,7 @@ class Client(_Core):
             ServiceTimeoutError: If a lost session cannot be reopened in time.
             ValueError: If `wrist` is not a pose.
         """
-        self._run(self._send(self._sample("sample", human)))
+        return self._run(self._send(self._sample("sample", human)))
 
     def latest(self, timeout: float = 0.0) -> Command | None:
         """Return the newest command of the stream.
@@ -548,7 +573,7 @@ class Client(_Core):
             RuntimeError: If this client neither opened nor watches a session.
             ServiceError: If the server could not use a streamed sample.
         """
-        return self._run(self._latest(timeout))
+        return self._run(self._latest(timeout), "stream")
 
     def watch(self, name: str) -> State:
         """Watch another client's session; `latest` returns its commands.
@@ -566,11 +591,11 @@ class Client(_Core):
         The robot continues from where it is. With the presets `teleoperation` and `object`, its
         fingers then go to the human's posture.
         """
-        self._run(self._call({"type": "clutch"}, Done))
+        return self._run(self._do({"type": "clutch"}))
 
     def release(self) -> None:
         """Disengage: the robot holds its posture until `clutch`."""
-        self._run(self._call({"type": "release"}, Done))
+        return self._run(self._do({"type": "release"}))
 
     def stop(self, name: str | None = None, *, reason: str = "") -> None:
         """Stop the robot: it brakes and holds, whatever comes, until `clear`.
@@ -580,7 +605,7 @@ class Client(_Core):
                 sessions of the server if the client has none.
             reason: Reason for the server's log.
         """
-        self._run(self._stop(name, reason))
+        return self._run(self._stop(name, reason))
 
     def clear(self, stop: int) -> None:
         """Clear an emergency stop on purpose; the robot is then released, and `clutch` engages it.
@@ -588,7 +613,7 @@ class Client(_Core):
         Args:
             stop: Its number, `status().stop`.
         """
-        self._run(self._call({"type": "clear", "stop": stop}, Done))
+        return self._run(self._do({"type": "clear", "stop": stop}))
 
     def reset(
         self,
@@ -605,7 +630,7 @@ class Client(_Core):
             robot_wrist: Pose of its wrist, as in `open`.
         """
         start = {"robot_q": robot_q, "robot_wrist": robot_wrist}
-        self._run(self._call(_request("reset", Choices, start), Done))
+        return self._run(self._do(_request("reset", Choices, start)))
 
     def configure(self, **changes: Unpack[Changes]) -> None:
         """Change options; options that are not named, and the reference, stay as they are.
@@ -614,7 +639,7 @@ class Client(_Core):
             **changes: Fields of `messages.Configure`. With another `preset`, options that are not
                 named are the preset's own.
         """
-        self._run(self._call(_request("configure", Changes, changes), Done))
+        return self._run(self._do(_request("configure", Changes, changes)))
 
     def status(self) -> State:
         """Return the state of the session; of the server if no session is open."""
@@ -622,9 +647,9 @@ class Client(_Core):
 
     def close(self) -> None:
         """End the session if the server can be reached, and close the sockets."""
-        self._run(self._close())
+        return self._run(self._close())
 
-    def _run(self, steps: Steps[T]) -> T:
+    def _run(self, steps: Steps[T], turn: Turn = "call") -> T:
         result: bytes | None = None
         try:
             while True:
@@ -646,85 +671,29 @@ class AsyncClient(_Core):
 
     _context = zmq.asyncio.Context
 
-    def __init__(
-        self,
-        address: str = ADDRESS,
-        *,
-        timeout: float = 2.0,
-        attempts: int = 2,
-        keys: KeyFiles | None = None,
-    ) -> None:
-        super().__init__(address, timeout=timeout, attempts=attempts, keys=keys)
-        # Calls of several tasks take turns. One task may wait for the stream meanwhile.
-        self._turn, self._stream_turn = asyncio.Lock(), asyncio.Lock()
-
     async def __aenter__(self) -> AsyncClient:
         return self
 
     async def __aexit__(self, *_: object) -> None:
         await self.close()
 
-    async def open(self, robot: str, **choices: Unpack[Choices]) -> Opened:
-        """Open a session; see `Client.open`."""
-        return await self._run(self._open(robot, choices))
+    open = _awaited(Client.open)
+    step = _awaited(Client.step)
+    send = _awaited(Client.send)
+    latest = _awaited(Client.latest)
+    watch = _awaited(Client.watch)
+    clutch = _awaited(Client.clutch)
+    release = _awaited(Client.release)
+    stop = _awaited(Client.stop)
+    clear = _awaited(Client.clear)
+    reset = _awaited(Client.reset)
+    configure = _awaited(Client.configure)
+    status = _awaited(Client.status)
+    close = _awaited(Client.close)
 
-    async def step(self, **human: Unpack[Human]) -> Command:
-        """Map one sample and wait for its command; see `Client.step`."""
-        return await self._run(self._call(self._sample("step", human), Command))
-
-    async def send(self, **human: Unpack[Human]) -> None:
-        """Send a sample without waiting for its command; see `Client.send`."""
-        await self._run(self._send(self._sample("sample", human)))
-
-    async def latest(self, timeout: float = 0.0) -> Command | None:
-        """Return the newest command of the stream; see `Client.latest`."""
-        return await self._run(self._latest(timeout), self._stream_turn)
-
-    async def watch(self, name: str) -> State:
-        """Watch another client's session; see `Client.watch`."""
-        return await self._run(self._watch(name))
-
-    async def clutch(self) -> None:
-        """Engage, or engage again; see `Client.clutch`."""
-        await self._run(self._call({"type": "clutch"}, Done))
-
-    async def release(self) -> None:
-        """Disengage; see `Client.release`."""
-        await self._run(self._call({"type": "release"}, Done))
-
-    async def stop(self, name: str | None = None, *, reason: str = "") -> None:
-        """Stop the robot; see `Client.stop`."""
-        await self._run(self._stop(name, reason))
-
-    async def clear(self, stop: int) -> None:
-        """Clear an emergency stop; see `Client.clear`."""
-        await self._run(self._call({"type": "clear", "stop": stop}, Done))
-
-    async def reset(
-        self,
-        *,
-        robot_q: npt.ArrayLike | None = None,
-        robot_wrist: Pose | npt.ArrayLike | None = None,
-    ) -> None:
-        """Start again, with the next sample as the reference; see `Client.reset`."""
-        start = {"robot_q": robot_q, "robot_wrist": robot_wrist}
-        await self._run(self._call(_request("reset", Choices, start), Done))
-
-    async def configure(self, **changes: Unpack[Changes]) -> None:
-        """Change options; see `Client.configure`."""
-        await self._run(self._call(_request("configure", Changes, changes), Done))
-
-    async def status(self) -> State:
-        """Return the state of the session or the server; see `Client.status`."""
-        return await self._run(self._call({"type": "status"}, State))
-
-    async def close(self) -> None:
-        """End the session and close the sockets; see `Client.close`."""
-        await self._run(self._close())
-
-    async def _run(self, steps: Steps[T], turn: asyncio.Lock | None = None) -> T:
+    async def _run(self, steps: Steps[T], turn: Turn = "call") -> T:
         result: bytes | None = None
-        async with turn or self._turn:
+        async with self._turns[turn]:
             try:
                 while True:
                     io = steps.send(result)

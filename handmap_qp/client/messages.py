@@ -32,8 +32,8 @@ Length = Annotated[float, Meta(gt=0, le=1)]
 Gap = Annotated[float, Meta(ge=0, le=0.04)]
 Duration = Annotated[float, Meta(ge=0, le=3600)]
 Matrix = tuple[tuple[float, ...], ...]
-FORMER_OPTIONS = ("mapping", "teleoperation")
-"""Former names of the field `options`: of all presets but teleoperation, and of that one."""
+PROTECTING = ("max_acceleration", "avoids_self_collision")
+"""Fields of `ik` that protect the robot: another preset leaves them as they are."""
 NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
 Name = Annotated[str, Meta(title=NAME, pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 
@@ -52,14 +52,10 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def matrix(self) -> np.ndarray:
         """Return the pose as a homogeneous matrix, shape (4, 4)."""
-        norm = math.hypot(*self.quat_xyzw)
-        x, y, z, w = (part / norm for part in self.quat_xyzw)
+        x, y, z, w = np.array(self.quat_xyzw) / np.linalg.norm(self.quat_xyzw)
+        cross = np.array(((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)))
         matrix = np.eye(4)
-        matrix[:3, :3] = (
-            (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)),
-            (2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)),
-            (2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)),
-        )
+        matrix[:3, :3] += 2.0 * (w * cross + cross @ cross)
         matrix[:3, 3] = self.position
         return matrix
 
@@ -157,13 +153,13 @@ class Request(
 
 
 def _rename_options(request: Open | Configure) -> None:
-    """Take options by the names that they had before methods could be added."""
-    if request.mapping or request.teleoperation:
-        if isinstance(request, Open) and request.preset is None:
-            preset = "paper" if request.mapping else "teleoperation"
-            msgspec.structs.force_setattr(request, "preset", preset)
-        options = request.mapping | request.teleoperation | request.options
-        msgspec.structs.force_setattr(request, "options", options)
+    """Move options of former names to their present one."""
+    for former, preset in (("mapping", "paper"), ("teleoperation", "teleoperation")):
+        if given := getattr(request, former):
+            msgspec.structs.force_setattr(request, "options", given | request.options)
+            msgspec.structs.force_setattr(request, former, {})
+            if isinstance(request, Open) and request.preset is None:
+                msgspec.structs.force_setattr(request, "preset", preset)
 
 
 class Open(Request, frozen=True):

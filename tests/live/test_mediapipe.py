@@ -37,7 +37,7 @@ class VideoCapture:
     def __init__(self, source):
         try:
             self.left = len(json.load(open(source))) if isinstance(source, str) else 0
-        except ValueError:
+        except (OSError, ValueError):
             self.left = -1
     def isOpened(self):
         return self.left >= 0
@@ -203,7 +203,7 @@ def test_the_command_records_a_video(stand_in: Path, tmp_path: Path) -> None:
     [
         (["--video", "VIDEO"], "not a video", "cannot be read"),
         (["--video", "VIDEO"], "[]", "holds no pictures"),
-        (["--video", "missing.mp4"], "[]", "no file missing.mp4"),
+        (["--video", "missing.mp4"], "[]", "missing.mp4 cannot be read"),
         (["--camera", "3"], "[]", "3 holds no pictures"),
         (["--camera", "-1"], "[]", "--camera"),
         (["--fov", "0"], "[]", "--fov"),

@@ -31,7 +31,7 @@ from service_tools import (
 )
 
 from handmap_qp.apps.service.server import Server
-from handmap_qp.apps.service.states import LEASE
+from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.client import AsyncClient, Client, Command, ServiceError
 from handmap_qp.client.messages import Error
 

@@ -19,11 +19,11 @@ from service_tools import CACHE, Sampler, human_q, opening, run_now
 
 from handmap_qp.apps.service import sessions
 from handmap_qp.apps.service.dispatch import Dispatcher
-from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.logs import Metrics
 from handmap_qp.apps.service.opening import prepare_hands
 from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.sessions import LEASE, Caller, refusal
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.states import LEASE, Caller, refusal
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import (
     PROTOCOL,
@@ -75,12 +75,6 @@ class Setting(NamedTuple):
     has_supervisor: bool = False
 
 
-class Log(PostureStore):
-    """Records in memory that outlive a restart as those in a file do."""
-
-    is_persistent = True
-
-
 class World:
     """A service, two clients, and what an observer knows of them.
 
@@ -93,7 +87,9 @@ class World:
     def __init__(self, setting: Setting, loop: asyncio.AbstractEventLoop) -> None:
         self.setting, self._loop = setting, loop
         self.now, self.sample = 0.0, Sampler()
-        self.store = Log(None)
+        self.store = PostureStore(None)
+        # Records in memory that outlive a restart as those in a file do.
+        self.store.is_persistent = True
         self.owner, self.is_stopped = "", False
         # Time of the owner's last request that the service accepted, or of a restart.
         self._heard, self._is_open, self._epoch = 0.0, False, 0

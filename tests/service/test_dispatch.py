@@ -26,12 +26,10 @@ from service_tools import (
 )
 
 from handmap_qp.apps.service.dispatch import Dispatcher
-from handmap_qp.apps.service.logs import JsonLines, log
-from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.logs import JsonLines, Metrics, log
 from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.sessions import Entry
+from handmap_qp.apps.service.sessions import LEASE, Caller, Entry
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.states import LEASE, Caller
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import PROTOCOL, Command, Request, Status
 

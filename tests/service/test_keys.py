@@ -25,8 +25,8 @@ from zmq.auth import load_certificate
 from handmap_qp import cli
 from handmap_qp.apps.service.keys import ClientKeys, make_keys
 from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import KeyFiles, ServiceError
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 

@@ -222,7 +222,7 @@ TELEOPERATION: dict[str, Any] = {
 
 
 def contact_gap_of(session: Session) -> float:
-    options = session._choice.method
+    options = session._hands.choice.method
     assert isinstance(options, Teleoperation)
     return options.contact_gap
 

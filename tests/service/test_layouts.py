@@ -21,10 +21,9 @@ from service_tools import (
     serving,
 )
 
-from handmap_qp.apps.service.decoding import decode_request
+from handmap_qp.apps.service.dispatch import decode_request
 from handmap_qp.apps.service.opening import prepare_hands
-from handmap_qp.apps.service.samples import to_matrix, to_pose
-from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.session import Session, to_matrix, to_pose
 from handmap_qp.client import ServiceError
 from handmap_qp.client.messages import PROTOCOL, Error, Step
 from handmap_qp.errors import RefusedError

@@ -75,7 +75,7 @@ def test_options_that_are_taken_can_be_followed(
     ("changes", "field"),
     [
         ({"ik": {"solver": "proxqp"}}, "ik.solver"),
-        ({"mapping": {"deformation_gain": 11.0}}, "mapping.deformation_gain"),
+        ({"mapping": {"deformation_gain": 11.0}}, "options.deformation_gain"),
     ],
 )
 def test_what_cannot_be_carried_out_in_time_or_in_numbers_is_refused(
@@ -107,7 +107,7 @@ FIXED = {"mount": "fixed", "mapping": {"rigid_from": "none"}}
             {"ik": {"max_acceleration": 0.0}, "mapping": {"ridge": 0.2}},
             "ik.max_acceleration",
         ),
-        (FIXED, {"mapping": {"rigid_from": "points"}}, "mapping.rigid_from"),
+        (FIXED, {"mapping": {"rigid_from": "points"}}, "options.rigid_from"),
     ],
     ids=str,
 )
@@ -193,13 +193,13 @@ def test_options_change_on_the_way_and_the_robot_does_not_jump() -> None:
 @pytest.mark.parametrize(
     ("changes", "field"),
     [
-        ({"mapping": {"ridges": 1.0}}, "mapping.ridges"),
-        ({"mapping": {"ridge": -1.0}}, "mapping.ridge"),
-        ({"mapping": {"ridge": "much"}}, "mapping.ridge"),
+        ({"mapping": {"ridges": 1.0}}, "options.ridges"),
+        ({"mapping": {"ridge": -1.0}}, "options.ridge"),
+        ({"mapping": {"ridge": "much"}}, "options.ridge"),
         ({"mapping": {"scale": 2.0}, "ik": {"damping": 0.0}}, "ik.damping"),
         ({"ik": {"solver": "abacus"}}, "ik.solver"),
         ({"ik": {"max_iterations": 1000}}, "ik.max_iterations"),
-        ({"mapping": {"residual_gain": 1.0, "pivot": "point"}}, "mapping"),
+        ({"mapping": {"residual_gain": 1.0, "pivot": "point"}}, "options"),
     ],
 )
 def test_options_that_cannot_be_change_nothing(

@@ -27,9 +27,8 @@ from service_tools import (
 from handmap_qp import HandMapper, IkOptions, MappingOptions, Recording, read_recording
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.service.opening import CALIBRATION_SAMPLES
-from handmap_qp.apps.service.samples import to_lengths, to_pose
 from handmap_qp.apps.service.server import Server
-from handmap_qp.apps.service.session import Session
+from handmap_qp.apps.service.session import Session, to_lengths, to_pose
 from handmap_qp.client.messages import About, Lengths
 from handmap_qp.errors import RefusedError
 from handmap_qp.human.landmarks import TIPS, measure_hand
@@ -101,17 +100,12 @@ def test_the_preset_follows_from_hands_and_options(
 @pytest.mark.parametrize(
     ("choices", "field"),
     [
-        ({"preset": "teleoperation", "mapping": {"scale": 2.0}}, "mapping.scale"),
-        ({"preset": "object", "teleoperation": {"ridge": 0.2}}, "teleoperation.ridge"),
-        (
-            {"mapping": {"scale": 2.0}, "teleoperation": {"ridge": 0.2}},
-            "teleoperation.ridge",
-        ),
-        ({"teleoperation": {"pinch": 2.0}}, "teleoperation.pinch"),
-        ({"teleoperation": {"pinch_weight": "much"}}, "teleoperation.pinch_weight"),
-        ({"teleoperation": {"residual_gain": 2.0}}, "teleoperation.residual_gain"),
-        ({"teleoperation": {"ridge": 0.0}}, "teleoperation.ridge"),
-        ({"preset": "object", "mapping": {"ridge": -1.0}}, "mapping.ridge"),
+        ({"preset": "teleoperation", "options": {"pivot": "wrist"}}, "options.pivot"),
+        ({"teleoperation": {"pinch": 2.0}}, "options.pinch"),
+        ({"teleoperation": {"pinch_weight": "much"}}, "options.pinch_weight"),
+        ({"teleoperation": {"residual_gain": 2.0}}, "options.residual_gain"),
+        ({"teleoperation": {"ridge": 0.0}}, "options.ridge"),
+        ({"preset": "object", "mapping": {"ridge": -1.0}}, "options.ridge"),
     ],
     ids=str,
 )
@@ -136,8 +130,8 @@ def test_options_of_another_preset_are_refused_by_name(
 def test_options_alone_do_not_change_the_preset() -> None:
     session = opened({})
     with pytest.raises(RefusedError) as raised:
-        session.configure(change(mapping={"scale": 2.0}))
-    assert raised.value.field == "mapping.scale"
+        session.configure(change(options={"stretch_max": 2.0}))
+    assert raised.value.field == "options.stretch_max"
     assert about(session).preset == "teleoperation"
     session = opened({"human_points": "fingertips"})
     session.configure(change(mapping={"scale": 2.0}))
@@ -323,7 +317,7 @@ def test_landmarks_are_mapped_as_they_come(
         ),
         Sampler(),
     )
-    hands, choice = session._hands, session._choice
+    hands, choice = session._hands, session._hands.choice
     mapper = HandMapper(hands.mapper.human, hands.robot, choice.method, ik=choice.ik)
     mapper.reset(robot_q=hands.robot.rest)
     turn = rotation_from_quat_wxyz((0.8, 0.0, 0.6, 0.0))
@@ -396,7 +390,7 @@ def test_a_preset_chosen_during_the_measurement_holds_after_it() -> None:
         session.step(sample(i * PERIOD, landmarks=points), i * PERIOD)
     assert session.mode == "following"
     assert (about(session).preset, about(session).mapping["ridge"]) == ("object", 0.4)
-    assert session._choice.method.values["ridge"] == 0.4
+    assert session._hands.choice.method.values["ridge"] == 0.4
 
 
 # -- clients

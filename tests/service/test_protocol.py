@@ -24,7 +24,7 @@ from service_tools import (
 
 from handmap_qp import client as present
 from handmap_qp.apps.service.keys import make_keys
-from handmap_qp.apps.service.states import LEASE
+from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.client import ServiceError, messages
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "clients"

@@ -33,8 +33,8 @@ from service_tools import (
 
 from handmap_qp.apps.service.logs import JsonLines
 from handmap_qp.apps.service.server import Server
+from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.states import LEASE
 from handmap_qp.client import ServiceError
 from handmap_qp.client.messages import PROTOCOL, Request, Status
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError

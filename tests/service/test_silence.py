@@ -19,8 +19,8 @@ from service_tools import (
 )
 
 from handmap_qp.apps.service.opening import prepare_hands
+from handmap_qp.apps.service.safety import HEARTBEAT
 from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.states import HEARTBEAT
 from handmap_qp.client.messages import Pose
 from handmap_qp.hands.hand import LONGEST_STOP
 

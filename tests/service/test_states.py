@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmap_qp.apps.service.states import Event, SessionState, next_state
+from handmap_qp.apps.service.safety import Event, SessionState, next_state
 
 WATCHDOG_EVENTS = (Event.SILENCE, Event.RETURN, Event.ARRIVAL)
 STATES = [state for state in SessionState if state is not SessionState.STOPPED]

@@ -28,7 +28,7 @@ from service_tools import (
 
 from handmap_qp.apps.service.opening import prepare_hands
 from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.states import LEASE
+from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.client import ServiceError
 from handmap_qp.errors import RefusedError

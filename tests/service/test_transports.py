@@ -43,7 +43,7 @@ from handmap_qp.apps.addresses import bare_host
 from handmap_qp.apps.service import logs
 from handmap_qp.apps.service import server as server_module
 from handmap_qp.apps.service.connection_gate import cost_of, count_frames
-from handmap_qp.apps.service.decoding import decode_request
+from handmap_qp.apps.service.dispatch import decode_request
 from handmap_qp.apps.service.keys import (
     ClientKeys,
     make_keys,
@@ -52,7 +52,7 @@ from handmap_qp.apps.service.keys import (
 )
 from handmap_qp.apps.service.schema import schema_text
 from handmap_qp.apps.service.server import Server, run_server
-from handmap_qp.apps.service.states import LEASE
+from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.client import Client
 from handmap_qp.client.messages import PROTOCOL, Error
 from handmap_qp.errors import InvalidInputError

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmap_qp.apps.service.states import (
+from handmap_qp.apps.service.safety import (
     HEARTBEAT,
     RETURN_PERIOD,
     Event,

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
@@ -277,27 +276,18 @@ def _lead(source: Source, sinks: Sequence[Sink], *, is_json: bool) -> dict[str, 
     """Lead samples to sinks until the source ends or Ctrl-C; print and return a summary."""
     # The state in one line on stderr, if stderr is a terminal.
     line = Console(stderr=True).status("waiting for the first sample")
-    with _terminated_like_interrupted(), line:
-        summary = run(source, sinks, line.update)
+    # End on SIGTERM as on Ctrl-C, so that files are written and sessions closed.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with line:
+            summary = run(source, sinks, line.update)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     if is_json:
         print(json.dumps(summary))
     else:
         print_table(source.name, _table(summary))
     return summary
-
-
-@contextlib.contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    """End on SIGTERM as on Ctrl-C, so that files are written and sessions closed."""
-
-    def interrupt(*_: object) -> NoReturn:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _table(summary: dict[str, Any]) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.util
+import importlib
 import json
 import math
 import sys
@@ -126,39 +126,26 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     import cv2
 
     is_file = arguments.video is not None
-    source = str(arguments.video) if is_file else arguments.camera
-    capture = cv2.VideoCapture(source)
+    name = f"video {arguments.video}" if is_file else f"camera {arguments.camera}"
+    capture = cv2.VideoCapture(str(arguments.video) if is_file else arguments.camera)
     if not capture.isOpened():
-        _stop(
-            f"the video {source} cannot be read"
-            if is_file
-            else f"there is no camera {source}"
-        )
+        _stop(f"{name} cannot be read")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
-    start, count = time.monotonic(), 0
-    for picture in _read(capture, 0 if is_file else _LOST_FRAMES):
-        stamp = start + count / rate if is_file else time.monotonic()
-        count += 1
-        if arguments.paced and is_file:
-            time.sleep(max(0.0, stamp - time.monotonic()))
-        yield stamp, cv2.flip(picture, 1) if arguments.mirrored else picture
-    capture.release()
-    if not count:
-        _stop(f"{source} holds no pictures")
-    if not is_file:
-        _stop(f"camera {source} gives no more pictures")
-
-
-def _read(capture: Any, most_lost: int) -> Iterator[np.ndarray]:
-    """Yield pictures as RGB until more than `most_lost` in a row are missing."""
-    import cv2
-
-    lost = 0
-    while lost <= most_lost:
+    start, count, lost = time.monotonic(), 0, 0
+    while lost <= (0 if is_file else _LOST_FRAMES):
         is_there, picture = capture.read()
         lost = 0 if is_there else lost + 1
         if is_there:
-            yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+            stamp = start + count / rate if is_file else time.monotonic()
+            count += 1
+            if arguments.paced:
+                time.sleep(max(0.0, stamp - time.monotonic()))
+            pixels = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+            yield stamp, cv2.flip(pixels, 1) if arguments.mirrored else pixels
+    if not count:
+        _stop(f"{name} holds no pictures")
+    if not is_file:
+        _stop(f"{name} gives no more pictures")
 
 
 def printed(stamp: float, hand: TrackedHand | None) -> None:
@@ -230,11 +217,10 @@ def _parse() -> argparse.Namespace:
     parser.add_argument("--robot", help="robot hand, for --to")
     arguments = parser.parse_args()
     if arguments.to is not None and arguments.robot is None:
-        parser.error("--to needs --robot")
+        _stop("--to needs --robot")
     if not 1.0 <= arguments.fov <= 170.0:
-        parser.error("--fov: expected 1 to 170 degrees")
-    if arguments.to is not None:
-        arguments.paced = True
+        _stop("--fov: expected 1 to 170 degrees")
+    arguments.paced |= arguments.to is not None
     return arguments
 
 
@@ -244,18 +230,12 @@ def _rows(landmarks: Any) -> np.ndarray:
 
 def _client_module() -> Any:
     """Import the folder `client` from beside this file, or from its place in handmap_qp."""
-    here = Path(__file__).resolve()
-    for folder in (here.with_name("client"), here.parents[2] / "client"):
-        file = folder / "__init__.py"
-        if file.is_file():
-            spec = importlib.util.spec_from_file_location("handmap_client", file)
-            if spec is None or spec.loader is None:
-                break
-            module = importlib.util.module_from_spec(spec)
-            sys.modules[spec.name] = module
-            spec.loader.exec_module(module)
-            return module
-    _stop("the folder client of handmap_qp must lie beside this file")
+    folder = Path(__file__).resolve().parent
+    sys.path += [str(folder), str(folder.parent.parent)]
+    try:
+        return importlib.import_module("client")
+    except ModuleNotFoundError as error:
+        _stop(f"{error}: the folder client of handmap_qp must lie beside this file")
 
 
 def _stop(message: str) -> NoReturn:

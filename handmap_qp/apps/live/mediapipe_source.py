@@ -78,15 +78,9 @@ def install_environment(report: Callable[[str], object]) -> Path:
         [python, "-m", "venv", "--clear", str(folder)], "the environment cannot be made"
     )
     report(f"installing {' '.join(REQUIREMENTS)} (about 1 GB)")
-    pip = [
-        str(folder / "bin" / "python"),
-        "-m",
-        "pip",
-        "--disable-pip-version-check",
-        "install",
-    ]
+    pip = [str(folder / "bin" / "python"), "-m", "pip", "--disable-pip-version-check"]
     try:
-        _run([*pip, "--quiet", *REQUIREMENTS], "pip cannot install MediaPipe")
+        _run([*pip, "install", "-q", *REQUIREMENTS], "pip cannot install MediaPipe")
     except InvalidInputError:
         # Half an environment would pass for a whole one.
         shutil.rmtree(folder, ignore_errors=True)
@@ -101,23 +95,14 @@ def _find_python() -> str:
     if found := next(filter(None, map(shutil.which, _OTHER_PYTHONS)), None):
         return found
     raise InvalidInputError(
-        argument="--install",
-        expected=f"Python {low[0]}.{low[1]} to {high[0]}.{high[1]} for MediaPipe",
-        got=f"{sys.version_info[0]}.{sys.version_info[1]} and none of {', '.join(_OTHER_PYTHONS)}",
+        argument="--install", expected=f"one of {', '.join(_OTHER_PYTHONS)}", got="none"
     )
 
 
 def _run(command: list[str], problem: str) -> None:
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-    except OSError as error:
-        raise InvalidInputError(
-            argument="--install", problem=f"{problem}: {error}"
-        ) from error
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        lines = (
-            done.stderr.strip() or done.stdout.strip() or "no message"
-        ).splitlines()
+        lines = (done.stderr.strip() or done.stdout.strip() or problem).splitlines()
         errors = [line for line in lines if line.startswith("ERROR:")]
         raise InvalidInputError(
             argument="--install", problem=f"{problem}: {(errors or lines)[-1]}"
@@ -144,8 +129,7 @@ class MediapipeSource:
         rate: 0: the camera or the file decides.
 
     Raises:
-        InvalidInputError: If MediaPipe is not installed, there is no such file, or the field of
-            view is out of its range.
+        InvalidInputError: If MediaPipe is not installed.
     """
 
     rate: float = 0.0
@@ -160,34 +144,20 @@ class MediapipeSource:
         is_mirrored: bool = False,
         is_paced: bool = True,
     ) -> None:
-        if video is not None and not video.is_file():
-            raise InvalidInputError(
-                argument="--video",
-                problem=f"there is no file {video}",
-                value=str(video),
-            )
-        if camera < 0:
-            raise InvalidInputError(
-                argument="--camera", expected="0 or more", value=camera
-            )
-        if not 1.0 <= fov <= 170.0:
-            raise InvalidInputError(
-                argument="--fov", expected="1 to 170 degrees", value=fov
-            )
         self.side: Side = side
         self.name = f"camera {camera}" if video is None else video.stem
         self._argument = "--camera" if video is None else "--video"
-        program = [str(environment_python()), "-u", str(_PROGRAM)]
-        source = [self._argument, str(camera if video is None else video)]
-        options = ["--side", side, "--fov", str(fov)]
-        choices = ["--mirrored"] * is_mirrored + ["--paced"] * is_paced
-        self._command = [*program, *source, *options, *choices]
+        source = str(camera if video is None else video)
+        self._command = [str(environment_python()), "-u", str(_PROGRAM)]
+        self._command += [self._argument, source, "--side", side, "--fov", str(fov)]
+        self._command += ["--mirrored"] * is_mirrored + ["--paced"] * is_paced
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield a sample for each picture.
 
         Raises:
-            InvalidInputError: If the camera or the file cannot be read, or MediaPipe fails.
+            InvalidInputError: If the camera or the file cannot be read, the field of view is out
+                of its range, or MediaPipe fails.
         """
         with (
             tempfile.TemporaryFile(mode="w+") as messages,
@@ -212,12 +182,11 @@ class MediapipeSource:
     def _error(self, messages: IO[str]) -> InvalidInputError:
         """Return the process's own last line as an error."""
         messages.seek(0)
-        lines = [line.strip() for line in messages if line.strip()]
-        own = [line for line in lines if line.startswith("mediapipe_process: ")]
-        text = (own or lines or ["MediaPipe ended without a message"])[-1]
-        return InvalidInputError(
-            argument=self._argument, problem=text.removeprefix("mediapipe_process: ")
-        )
+        lines = ["MediaPipe ended without a message", *messages]
+        name = "mediapipe_process: "
+        text = ([line for line in lines if line.startswith(name)] or lines)[-1]
+        problem = text.removeprefix(name).strip()
+        return InvalidInputError(argument=self._argument, problem=problem)
 
     def _sample(
         self,

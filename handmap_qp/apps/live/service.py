@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from handmap_qp.apps.addresses import service_address
-from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
+from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import Person
 from handmap_qp.human.sample import HumanSample
@@ -54,27 +54,25 @@ def connected(
     Raises:
         InvalidInputError: If the service cannot be reached or refuses the request.
     """
-    address, client = service_address(option, host), None
+    address = service_address(option, host)
     try:
         client = Client(address, timeout=TIMEOUT, keys=keys)
-        yield client, address
-    except BaseException as error:
-        if client is not None:
-            client.close()
-        if isinstance(error, ServiceTimeoutError):
+    except (zmq.ZMQError, OSError, ValueError) as error:
+        raise InvalidInputError(argument=option, problem=str(error)) from error
+    with ExitStack() as closing:
+        closing.callback(client.close)
+        try:
+            yield client, address
+        except ServiceTimeoutError as error:
             raise InvalidInputError(
                 argument=option,
                 problem=f"no service answers at {address}",
                 advice="start one with handmap serve",
             ) from error
-        if isinstance(error, ServiceError):
+        except ServiceError as error:
             problem = f"the service refused the session: {error}"
             raise InvalidInputError(argument=refused, problem=problem) from error
-        # An error of ours names its option already.
-        is_ours = isinstance(error, HandmapError)
-        if isinstance(error, zmq.ZMQError | OSError | ValueError) and not is_ours:
-            raise InvalidInputError(argument=option, problem=str(error)) from error
-        raise
+        closing.pop_all()
 
 
 class ServiceSink:

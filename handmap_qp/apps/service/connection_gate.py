@@ -26,9 +26,7 @@ from logging import WARNING
 
 import zmq
 
-from handmap_qp.apps.service.logs import Throttle
-from handmap_qp.apps.service.metrics import Metrics
-from handmap_qp.apps.service.rate_limit import Bucket
+from handmap_qp.apps.service.logs import Bucket, Metrics, Throttle
 from handmap_qp.errors import InvalidInputError
 
 _RATE = 1024.0

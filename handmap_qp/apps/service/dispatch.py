@@ -1,4 +1,4 @@
-"""Dispatch of messages to sessions: decoding, rate limits, repeated requests, answers.
+"""From a message to its answer: decoding, rate limits, repeated requests, and the sessions.
 
 It has no sockets. A transport passes every message to `receive` with a callback for the answer, and
 receives the messages of all streams through `sessions.publish`.
@@ -7,26 +7,27 @@ receives the messages of all streams through `sessions.publish`.
 from __future__ import annotations
 
 import asyncio
+import math
+import re
 import time
-from collections.abc import Callable, Hashable
-from functools import partial
+from collections.abc import Callable, Hashable, Iterator
+from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO
 from typing import Any
 
 import msgspec
+import numpy as np
 
-from handmap_qp.apps.service.decoding import decode_request, encode_reply
-from handmap_qp.apps.service.logs import AuditLog, Throttle
-from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.logs import AuditLog, Bucket, Metrics, Throttle
 from handmap_qp.apps.service.opening import HandCache
-from handmap_qp.apps.service.rate_limit import Bucket, RateLimit
 from handmap_qp.apps.service.session import Session
-from handmap_qp.apps.service.sessions import Sessions
+from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.states import Caller
 from handmap_qp.apps.service.store import PostureStore
+from handmap_qp.client import messages
 from handmap_qp.client.messages import (
+    NAME,
     AnyReply,
     AnyRequest,
     Clear,
@@ -39,6 +40,7 @@ from handmap_qp.client.messages import (
     Named,
     Open,
     Opened,
+    Pose,
     Release,
     Reset,
     Sample,
@@ -52,8 +54,143 @@ from handmap_qp.errors import RefusedError
 
 Answer = Callable[[bytes], None]
 """Callback of a transport that sends an answer; it must not block."""
-
+LARGEST = 1e3
+"""Largest coordinate [m] and angle [rad]; larger numbers are mistakes."""
+LATEST = 1e15
+"""Largest time stamp [s]."""
+# Numbers of a layout may be in millimetres or degrees.
+_BOUNDS = {"time": LATEST, "values": 1e6} | dict.fromkeys(
+    ("q", "landmarks", "points", "robot_q"), LARGEST
+)
+_QUAT_TOLERANCE = 1e-2
+_STOP_PROTOCOL = 2
+_MOST_PEERS, _ERRORS_PER_SECOND = 1024, 10.0
 _MOST_REPEATS = 8
+
+
+class _Head(msgspec.Struct):
+    """The fields that identify a request which is invalid elsewhere."""
+
+    protocol: Any = None
+    seq: Any = 0
+
+
+# Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
+_UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
+_CODECS = {False: msgspec.msgpack, True: msgspec.json}
+_DECODE = {key: codec.Decoder(AnyRequest).decode for key, codec in _CODECS.items()}
+_DECODE_HEAD = {key: codec.Decoder(_Head).decode for key, codec in _CODECS.items()}
+_ENCODE = {key: codec.Encoder().encode for key, codec in _CODECS.items()}
+
+
+def decode_request(payload: bytes, *, is_json: bool = False) -> AnyRequest | Error:
+    """Read and check one request.
+
+    Args:
+        payload: The message as received.
+        is_json: Whether it is JSON; msgpack otherwise.
+
+    Returns:
+        The request; or the error to answer with, which has the field at fault, and the number of
+        the request if it can be read.
+    """
+    try:
+        request = _DECODE[is_json](payload)
+    except msgspec.ValidationError as error:
+        head = _head(payload, is_json)
+        if type(head.protocol) is int and head.protocol not in messages.PROTOCOLS:
+            return _wrong_protocol(head)
+        message, path = _explain(error)
+        return Error(seq=head.seq, code="invalid", message=message, field=path)
+    except _UNREADABLE as error:
+        kind = "JSON" if is_json else "msgpack"
+        return Error(code="invalid", message=f"not a {kind} message: {error}"[:200])
+    is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
+    if request.protocol not in messages.PROTOCOLS or is_newer:
+        return _wrong_protocol(request)
+    for field, message in _bad_numbers(request):
+        return Error(seq=request.seq, code="invalid", message=message, field=field)
+    return request
+
+
+def encode_reply(reply: AnyReply, *, is_json: bool = False) -> bytes:
+    """Encode one reply."""
+    return _ENCODE[is_json](reply)
+
+
+def _head(payload: bytes, is_json: bool) -> _Head:
+    """Return protocol and number of a request that is invalid elsewhere."""
+    try:
+        head = _DECODE_HEAD[is_json](payload)
+    except _UNREADABLE:
+        return _Head()
+    is_number = type(head.seq) is int and 0 <= head.seq <= 2**53
+    return head if is_number else _Head(head.protocol)
+
+
+def _wrong_protocol(request: _Head | AnyRequest) -> Error:
+    known = messages.PROTOCOLS
+    message = f"expected version {' or '.join(map(str, known))}, got {request.protocol}"
+    return Error(
+        seq=request.seq,
+        code="protocol",
+        field="protocol",
+        message=message,
+        protocols=known,
+    )
+
+
+def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
+    """Return what msgspec complains of, in words that help a client, and the path of the value.
+
+    msgspec has no attributes for them. It appends a JSON path to its message, as in "Expected
+    `float`, got `str` - at `$.q[1]`". For a missing or unknown field of the message itself, it
+    quotes the field instead, as in "Object missing required field `time`".
+    """
+    message, separator, path = str(error).rpartition(" - at `$")
+    if separator:
+        path = path.rstrip("`").lstrip(".")
+    else:
+        message, named = path, re.search(r"field `(\w+)`$", path)
+        path = named[1] if named else ""
+    if "matching regex" in message:
+        message = f"expected {NAME}"
+    elif path == "name" and message.startswith("Object contains unknown field"):
+        message = (
+            "by a session's name you may only watch it, and steer it if it is shared; "
+            "this request requires its secret"
+        )
+    return message, path
+
+
+def _bad_numbers(request: AnyRequest) -> Iterator[tuple[str, str]]:
+    """Yield field and message of numbers that are not finite, or out of range."""
+    for field, largest in _BOUNDS.items():
+        yield from _outside(field, getattr(request, field, None), largest)
+    if isinstance(request, Open) and request.lengths is not None:
+        for field, rows in msgspec.structs.asdict(request.lengths).items():
+            yield from _outside(f"lengths.{field}", rows)
+    for field in ("wrist", "robot_wrist"):
+        pose: Pose | None = getattr(request, field, None)
+        if pose is not None:
+            norm = math.hypot(*pose.quat_xyzw)
+            if not abs(norm - 1.0) <= _QUAT_TOLERANCE:
+                message = f"expected a unit quaternion, got norm {norm:g}"
+                yield f"{field}.quat_xyzw", message
+            yield from _outside(f"{field}.position", pose.position)
+
+
+def _outside(
+    field: str, values: Any, largest: float = LARGEST
+) -> Iterator[tuple[str, str]]:
+    if values is None:
+        return
+    array = np.array(values, dtype=float)
+    # `~(a <= b)` is also true of NaN.
+    for index in np.argwhere(~(np.abs(array) <= largest)):
+        value = array[tuple(index)]
+        place = field + "".join(f"[{i}]" for i in index)
+        yield place, f"expected a number within {largest:g} of 0, got {value:g}"
 
 
 class Dispatcher:
@@ -86,22 +223,18 @@ class Dispatcher:
         self._audit, self._who = audit or AuditLog(), Caller
         self.sessions = Sessions(settings, cache, metrics, store, clock, self._audit)
         self.stream_port = 0
-        self._settings, self._cache, self._metrics, self._clock = (
-            settings,
-            cache,
-            metrics,
+        self._settings, self._cache, self._metrics = settings, cache, metrics
+        self._clock, self._started, self._version = (
             clock,
+            clock(),
+            version("handmap-qp"),
         )
-        self._version = version("handmap-qp")
-        self._started = clock()
-        self._rates, self._configures = (
-            RateLimit(settings.rate),
-            Bucket(settings.configures, clock()),
-        )
+        self._configures = Bucket(settings.configures, clock())
+        # There is no common limit, because a few clients above the rate would shut out the others.
+        self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending: dict[str, tuple[Sample, Callable[[AnyReply], None]]] = {}
         self._opening: dict[str, tuple[bytes, list[Answer]]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
-        self._written = b""
         self._refusals, self._bugs = Throttle(), Throttle()
         metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
         metrics.gauges["uptime_seconds"] = lambda: self._clock() - self._started
@@ -135,11 +268,12 @@ class Dispatcher:
         def send(reply: AnyReply) -> None:
             answer(encode_reply(reply, is_json=is_json))
 
+        samples, errors = self._rates(peer)
         now, self._who = self._clock(), who
         self._metrics.counts["requests"] += 1
-        if not self._rates.take(peer, now):
+        if not samples.take(now):
             self._metrics.refusals["rate"] += 1
-            if self._rates.may_report(peer, now):
+            if errors.take(now):
                 send(Error(code="rate", message="too many messages"))
             return False
         request = decode_request(payload, is_json=is_json)
@@ -150,12 +284,10 @@ class Dispatcher:
             self._receive_sample(request, send)
         elif isinstance(request, Open):
             self._receive_open(request, payload, answer, is_json)
-        elif isinstance(request, Subscribe):
-            send(self._attempt(request, lambda: self._subscribe(request, subscribe)))
-        elif isinstance(request, Named) and request.name is not None:
-            send(self._attempt(request, lambda: self._answer_anyone(request, now)))
+        elif isinstance(request, Named | Subscribe) and request.name is not None:
+            send(self._attempt(request, lambda: self._by_name(request, now, subscribe)))
         elif isinstance(request, Status | Stop) and not request.session:
-            send(self._attempt(request, lambda: self._answer_all(request, now)))
+            send(self._attempt(request, lambda: self._for_all(request, now)))
         else:
             answer(self._answer_client(request, payload, now, is_json))
         return True
@@ -182,13 +314,10 @@ class Dispatcher:
         now = self._clock()
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
-            if (
-                now - session.last_request > self._settings.idle
-                and not session.will_move
-            ):
-                self.sessions.end(
-                    secret, "no_session", "closed: its client was silent too long"
-                )
+            is_idle = now - session.last_request > self._settings.idle
+            if is_idle and not session.will_move:
+                reason = "closed: its client was silent too long"
+                self.sessions.end(secret, "no_session", reason)
                 continue
             try:
                 self._tick(session, now)
@@ -202,6 +331,11 @@ class Dispatcher:
             task.cancel()
         self.sessions.close()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+
+    def _new_rates(self, _peer: Hashable) -> tuple[Bucket, Bucket]:
+        """Return the limits of a connection: of its messages, and of the errors that say so."""
+        now = self._clock()
+        return Bucket(self._settings.rate, now), Bucket(_ERRORS_PER_SECOND, now, 1.0)
 
     def _tick(self, session: Session, now: float) -> None:
         trips = session.counts["watchdog"]
@@ -233,40 +367,54 @@ class Dispatcher:
             return encode_reply(self._refusal(request.seq, error), is_json=is_json)
         entry.seq, entry.payload = request.seq, payload
         reply = self._carry_out(entry.session, request, now)
-        # The stream's command is encoded already.
-        written = None if is_json or not isinstance(reply, Command) else self._written
-        entry.answer = written or encode_reply(reply, is_json=is_json)
+        entry.answer = encode_reply(reply, is_json=is_json)
         return entry.answer
 
-    def _answer_anyone(self, request: Named, now: float) -> AnyReply:
-        """Answer a request about the server, or by a session's public name.
+    def _by_name(
+        self,
+        request: Named | Subscribe,
+        now: float,
+        subscribe: Callable[[str], None] | None,
+    ) -> AnyReply:
+        """Answer a request by a session's public name.
 
-        Everyone may ask for the status, and stop robots; other requests need `is_shared`. The
-        owner's key and supervisor may clear a stop too.
+        Everyone may subscribe, ask for the status, and stop robots; other requests need
+        `is_shared`. The owner's key and supervisor may clear a stop too.
 
         Raises:
             RefusedError: If the client may not do that.
         """
+        session, by = self.sessions.named(request.name or ""), self._who()
+        if isinstance(request, Subscribe):
+            if subscribe is None:
+                message = "connect a SUB socket to the stream's port instead"
+                raise RefusedError("invalid", message, field="type")
+            subscribe(request.name)
+            return Done(seq=request.seq)
         if request.session:
-            raise RefusedError(
-                "invalid", "give session or name, not both", field="name"
-            )
-        session = self.sessions.named(request.name or "")
-        is_allowed = session.request.is_shared or isinstance(request, Status | Stop)
-        if isinstance(request, Clear) and not is_allowed:
-            by = self._who()
-            is_allowed = (
-                by.key in self._settings.supervisor or by.owner("") == session.owner
-            )
-        if not is_allowed:
+            message = "give session or name, not both"
+            raise RefusedError("invalid", message, field="name")
+        may_clear = by.key in self._settings.supervisor or by.owner("") == session.owner
+        is_allowed = isinstance(request, Clear) and may_clear
+        is_free = isinstance(request, Status | Stop)
+        if not (is_allowed or is_free or session.request.is_shared):
             message = f"session {request.name!r} was not opened with is_shared: only its owner may"
             raise RefusedError("denied", message, field="name")
         return self._carry_out(session, request, now)
 
-    def _answer_all(self, request: Status | Stop, now: float) -> AnyReply:
+    def _for_all(self, request: Status | Stop, now: float) -> AnyReply:
         """Answer a request about the server, or stop the robots of all sessions."""
         if isinstance(request, Status):
-            return self._server_state(request.seq, now)
+            return State(
+                seq=request.seq,
+                version=self._version,
+                uptime=now - self._started,
+                names=self.sessions.names,
+                counts=dict(self._metrics.counts),
+                robots=self._cache.robots,
+                missing=self._cache.missing,
+                stream_port=self.stream_port,
+            )
         self._audit.note("stop", self._who(), **_changes(request))
         for entry in list(self.sessions.entries.values()):
             self._carry_out(entry.session, request, now)
@@ -287,30 +435,31 @@ class Dispatcher:
         self, session: Session, request: AnyRequest | Named, now: float
     ) -> AnyReply:
         """Carry out a request for a session."""
-        if isinstance(request, Step):
-            return self._attempt(request, lambda: self._step(session, request, now))
-        if isinstance(request, Status):
-            state = partial(
-                session.state, request.seq, self._version, self.stream_port, now
-            )
-            return self._attempt(request, state)
-        return self._attempt(request, lambda: self._control(session, request, now))
+        return self._attempt(request, lambda: self._act(session, request, now))
 
-    def _step(self, session: Session, sample: Step, now: float) -> Command:
-        command = session.step(sample, now)
-        self._metrics.observe_step(self._clock() - now)
-        self._send(session, command)
-        return command
+    def _act(
+        self, session: Session, request: AnyRequest | Named, now: float
+    ) -> AnyReply:
+        if isinstance(request, Step):
+            command = session.step(request, now)
+            self._metrics.counts["steps"] += 1
+            self._metrics.steps.observe(self._clock() - now)
+            self._send(session, command)
+            return command
+        if isinstance(request, Status):
+            return session.state(request.seq, self._version, self.stream_port, now)
+        if isinstance(request, Close):
+            reason = "closed by its client"
+            self.sessions.end(request.session, "no_session", reason, by=self._who())
+        else:
+            self._control(session, request, now)
+        return Done(seq=request.seq)
 
     def _control(
         self, session: Session, request: AnyRequest | Named, now: float
-    ) -> Done:
-        """Engage, disengage, change, stop, close a session, or start it again."""
+    ) -> None:
+        """Engage, disengage, change or stop a session, or start it again."""
         match request:
-            case Close():
-                reason = "closed by its client"
-                self.sessions.end(request.session, "no_session", reason, by=self._who())
-                return Done(seq=request.seq)
             case Configure():
                 if not self._configures.take(now):
                     limit = f"more than {self._settings.configures:g} changes of options a second"
@@ -332,7 +481,6 @@ class Dispatcher:
         self._audit.note(event, self._who(), session=session.name, **_changes(request))
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
-        return Done(seq=request.seq)
 
     def _receive_open(
         self, request: Open, payload: bytes, answer: Answer, is_json: bool
@@ -345,18 +493,16 @@ class Dispatcher:
         first, waiting = self._opening.get(request.session, (b"", []))
         if payload == first and len(waiting) < _MOST_REPEATS:
             waiting.append(answer)
-            return
-        if first or len(self._opening) >= self._settings.sessions:
-            refusal = self._refusal(
-                request.seq, RefusedError("busy", "too many at once")
-            )
-            answer(encode_reply(refusal, is_json=is_json))
-            return
-        self._opening[request.session] = payload, [answer]
-        opening = self._open(request, payload, is_json, self._who())
-        task = asyncio.get_running_loop().create_task(opening)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        elif first or len(self._opening) >= self._settings.sessions:
+            refusal = RefusedError("busy", "too many at once")
+            reply = self._refusal(request.seq, refusal)
+            answer(encode_reply(reply, is_json=is_json))
+        else:
+            self._opening[request.session] = payload, [answer]
+            opening = self._open(request, payload, is_json, self._who())
+            task = asyncio.get_running_loop().create_task(opening)
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
 
     async def _open(
         self, request: Open, payload: bytes, is_json: bool, by: Caller
@@ -378,30 +524,7 @@ class Dispatcher:
     def _send(self, session: Session, command: Command) -> None:
         """Note and publish a command."""
         self.sessions.note(session)
-        self._written = encode_reply(command)
-        self.sessions.send(session.name, self._written)
-
-    def _subscribe(
-        self, request: Subscribe, subscribe: Callable[[str], None] | None
-    ) -> Done:
-        if subscribe is None:
-            message = "connect a SUB socket to the stream's port instead"
-            raise RefusedError("invalid", message, field="type")
-        self.sessions.named(request.name)
-        subscribe(request.name)
-        return Done(seq=request.seq)
-
-    def _server_state(self, seq: int, now: float) -> State:
-        return State(
-            seq=seq,
-            version=self._version,
-            uptime=now - self._started,
-            names=self.sessions.names,
-            counts=dict(self._metrics.counts),
-            robots=self._cache.robots,
-            missing=self._cache.missing,
-            stream_port=self.stream_port,
-        )
+        self.sessions.send(session.name, encode_reply(command))
 
     def _refusal(self, seq: int, error: RefusedError) -> Error:
         reply = Error(seq=seq, code=error.code, message=str(error), field=error.field)
@@ -418,12 +541,9 @@ class Dispatcher:
 
     def _count(self, error: Error) -> None:
         self._metrics.refusals[error.code] += 1
-        evidence: dict[str, Any] = {
-            "code": error.code,
-            "field": error.field,
-            "message": error.message,
-        }
-        self._refusals.report(INFO, "refused", **evidence)
+        self._refusals.report(
+            INFO, "refused", code=error.code, field=error.field, message=error.message
+        )
 
 
 def _changes(request: AnyRequest | Named) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""Logs as JSON lines: one object per line, with `time`, `level`, `event` and the event's data.
+"""What an operator sees of the service: logs, the audit log, and metrics; and limits of rates.
+
+Logs are JSON lines: one object per line, with `time`, `level`, `event` and the event's data.
 
 The audit log says who opened, changed, stopped and closed which session. Its lines have `time`
 (UTC, ISO 8601), `event`, `session`, `by` and the data of the event. `by` is `NAME@ADDRESS` of an
@@ -11,14 +13,18 @@ from __future__ import annotations
 import json
 import logging
 import os
+import resource
 import sys
 import time
+from collections import Counter
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.apps.service.rate_limit import Bucket
-from handmap_qp.apps.service.states import Caller
+from prometheus_client import CollectorRegistry, Histogram, generate_latest
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+
 from handmap_qp.errors import InvalidInputError
 
 log = logging.getLogger("handmap_qp.apps.service")
@@ -28,6 +34,24 @@ websocket_log = logging.getLogger(f"{log.name}.websocket")
 websocket_log.setLevel(logging.CRITICAL)
 _RATE, _BURST = 20.0, 400.0
 """Lines of the audit log per second, and at once."""
+BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
+"""Upper edges of the histogram of step times [s]."""
+_COUNTERS = {
+    "requests": "Messages received.",
+    "steps": "Samples mapped.",
+    "replaced": "Streamed samples replaced by a newer one before they were mapped.",
+    "watchdog": "Holds that the watchdog started.",
+    "opened": "Sessions opened.",
+    "dropped": "Replies lost by slow readers.",
+}
+_GAUGES = {
+    "sessions": "Open sessions.",
+    "lag_seconds": "Longest delay of the event loop in the last second [s].",
+    "busy_seconds": "Longest CPU time of the process between two turns of its event loop in the "
+    "last second [s].",
+    "resident_bytes": "Resident memory of the process.",
+    "uptime_seconds": "Time since the start [s].",
+}
 
 
 def report(
@@ -62,33 +86,52 @@ def log_to_stderr(level: str) -> None:
     log.setLevel(level.upper())
 
 
-class Throttle:
-    """Pass one report per period, with the number of reports suppressed before it.
+class Bucket:
+    """A rate limit that permits short bursts (token bucket).
 
     Args:
-        period: Shortest time between two reports [s].
+        rate: Events per second.
+        now: The present [s].
+        burst: Events at once; those of a quarter of a second if omitted.
     """
 
-    def __init__(self, period: float = 1.0) -> None:
-        self._period = period
-        self._next = 0.0
-        self._suppressed = 0
+    def __init__(self, rate: float, now: float, burst: float | None = None) -> None:
+        self._rate = rate
+        self._burst = self._left = max(1.0, 0.25 * rate if burst is None else burst)
+        self._then = now
 
-    def report(
-        self,
-        level: int,
-        event: str,
-        *,
-        failure: BaseException | None = None,
-        **data: Any,
-    ) -> None:
-        """Log an event, with the traceback of a failure; only count it within the period."""
-        now = time.monotonic()
-        if now < self._next:
+    def take(self, now: float) -> bool:
+        """Count an event; return whether it is allowed."""
+        if self.charge(now, 0.0) < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+    def charge(self, now: float, count: float) -> float:
+        """Count events that have happened; return how many are left, negative for a debt.
+
+        Args:
+            now: The present [s].
+            count: Number of events; negative to take them back.
+        """
+        refilled = min(self._burst, self._left + (now - self._then) * self._rate)
+        self._left, self._then = min(self._burst, refilled - count), now
+        return self._left
+
+
+class Throttle:
+    """Pass one report per second, with the number of reports suppressed before it."""
+
+    def __init__(self) -> None:
+        self._bucket, self._suppressed = Bucket(1.0, time.monotonic()), 0
+
+    def report(self, level: int, event: str, **data: Any) -> None:
+        """Log an event as `report`; only count it if one was logged less than a second ago."""
+        if self._bucket.take(time.monotonic()):
+            report(level, event, **data, swallowed=self._suppressed)
+            self._suppressed = 0
+        else:
             self._suppressed += 1
-            return
-        report(level, event, failure=failure, **data, swallowed=self._suppressed)
-        self._next, self._suppressed = now + self._period, 0
 
 
 class AuditLog:
@@ -112,9 +155,7 @@ class AuditLog:
                 problem = f"cannot be written: {error.strerror}"
                 raise InvalidInputError(argument=str(path), problem=problem) from error
 
-    def note(
-        self, event: str, by: Caller | str, *, session: str = "", **data: Any
-    ) -> None:
+    def note(self, event: str, by: object, *, session: str = "", **data: Any) -> None:
         """Write one event.
 
         Without a file, nothing is written. An emergency stop is never left out.
@@ -150,3 +191,49 @@ class AuditLog:
             os.write(self._file, line.encode())
         except OSError as error:
             report(logging.ERROR, "audit_unwritten", error=error.strerror, entry=entry)
+
+
+class Metrics:
+    """Counters, gauges and a histogram of step times, in Prometheus' text format.
+
+    Attributes:
+        counts: Counts of what happened.
+        refusals: Counts of refused messages by code.
+        gauges: Functions that return present values.
+        steps: Histogram of the times from a sample to its command [s].
+    """
+
+    def __init__(self) -> None:
+        self.counts: Counter[str] = Counter()
+        self.refusals: Counter[str] = Counter()
+        self.gauges: dict[str, Callable[[], float]] = {"resident_bytes": resident_bytes}
+        self._registry = CollectorRegistry()
+        self._registry.register(self)
+        self.steps = Histogram(
+            "handmap_step_seconds",
+            "Time from a sample to its command [s].",
+            registry=self._registry,
+            buckets=BUCKETS,
+        )
+
+    def collect(self) -> Iterator[Metric]:
+        """Yield counters and gauges; the registry asks for them."""
+        for name, about in _COUNTERS.items():
+            yield CounterMetricFamily(f"handmap_{name}", about, self.counts[name])
+        about = "Messages refused, by code; also failed handshakes."
+        refusals = CounterMetricFamily("handmap_refusals", about, labels=["code"])
+        for code, count in sorted(self.refusals.items()):
+            refusals.add_metric([code], count)
+        yield refusals
+        for name, gauge in self.gauges.items():
+            yield GaugeMetricFamily(f"handmap_{name}", _GAUGES[name], gauge())
+
+    def render(self) -> str:
+        """Return all values in the text format 0.0.4."""
+        return generate_latest(self._registry).decode()
+
+
+def resident_bytes() -> float:
+    """Return the resident memory of this process (Linux)."""
+    pages = Path("/proc/self/statm").read_text(encoding="ascii").split()[1]
+    return float(pages) * resource.getpagesize()

@@ -1,28 +1,23 @@
 """From an `open` request to the hands and the mapper of a session.
 
-Loading and measuring take some 100 ms, so they run in a thread.
+Loading and measuring take some 100 ms, so they run in a thread. Errors of the library become
+refusals that name a field of the request.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.service.refusals import (
-    field_of_option,
-    with_field_errors,
-    with_option_errors,
-)
-from handmap_qp.client.messages import FORMER_OPTIONS, Configure, Open
+from handmap_qp.client.messages import PROTECTING, Configure, Open
 from handmap_qp.errors import (
     HandError,
     HandmapError,
@@ -39,17 +34,20 @@ from handmap_qp.human.landmarks import PalmShape, check_length, human_name, meas
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import Rule
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.landmarks import LandmarkReader
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import (
+    IK_NAMES,
     Choice,
     default_preset,
+    known_options,
     preset_choice,
     preset_with,
 )
 from handmap_qp.options import Options
-from handmap_qp.stream.follower import Follower, RejoinKind
+from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import StreamGuard
 
 CALIBRATION_SAMPLES = 30
@@ -61,10 +59,89 @@ MOST_ITERATIONS = 20
 _CACHED_HANDS = 32
 _PERIOD = 1.0 / 60.0
 """Usual time between the samples [s]; gaps are medians over 0.1 s."""
-# Limits that protect the robot do not end with a preset.
-_PROTECTING = ("max_acceleration", "avoids_self_collision")
+_LONGEST_BONE = 1.0
+_LONGEST_MESSAGE = 400
+_FIELDS = {"human_q": "q", "wrist_pose": "wrist", "method": "preset"} | {
+    name: name
+    for name in (
+        "wrist",
+        "points",
+        "landmarks",
+        "values",
+        "robot_q",
+        "robot_wrist",
+        "preset",
+        "human_points",
+    )
+}
+"""Fields of requests by the arguments and choices of the library that take them."""
 
-T = TypeVar("T", bound=Options)
+T = TypeVar("T")
+Chosen = TypeVar("Chosen", bound=Options)
+
+
+def refused(error: HandmapError, field: str = "") -> RefusedError:
+    """Return an error of the library as a refusal.
+
+    Args:
+        error: The error; its attributes name the argument or option at fault.
+        field: The field at fault, if the error does not name another one.
+    """
+    if isinstance(error, RefusedError):
+        return error
+    message = str(error)
+    if isinstance(error, HandError):
+        # Clients must not learn the server's paths.
+        message = f"{error.key}: {error.problem}" if error.key else error.problem
+    elif isinstance(error, InvalidInputError | InvalidOptionsError):
+        is_input = isinstance(error, InvalidInputError)
+        named = error.argument if is_input else error.option
+        if own := _field_of(named):
+            field, message = own, message.removeprefix(f"{named}: ")
+    message = " ".join(message.split())[:_LONGEST_MESSAGE]
+    return RefusedError("invalid", message, field=field)
+
+
+def _field_of(named: str) -> str:
+    """Return the field of a request for an argument or option such as `human_q`, `points[3]`."""
+    name, bracket, index = named.partition("[")
+    if name in known_options():
+        return f"{'ik' if name in IK_NAMES else 'options'}.{name}"
+    return _FIELDS[name] + bracket + index if name in _FIELDS else ""
+
+
+def with_field_errors(field: str, make: Callable[[], T]) -> T:
+    """Return what `make` returns, and raise its errors as refusals of a field.
+
+    Raises:
+        RefusedError: With the field that the error names, or else `field`.
+    """
+    try:
+        return make()
+    except HandmapError as error:
+        raise refused(error, field) from error
+    except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+        message = f"cannot be used: {error}"[:_LONGEST_MESSAGE]
+        raise RefusedError("invalid", message, field=field) from error
+
+
+def with_option_errors(robot: Hand, choice: Choice, make: Callable[[], T]) -> T:
+    """Return what `make` returns, and raise its errors as refusals of options.
+
+    Args:
+        robot: The robot hand.
+        choice: The options.
+        make: Makes or configures a mapper.
+
+    Raises:
+        RefusedError: With the option at fault. If the error names none: `ik` if the QP alone cannot
+            be set up; else `options`.
+    """
+    try:
+        return with_field_errors("options", make)
+    except RefusedError:
+        with_field_errors("ik", lambda: PointIk(robot, choice.ik))
+        raise
 
 
 class HandCache:
@@ -83,9 +160,9 @@ class HandCache:
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
-        self._files = {
-            name: file for name, file in hand_files().items() if name not in HUMAN_HANDS
-        }
+        self._files = hand_files()
+        for name in HUMAN_HANDS:
+            del self._files[name]
         self.missing = missing_hands()
         for file in files:
             spec = read_hand_spec(file)
@@ -127,8 +204,12 @@ class HandCache:
             "robot", lambda: self._load(file, points=points, mount=mount)
         )
 
-    def human(self, side: Side, points: str | None) -> Hand:
-        """Return a human hand of the model's size."""
+    def human(
+        self, side: Side, points: str | None, lengths: HumanLengths | None = None
+    ) -> Hand:
+        """Return a human hand, of the model's size without lengths."""
+        if lengths is not None:
+            return load_hand(human_name(side), points=points, lengths=lengths)
         return self._load(human_name(side), points=points)
 
 
@@ -191,53 +272,39 @@ def prepare_hands(
     robot = cache.robot(request.robot, request.robot_points, request.mount)
     if lengths is None:
         lengths = with_field_errors("lengths", lambda: _human_lengths(request))
-    human = with_field_errors("human_points", lambda: _human(request, cache, lengths))
-    palm = None
+    side, points, palm = request.side, request.human_points, None
+    human = with_field_errors(
+        "human_points", lambda: cache.human(side, points, lengths)
+    )
     if request.input == "landmarks":
         palm = PalmShape(human)
         # Reject reference points that are no landmarks now, not at the first sample.
         with_field_errors("human_points", lambda: LandmarkReader(human))
     choice = read_choice(request, human, robot, contact_gap)
-    rejoin: RejoinKind = "clutch" if request.resume == "clutch" else "glide"
     mapper = with_option_errors(
-        request,
-        robot,
-        choice,
-        lambda: HandMapper(human, robot, choice.method, ik=choice.ik),
+        robot, choice, lambda: HandMapper(human, robot, choice.method, ik=choice.ik)
     )
     pair = None
     if default_preset(human, robot) == "teleoperation":
         # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
         with suppress(HandmapError):
             pair = hand_pair(human, robot)
-    follower = Follower(mapper, rejoin=rejoin)
+    rejoins = request.resume == "clutch"
+    follower = Follower(mapper, rejoin="clutch" if rejoins else "glide")
     return Hands(mapper, follower, robot, choice, palm, lengths, contact_gap, pair)
-
-
-def _human(request: Open, cache: HandCache, lengths: HumanLengths | None) -> Hand:
-    """Return the human hand with the reference points of the request."""
-    if lengths is None:
-        return cache.human(request.side, request.human_points)
-    return load_hand(
-        human_name(request.side), points=request.human_points, lengths=lengths
-    )
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
     """Return the measured hand if the request has one."""
-    lengths = request.lengths
-    if lengths is None:
-        length = request.hand_length
+    given, length = request.lengths, request.hand_length
+    if given is None:
         return None if length is None else HumanLengths.from_hand_length(length)
-    if not all(
-        0.0 < math.hypot(*row) < 1.0 for row in (*lengths.bases, *lengths.segments)
-    ):
+    bones = np.linalg.norm((given.bases, given.segments), axis=2)
+    if not ((bones > 0.0) & (bones < _LONGEST_BONE)).all():
         raise InvalidInputError(
             argument="lengths", expected="lengths between 0 and 1 m"
         )
-    return HumanLengths(
-        *map(np.array, (lengths.bases, lengths.segments, lengths.rolls))
-    )
+    return HumanLengths(*map(np.array, msgspec.structs.astuple(given)))
 
 
 def read_choice(
@@ -256,49 +323,49 @@ def read_choice(
     """
     name = request.preset or preset_with(request.options, human, robot)
     start = with_field_errors("preset", lambda: preset_choice(name, contact_gap))
-    # Each former name of the options belongs to other presets.
-    others = FORMER_OPTIONS[name != FORMER_OPTIONS[1]]
-    for option in sorted(getattr(request, others)):
-        message = f"the preset {name} has no such option"
-        raise RefusedError("invalid", message, field=f"{others}.{option:.64}")
-    method = _changed(partial(field_of_option, request), start.method, request.options)
-    ik = _changed("ik.{:.64}".format, start.ik, request.ik)
-    if ik.solver not in SOLVERS:
-        expected = f"expected one of {', '.join(SOLVERS)}; got {ik.solver!r:.40}"
-        raise RefusedError("invalid", expected, field="ik.solver")
-    if ik.max_iterations > MOST_ITERATIONS:
-        expected = f"expected at most {MOST_ITERATIONS}, got {ik.max_iterations}"
-        raise RefusedError("invalid", expected, field="ik.max_iterations")
+    method = _changed("options", start.method, request.options)
+    ik = _changed("ik", start.ik, request.ik)
+    for option, is_allowed, expected in (
+        ("solver", ik.solver in SOLVERS, f"one of {', '.join(SOLVERS)}"),
+        (
+            "max_iterations",
+            ik.max_iterations <= MOST_ITERATIONS,
+            f"at most {MOST_ITERATIONS}",
+        ),
+    ):
+        if not is_allowed:
+            message = f"expected {expected}, got {request.ik[option]!r:.40}"
+            raise RefusedError("invalid", message, field=f"ik.{option}")
     return Choice(name, method, ik)
 
 
-def _changed(field_of: Callable[[str], str], start: T, values: dict[str, Any]) -> T:
-    """Return options with the values of a request, which gives each in the field of its name."""
+def _changed(field: str, start: Chosen, values: dict[str, Any]) -> Chosen:
+    """Return options with the values of a field of a request."""
     try:
         return start.replaced(**values)
     except InvalidOptionsError as error:
         message = ": ".join(filter(None, (error.what, error.advice)))
-        raise RefusedError("invalid", message, field=field_of(error.option)) from error
+        place = f"{field}.{error.option:.64}"
+        raise RefusedError("invalid", message, field=place) from error
 
 
-def with_changes(request: Open, choice: Choice, changes: Configure) -> Open:
+def with_changes(request: Open, preset: str, changes: Configure) -> Open:
     """Return the request that opens a session with changed options.
 
     Args:
         request: The request, with all changes before.
-        choice: The choice in force.
+        preset: The preset in force.
         changes: The changes. Without a preset, options that are not named stay as they are.
     """
-    kept, ik = request.options, request.ik
+    kept, ik, detail = request.options, request.ik, changes.has_detail
     if changes.preset is not None:
-        kept, ik = {}, {name: ik[name] for name in _PROTECTING if name in ik}
+        kept, ik = {}, {name: ik[name] for name in PROTECTING if name in ik}
     return msgspec.structs.replace(
         request,
-        preset=changes.preset or choice.preset,
+        preset=changes.preset or preset,
         options=kept | changes.options,
-        mapping=changes.mapping,
-        teleoperation=changes.teleoperation,
         ik=ik | changes.ik,
+        has_detail=request.has_detail if detail is None else detail,
     )
 
 

@@ -17,8 +17,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from handmap_qp.apps.addresses import names_loopback
-from handmap_qp.apps.service.logs import websocket_log
-from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.logs import Metrics, websocket_log
 
 _FOLDER = Path(__file__).with_name("webxr")
 _TEXT = "text/plain; charset=utf-8"

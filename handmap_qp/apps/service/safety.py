@@ -1,4 +1,8 @@
-"""The robot of a session as commanded, and the time that its commands account for.
+"""What a session may do: its states, the watchdog, the gate of its robot, and the time granted.
+
+A client moves a session between waiting, following and released. While no samples arrive, the
+watchdog moves it to a hold, and by option on to a return to the rest posture. An emergency stop
+outlasts everything but its clearing, which leaves the robot released.
 
 A mapper does not know how much time has really passed, that it was reset, that the former session
 left the robot elsewhere, or that a client switched speed limits off. So the robot has a gate of its
@@ -7,23 +11,222 @@ own (`handmap_qp.ik.gate`), and `StepClock` limits the time that the next comman
 
 from __future__ import annotations
 
-from typing import Literal
+import math
+from enum import Enum, auto
 
 import numpy as np
 
-from handmap_qp.apps.service.samples import to_matrix
-from handmap_qp.client.messages import Pose
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.gate import Gate, Motion
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.qp import PointIk
 
+HEARTBEAT = 0.1
+"""Time between commands that repeat a hold [s]."""
+RETURN_PERIOD = 1.0 / 60.0
+"""Time between commands on the way back to rest [s]."""
 START_TOLERANCE = 0.1
 """Distance outside its limits that a client may report for a robot's joint [rad].
 
 Encoders do not read exactly what was commanded.
 """
+
+
+class SessionState(Enum):
+    """What a session does: its mode as clients read it, and whether it holds until `clutch`.
+
+    Attributes:
+        mode: The state as clients read it.
+        is_released: Whether the robot holds until `clutch`: a client released it, or stopped it.
+        is_silent: Whether the watchdog acts because samples stay away.
+        is_stopped: Whether an emergency stop is in force.
+    """
+
+    WAITING = "waiting", False
+    """No sample has arrived yet."""
+    FOLLOWING = "following", False
+    """The robot follows the human."""
+    RELEASED = "released", True
+    """The robot holds its posture because a client released it."""
+    HOLDING = "hold", False
+    """The robot holds its posture because samples stay away; it follows the next one."""
+    HOLDING_RELEASED = "hold", True
+    """As `HOLDING`, but released: the next sample does not move the robot."""
+    RETURNING = "returning", False
+    """The robot moves to its rest posture because samples stay away."""
+    STOPPED = "stopped", True
+    """The robot holds its posture because of an emergency stop, which is latched."""
+
+    def __init__(self, mode: str, is_released: bool) -> None:
+        self.mode, self.is_released = mode, is_released
+        self.is_silent = mode in ("hold", "returning")
+        self.is_stopped = mode == "stopped"
+
+
+class Event(Enum):
+    """What changes the state of a session."""
+
+    SAMPLE = auto()
+    """A sample that can be used."""
+    CLUTCH = auto()
+    RELEASE = auto()
+    RESET = auto()
+    SILENCE = auto()
+    """The watchdog: no sample for too long."""
+    RETURN = auto()
+    """The watchdog: the hold has lasted long enough."""
+    ARRIVAL = auto()
+    """The robot is at its rest posture."""
+    STOP = auto()
+    """An emergency stop."""
+    CLEAR = auto()
+    """The emergency stop is cleared on purpose."""
+
+
+_TRANSITIONS: dict[SessionState, dict[Event, SessionState]] = {
+    SessionState.WAITING: {
+        Event.SAMPLE: SessionState.FOLLOWING,
+        Event.RELEASE: SessionState.RELEASED,
+    },
+    SessionState.FOLLOWING: {
+        Event.RELEASE: SessionState.RELEASED,
+        Event.SILENCE: SessionState.HOLDING,
+    },
+    SessionState.RELEASED: {
+        Event.CLUTCH: SessionState.FOLLOWING,
+        Event.RESET: SessionState.FOLLOWING,
+        Event.SILENCE: SessionState.HOLDING_RELEASED,
+    },
+    SessionState.HOLDING: {
+        Event.SAMPLE: SessionState.FOLLOWING,
+        Event.RESET: SessionState.FOLLOWING,
+        Event.RELEASE: SessionState.HOLDING_RELEASED,
+        Event.RETURN: SessionState.RETURNING,
+    },
+    SessionState.HOLDING_RELEASED: {
+        Event.SAMPLE: SessionState.RELEASED,
+        Event.RESET: SessionState.FOLLOWING,
+        Event.CLUTCH: SessionState.HOLDING,
+    },
+    SessionState.RETURNING: {
+        Event.SAMPLE: SessionState.FOLLOWING,
+        Event.RESET: SessionState.FOLLOWING,
+        Event.RELEASE: SessionState.HOLDING_RELEASED,
+        Event.ARRIVAL: SessionState.HOLDING,
+    },
+    SessionState.STOPPED: {
+        Event.CLEAR: SessionState.RELEASED,
+    },
+}
+
+
+def next_state(state: SessionState, event: Event) -> SessionState:
+    """Return the state after an event; an event that is not in the table changes nothing.
+
+    An emergency stop applies in every state.
+    """
+    if event is Event.STOP:
+        return SessionState.STOPPED
+    return _TRANSITIONS[state].get(event, state)
+
+
+class Watchdog:
+    """Turn elapsed time into events of a session.
+
+    It keeps times only; the session keeps the state. Times are of one monotonic clock [s].
+
+    Args:
+        timeout: Time without a sample after which the robot holds [s].
+        return_after: Time of a hold after which the robot returns to rest [s]; None for never.
+        now: The present [s].
+        gap: Time without a command after which a robot that follows brakes, if it must [s].
+
+    Attributes:
+        last_sample: Time of the last sample that could be used, or of the last reset [s].
+    """
+
+    def __init__(
+        self,
+        timeout: float,
+        return_after: float | None,
+        now: float,
+        gap: float = 1.0 / 15.0,
+    ) -> None:
+        self._timeout, self._gap = timeout, gap
+        self._return_after = math.inf if return_after is None else return_after
+        self._held_since = self._last_command = self.last_sample = now
+
+    def feed(self, now: float) -> None:
+        """Note a sample that can be used, and the command that answers it."""
+        self.last_sample = self._last_command = now
+
+    def restart(self, now: float) -> None:
+        """Count silence from now on, as after a reset."""
+        self.last_sample = now
+
+    def event(
+        self, state: SessionState, now: float, *, is_at_rest: bool
+    ) -> Event | None:
+        """Return the event that elapsed time brings about, if any.
+
+        Call again after the transition, until nothing is due.
+
+        Args:
+            state: State of the session.
+            now: The present [s].
+            is_at_rest: Whether the robot is at its rest posture.
+        """
+        is_active = state in (SessionState.FOLLOWING, SessionState.RELEASED)
+        if is_active and now - self.last_sample > self._timeout:
+            self._held_since = now
+            self.hasten()
+            return Event.SILENCE
+        has_waited = now - self._held_since >= self._return_after
+        if state is SessionState.HOLDING and has_waited and not is_at_rest:
+            return Event.RETURN
+        return None
+
+    def hasten(self) -> None:
+        """Make the next command due at once."""
+        self._last_command = -math.inf
+
+    def take_turn(
+        self, state: SessionState, now: float, *, is_braking: bool = False
+    ) -> bool:
+        """Return whether a command is due, and note that it is sent.
+
+        Args:
+            state: State of the session.
+            now: The present [s].
+            is_braking: Whether the robot must still come to a stop.
+        """
+        if is_braking and state is SessionState.FOLLOWING:
+            is_braking = now - self.last_sample > self._gap
+        if not (state.is_silent or state.is_stopped or is_braking):
+            return False
+        is_moving = is_braking or state is SessionState.RETURNING
+        period = RETURN_PERIOD if is_moving else HEARTBEAT
+        if now - self._last_command < period:
+            return False
+        self._last_command = now
+        return True
+
+    def will_return(self, state: SessionState) -> bool:
+        """Return whether silence would make the robot return to rest from this state."""
+        is_led = not state.is_released and state is not SessionState.WAITING
+        return is_led and self._return_after < math.inf
+
+
+class MapperState(Enum):
+    """How the posture of the mapper relates to the posture last commanded."""
+
+    ALIGNED = auto()
+    """They are the same."""
+    SLEWING = auto()
+    """The robot is on its way to the mapper's posture, within its speed limits."""
+    STALE = auto()
+    """The mapper must be reset to the robot's posture before the next sample."""
 
 
 class CommandedRobot:
@@ -73,8 +276,7 @@ class CommandedRobot:
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
         if not self.is_placed:
             return None
-        if self._workspace.q.tobytes() != self.motion.q.tobytes():
-            self._workspace.place_frames(self.motion.q)
+        self._workspace.place_frames(self.motion.q)
         return self._workspace.wrist.homogeneous
 
     def advance(
@@ -127,17 +329,13 @@ class StepClock:
 
     Args:
         max_dt: Longest time that one command may account for [s].
-        time_from: Clock that counts.
+        time_from: Clock that counts: `server` or `client`.
         now: The present [s].
     """
 
-    def __init__(
-        self, max_dt: float, time_from: Literal["server", "client"], now: float
-    ) -> None:
-        self._max_dt = max_dt
-        self._time_from = time_from
-        self._last = now
-        self._last_sample = now
+    def __init__(self, max_dt: float, time_from: str, now: float) -> None:
+        self._max_dt, self._is_ours = max_dt, time_from == "server"
+        self._last = self._last_sample = now
         self._stamp: float | None = None
 
     def grant(self, stamp: float, now: float) -> tuple[float, list[str]]:
@@ -157,10 +355,10 @@ class StepClock:
         flags = []
         if stamped <= 0.0 and self._stamp is not None:
             flags.append("time_backwards")
-        elif abs(stamped - since_sample) > 1.0 and self._time_from == "server":
+        elif abs(stamped - since_sample) > 1.0 and self._is_ours:
             flags.append("time_jump")
         self._stamp, self._last_sample, self._last = stamp, now, now
-        wanted = elapsed if self._time_from == "server" else stamped
+        wanted = elapsed if self._is_ours else stamped
         if wanted > self._max_dt:
             flags.append("dt_clamped")
         return min(max(wanted, SHORTEST_DT), self._max_dt), flags
@@ -171,14 +369,12 @@ class StepClock:
         return min(max(elapsed, SHORTEST_DT), self._max_dt)
 
 
-def start_angles(robot: Hand, robot_q: tuple[float, ...] | None) -> np.ndarray:
-    """Return the joint angles that a client reports, or the rest posture [rad], shape (n,).
+def start_angles(robot: Hand, robot_q: tuple[float, ...]) -> np.ndarray:
+    """Return the joint angles that a client reports [rad], shape (n,).
 
     Raises:
         RefusedError: If the robot cannot be there.
     """
-    if robot_q is None:
-        return robot.rest.copy()
     if len(robot_q) != len(robot.joint_names):
         raise RefusedError(
             "invalid",
@@ -196,18 +392,3 @@ def start_angles(robot: Hand, robot_q: tuple[float, ...] | None) -> np.ndarray:
         )
         raise RefusedError("invalid", message, field=f"robot_q[{worst}]")
     return q
-
-
-def start_wrist(robot: Hand, robot_wrist: Pose | None) -> np.ndarray | None:
-    """Return the pose of the wrist that a client reports, shape (4, 4), or None.
-
-    Raises:
-        RefusedError: If the wrist is fixed.
-    """
-    if robot_wrist is not None and not robot.is_floating:
-        raise RefusedError(
-            "invalid",
-            f"{robot.name} has a fixed wrist: leave it out",
-            field="robot_wrist",
-        )
-    return to_matrix(robot_wrist)

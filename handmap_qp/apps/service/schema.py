@@ -8,7 +8,7 @@ from typing import Any, get_args
 import docstring_parser
 import msgspec
 
-from handmap_qp.apps.service.decoding import LARGEST, LATEST
+from handmap_qp.apps.service.dispatch import LARGEST, LATEST
 from handmap_qp.apps.service.opening import MOST_ITERATIONS, SOLVERS
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client.messages import (

@@ -39,12 +39,17 @@ from handmap_qp.apps.service.keys import (
     read_server_keys,
     read_token,
 )
-from handmap_qp.apps.service.logs import AuditLog, Throttle, log_to_stderr, report
-from handmap_qp.apps.service.metrics import Metrics
+from handmap_qp.apps.service.logs import (
+    AuditLog,
+    Metrics,
+    Throttle,
+    log_to_stderr,
+    report,
+)
 from handmap_qp.apps.service.opening import HandCache
 from handmap_qp.apps.service.pages import serve_metrics
+from handmap_qp.apps.service.sessions import Caller
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.states import Caller
 from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.apps.service.websocket import WebSocketTransport
 from handmap_qp.client.messages import TOPIC_END

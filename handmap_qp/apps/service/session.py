@@ -1,7 +1,7 @@
 """One session: a human hand that leads and a robot hand that follows.
 
-A session has no sockets and no clock of its own; its caller passes messages and times. `states` has
-its states and their transitions, `watchdog` the effects of silence.
+A session has no sockets and no clock of its own; its caller passes messages and times. `safety` has
+its states, and what keeps its robot within its limits.
 
 Every posture that leaves was admitted by a gate: the mapper's while the robot moves as the mapper
 says, else the robot's own. If the postures of robot and mapper differ for good, after a return to
@@ -23,49 +23,142 @@ from handmap_qp.apps.service.opening import (
     Calibration,
     Hands,
     read_choice,
+    refused,
     with_changes,
+    with_option_errors,
 )
-from handmap_qp.apps.service.refusals import refused, with_option_errors
 from handmap_qp.apps.service.safety import (
     CommandedRobot,
-    StepClock,
-    start_angles,
-    start_wrist,
-)
-from handmap_qp.apps.service.samples import (
-    MappedSample,
-    SampleForm,
-    to_detail,
-    to_lengths,
-    to_pose,
-    to_row,
-)
-from handmap_qp.apps.service.states import (
     Event,
     MapperState,
     SessionState,
+    StepClock,
     Watchdog,
     next_state,
+    start_angles,
 )
 from handmap_qp.apps.service.store import Record
 from handmap_qp.client.messages import (
     About,
     Command,
     Configure,
+    Detail,
+    Lengths,
     Open,
     Opened,
+    Pose,
     Reset,
     State,
     Step,
 )
 from handmap_qp.errors import HandmapError, RefusedError
 from handmap_qp.hands.hand import LONGEST_STOP
+from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.contact_gap import ContactGapMeter
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.ik.gate import Motion
 from handmap_qp.mapping.step import MapStep
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.tables import load_layout
 
 Posture = tuple[np.ndarray, np.ndarray | None]
 """Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
+_FIELDS = ("q", "landmarks", "points", "values")
+_UNSEEN = np.full((LANDMARK_COUNT, 3), np.nan)
+
+
+class SampleForm:
+    """What the samples of a session hold.
+
+    Args:
+        request: The request that opened the session.
+
+    Raises:
+        RefusedError: If there is no such layout, or it is given with another kind of samples.
+    """
+
+    def __init__(self, request: Open) -> None:
+        self._kind, self._side, name = request.input, request.side, request.layout
+        if name is not None and self._kind != "landmarks":
+            raise _invalid("layout", "needs input=landmarks")
+        # Only layouts of the package: a name must not open files of the server.
+        if name is not None and name not in LAYOUTS:
+            known = ", ".join(LAYOUTS)
+            raise _invalid("layout", f"no layout {name!r}; there are {known}")
+        self._layout = None if name is None else load_layout(name)
+        self._field = self._kind if name is None else "values"
+        self._wanted = self._kind if name is None else f"values of {name}"
+
+    def check(self, sample: Step) -> None:
+        """Reject a sample of another kind than the session was opened for.
+
+        Raises:
+            RefusedError: With the field that is missing or must be left out.
+        """
+        given = {field for field in _FIELDS if getattr(sample, field) is not None}
+        is_landmarks = self._kind == "landmarks"
+        if not sample.valid and not is_landmarks:
+            raise _invalid("valid", "only landmarks may be invalid")
+        if sample.valid or given:
+            for field in sorted(given ^ {self._field}, key=_FIELDS.index):
+                raise _invalid(field, f"this session was opened for {self._wanted}")
+        if self._kind == "q" and sample.wrist is None:
+            raise _invalid("wrist", "missing; it must come with q")
+        if sample.landmarks is not None and len(sample.landmarks) != LANDMARK_COUNT:
+            message = f"expected {LANDMARK_COUNT} points, got {len(sample.landmarks)}"
+            raise _invalid("landmarks", message)
+
+    def human_sample(self, sample: Step) -> HumanSample:
+        """Convert a sample of landmarks that `check` accepted.
+
+        Raises:
+            HandmapError: If the numbers are not of the layout.
+        """
+        wrist = to_matrix(sample.wrist)
+        if sample.values is not None and self._layout is not None:
+            return self._layout.read(
+                np.array(sample.values),
+                time=sample.time,
+                side=self._side,
+                wrist=wrist,
+                valid=sample.valid,
+                confidence=sample.confidence,
+            )
+        landmarks = _UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
+        return HumanSample(
+            sample.time, self._side, landmarks, wrist, sample.valid, sample.confidence
+        )
+
+    def map(
+        self, hands: Hands, sample: Step, dt: float, arrival: float | None
+    ) -> tuple[MapStep, np.ndarray | None]:
+        """Map a sample that `check` accepted.
+
+        Args:
+            hands: The hands of the session.
+            sample: The sample.
+            dt: Time that the command may account for [s].
+            arrival: When it arrived, on a monotonic clock [s]; None for simulated time.
+
+        Returns:
+            Every stage of the mapping, and the landmarks [m], shape (21, 3), if it had some.
+
+        Raises:
+            HandmapError: If the sample cannot be used; the mapper is then unchanged.
+        """
+        if hands.palm is not None:
+            human = self.human_sample(sample)
+            step = hands.follower.map_sample(human, dt=dt, arrival=arrival)
+            if step.rule == "size":
+                # Other units than metres are a mistake of the client, which must know.
+                hands.palm.check(human.landmarks)
+            return step, human.landmarks
+        wrist = to_matrix(sample.wrist)
+        if sample.points is not None:
+            return hands.mapper.map_points(sample.points, wrist, dt=dt), None
+        # `check` requires a wrist with q.
+        wrist = np.eye(4) if wrist is None else wrist
+        return hands.mapper.map_step(np.array(sample.q), wrist, dt=dt), None
 
 
 class Session:
@@ -105,46 +198,28 @@ class Session:
         owner: str = "",
         motion: Motion | None = None,
     ) -> None:
-        self.request, self.owner = request, owner
-        self.name = name
+        self.request, self.name, self.owner = request, name, owner
         self.robot = hands.mapper.robot
         self.counts: Counter[str] = Counter()
-        self.last_request = now
-        self._hands = hands
+        self.last_request = self._opened_at = now
         self._form = SampleForm(request)
-        # The request and the choice change with `configure`.
-        self._wanted, self._choice = request, hands.choice
+        # The request with all changes since.
+        self._wanted = request
         self._calibration = calibration if hands.needs_measuring else None
-        self._gap_meter: ContactGapMeter | None = None
         self._adopt(hands)
-        self._has_detail = request.has_detail
-        start = (
-            start_angles(self.robot, request.robot_q),
-            start_wrist(self.robot, request.robot_wrist),
-        )
-        q, wrist = start if former is None else former.posture
-        self._commanded = CommandedRobot(self.robot, q, wrist)
-        if (
-            motion is not None
-            and len(motion.q) == self.robot.model.nq
-            and wrist is not None
-        ):
-            self._commanded.motion = motion
-        self._commanded.obey(hands.mapper.point_ik)
+        start = self._start(self.robot.rest.copy(), None, request)
+        self._place(*(start if former is None else former.posture), motion)
         self._clock = StepClock(request.max_dt, request.time_from, now)
         self._watchdog = Watchdog(
             request.watchdog, request.return_after, now, 2.0 * request.max_dt
         )
         self._state = SessionState.WAITING
-        self._mapper_state = MapperState.ALIGNED
         self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
-        self._opened_at = now
-        self._stamp, self._seq, self._dt = 0.0, request.seq, 0.0
+        self._stamp, self._seq, self._dt, self._stop = 0.0, request.seq, 0.0, 0
         self._reset_mapper()
         # The server's record is newer than the client's belief.
         if request.is_released if former is None else former.is_released:
             self.release()
-        self._stop = 0
 
     @property
     def posture(self) -> Posture:
@@ -159,16 +234,14 @@ class Session:
     @property
     def mode(self) -> str:
         """What the robot does, as clients read it."""
-        is_calibrating = (
-            self._calibration is not None and self._state is SessionState.FOLLOWING
-        )
-        return "calibrating" if is_calibrating else self._state.mode
+        is_led = self._state is SessionState.FOLLOWING
+        return "calibrating" if self._calibration and is_led else self._state.mode
 
     @property
     def record(self) -> Record:
         """Posture, epoch, release and owner, for a session that continues from here."""
         q, wrist = self.posture
-        pose = None if wrist is None else tuple(wrist.ravel().tolist())
+        pose = None if wrist is None else to_row(wrist.ravel())
         control = self._epoch, self._state.is_released, self._stop, self.owner
         return Record(self.name, self.robot.name, to_row(q), pose, *control)
 
@@ -198,21 +271,21 @@ class Session:
 
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
         """Answer `status`."""
-        request, choice = self.request, self._choice
+        wanted, choice = self._wanted, self._hands.choice
         about = About(
             robot=self.robot.name,
-            side=request.side,
-            input=request.input,
-            layout=request.layout,
+            side=wanted.side,
+            input=wanted.input,
+            layout=wanted.layout,
             lengths=to_lengths(self._hands.lengths),
-            human_points=request.human_points,
-            robot_points=request.robot_points,
-            mount=request.mount,
+            human_points=wanted.human_points,
+            robot_points=wanted.robot_points,
+            mount=wanted.mount,
             preset=choice.preset,
             options=choice.method.values,
             ik=choice.ik.values,
-            has_detail=self._has_detail,
-            is_shared=request.is_shared,
+            has_detail=wanted.has_detail,
+            is_shared=wanted.is_shared,
         )
         return State(
             seq=seq,
@@ -248,7 +321,7 @@ class Session:
             self._prepare_mapper()
             self._dt, flags = self._clock.grant(sample.time, now)
             arrival = now if self.request.time_from == "server" else None
-            mapped = self._form.map(self._hands, sample, self._dt, arrival)
+            step, landmarks = self._form.map(self._hands, sample, self._dt, arrival)
         except HandmapError as error:
             self.counts["refused"] += 1
             raise refused(error) from error
@@ -256,29 +329,19 @@ class Session:
             # Unexpected exception: hold, and restart the mapper from the last command.
             self._mapper_state = MapperState.STALE
             raise
-        if mapped.step.is_held:
-            return self._held(sample, mapped.step, now, flags)
-        flags = self._accept(sample, now) + flags
-        if mapped.step.rule:
-            flags.append(mapped.step.rule)
+        if step.is_held:
+            return self._held(sample, step, now, flags)
+        flags = self._accept(sample, now) + flags + [step.rule] * bool(step.rule)
         if self._state is SessionState.FOLLOWING:
-            flags += self._follow(mapped.step)
-            self._measure_gap(mapped)
+            flags += self._follow(step)
+            self._measure_gap(landmarks)
         else:
-            self._stay(mapped.step)
-        flags += mapped.step.asked.flags
+            self._stay(step)
+        flags += step.asked.flags
         self.counts["steps"] += 1
-        status = self._state.mode if self._state.is_stopped else mapped.step.status
-        return self._command(now, status, flags, **self._diagnostics(mapped))
-
-    def _held(
-        self, sample: Step, step: MapStep, now: float, flags: list[str]
-    ) -> Command:
-        """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
-        self._stamp, self._seq = sample.time, sample.seq
-        self.counts["held"] += 1
-        self._stay(step)
-        return self._command(now, step.status, [*flags, step.rule], **_trust(step))
+        status = self._state.mode if self._state.is_stopped else step.status
+        diagnostics = self._diagnostics(step, sample, landmarks)
+        return self._command(now, status, flags, **diagnostics)
 
     def tick(self, now: float) -> Command | None:
         """Let time pass.
@@ -292,8 +355,7 @@ class Session:
         while event := self._watchdog.event(
             self._state, now, is_at_rest=self._is_at_rest
         ):
-            if event is Event.SILENCE:
-                self.counts["watchdog"] += 1
+            self.counts["watchdog"] += event is Event.SILENCE
             self._handle(event)
         if not self._watchdog.take_turn(
             self._state, now, is_braking=self._commanded.motion.is_braking
@@ -322,7 +384,10 @@ class Session:
     def stop(self, number: int = 0) -> None:
         """Stop the robot until `clear`; 0 makes a new number. A second stop changes nothing."""
         if not self._state.is_stopped:
-            self._latch(number or _new_epoch())
+            self._stop = number or _new_epoch()
+            self._hands.mapper.release()
+            self._handle(Event.STOP)
+            self._watchdog.hasten()
 
     def clear(self, number: int) -> None:
         """Clear an emergency stop; the robot is then released.
@@ -335,7 +400,7 @@ class Session:
         """
         if number != self._stop:
             got = f"stop {self._stop} is" if self._stop else "no stop is"
-            raise RefusedError("invalid", f"{got} in force, not {number}", field="stop")
+            raise _invalid("stop", f"{got} in force, not {number}")
         self._stop = 0
         self._handle(Event.CLEAR)
 
@@ -358,10 +423,8 @@ class Session:
         Raises:
             RefusedError: With the option at fault. The session is then unchanged.
         """
-        self._choose(self._hands, with_changes(self._wanted, self._choice, request))
-        self._has_detail = (
-            self._has_detail if request.has_detail is None else request.has_detail
-        )
+        preset = self._hands.choice.preset
+        self._choose(self._hands, with_changes(self._wanted, preset, request))
 
     def reset(self, request: Reset, now: float) -> None:
         """Start again.
@@ -378,13 +441,7 @@ class Session:
         if request.robot_q is None and request.robot_wrist is None:
             self._reset_mapper(self.robot.rest)
         else:
-            q, wrist = self.posture
-            if request.robot_q is not None:
-                q = start_angles(self.robot, request.robot_q)
-            if request.robot_wrist is not None:
-                wrist = start_wrist(self.robot, request.robot_wrist)
-            self._commanded = CommandedRobot(self.robot, q, wrist)
-            self._commanded.obey(self._hands.mapper.point_ik)
+            self._place(*self._start(*self.posture, request))
             self._reset_mapper()
             self._epoch = _new_epoch()
         self._watchdog.restart(now)
@@ -394,12 +451,30 @@ class Session:
     def _is_at_rest(self) -> bool:
         return bool((self._commanded.q == self.robot.rest).all())
 
-    def _latch(self, number: int) -> None:
-        """Bring an emergency stop into force; its command is due at once."""
-        self._stop = number
-        self._hands.mapper.release()
-        self._handle(Event.STOP)
-        self._watchdog.hasten()
+    def _start(
+        self, q: np.ndarray, wrist: np.ndarray | None, request: Open | Reset
+    ) -> Posture:
+        """Return a posture with the parts that a request gives.
+
+        Raises:
+            RefusedError: If the robot cannot be there, or its wrist is fixed.
+        """
+        if request.robot_q is not None:
+            q = start_angles(self.robot, request.robot_q)
+        if request.robot_wrist is not None and not self.robot.is_floating:
+            message = f"{self.robot.name} has a fixed wrist: leave it out"
+            raise _invalid("robot_wrist", message)
+        return q, wrist if request.robot_wrist is None else request.robot_wrist.matrix
+
+    def _place(
+        self, q: np.ndarray, wrist: np.ndarray | None, motion: Motion | None = None
+    ) -> None:
+        """Take the robot to be at a posture, or in a motion if that is one of this robot."""
+        self._commanded = CommandedRobot(self.robot, q, wrist)
+        nq = self.robot.model.nq
+        if motion is not None and len(motion.q) == nq and wrist is not None:
+            self._commanded.motion = motion
+        self._commanded.obey(self._hands.mapper.point_ik)
 
     def _check_not_stopped(self) -> None:
         if self._state.is_stopped:
@@ -415,6 +490,15 @@ class Session:
 
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
+
+    def _held(
+        self, sample: Step, step: MapStep, now: float, flags: list[str]
+    ) -> Command:
+        """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
+        self._stamp, self._seq = sample.time, sample.seq
+        self.counts["held"] += 1
+        self._stay(step)
+        return self._command(now, step.status, [*flags, step.rule], **_trust(step))
 
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
         """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
@@ -432,7 +516,7 @@ class Session:
         if hands is not None:
             # Options may have changed since the hands were prepared.
             self._choose(hands, self._wanted)
-            self._adopt(hands)
+            self._adopt(self._hands)
             self._calibration = None
             self._reset_mapper()
             if self._state.is_released:
@@ -447,30 +531,27 @@ class Session:
         gap = hands.choice.method.values.get("contact_gap")
         self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
 
-    def _measure_gap(self, mapped: MappedSample) -> None:
+    def _measure_gap(self, landmarks: np.ndarray | None) -> None:
         """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
-        meter, landmarks = self._gap_meter, mapped.landmarks
+        meter = self._gap_meter
         if meter is None or landmarks is None or "contact_gap" in self._wanted.options:
             return
         if meter.add(self._stamp, landmarks):
-            hands = replace(self._hands, contact_gap=meter.gap, choice=self._choice)
-            self._choose(hands, self._wanted)
-            self._hands = hands
+            self._choose(replace(self._hands, contact_gap=meter.gap), self._wanted)
 
     def _choose(self, hands: Hands, wanted: Open) -> None:
-        """Give the mapper of these hands the options of a request, and remember both.
+        """Make these the hands of the session, with the options of a request.
 
         Raises:
             RefusedError: With the option at fault. Nothing has changed then.
         """
         mapper = hands.mapper
-        before = self._choice if hands is self._hands else hands.choice
         choice = read_choice(wanted, mapper.human, hands.robot, hands.contact_gap)
-        method = None if choice.method == before.method else choice.method
+        method = None if choice.method == hands.choice.method else choice.method
         with_option_errors(
-            wanted, hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik)
+            hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik)
         )
-        self._wanted, self._choice = wanted, choice
+        self._wanted, self._hands = wanted, replace(hands, choice=choice)
         self._commanded.obey(mapper.point_ik)
 
     def _prepare_mapper(self) -> None:
@@ -515,28 +596,28 @@ class Session:
             mapper.clutch()
             self._mapper_state = MapperState.ALIGNED
             return
-        angles = np.clip(
-            self._commanded.q if q is None else q,
-            robot.lower_limits,
-            robot.upper_limits,
+        angles = self._commanded.q if q is None else q
+        mapper.reset(
+            robot_q=np.clip(angles, robot.lower_limits, robot.upper_limits),
+            robot_wrist=self._commanded.wrist if robot.is_floating else None,
         )
-        wrist = self._commanded.wrist if robot.is_floating else None
-        mapper.reset(robot_q=angles, robot_wrist=wrist)
         self._mapper_state = MapperState.SLEWING
 
-    def _diagnostics(self, mapped: MappedSample) -> dict[str, Any]:
+    def _diagnostics(
+        self, step: MapStep, sample: Step, landmarks: np.ndarray | None
+    ) -> dict[str, Any]:
         """Return the fields of a command that describe the mapping."""
-        step = mapped.step
-        residuals = step.diagnostics.get("residual_norms", np.empty(0))
+        residuals = step.diagnostics.get("residual_norms", np.zeros(1))
+        detail = None
+        if self._wanted.has_detail and "motion" in step.diagnostics:
+            detail = to_detail(step, sample, landmarks)
         return {
             "point_error": to_row(step.point_error),
-            "residual": float(
-                np.sqrt(residuals.dot(residuals) / max(len(residuals), 1))
-            ),
+            "residual": float(np.sqrt(np.mean(residuals**2))),
             "at_limit": tuple(np.array(self.robot.joint_names)[step.at_bound].tolist()),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
-            "detail": to_detail(mapped) if self._has_detail else None,
+            "detail": detail,
             **_trust(step),
         }
 
@@ -561,6 +642,10 @@ class Session:
         )
 
 
+def _invalid(field: str, message: str) -> RefusedError:
+    return RefusedError("invalid", message, field=field)
+
+
 def _trust(step: MapStep) -> dict[str, Any]:
     """Return the fields of a command that say how much a sample is to be trusted."""
     consistency = None if math.isnan(step.consistency) else step.consistency
@@ -574,3 +659,44 @@ def _trust(step: MapStep) -> dict[str, Any]:
 def _new_epoch() -> int:
     """Return a number that no session has had on any server: microseconds since 1970."""
     return time.time_ns() // 1000
+
+
+def to_row(values: np.ndarray) -> tuple[float, ...]:
+    """Convert an array (n,) to floats."""
+    return tuple(values.tolist())
+
+
+def to_pose(matrix: np.ndarray | None) -> Pose | None:
+    """Convert a pose (4, 4), if there is one, to position and quaternion."""
+    return None if matrix is None else Pose.from_matrix(matrix)
+
+
+def to_matrix(pose: Pose | None) -> np.ndarray | None:
+    """Convert a pose of a message, if there is one, to (4, 4)."""
+    return None if pose is None else pose.matrix
+
+
+def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
+    """Convert a measured hand to rows of numbers."""
+    if lengths is None:
+        return None
+    return Lengths(
+        *(getattr(lengths, name).tolist() for name in Lengths.__struct_fields__)
+    )
+
+
+def to_detail(step: MapStep, sample: Step, landmarks: np.ndarray | None) -> Detail:
+    """Convert every stage of a step whose method has a T."""
+    names = ("motion", "motion_rigid", "motion_deformation", "stretches")
+    arrays = {name: step.diagnostics[name] for name in names} | {
+        "pivot": step.diagnostics["pivot_image"],
+        "human_points": step.human_points,
+        "targets": step.targets,
+        "points": step.points,
+    }
+    return Detail(
+        human_q=sample.q,
+        human_wrist=to_pose(step.human_wrist),
+        landmarks=None if landmarks is None else landmarks.tolist(),
+        **{name: array.tolist() for name, array in arrays.items()},
+    )

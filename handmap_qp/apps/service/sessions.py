@@ -3,33 +3,65 @@
 from __future__ import annotations
 
 import asyncio
+import hashlib
+import hmac
 import math
 import secrets
-from collections import OrderedDict
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from logging import INFO
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
-from handmap_qp.apps.service.decoding import encode_reply
-from handmap_qp.apps.service.logs import AuditLog, report
-from handmap_qp.apps.service.metrics import Metrics
+import msgspec
+
+from handmap_qp.apps.service.logs import AuditLog, Bucket, Metrics, report
 from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepare_hands
-from handmap_qp.apps.service.rate_limit import Bucket
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.settings import Settings
-from handmap_qp.apps.service.states import LEASE, Caller, refusal
 from handmap_qp.apps.service.store import PostureStore, Record
 from handmap_qp.client.messages import Error, Open
 from handmap_qp.errors import RefusedError
 
+LEASE = 2.0
+"""Time after a request of its owner in which nobody else may have a session [s]."""
 _SHORTEST_SECRET = 16
 _REMEMBERED = 1024
 
 _T = TypeVar("_T")
 Publish = Callable[[str, bytes], None]
 """Takes a session's name and a message of its stream (msgpack)."""
+
+
+class Caller(NamedTuple):
+    """A client: its address, and the name of its key, empty without keys."""
+
+    address: str = "unknown"
+    key: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.key}@{self.address}" if self.key else self.address
+
+    def owner(self, secret: str) -> str:
+        """Return who owns a session of this client: a digest of its key, or else of the secret."""
+        kind, proof = ("key", self.key) if self.key else ("secret", secret)
+        digest = hashlib.sha256(proof.encode(errors="surrogatepass")).hexdigest()
+        return f"{kind}:{digest}"
+
+
+def refusal(owner: str, client: str, *, is_attended: bool, is_rival: bool) -> str:
+    """Return why a client may not continue a session: `busy`, `denied`, or empty if it may.
+
+    Args:
+        owner: Owner of the session; empty if its record is older than owners.
+        client: Owner that the session would have.
+        is_attended: Whether the owner's lease runs.
+        is_rival: Whether the session runs under another secret than the client's.
+    """
+    is_owner = hmac.compare_digest(owner, client)
+    if owner.startswith("key:") and not is_owner:
+        return "denied"
+    return "busy" if is_attended and (is_rival or not is_owner) else ""
 
 
 @dataclass(slots=True, eq=False)
@@ -87,7 +119,7 @@ class Sessions:
         self._executor = ThreadPoolExecutor(1, "handmap-open")
         self._opens = Bucket(settings.opens, clock(), burst=settings.sessions)
         self._names_opening: set[str] = set()
-        self._ended: OrderedDict[str, str] = OrderedDict()
+        self._ended: dict[str, str] = {}
         # After a restart, owners are on their way back.
         self._last_heard = dict.fromkeys(store.records, clock())
         self._last_name = 0
@@ -119,9 +151,8 @@ class Sessions:
         Raises:
             RefusedError: If there is none.
         """
-        session = self._find_named(name)
-        if session is None:
-            raise _invalid("name", f"no session {name!r}")
+        if (session := self._find_named(name)) is None:
+            raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
     async def open(self, request: Open, payload: bytes, by: Caller) -> Session:
@@ -200,16 +231,13 @@ class Sessions:
         self._store.note(session.record)
         self._ended[secret] = code
         if len(self._ended) > _REMEMBERED:
-            self._ended.popitem(last=False)
-        self.send(session.name, encode_reply(Error(code=code, message=reason)))
-        self._audit.note("closed", by, session=session.name, reason=reason)
-        report(
-            INFO,
-            "closed",
-            session=session.name,
-            reason=reason,
-            counts=dict(session.counts),
+            del self._ended[next(iter(self._ended))]
+        self.send(
+            session.name, msgspec.msgpack.encode(Error(code=code, message=reason))
         )
+        event: dict[str, Any] = {"session": session.name, "reason": reason}
+        self._audit.note("closed", by, **event)
+        report(INFO, "closed", **event, counts=dict(session.counts))
 
     def send(self, name: str, payload: bytes) -> None:
         """Publish a message in the stream of a session."""
@@ -243,61 +271,63 @@ class Sessions:
 
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
-        if len(request.session) < _SHORTEST_SECRET:
-            raise _invalid(
-                "session", f"expected at least {_SHORTEST_SECRET} random characters"
-            )
-        last = self._find_named(request.name)
-        held = self.entries.get(request.session)
-        is_newer = held is not None and request.seq > held.seq
-        if held is not None and not (
-            request.restore and held.session is last and is_newer
-        ):
-            raise _invalid(
-                "session", "a session with this secret exists: choose another one"
-            )
+        name, last = request.name, self._find_named(request.name)
+        held, most = self.entries.get(request.session), self._settings.sessions
+        is_its_own = held is not None and held.session is last
+        is_repeat = held is not None and request.seq <= held.seq
+        is_again = is_its_own and request.restore and not is_repeat
         is_replacing = last is not None and request.restore
-        if (
-            len(self.entries) + len(self._names_opening) - is_replacing
-            >= self._settings.sessions
+        count = len(self.entries) + len(self._names_opening) - is_replacing
+        for is_wrong, code, field, message in (
+            (
+                len(request.session) < _SHORTEST_SECRET,
+                "invalid",
+                "session",
+                f"expected at least {_SHORTEST_SECRET} random characters",
+            ),
+            (
+                held is not None and not is_again,
+                "invalid",
+                "session",
+                "a session with this secret exists: choose another one",
+            ),
+            (count >= most, "busy", "", f"all {most} sessions are taken"),
+            (
+                request.time_from == "client" and not self._settings.simulated_time,
+                "denied",
+                "time_from",
+                "the server uses its own clock (see handmap serve --simulated-time)",
+            ),
+            (
+                name in self._names_opening,
+                "busy",
+                "name",
+                f"session {name!r} is being opened",
+            ),
+            (
+                last is not None and not request.restore,
+                "invalid",
+                "name",
+                f"session {name!r} exists: restore=true takes it over",
+            ),
+            (
+                request.restore and name is None,
+                "invalid",
+                "name",
+                "missing: restore needs the name of the session",
+            ),
         ):
-            raise RefusedError(
-                "busy", f"all {self._settings.sessions} sessions are taken"
-            )
+            if is_wrong:
+                raise RefusedError(code, message, field=field)
         if not self._opens.take(self._clock()):
             message = f"more than {self._settings.opens:g} sessions opened a second"
             raise RefusedError("rate", f"{message}: try again later")
-        if request.time_from == "client" and not self._settings.simulated_time:
-            message = (
-                "the server uses its own clock (see handmap serve --simulated-time)"
-            )
-            raise RefusedError("denied", message, field="time_from")
-        self._check_name(request, last, by)
-
-    def _check_name(self, request: Open, last: Session | None, by: Caller) -> None:
-        """Refuse a name that is in use, or that the client must not have."""
-        if request.name in self._names_opening:
-            raise RefusedError(
-                "busy", f"session {request.name!r} is being opened", field="name"
-            )
-        if last is not None and not request.restore:
-            raise _invalid(
-                "name", f"session {request.name!r} exists: restore=true takes it over"
-            )
         self._check_owner(request, by)
-        if request.restore and request.name is None:
-            raise _invalid("name", "missing: restore needs the name of the session")
 
     def _find_named(self, name: str | None) -> Session | None:
         """Return the open session of a name, if there is one."""
-        return next(
-            (
-                entry.session
-                for entry in self.entries.values()
-                if entry.session.name == name
-            ),
-            None,
-        )
+        sessions = (entry.session for entry in self.entries.values())
+        return next((session for session in sessions if session.name == name), None)
 
     def _check_owner(self, request: Open, by: Caller) -> None:
         """Refuse a name to a client that must not have it, or must not yet."""
@@ -315,10 +345,8 @@ class Sessions:
         if code := refusal(
             held.owner, client, is_attended=is_attended, is_rival=is_rival
         ):
-            reasons = {
-                "busy": f"is in use until {LEASE:g} s after its owner's last request"
-            }
-            reason = reasons.get(code, "belongs to another key")
+            busy = f"is in use until {LEASE:g} s after its owner's last request"
+            reason = busy if code == "busy" else "belongs to another key"
             raise RefusedError(code, f"session {name!r} {reason}", field="name")
 
     def _former(
@@ -333,14 +361,10 @@ class Sessions:
         found = self._store.find(name, robot, joints)
         if found is None and request.robot_q is None:
             message = f"no record of a session {name!r}: give the robot's joint angles in robot_q"
-            raise _invalid("restore", message)
+            raise RefusedError("invalid", message, field="restore")
         return found
 
     def _new_name(self) -> str:
         """Return a name that is unique also over restarts, because others may watch it."""
         self._last_name += 1
         return f"session-{self._last_name}-{secrets.token_hex(3)}"
-
-
-def _invalid(field: str, message: str) -> RefusedError:
-    return RefusedError("invalid", message, field=field)

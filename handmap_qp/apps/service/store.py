@@ -68,10 +68,14 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PostureStore:
-    """Records by session name, in `records`, the least recently updated first.
+    """Records by session name.
 
     Args:
         path: The file, made if it does not exist, for one server at a time; None for memory alone.
+
+    Attributes:
+        records: The records by name, the least recently updated first.
+        is_persistent: Whether they are in a file, where they outlive the server.
 
     Raises:
         InvalidInputError: If the file cannot be used, is another kind of file, or is in use.
@@ -79,6 +83,7 @@ class PostureStore:
 
     def __init__(self, path: Path | None) -> None:
         self.records: dict[str, Record] = {}
+        self.is_persistent = path is not None
         self._database: sqlite3.Connection | None = None
         self._failures = Throttle()
         if path is not None:
@@ -94,11 +99,6 @@ class PostureStore:
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-    @property
-    def is_persistent(self) -> bool:
-        """Whether records are in a file, where they outlive the server."""
-        return self._database is not None
 
     def note(self, record: Record) -> None:
         """Keep a record in place of an earlier one of the same session."""

@@ -32,12 +32,10 @@ from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
 from handmap_qp.apps.service.dispatch import Dispatcher
-from handmap_qp.apps.service.logs import report, websocket_log
+from handmap_qp.apps.service.logs import Bucket, report, websocket_log
 from handmap_qp.apps.service.pages import page_response
-from handmap_qp.apps.service.rate_limit import Bucket
-from handmap_qp.apps.service.sessions import Sessions
+from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import MOST_SESSIONS, Settings
-from handmap_qp.apps.service.states import Caller
 from handmap_qp.errors import InvalidInputError
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
