@@ -17,6 +17,7 @@ from handmap_qp.apps.service import schema
 from handmap_qp.apps.service.dispatch import decode_request, encode_reply
 from handmap_qp.apps.service.schema import CODES, FLAGS, json_schema, schema_text
 from handmap_qp.apps.service.session import to_matrix, to_pose
+from handmap_qp.apps.service.websocket import _from_json
 from handmap_qp.client.messages import (
     PROTOCOL,
     AnyReply,
@@ -82,12 +83,6 @@ def test_a_mistake_is_answered_with_the_field_and_the_number_of_the_request(
     assert answer.seq == message["seq"]
 
 
-def test_msgpack_and_json_say_the_same() -> None:
-    assert decode_request(msgspec.msgpack.encode(STEP)) == decode_request(
-        json.dumps(STEP).encode(), is_json=True
-    )
-
-
 def test_a_sample_is_a_step_without_an_answer() -> None:
     request = decode_request(msgspec.msgpack.encode(STEP | {"type": "sample"}))
     assert isinstance(request, Sample)
@@ -105,12 +100,12 @@ def test_another_version_of_the_messages_is_named_as_such(
     assert (answer.code, answer.field, answer.seq) == ("protocol", "protocol", 7)
 
 
-@given(st.binary(max_size=200), st.booleans())
-def test_no_bytes_do_more_than_be_refused(payload: bytes, is_json: bool) -> None:
-    answer = decode_request(payload, is_json=is_json)
+@given(st.binary(max_size=200))
+def test_no_bytes_do_more_than_be_refused(payload: bytes) -> None:
+    answer = decode_request(payload)
     assert isinstance(answer, Error)
     # The answer can always be encoded.
-    encode_reply(answer, is_json=is_json)
+    encode_reply(answer)
 
 
 @given(st.data())
@@ -130,20 +125,23 @@ def test_text_that_is_no_utf8_is_refused(place: int) -> None:
     )
     payload[place : place + 2] = b"\xff\xfe"
     assert isinstance(decode_request(bytes(payload)), Error)
-    assert isinstance(
-        decode_request(json.dumps(STEP).encode().replace(b"s", b"\xff"), is_json=True),
-        Error,
-    )
 
 
 def test_deep_nesting_is_refused() -> None:
     deep = b"\x91" * 100_000
     assert isinstance(decode_request(deep), Error)
-    assert isinstance(decode_request(b"[" * 100_000, is_json=True), Error)
 
 
-def test_text_is_no_msgpack() -> None:
-    assert isinstance(decode_request(b"\xed\xa0\x80 text"), Error)
+@pytest.mark.parametrize("text", ["{", "[" * 10_000, str(10**30), "\ud800 text", "NaN"])
+def test_text_that_cannot_be_a_message_is_refused(text: str) -> None:
+    assert isinstance(decode_request(_from_json(text)), Error)
+    assert isinstance(decode_request(text.encode(errors="replace")), Error)
+
+
+def test_json_and_msgpack_say_the_same() -> None:
+    for message in (STEP, OPEN):
+        text, binary = json.dumps(message), msgspec.msgpack.encode(message)
+        assert decode_request(_from_json(text)) == decode_request(binary)
 
 
 def test_the_schema_names_every_message_and_field() -> None:

@@ -133,7 +133,7 @@ def test_a_file_of_a_former_version_is_named_as_such_and_left_alone(
 ) -> None:
     former = b"handmap_qp postures 1\n" + bytes(1000)
     (tmp_path / "state").write_bytes(former)
-    with pytest.raises(InvalidInputError, match=r"former version.*emergency stops"):
+    with pytest.raises(InvalidInputError, match=r"former one.*stop again"):
         PostureStore(tmp_path / "state")
     assert (tmp_path / "state").read_bytes() == former
 
@@ -207,7 +207,7 @@ def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
         store.note(record("left", Q, None))
     whole = state.read_bytes()
     state.write_bytes(whole[:200] + bytes(len(whole) - 200))
-    with pytest.raises(InvalidInputError, match="a damaged file"):
+    with pytest.raises(InvalidInputError, match="a damaged or a former"):
         PostureStore(state)
 
 

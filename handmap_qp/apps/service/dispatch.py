@@ -39,7 +39,6 @@ from handmap_qp.client.messages import (
     Error,
     Named,
     Open,
-    Opened,
     Pose,
     Release,
     Reset,
@@ -65,7 +64,6 @@ _BOUNDS = {"time": LATEST, "values": 1e6} | dict.fromkeys(
 _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
 _MOST_PEERS, _ERRORS_PER_SECOND = 1024, 10.0
-_MOST_REPEATS = 8
 
 
 class _Head(msgspec.Struct):
@@ -77,34 +75,31 @@ class _Head(msgspec.Struct):
 
 # Invalid UTF-8 and excessive nesting raise errors other than msgspec's.
 _UNREADABLE = (msgspec.MsgspecError, ValueError, RecursionError)
-_CODECS = {False: msgspec.msgpack, True: msgspec.json}
-_DECODE = {key: codec.Decoder(AnyRequest).decode for key, codec in _CODECS.items()}
-_DECODE_HEAD = {key: codec.Decoder(_Head).decode for key, codec in _CODECS.items()}
-_ENCODE = {key: codec.Encoder().encode for key, codec in _CODECS.items()}
+_decode = msgspec.msgpack.Decoder(AnyRequest).decode
+_decode_head = msgspec.msgpack.Decoder(_Head).decode
+encode_reply = msgspec.msgpack.Encoder().encode
 
 
-def decode_request(payload: bytes, *, is_json: bool = False) -> AnyRequest | Error:
+def decode_request(payload: bytes) -> AnyRequest | Error:
     """Read and check one request.
 
     Args:
-        payload: The message as received.
-        is_json: Whether it is JSON; msgpack otherwise.
+        payload: The message as received (msgpack).
 
     Returns:
         The request; or the error to answer with, which has the field at fault, and the number of
         the request if it can be read.
     """
     try:
-        request = _DECODE[is_json](payload)
+        request = _decode(payload)
     except msgspec.ValidationError as error:
-        head = _head(payload, is_json)
+        head = _head(payload)
         if type(head.protocol) is int and head.protocol not in messages.PROTOCOLS:
             return _wrong_protocol(head)
         message, path = _explain(error)
         return Error(seq=head.seq, code="invalid", message=message, field=path)
     except _UNREADABLE as error:
-        kind = "JSON" if is_json else "msgpack"
-        return Error(code="invalid", message=f"not a {kind} message: {error}"[:200])
+        return Error(code="invalid", message=f"not a message: {error}"[:200])
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
     if request.protocol not in messages.PROTOCOLS or is_newer:
         return _wrong_protocol(request)
@@ -113,15 +108,10 @@ def decode_request(payload: bytes, *, is_json: bool = False) -> AnyRequest | Err
     return request
 
 
-def encode_reply(reply: AnyReply, *, is_json: bool = False) -> bytes:
-    """Encode one reply."""
-    return _ENCODE[is_json](reply)
-
-
-def _head(payload: bytes, is_json: bool) -> _Head:
+def _head(payload: bytes) -> _Head:
     """Return protocol and number of a request that is invalid elsewhere."""
     try:
-        head = _DECODE_HEAD[is_json](payload)
+        head = _decode_head(payload)
     except _UNREADABLE:
         return _Head()
     is_number = type(head.seq) is int and 0 <= head.seq <= 2**53
@@ -233,8 +223,7 @@ class Dispatcher:
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending: dict[str, tuple[Sample, Callable[[AnyReply], None]]] = {}
-        self._opening: dict[str, tuple[bytes, list[Answer]]] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._opening: dict[str, tuple[bytes, asyncio.Task[bytes]]] = {}
         self._refusals, self._bugs = Throttle(), Throttle()
         metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
         metrics.gauges["uptime_seconds"] = lambda: self._clock() - self._started
@@ -245,18 +234,16 @@ class Dispatcher:
         peer: Hashable,
         answer: Answer,
         *,
-        is_json: bool = False,
         subscribe: Callable[[str], None] | None = None,
         who: Callable[[], Caller] = Caller,
     ) -> bool:
         """Handle one message; call it from the event loop.
 
         Args:
-            payload: The message as received.
+            payload: The message as received (msgpack).
             peer: The connection that it came from.
             answer: Called with the answer, now or later. A streamed sample that can be read has no
                 answer.
-            is_json: Whether message and answer are JSON.
             subscribe: Subscribes the connection to a stream; None if the transport has no such
                 streams.
             who: Returns who the client is.
@@ -266,7 +253,7 @@ class Dispatcher:
         """
 
         def send(reply: AnyReply) -> None:
-            answer(encode_reply(reply, is_json=is_json))
+            answer(encode_reply(reply))
 
         samples, errors = self._rates(peer)
         now, self._who = self._clock(), who
@@ -276,20 +263,20 @@ class Dispatcher:
             if errors.take(now):
                 send(Error(code="rate", message="too many messages"))
             return False
-        request = decode_request(payload, is_json=is_json)
+        request = decode_request(payload)
         if isinstance(request, Error):
             self._count(request)
             send(request)
         elif isinstance(request, Sample):
             self._receive_sample(request, send)
         elif isinstance(request, Open):
-            self._receive_open(request, payload, answer, is_json)
+            self._receive_open(request, payload, answer)
         elif isinstance(request, Named | Subscribe) and request.name is not None:
             send(self._attempt(request, lambda: self._by_name(request, now, subscribe)))
         elif isinstance(request, Status | Stop) and not request.session:
             send(self._attempt(request, lambda: self._for_all(request, now)))
         else:
-            answer(self._answer_client(request, payload, now, is_json))
+            answer(self._answer_client(request, payload, now))
         return True
 
     def flush(self) -> None:
@@ -327,10 +314,11 @@ class Dispatcher:
 
     async def close(self) -> None:
         """Close all sessions."""
-        for task in self._tasks:
+        tasks = [task for _, task in self._opening.values()]
+        for task in tasks:
             task.cancel()
         self.sessions.close()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     def _new_rates(self, _peer: Hashable) -> tuple[Bucket, Bucket]:
         """Return the limits of a connection: of its messages, and of the errors that say so."""
@@ -352,9 +340,7 @@ class Dispatcher:
             self._metrics.counts["replaced"] += 1
         self._pending[sample.session] = sample, send
 
-    def _answer_client(
-        self, request: AnyRequest, payload: bytes, now: float, is_json: bool
-    ) -> bytes:
+    def _answer_client(self, request: AnyRequest, payload: bytes, now: float) -> bytes:
         """Answer a session's client; repeat the last answer if the request is repeated."""
         try:
             entry = self.sessions.find(request.session)
@@ -364,10 +350,10 @@ class Dispatcher:
                 message = f"expected a number above {entry.seq}, got {request.seq}"
                 raise RefusedError("stale", message, field="seq")
         except RefusedError as error:
-            return encode_reply(self._refusal(request.seq, error), is_json=is_json)
+            return encode_reply(self._refusal(request.seq, error))
         entry.seq, entry.payload = request.seq, payload
         reply = self._carry_out(entry.session, request, now)
-        entry.answer = encode_reply(reply, is_json=is_json)
+        entry.answer = encode_reply(reply)
         return entry.answer
 
     def _by_name(
@@ -482,44 +468,40 @@ class Dispatcher:
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
 
-    def _receive_open(
-        self, request: Open, payload: bytes, answer: Answer, is_json: bool
-    ) -> None:
+    def _receive_open(self, request: Open, payload: bytes, answer: Answer) -> None:
         """Open a session in a task; a repeated request gets the same answer."""
         entry = self.sessions.entries.get(request.session)
         if entry is not None and payload == entry.payload:
             answer(entry.answer)
             return
-        first, waiting = self._opening.get(request.session, (b"", []))
-        if payload == first and len(waiting) < _MOST_REPEATS:
-            waiting.append(answer)
-        elif first or len(self._opening) >= self._settings.sessions:
+        first, task = self._opening.get(request.session, (payload, None))
+        if first != payload or (
+            task is None and len(self._opening) >= self._settings.sessions
+        ):
             refusal = RefusedError("busy", "too many at once")
-            reply = self._refusal(request.seq, refusal)
-            answer(encode_reply(reply, is_json=is_json))
-        else:
-            self._opening[request.session] = payload, [answer]
-            opening = self._open(request, payload, is_json, self._who())
+            answer(encode_reply(self._refusal(request.seq, refusal)))
+            return
+        if task is None:
+            opening = self._open(request, payload, self._who())
             task = asyncio.get_running_loop().create_task(opening)
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._opening[request.session] = payload, task
+        task.add_done_callback(
+            lambda done: None if done.cancelled() else answer(done.result())
+        )
 
-    async def _open(
-        self, request: Open, payload: bytes, is_json: bool, by: Caller
-    ) -> None:
-        reply: AnyReply
+    async def _open(self, request: Open, payload: bytes, by: Caller) -> bytes:
+        """Open a session; return the answer."""
         try:
             session = await self.sessions.open(request, payload, by)
-            reply = session.opened(request.seq, self.stream_port)
+            reply = encode_reply(session.opened(request.seq, self.stream_port))
+            self.sessions.entries[request.session].answer = reply
+            return reply
         except RefusedError as error:
-            reply = self._refusal(request.seq, error)
+            return encode_reply(self._refusal(request.seq, error))
         except Exception as error:
-            reply = self._bug(request.seq, error)
-        encoded = encode_reply(reply, is_json=is_json)
-        if isinstance(reply, Opened):
-            self.sessions.entries[request.session].answer = encoded
-        for answer in self._opening.pop(request.session)[1]:
-            answer(encoded)
+            return encode_reply(self._bug(request.seq, error))
+        finally:
+            del self._opening[request.session]
 
     def _send(self, session: Session, command: Command) -> None:
         """Note and publish a command."""

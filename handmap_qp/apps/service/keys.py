@@ -108,16 +108,17 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         (folder / "clients").mkdir(mode=0o700, exist_ok=True)
         for name in ("server", *clients):
-            secret = folder / f"{name}.key_secret"
-            if not secret.exists():
+            secret, public = folder / f"{name}.key_secret", folder / f"{name}.key"
+            admitted = folder / "clients" / f"{name}.key"
+            is_new = not secret.exists()
+            if is_new:
                 # Create the file with its mode, so that others can never read the secret.
                 secret.touch(mode=0o600)
                 create_certificates(folder, name)
                 secret.chmod(0o600)
-                written += [folder / f"{name}.key", secret]
-            admitted = folder / "clients" / f"{name}.key"
-            if name != "server" and (secret in written or not admitted.exists()):
-                admitted.write_bytes((folder / f"{name}.key").read_bytes())
+                written += [public, secret]
+            if name != "server" and (is_new or not admitted.exists()):
+                admitted.write_bytes(public.read_bytes())
                 written.append(admitted)
     except OSError as error:
         raise InvalidInputError(
@@ -134,31 +135,25 @@ def read_server_keys(folder: Path) -> ServerKeys:
     """
     _check_folder(folder)
     file = folder / "server.key_secret"
-    try:
-        _check_private(file)
-        public, secret = load_certificate(file)
-    except FileNotFoundError as error:
+    if not file.exists():
         raise InvalidInputError(
             argument=str(file),
             problem="does not exist",
             advice=f"handmap keys {folder} makes it",
-        ) from error
-    except OSError as error:
-        raise _unreadable(file, error) from error
-    except InvalidInputError:
-        raise
-    except (ValueError, IndexError):
-        # pyzmq raises them if the file has no key.
-        public, secret = b"", None
-    if secret is None or not len(public) == len(secret) == _KEY_LENGTH:
-        raise InvalidInputError(
-            argument=str(file),
-            expected="a server's secret key",
-            got="something else",
-            advice=f"delete it and run handmap keys {folder}; "
-            "then give all clients the new server.key",
         )
-    return ServerKeys(public, secret)
+    _read_private(file)
+    # pyzmq raises these errors if the file has no key.
+    with suppress(ValueError, IndexError):
+        public, secret = load_certificate(file)
+        if len(public) == len(secret or b"") == _KEY_LENGTH:
+            return ServerKeys(public, secret or b"")
+    raise InvalidInputError(
+        argument=str(file),
+        expected="a server's secret key",
+        got="something else",
+        advice=f"delete it and run handmap keys {folder}; "
+        "then give all clients the new server.key",
+    )
 
 
 def read_token(file: Path) -> str:
@@ -168,16 +163,7 @@ def read_token(file: Path) -> str:
         InvalidInputError: If it cannot be read, or if others can read it.
         InvalidOptionsError: If it is not a token.
     """
-    try:
-        _check_private(file)
-        token = file.read_text(encoding="utf-8").strip()
-    except OSError as error:
-        raise _unreadable(file, error) from error
-    except UnicodeDecodeError as error:
-        raise InvalidInputError(
-            argument=str(file),
-            problem="cannot be read: expected a token, got bytes that are not text",
-        ) from error
+    token = _read_private(file).strip()
     if not re.fullmatch(r"[A-Za-z0-9_-]{16,256}", token):
         raise InvalidOptionsError(
             option="web_token_file",
@@ -186,20 +172,22 @@ def read_token(file: Path) -> str:
     return token
 
 
-def _unreadable(file: Path, error: OSError) -> InvalidInputError:
-    return InvalidInputError(
-        argument=str(file), problem=f"cannot be read: {error.strerror}"
-    )
-
-
-def _check_private(file: Path) -> None:
-    """Reject a file with a secret that others can read."""
-    if file.stat().st_mode & 0o077:
+def _read_private(file: Path) -> str:
+    """Read a file with a secret; reject one that others can read."""
+    try:
+        is_open = file.stat().st_mode & 0o077
+        text = file.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise InvalidInputError(
+            argument=str(file), problem=f"cannot be read: {error.strerror}"
+        ) from error
+    if is_open:
         raise InvalidInputError(
             argument=str(file),
             problem="others can read it",
             advice="chmod 600 it, and make a new secret if they may have",
         )
+    return text
 
 
 def _check_folder(folder: Path) -> None:

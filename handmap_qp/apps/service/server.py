@@ -20,6 +20,7 @@ import resource
 import signal
 import sys
 import time
+from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from logging import ERROR, INFO, WARNING
@@ -57,6 +58,8 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 
 TICK = 0.005
 """Time between checks of the watchdogs [s]."""
+_TICKS, _LATE = 200, 0.1
+"""Checks in a second, and the delay of one that is logged [s]."""
 _BATCH = 128
 """Parts of messages read before other tasks get their turn; a message has two or three."""
 _MOST_PARTS = 3
@@ -73,6 +76,14 @@ _FAILURES = (
     zmq.Event.HANDSHAKE_FAILED_NO_DETAIL,
     zmq.Event.HANDSHAKE_FAILED_PROTOCOL,
     zmq.Event.HANDSHAKE_FAILED_AUTH,
+)
+# Why a handshake failed, as far as libzmq reports it, by event or value.
+_REASONS = {
+    zmq.Event.HANDSHAKE_FAILED_AUTH: "the client's key is not among the keys in clients/",
+    zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC: "the client's server.key is another server's",
+}
+_NO_HANDSHAKE = (
+    "only one of client and server uses keys, or the client does not speak ZeroMQ"
 )
 # Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
 # default is ten times longer.
@@ -99,9 +110,8 @@ class Server:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings = settings.checked()
-        files = (
-            () if settings.keys is None else (settings.keys / "clients").glob("*.key")
-        )
+        keys = settings.keys
+        files = () if keys is None else (keys / "clients").glob("*.key")
         for name in set(settings.supervisor).difference(file.stem for file in files):
             raise InvalidOptionsError(
                 option="supervisor", expected="the name of a client in keys", value=name
@@ -126,10 +136,9 @@ class Server:
         self._is_draining = False
         self._parts: list[zmq.Frame] = []
         self._cost = 0
-        self._lag = self._worst_lag = 0.0
-        self._busy = self._worst_busy = 0.0
-        self.metrics.gauges["lag_seconds"] = lambda: max(self._lag, self._worst_lag)
-        self.metrics.gauges["busy_seconds"] = lambda: max(self._busy, self._worst_busy)
+        self._lags, self._loads = (deque([0.0], _TICKS) for _ in range(2))
+        self.metrics.gauges["lag_seconds"] = lambda: max(self._lags)
+        self.metrics.gauges["busy_seconds"] = lambda: max(self._loads)
 
     async def start(self) -> None:
         """Listen on all transports.
@@ -198,12 +207,11 @@ class Server:
 
     async def stop(self) -> None:
         """Close all sessions and transports."""
-        was_ready = bool(self._tasks)
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._closing.aclose()
-        if was_ready:
+        if self._tasks:
             report(INFO, "stopped")
 
     def health(self) -> dict[str, Any]:
@@ -212,7 +220,7 @@ class Server:
         return {
             "status": "ok" if is_alive else "stopped",
             "sessions": len(self.dispatcher.sessions.entries),
-            "lag_seconds": max(self._lag, self._worst_lag),
+            "lag_seconds": max(self._lags),
         }
 
     def _socket(self, context: zmq.Context, kind: int) -> zmq.Socket:
@@ -264,13 +272,8 @@ class Server:
                 if len(self._parts) <= _MOST_PARTS:
                     self._parts.append(frame)
                 if not frame.more:
-                    parts, cost, self._parts, self._cost = (
-                        self._parts,
-                        self._cost,
-                        [],
-                        0,
-                    )
-                    self._receive(parts, cost)
+                    self._receive(self._parts, self._cost)
+                    self._parts, self._cost = [], 0
             self._loop.call_soon(self._drain)
         except zmq.Again:
             pass
@@ -314,19 +317,15 @@ class Server:
 
     async def _tick(self) -> None:
         """Drive the watchdogs, and measure the delay of the event loop."""
-        second, spent = time.monotonic(), time.process_time()
+        spent, late = time.process_time(), Throttle()
         while True:
             wanted = time.monotonic() + TICK
             await asyncio.sleep(TICK)
-            now = time.monotonic()
-            self._worst_lag = max(self._worst_lag, now - wanted)
-            before, spent = spent, time.process_time()
-            self._worst_busy = max(self._worst_busy, spent - before)
-            if now - second > 1.0:
-                if self._worst_lag > 0.1:
-                    report(WARNING, "late", seconds=round(self._worst_lag, 4))
-                second, self._lag, self._worst_lag = now, self._worst_lag, 0.0
-                self._busy, self._worst_busy = self._worst_busy, 0.0
+            lag, before, spent = time.monotonic() - wanted, spent, time.process_time()
+            self._lags.append(max(0.0, lag))
+            self._loads.append(spent - before)
+            if lag > _LATE:
+                late.report(WARNING, "late", seconds=round(lag, 4))
             try:
                 self._drain()
                 self.dispatcher.tick()
@@ -355,25 +354,10 @@ async def _report_handshakes(
             while True:
                 event = await recv_monitor_message(events)
                 metrics.refusals["handshake"] += 1
-                failed.report(
-                    INFO, "handshake", reason=_reason(event["event"], event["value"])
-                )
+                known = _REASONS.get(event["event"]) or _REASONS.get(event["value"])
+                failed.report(INFO, "handshake", reason=known or _NO_HANDSHAKE)
         finally:
             socket.disable_monitor()
-
-
-def _reason(event: int, value: int) -> str:
-    """Return why a handshake failed, as far as libzmq reports it."""
-    if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
-        return "the client's key is not among the keys in clients/"
-    if (
-        event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL
-        and value == zmq.PROTOCOL_ERROR_ZMTP_CRYPTOGRAPHIC
-    ):
-        return "the client's server.key is another server's"
-    return (
-        "only one of client and server uses keys, or the client does not speak ZeroMQ"
-    )
 
 
 def run_server(settings: Settings, log_level: str = "info") -> None:

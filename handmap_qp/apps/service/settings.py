@@ -86,12 +86,10 @@ class Settings:
             InvalidInputError: If there is no such address or port, or `web` is missing.
             InvalidOptionsError: If a number is out of range, or others could move the robot.
         """
-        host, web_host = (
-            bare_host("--host", self.host),
-            bare_host("--web-host", self.web_host),
-        )
+        host = bare_host("--host", self.host)
+        web_host = bare_host("--web-host", self.web_host)
         for name in ("port", "stream_port", "web_port", "health_port"):
-            if (name, getattr(self, name)) != ("health_port", -1):
+            if name != "health_port" or self.health_port != -1:
                 check_port(name, getattr(self, name))
         if not 1 <= self.sessions <= MOST_SESSIONS:
             expected = f"1 to {MOST_SESSIONS}"
@@ -124,10 +122,10 @@ class Settings:
                 problem="certificate and key go together",
                 advice="give both or neither",
             )
-        is_secured = (
-            self.web_token_file is not None and self.web_certificate is not None
-        )
-        if not is_loopback(host) and not is_secured:
+        if not is_loopback(host) and None in (
+            self.web_token_file,
+            self.web_certificate,
+        ):
             raise _exposed("web_host", host, "a token, a certificate and its key")
 
 

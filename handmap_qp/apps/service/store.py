@@ -24,8 +24,6 @@ from handmap_qp.errors import InvalidInputError, RefusedError
 
 _KIND = 0x686D7170
 """Identifies the database as one of the service."""
-_FORMER = b"handmap_qp postures 1\n"
-"""Start of the files of former versions."""
 _LARGEST = 4096
 """Bytes of a record to reserve."""
 # One server at a time; no waiting for the disk; the log starts again before it grows.
@@ -156,14 +154,7 @@ def _open(path: Path) -> sqlite3.Connection:
     """Open a database of records, and reserve its space; leave other kinds of files unchanged."""
     # Only the owner may read it.
     file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    start = os.read(file, len(_FORMER))
     os.close(file)
-    if start == _FORMER:
-        raise InvalidInputError(
-            argument=str(path),
-            problem="is of a former version, whose postures and emergency stops are not read",
-            advice="name another file, and stop again what must not move",
-        )
     database = sqlite3.connect(
         path, timeout=0.0, isolation_level=None, check_same_thread=False
     )
@@ -203,7 +194,8 @@ def _unusable(path: Path, error: OSError | sqlite3.Error) -> InvalidInputError:
         return InvalidInputError(
             argument=str(path),
             expected="a state file of handmap",
-            got="another or a damaged file",
+            got="another, a damaged or a former one",
+            advice="name another file, and stop again what must not move",
         )
     is_locked = error.sqlite_errorcode == sqlite3.SQLITE_BUSY
     problem = "another server uses it" if is_locked else f"cannot be used: {error}"

@@ -44,6 +44,8 @@ _LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:
 _SEND_TIMEOUT = 5.0
 _CLOSE_TIMEOUT = 1.0
 _PENALTY = 0.02
+_NO_MESSAGE = b"\xc1"
+"""The byte that begins no value in msgpack."""
 _CONNECTIONS_PER_SESSION = 2
 _AT_ONCE = 2048
 """Bytes read from a connection in one turn of the event loop."""
@@ -164,12 +166,10 @@ class WebSocketTransport:
             async for message in connection:
                 outbox.heard = time.monotonic()
                 is_json = isinstance(message, str)
-                payload = message.encode() if isinstance(message, str) else message
                 is_taken = self._dispatcher.receive(
-                    payload,
+                    _from_json(message) if isinstance(message, str) else message,
                     ("web", connection.id),
                     partial(outbox.answer, is_json=is_json),
-                    is_json=is_json,
                     subscribe=partial(outbox.subscribe, is_json=is_json),
                     who=partial(_who, connection),
                 )
@@ -240,7 +240,7 @@ class _Outbox:
             await asyncio.sleep(0.1 * longest)
 
     def answer(self, payload: bytes, *, is_json: bool) -> None:
-        self._answers.append(payload.decode() if is_json else payload)
+        self._answers.append(_as_json(payload) if is_json else payload)
         self._is_idle.clear()
         self._has_work.set()
 
@@ -248,11 +248,8 @@ class _Outbox:
         if len(self._streams) >= MOST_SESSIONS:
             # Forget ended sessions. They could return under their names, but their number has no
             # bound.
-            self._streams = {
-                known: self._streams[known]
-                for known in self._sessions.names
-                if known in self._streams
-            }
+            for ended in self._streams.keys() - set(self._sessions.names):
+                del self._streams[ended]
         self._streams[name] = is_json
 
     def offer(self, name: str, payload: bytes) -> None:
@@ -290,22 +287,22 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
     Raises:
         InvalidInputError: If a file cannot be read, or they are not a certificate and its key.
     """
-    for file in (certificate, key):
-        try:
-            file.read_bytes()
-        except OSError as error:
-            raise InvalidInputError(
-                argument=str(file), problem=f"cannot be read: {error.strerror}"
-            ) from error
     tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    file = certificate
     try:
+        for file in (certificate, key):
+            file.read_bytes()
         # An empty passphrase: otherwise OpenSSL would prompt for one.
         tls.load_cert_chain(certificate, key, password="")
     except ssl.SSLError as error:
         raise InvalidInputError(
             argument=f"{certificate}, {key}",
             problem="expected a PEM certificate and its key, without passphrase",
-            advice=error.reason.replace("_", " ").lower() if error.reason else "",
+            advice=(error.reason or "").replace("_", " ").lower(),
+        ) from error
+    except OSError as error:
+        raise InvalidInputError(
+            argument=str(file), problem=f"cannot be read: {error.strerror}"
         ) from error
     return tls
 
@@ -318,17 +315,11 @@ def _choose_subprotocol(
 
 
 def _has_token(request: Request, token: str) -> bool:
-    given = [
-        value.removeprefix("Bearer ")
-        for value in request.headers.get_all("Authorization")
-    ]
-    for value in request.headers.get_all("Sec-WebSocket-Protocol"):
-        offered = map(str.strip, value.split(","))
-        given += [
-            part.removeprefix("bearer.")
-            for part in offered
-            if part.startswith("bearer.")
-        ]
+    """Tell whether a request has the token, as a header or among its subprotocols."""
+    offered = ",".join(request.headers.get_all("Sec-WebSocket-Protocol")).split(",")
+    given = [part.strip().removeprefix("bearer.") for part in offered]
+    for value in request.headers.get_all("Authorization"):
+        given.append(value.removeprefix("Bearer "))
     return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
 
 
@@ -336,6 +327,14 @@ def _who(connection: ServerConnection) -> Caller:
     """Return the address of a client."""
     address = connection.remote_address
     return Caller(f"web@{address[0]}" if address else "web")
+
+
+def _from_json(message: str) -> bytes:
+    """Return a message as msgpack; what is not JSON becomes what is not msgpack either."""
+    try:
+        return msgspec.msgpack.encode(msgspec.json.decode(message))
+    except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):
+        return _NO_MESSAGE
 
 
 def _as_json(payload: bytes) -> str:
