@@ -102,30 +102,48 @@ class PalmKinematics:
         return np.array(rows).reshape(*np.shape(q)[:-1], len(places), 3)
 
     def axes(
-        self, q: np.ndarray, joints: Sequence[int]
+        self, q: np.ndarray, joints: Sequence[int], near: Place | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return axes of joints (zero of prismatic ones) and points on them [m], (k, 3) each."""
+        """Return axes of k joints and a point on each.
+
+        Args:
+            q: Joint angles [rad or m], shape (n,).
+            joints: Joints of the model.
+            near: The points are those nearest to this one; the joints' origins if omitted.
+
+        Returns:
+            Unit vectors, zero of prismatic joints, and points [m]; shape (k, 3) each.
+        """
         model, palm = self.hand.model, self._place(q)
-        turns = self._data.J[3:, [model.joints[j].idx_v for j in joints]].T
-        points = [palm.actInv(self._data.oMi[j].translation) for j in joints]
-        return turns @ palm.rotation, np.array(points)
+        turns = self._data.J[3:, [model.idx_vs[j] for j in joints]].T
+        turns = turns @ palm.rotation
+        points = np.array([palm.actInv(self._data.oMi[j].translation) for j in joints])
+        if near is not None:
+            levers = palm.actInv(self._data.oMi[near[0]].act(near[1])) - points
+            points = points + (levers * turns).sum(axis=1, keepdims=True) * turns
+        return turns, points
+
+    def on_axis(self, q: np.ndarray, joint: int, near: Place) -> Place:
+        """Return the point of a turning joint's axis that is nearest to another point."""
+        self._place(q)
+        axis = self._data.J[3:, self.hand.model.idx_vs[joint]]
+        placed = self._data.oMi[joint]
+        lever = self._data.oMi[near[0]].act(near[1]) - placed.translation
+        return joint, placed.rotation.T @ ((lever @ axis) * axis)
 
     def motion(self, q: np.ndarray, place: Place) -> np.ndarray:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
-        hand, palm = self.hand, self._place(q)
-        supports = hand.model.supports
-        mine = set(supports[place[0]]) - set(
-            supports[hand.model.frames[hand.palm_frame_id].parentJoint]
+        model, palm = self.hand.model, self._place(q)
+        carrier = model.frames[self.hand.palm_frame_id].parentJoint
+        # Columns of joints that move both are the same, and cancel.
+        moves, carried = (
+            pin.getJointJacobian(model, self._data, joint, pin.WORLD)
+            for joint in (place[0], carrier)
         )
-        rows = [hand.model.joints[j].idx_v for j in mine]
+        linear, turns = np.split((moves - carried) @ joint_motion(self.hand), 2)
         point = self._data.oMi[place[0]].act(place[1])
-        linear, turns = self._data.J[:3, rows], self._data.J[3:, rows]
         linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
-        blocks = [
-            palm.rotation.T @ part @ joint_motion(hand)[rows]
-            for part in (linear, turns)
-        ]
-        return np.vstack(blocks)
+        return np.vstack([palm.rotation.T @ linear, palm.rotation.T @ turns])
 
     def _place(self, q: np.ndarray) -> pin.SE3:
         self.hand.write_configuration(self._vector, q)
@@ -147,13 +165,6 @@ def joint_motion(hand: Jointed) -> np.ndarray:
 def zero_posture(hand: Jointed) -> np.ndarray:
     """Return zero, or the limit next to it, of every joint [rad or m], shape (n,)."""
     return np.clip(0.0, hand.lower_limits, hand.upper_limits)
-
-
-def columns_of(hand: Jointed, joints: Sequence[int]) -> np.ndarray:
-    """Return the columns of q that move joints of the model, in the order of their last ones."""
-    moves = joint_motion(hand)[[hand.model.joints[j].idx_v for j in joints]] != 0.0
-    columns = np.flatnonzero(moves.any(axis=0))
-    return columns[np.argsort(-moves[::-1, columns].argmax(axis=0), kind="stable")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,21 +223,25 @@ class Finger:
     @property
     def is_jaw(self) -> bool:
         """Whether all joints are prismatic, so that the finger can neither bend nor stretch."""
-        return bool(self.joints) and not self._axes(self.joints)[0].any()
+        return bool(self.joints) and not self._turns(self.joints).any()
 
     @cached_property
     def columns(self) -> np.ndarray:
         """Columns of q that move the finger, from the palm outwards, shape (c,)."""
-        return columns_of(self.hand, self.joints)
+        rows = [self.hand.model.idx_vs[joint] for joint in self.joints]
+        moves = joint_motion(self.hand)[rows] != 0.0
+        columns = np.flatnonzero(moves.any(axis=0))
+        # In the order of the last joints that they move.
+        last = moves[::-1, columns].argmax(axis=0)
+        return columns[np.argsort(-last, kind="stable")]
 
     @cached_property
     def bending(self) -> list[int]:
         """Its own joints with axes parallel to the last one's; all if there is none."""
-        turns = self._axes(self._own)[0]
+        turns = self._turns(self._own)
         parallel = np.abs(turns @ turns[-1]) > PARALLEL
-        return [j for j, is_one in zip(self._own, parallel, strict=True) if is_one] or [
-            *self._own
-        ]
+        found = [j for j, is_one in zip(self._own, parallel, strict=True) if is_one]
+        return found or [*self._own]
 
     @cached_property
     def knuckle(self) -> Place:
@@ -238,7 +253,8 @@ class Finger:
             return self._knuckle or self.tip
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
-        return self._on_axis(self.bending[0], zero_posture(self.hand))
+        view, zero = PalmKinematics(self.hand), zero_posture(self.hand)
+        return view.on_axis(zero, self.bending[0], self.tip)
 
     @cached_property
     def middle(self) -> Place:
@@ -259,9 +275,8 @@ class Finger:
         if self.flexion is not None:
             q[self.flexion.columns] = self.flexion.straight
         tip, is_thumb = view.points(q, [self.tip])[0], self.name == THUMB
-        turns, points = view.axes(q, self.bending)
-        points = points + ((tip - points) * turns).sum(axis=1, keepdims=True) * turns
         joints = self.bending
+        turns, points = view.axes(q, joints, self.tip)
         if is_thumb and len(joints) < 2 and self._own[0] != joints[0]:
             # A thumb's joint at its root counts as its knuckle, whatever its axis.
             joints = [self._own[0], *joints]
@@ -272,7 +287,7 @@ class Finger:
         if not near or not turns.any():
             return None
         best = near[-1] if is_thumb else min(near, key=lambda k: abs(shares[k] - _PIP))
-        return self._on_axis(joints[best + 1], q)
+        return view.on_axis(q, joints[best + 1], self.tip)
 
     @property
     def reach(self) -> float:
@@ -287,15 +302,11 @@ class Finger:
     @cached_property
     def _farthest(self) -> tuple[float, np.ndarray]:
         """Find reach and its posture: random search, refined."""
-        hand, data, moving = (
-            self.hand,
-            self.hand.model.createData(),
-            np.sort(self.columns),
-        )
-        best_q, (tip, knuckle) = zero_posture(hand), (self.tip, self.knuckle)
-        vector = hand.configuration_vector(best_q)
+        hand, tip, knuckle = self.hand, self.tip, self.knuckle
+        best_q, moving = zero_posture(hand), np.sort(self.columns)
         if not self.joints:
             return float("nan"), best_q
+        data, vector = hand.model.createData(), hand.configuration_vector(best_q)
 
         def distance(q: np.ndarray) -> float:
             hand.write_configuration(vector, q)
@@ -304,56 +315,49 @@ class Finger:
                 data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1])
             )
 
+        def improves(columns: np.ndarray, positions: np.ndarray | float) -> bool:
+            nonlocal best, best_q
+            q = best_q.copy()
+            q[columns] = positions
+            is_farther = (found := distance(q)) > best + 1e-9
+            if is_farther:
+                best, best_q = found, q
+            return is_farther
+
         best = distance(best_q)
         low, high = hand.lower_limits[moving], hand.upper_limits[moving]
-        random = np.random.default_rng(0)
-        for _ in range(_REACH_SAMPLES if len(moving) else 0):
-            q = best_q.copy()
-            q[moving] = random.uniform(low, high)
-            if (d := distance(q)) > best + 1e-9:
-                best, best_q = d, q
+        shape = (_REACH_SAMPLES, len(moving))
+        for positions in np.random.default_rng(0).uniform(low, high, shape):
+            improves(moving, positions)
         step = 0.25 * (high - low)
         while (step > 1e-3).any():
-            improved = False
-            for i, column in enumerate(moving):
-                for sign in (-1.0, 1.0):
-                    q = best_q.copy()
-                    q[column] = min(max(q[column] + sign * step[i], low[i]), high[i])
-                    if (d := distance(q)) > best + 1e-9:
-                        best, best_q, improved = d, q, True
-            if not improved:
+            improved = [
+                improves(j, min(max(best_q[j] + change, first), last))
+                for j, size, first, last in zip(moving, step, low, high, strict=True)
+                for change in (-size, size)
+            ]
+            if not any(improved):
                 step = 0.5 * step
         return best, best_q
 
     @cached_property
     def flexion(self) -> Flexion | None:
         """How it curls; None if no joint turns the tip."""
-        hand, view, zero = self.hand, PalmKinematics(self.hand), zero_posture(self.hand)
-        lower, upper = hand.lower_limits, hand.upper_limits
+        view, zero = PalmKinematics(self.hand), zero_posture(self.hand)
         columns = self._flexing_columns(view.motion(zero, self.tip)[3:])
         if not len(columns):
             return None
         _, base, signs, gears = self._axis(view, columns, zero)
 
         def lengths(postures: np.ndarray) -> np.ndarray:
-            return np.linalg.norm(
-                view.points(postures, [self.tip])[..., 0, :] - base, axis=-1
-            )
+            tips = view.points(postures, [self.tip])[..., 0, :]
+            return np.linalg.norm(tips - base, axis=-1)
 
         q = self._straightened(columns, zero, lengths)
-        shares, travels = np.zeros(2), np.zeros(2)
-        for k, sense in enumerate((1.0, -1.0)):
-            way = (
-                np.where(sense * signs > 0.0, upper[columns], lower[columns])
-                - q[columns]
-            )
-            postures = np.tile(q, (_SWEEP, 1))
-            postures[:, columns] += np.linspace(0.0, 1.0, _SWEEP)[:, None] * way
-            bent = lengths(postures)
-            shares[k], travels[k] = (
-                1.0 - bent.min() / max(bent[0], 1e-9),
-                np.abs(gears * way).sum(),
-            )
+        ways = ends_of(self.hand, q, columns, signs)[::-1] - q
+        bent = lengths(q + np.linspace(0.0, 1.0, _SWEEP)[:, None, None] * ways)
+        shares = 1.0 - bent.min(axis=0) / bent[0].clip(1e-9)
+        travels = np.abs(gears * ways[:, columns]).sum(axis=1)
         sense, certainty = _sense(shares, travels)
         straight = self._with_knuckle(columns, q[columns], sense * signs)
         q[columns] = straight
@@ -381,32 +385,16 @@ class Finger:
         assert self.flexion is not None
         return self._axis(PalmKinematics(self.hand), self.flexion.columns, q)[:3]
 
-    def _axes(self, joints: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        return PalmKinematics(self.hand).axes(zero_posture(self.hand), joints)
-
-    def _on_axis(self, joint: int, q: np.ndarray) -> Place:
-        """Return the point of a turning joint's axis nearest to the tip in a posture."""
-        hand, data = self.hand, self.hand.model.createData()
-        column = hand.model.joints[joint].idx_v
-        pin.computeJointJacobians(hand.model, data, hand.configuration_vector(q))
-        axis, placed = data.J[3:, column], data.oMi[joint]
-        lever = data.oMi[self.tip[0]].act(self.tip[1]) - placed.translation
-        return joint, placed.rotation.T @ ((lever @ axis) * axis)
+    def _turns(self, joints: Sequence[int]) -> np.ndarray:
+        """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
+        return PalmKinematics(self.hand).axes(zero_posture(self.hand), joints)[0]
 
     def _flexing_columns(self, turns: np.ndarray) -> np.ndarray:
         """Return the columns that turn the tip about the axis of the last one that does."""
         sizes = np.linalg.norm(turns, axis=0)
-        turning = [j for j in self.columns if sizes[j] > _LEAST_TURN]
-        last = turning[-1:]
-        return np.array(
-            [
-                j
-                for j in turning
-                if abs(turns[:, j] @ turns[:, last[0]])
-                > PARALLEL * sizes[j] * sizes[last[0]]
-            ],
-            dtype=int,
-        )
+        turning = self.columns[sizes[self.columns] > _LEAST_TURN]
+        units = turns[:, turning] / sizes[turning]
+        return turning[(np.abs(units[:, -1:].T @ units) > PARALLEL).any(axis=0)]
 
     def _axis(
         self, view: PalmKinematics, columns: np.ndarray, q: np.ndarray
@@ -417,15 +405,9 @@ class Finger:
         axis = turns[:, -1] / np.linalg.norm(turns[:, -1])
         along = axis @ turns
         model, motion = self.hand.model, joint_motion(self.hand)
-        moved = [
-            j for j in self.joints if motion[model.joints[j].idx_v, columns[0]] != 0.0
-        ]
-        all_axes, points = view.axes(q, moved)
-        first = int(np.argmax(all_axes.any(axis=1)))
-        tip = view.points(q, [self.tip])[0]
-        base = (
-            points[first] + ((tip - points[first]) @ all_axes[first]) * all_axes[first]
-        )
+        moved = [j for j in self.joints if motion[model.idx_vs[j], columns[0]] != 0.0]
+        axes, points = view.axes(q, moved, self.tip)
+        base = points[int(np.argmax(axes.any(axis=1)))]
         return axis, base, np.sign(along), np.abs(along)
 
     def _straightened(
@@ -507,40 +489,6 @@ def ends_of(
     limits = np.array([hand.lower_limits[columns], hand.upper_limits[columns]])
     ends[:, columns] = np.where(np.asarray(signs) > 0.0, limits, limits[::-1])
     return ends
-
-
-def open_and_closing(
-    hand: Hand, fingers: Sequence[Finger]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Find how a described hand closes.
-
-    Fingers that curl start straight. Jaws start open, and close towards the other fingertips. Other
-    joints keep their rest positions.
-
-    Args:
-        hand: The hand.
-        fingers: Its fingers.
-
-    Returns:
-        The open posture [rad or m], and the sense in which each joint closes, 0 if it does not;
-        shape (n,) each.
-    """
-    view, q, senses = PalmKinematics(hand), hand.rest.copy(), np.zeros(len(hand.rest))
-    tips = [finger.tip for finger in fingers]
-    for i, finger in enumerate(fingers):
-        if finger.flexion is not None:
-            columns = finger.flexion.columns
-            senses[columns], q[columns] = (
-                finger.closing[columns],
-                finger.flexion.straight,
-            )
-        else:
-            for column in finger.columns:
-                ends = ends_of(hand, hand.rest, [column])
-                senses[column] = np.sign(round(nearing(view, ends, tips, i), 4))
-                if senses[column] != 0.0:
-                    q[column] = ends[int(senses[column] < 0.0), column]
-    return q, senses
 
 
 def find_fingers(hand: Hand) -> dict[str, Finger]:

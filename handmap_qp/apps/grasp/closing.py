@@ -21,7 +21,13 @@ from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, read_cube_figures
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger, PalmKinematics, open_and_closing, place_of
+from handmap_qp.hands.fingers import (
+    Finger,
+    PalmKinematics,
+    ends_of,
+    nearing,
+    place_of,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import PoseLike, check_pose, inverse_pose, transform_points
 
@@ -75,7 +81,41 @@ def default_preshape(hand: Hand) -> Preshape:
             [float(joint in figures["joints"]) for joint in hand.joint_names]
         )
         return Preshape(start, direction, figures["clearance"])
-    return Preshape(*open_and_closing(hand, _fingers(hand)), _CLEARANCE)
+    return Preshape(*_open_and_closing(hand, _fingers(hand)), _CLEARANCE)
+
+
+def _open_and_closing(
+    hand: Hand, fingers: list[Finger]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Find how a described hand closes.
+
+    Fingers that curl start straight. Jaws start open, and close towards the other fingertips. Other
+    joints keep their rest positions.
+
+    Args:
+        hand: The hand.
+        fingers: Its fingers.
+
+    Returns:
+        The open posture [rad or m], and the sense in which each joint closes, 0 if it does not;
+        shape (n,) each.
+    """
+    view, q, senses = PalmKinematics(hand), hand.rest.copy(), np.zeros(len(hand.rest))
+    tips = [finger.tip for finger in fingers]
+    for i, finger in enumerate(fingers):
+        if finger.flexion is not None:
+            columns = finger.flexion.columns
+            senses[columns], q[columns] = (
+                finger.closing[columns],
+                finger.flexion.straight,
+            )
+        else:
+            for column in finger.columns:
+                ends = ends_of(hand, hand.rest, [column])
+                senses[column] = np.sign(round(nearing(view, ends, tips, i), 4))
+                if senses[column] != 0.0:
+                    q[column] = ends[int(senses[column] < 0.0), column]
+    return q, senses
 
 
 def palm_centre(hand: Hand, preshape: Preshape | None = None) -> np.ndarray:
