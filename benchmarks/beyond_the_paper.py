@@ -31,11 +31,11 @@ from xml.etree import ElementTree as ET
 import common
 import msgspec
 import numpy as np
+from grasp_closing import default_preshape
+from grasp_planning import PlannedGrasp, contact_counts, plan_grasps
 
 from handmap_qp.apps.experiments.paper import (
     GAMMAS,
-    PLANS,
-    SEED,
     SYNERGIES,
     Row,
     write_csv,
@@ -49,9 +49,7 @@ from handmap_qp.apps.experiments.section_four import (
     paper_scene,
     run_experiment,
 )
-from handmap_qp.apps.grasp.closing import default_preshape
 from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.apps.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
 from handmap_qp.errors import DegeneratePointsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
@@ -72,6 +70,8 @@ HUMAN_SETS = ("contacts", "fingertips", "fingertips_middle", "joints")
 ROBOT_SETS = ("contacts", "fingertips", "fingertips_middle")
 WAYS: tuple[FingerMode, ...] = ("pseudoinverse", "clipped", "damped", "qp")
 MEASURES = ("object_error_mm", "point_rms_mm", "limit_excess_deg", "largest_stretch")
+PLANS, SEED = 240, 1
+"""Number of grasps planned for each hand, and their seed."""
 _OPPOSITION = {"allegro_right": "joint_12.0"}
 """Joint of the thumb's opposition, by hand; closing does not move it."""
 

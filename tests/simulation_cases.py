@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from functools import cache
 
+from grasp_planning import plan_grasps
+
 from handmap_qp import load_hand
 from handmap_qp.apps.grasp.contacts import Grasp
 from handmap_qp.apps.grasp.objects import Box
-from handmap_qp.apps.grasp.planning import plan_grasps
 
 CUBE = Box((0.05, 0.05, 0.05))
 

@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from handmap_qp.apps.grasp.closing import (
+from grasp_closing import (
     HandCloser,
     Preshape,
     default_preshape,
     palm_centre,
 )
+from grasp_measures import cone_wrenches, ferrari_canny, grasp_quality
+from grasp_planning import plan_grasps
+
 from handmap_qp.apps.grasp.contacts import Contact, Grasp
-from handmap_qp.apps.grasp.measures import cone_wrenches, ferrari_canny, grasp_quality
 from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.apps.grasp.paper_cube import reference_grasp
-from handmap_qp.apps.grasp.planning import plan_grasps
 from handmap_qp.apps.grasp.statics import grasp_matrix, quasistatic
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand

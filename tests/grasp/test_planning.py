@@ -10,28 +10,28 @@ import numpy as np
 import pytest
 import scipy.optimize
 from grasp_cases import coupled_hand
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from strategies import generators, motion_of, poses, rotations
-
-from handmap_qp.apps.grasp.closing import (
+from grasp_closing import (
     MARGIN,
     HandCloser,
     Preshape,
     default_preshape,
     palm_centre,
 )
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.measures import (
+from grasp_measures import (
     QUALITIES,
     SMALLER_IS_BETTER,
     cone_wrenches,
     ferrari_canny,
     grasp_quality,
 )
+from grasp_planning import PlannedGrasp, contact_counts, plan_grasps
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from strategies import generators, motion_of, poses, rotations
+
+from handmap_qp.apps.grasp.contacts import Grasp
 from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.apps.grasp.paper_cube import reference_grasp
-from handmap_qp.apps.grasp.planning import PlannedGrasp, contact_counts, plan_grasps
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand

@@ -7,8 +7,8 @@ import json
 
 import numpy as np
 import pytest
+from grasp_measures import grasp_quality
 
-from handmap_qp.apps.grasp.measures import grasp_quality
 from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
 from handmap_qp.apps.grasp.statics import grasp_matrix
 from handmap_qp.errors import InvalidInputError

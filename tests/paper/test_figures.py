@@ -51,7 +51,6 @@ def quick() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "GAMMAS", (0.1, 0.5, 1.0))
         patch.setattr(paper, "STEPS", (5, 20, 50, 200))
-        patch.setattr(paper, "PLANS", 12)
         patch.setattr(paper_drawings, "draw_hands", draw_coarsely)
         yield
 
@@ -127,10 +126,8 @@ def test_the_report_has_every_figure_with_a_paragraph(folder: Path) -> None:
 
 
 def test_the_claims_hold(result: FiguresResult) -> None:
-    # The paper plans 240 grasps, this test 12.
     verdicts = [row["holds"] for row in result.claims]
-    assert verdicts[1] == "assumed"
-    assert verdicts[2:] == ["yes"] * 7
+    assert verdicts == ["assumed", "assumed", *["yes"] * 7]
 
 
 def test_the_table_of_numbers_is_the_experiments(result: FiguresResult) -> None:
@@ -153,21 +150,20 @@ def test_the_table_of_numbers_is_the_experiments(result: FiguresResult) -> None:
 def test_progress_goes_to_the_end(
     result: FiguresResult, said: list[tuple[str, int, int]]
 ) -> None:
-    total = 2 + len(NAMES)
+    total = len(NAMES)
     assert [done for _, done, _ in said] == list(range(total + 1))
     assert {of for *_, of in said} == {total}
 
 
 @pytest.fixture
 def light(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Skip planning and make empty pictures, for tests of files."""
+    """Make empty pictures, for tests of files."""
     from matplotlib.figure import Figure
 
     def made(name: str) -> FigureRecord:
         return FigureRecord(name, name, Figure(), [{"x": 1.0}], "Text.", {})
 
     monkeypatch.setattr(paper, "FIGURES", {name: partial(made, name) for name in NAMES})
-    monkeypatch.setattr(paper, "most_contacts", lambda _: 7)
     for table in ("claim_rows", "number_rows"):
         monkeypatch.setattr(
             paper,

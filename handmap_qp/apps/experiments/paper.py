@@ -34,9 +34,6 @@ from handmap_qp.apps.experiments.section_four import (
     run_experiment,
 )
 from handmap_qp.apps.experiments.style import STYLE
-from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.apps.grasp.planning import contact_counts, plan_grasps
-from handmap_qp.hands.library import load_hand
 from handmap_qp.mapping.estimation import estimate_motion
 
 if TYPE_CHECKING:
@@ -49,8 +46,6 @@ STEPS = (2, 3, 5, 10, 20, 50, 100, 200)
 SYNERGIES = (1, 2, 3)
 MODELS: dict[str, Stiffnesses | None] = {"rigid": None, "quasi-static": UNIT}
 """Models of the object's motion in the hand, with the stiffnesses of the quasi-static one."""
-PLANS, SEED = 240, 1
-"""Number of grasps planned for each hand, and their seed."""
 _GAMMA_STEPS = 20
 # Largest angle that counts as the paper's "quite comparable" directions [deg].
 _COMPARABLE = 45.0
@@ -124,17 +119,14 @@ def run_figures(
     """
     require_matplotlib()
     directory = Path(directory)
-    made, most = [], {}
-    total = len(REFERENCE_HANDS) + len(FIGURES)
+    made: list[FigureRecord] = []
+    total = len(FIGURES)
     with output_folder(directory) as folder:
-        for hand in REFERENCE_HANDS:
-            progress(f"planning grasps of {hand}", len(most), total)
-            most[hand] = most_contacts(hand)
-        for i, (name, make) in enumerate(FIGURES.items(), len(most)):
+        for i, (name, make) in enumerate(FIGURES.items()):
             progress(name, i, total)
             made.append(make())
             made[-1].save(folder)
-        claims, numbers = claim_rows(made, most), number_rows(made)
+        claims, numbers = claim_rows(made), number_rows(made)
         write_csv(folder / "claims.csv", claims)
         write_csv(folder / "final_errors.csv", numbers)
         (folder / "report.md").write_text(
@@ -143,22 +135,6 @@ def run_figures(
         files = sorted(path.name for path in folder.iterdir())
     progress("done", total, total)
     return FiguresResult(claims, numbers, tuple(directory / name for name in files))
-
-
-def most_contacts(hand: str) -> int:
-    """Return the most frequent number of contacts in planned grasps of the reference cube."""
-    grasp = reference_grasp(hand).grasp
-    if grasp.shape is None:
-        raise TypeError("the reference grasp has no shape")
-    planned = plan_grasps(
-        load_hand(hand),
-        grasp.shape,
-        samples=PLANS,
-        seed=SEED,
-        object_pose=grasp.object_pose,
-    )
-    counts = contact_counts(planned)
-    return max(counts, key=lambda number: counts[number])
 
 
 def figure_4_grasps() -> FigureRecord:
@@ -399,12 +375,11 @@ FIGURES: dict[str, Callable[[], FigureRecord]] = {
 """The paper's figures by the stems of their files."""
 
 
-def claim_rows(made: Sequence[FigureRecord], most: dict[str, int]) -> list[Row]:
+def claim_rows(made: Sequence[FigureRecord]) -> list[Row]:
     """Compare the paper's claims with our findings.
 
     Args:
         made: All of the paper's figures.
-        most: Most frequent number of contacts in planned grasps, by hand.
 
     Returns:
         One row per claim.
@@ -415,10 +390,9 @@ def claim_rows(made: Sequence[FigureRecord], most: dict[str, int]) -> list[Row]:
     claims: list[tuple[str, str, bool | None]] = [
         (
             "the grasp planner gives seven contacts on the human hand and three on the robot's",
-            f"our planner, with fingers of finite thickness, most often gives {most['human']} and "
-            f"{most['three_finger']} on the same cube; the toolbox's reference pair has {human} "
-            f"and {robot}",
-            most == {"human": 7, "three_finger": 3},
+            f"the figures take the toolbox's reference pair, with {human} and {robot}; "
+            "`benchmarks/beyond_the_paper.py` plans grasps",
+            None,
         ),
         (
             "the reference points move by a linear transformation (eq. 5)",

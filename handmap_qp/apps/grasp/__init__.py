@@ -1,4 +1,4 @@
-"""Grasps: contacts, statics, quality measures, closing and planning (Sec. IV of the paper)."""
+"""Grasps: contacts, objects and statics (Sec. IV of the paper)."""
 
 from handmap_qp.apps.grasp.contacts import Contact, Grasp
 from handmap_qp.apps.grasp.statics import QuasiStatic, grasp_matrix, quasistatic

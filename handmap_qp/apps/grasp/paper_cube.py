@@ -3,7 +3,7 @@
 The numbers come from the toolbox that the paper used (SynGrasp). They lie beside each hand's URDF,
 in `grasp_cube50.json`. The toolbox models fingers as lines, so its contacts lie on the bones' axes:
 with our collision shapes, human links penetrate the cube by up to 8 mm and robot links by up to
-11 mm. Grasps of `handmap_qp.apps.grasp.planning` do not penetrate.
+11 mm. Grasps of `benchmarks/grasp_planning.py` do not penetrate.
 """
 
 from __future__ import annotations

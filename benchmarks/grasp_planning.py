@@ -7,23 +7,23 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
-from handmap_qp.apps.grasp.checks import one_of, positive_number, whole_number
-from handmap_qp.apps.grasp.closing import (
+from grasp_closing import (
     MARGIN,
     STEP,
     HandCloser,
     Preshape,
     palm_centre,
 )
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.measures import (
+from grasp_measures import (
     FRICTION,
     QUALITIES,
     SMALLER_IS_BETTER,
     grasp_quality,
 )
+from scipy.spatial.transform import Rotation
+
+from handmap_qp.apps.grasp.checks import one_of, positive_number, whole_number
+from handmap_qp.apps.grasp.contacts import Grasp
 from handmap_qp.apps.grasp.objects import Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
