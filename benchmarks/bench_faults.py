@@ -178,7 +178,7 @@ class Stage:
         self.period = float(np.median(np.diff(recording.time)))
         self._human = scaled_human(recording, lengths=person.lengths)
         self._robot = robot
-        self._choice = preset_choice("teleoperation", person.contact_gap)
+        self._choice = preset_choice("teleoperation", self._human)
 
     def mapper(self) -> HandMapper:
         """Return a fresh mapper."""

@@ -50,7 +50,8 @@ def make_mapper(inputs: Any, robot: Any, preset: str) -> Any:
         return HandMapper(human, robot, MappingOptions())
     from handmap_qp.mapping.presets import preset_choice
 
-    choice = preset_choice(preset, float(inputs["contact_gap"]))
+    human = human.with_contact_gap(float(inputs["contact_gap"]))
+    choice = preset_choice(preset, human)
     if variant == "free":
         choice = choice.with_changes({"avoids_contact": False})
     return HandMapper(human, robot, choice.method, ik=choice.ik)

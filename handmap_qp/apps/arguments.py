@@ -303,15 +303,12 @@ class MappingArguments:
         """How samples are smoothed."""
         return Smoothing() if self.smooth else None
 
-    def preset_for(
-        self, human: Hand, robot: Hand, contact_gap: float | None = None
-    ) -> Choice:
+    def preset_for(self, human: Hand, robot: Hand) -> Choice:
         """Return the chosen preset, method and QP weights for two hands.
 
         Args:
             human: The hand that leads.
             robot: The hand that follows.
-            contact_gap: The measured contact gap [m], used unless one is given.
 
         Raises:
             InvalidOptionsError: If an option is given that the preset does not have.
@@ -320,7 +317,7 @@ class MappingArguments:
         own = _given(self.method)
         calm = SMOOTH_IK if self.smooth else {}
         name = saved.pop("preset", None) if self.preset is None else self.preset
-        chosen = preset_choice(name or preset_with(own, human, robot), contact_gap)
+        chosen = preset_choice(name or preset_with(own, human, robot), human)
         return chosen.with_changes(saved | own | calm | _given(self.ik))
 
     def load_robot(self, name: str) -> Hand:

@@ -20,6 +20,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.human import CONTACT_GAP
 from handmap_qp.hands.mimic import (
     Expansion,
     MimicRule,
@@ -94,6 +95,7 @@ class Hand:
         wrist_frame_id: Index of the wrist frame in the model.
         first_point_frame: Index of the first reference point's frame in the model.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
+        contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
 
     Raises:
         HandError: If spec and URDF do not fit together, naming file, key and value.
@@ -111,7 +113,7 @@ class Hand:
     ) -> None:
         _check_type("spec", spec, HandSpec, "a HandSpec")
         _check_type("urdf_text", urdf_text, str | None, "the text of a URDF")
-        self.spec = spec
+        self.spec, self.contact_gap = spec, CONTACT_GAP
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
@@ -203,6 +205,12 @@ class Hand:
         # All but the model is read-only, so both hands share it.
         hand = copy(self)
         hand._take_points(chosen)
+        return hand
+
+    def with_contact_gap(self, gap: float) -> Hand:
+        """Return the same human hand with another contact gap [m]."""
+        hand = copy(self)
+        hand.contact_gap = gap
         return hand
 
     def with_joints(

@@ -67,11 +67,13 @@ _BREADTH_OVER_LENGTH = 0.512
 
 LARGEST_ROLL = math.radians(45.0)
 """Largest roll of a finger [rad]."""
+CONTACT_GAP = 0.013
+"""Contact gap of a person of whom none was measured [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HumanLengths:
-    """The lengths of a person's hand and the rolls of its fingers, as a right hand.
+    """What is measured of a person's hand: lengths, rolls and contact gap, as a right hand.
 
     A left hand's are given mirrored in the palm's plane x = 0.
 
@@ -86,6 +88,8 @@ class HumanLengths:
             proximal, middle, distal [m], shape (5, 3).
         rolls: Turn of all joint axes of each finger about the palm's y axis, from their directions
             in the paper's hand [rad], shape (5,), within 45 degrees of 0.
+        contact_gap: Distance of the tracker's thumb and finger landmarks where the skin touches
+            [m].
 
     Raises:
         InvalidInputError: On a wrong shape, a number that is not finite, a bone that is not longer
@@ -96,6 +100,7 @@ class HumanLengths:
     bases: np.ndarray
     segments: np.ndarray
     rolls: np.ndarray = field(default_factory=partial(np.zeros, 5))
+    contact_gap: float = CONTACT_GAP
 
     def __post_init__(self) -> None:
         for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
@@ -133,10 +138,9 @@ class HumanLengths:
                     argument=name, expected=expected, value=value, got=got
                 )
 
-    def __reduce__(
-        self,
-    ) -> tuple[type[Self], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        return type(self), (self.bases, self.segments, self.rolls)
+    def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray | float, ...]]:
+        values = (self.bases, self.segments, self.rolls, self.contact_gap)
+        return type(self), values
 
     @property
     def hand_length(self) -> float:

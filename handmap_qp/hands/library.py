@@ -118,7 +118,8 @@ def load_hand(
         raise InvalidInputError(argument="lengths", expected=expected, value=lengths)
     moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
     compose = partial(_person_urdf, standard.spec, lengths)
-    return standard.with_joints(moves, compose).with_points(points)
+    scaled = standard.with_joints(moves, compose).with_points(points)
+    return scaled.with_contact_gap(lengths.contact_gap)
 
 
 def _spec_of(hand: str | Path | HandSpec) -> HandSpec:

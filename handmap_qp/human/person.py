@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +29,7 @@ class Person:
 
     Attributes:
         name: Name of the person or of the recording.
-        lengths: Lengths and rolls of the hand, as a right hand.
+        lengths: Lengths and rolls of the hand, as a right hand, with the contact gap.
         contact_gap: Distance between thumb and finger landmarks where the skin touches [m], from 0
             to 0.04. It depends on the tracker too.
 
@@ -57,6 +57,8 @@ class Person:
                 expected=f"a distance in [0, {LARGEST_GAP}] m",
                 value=self.contact_gap,
             )
+        lengths = replace(self.lengths, contact_gap=self.contact_gap)
+        object.__setattr__(self, "lengths", lengths)
 
     @property
     def hand_length(self) -> float:

@@ -5,7 +5,7 @@ All of it is measured on the two models, once for each pair of hands.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from functools import cached_property, lru_cache
 
@@ -69,6 +69,13 @@ _PINCHING = _OPENING.replaced(
 _PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
 
 
+def missing_landmarks(human: Hand, fingers: Iterable[str]) -> list[str]:
+    """Return which landmarks of fingers are no reference points of a human hand."""
+    given = {point.name for point in human.reference_points}
+    needed = [table[f] for f in fingers for table in (TIPS, MIDDLES, KNUCKLES)]
+    return [name for name in needed if name not in given]
+
+
 class HandPair:
     """A human and a robot hand, their common fingers, and the robot posture that matches rest.
 
@@ -114,7 +121,7 @@ class HandPair:
         self.chains, self.pads = self._measured.chains, self._measured.pads
         self.contacts: ShapePairs = self._measured.contacts
         self.fingers, self.has_jaws = self._measured.names, self._measured.has_jaws
-        self._check(names)
+        self._check()
         self.robot = copy(self._measured.with_points)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
@@ -161,15 +168,14 @@ class HandPair:
         spans = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
         self.robot_extension = frozen(spans / self.robot_reach)
 
-    def _check(self, names: dict[str, int]) -> None:
+    def _check(self) -> None:
         if not self.fingers:
             raise InvalidOptionsError(
                 option="method",
                 problem="teleoperation needs fingers, and no point of the robot names one",
                 advice="add `finger` to the points of its hand.yaml, or take the preset object",
             )
-        needed = [table[f] for f in self.fingers for table in (TIPS, MIDDLES, KNUCKLES)]
-        if missing := [name for name in needed if name not in names]:
+        if missing := missing_landmarks(self.human, self.fingers):
             raise InvalidOptionsError(
                 option="human_points",
                 problem=f"teleoperation needs {', '.join(missing)} among the human's points",

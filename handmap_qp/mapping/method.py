@@ -14,9 +14,9 @@ its entry points of the group `handmap_qp.presets` name (`handmap_qp.mapping.pre
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, Self, runtime_checkable
 
 import msgspec
 import numpy as np
@@ -203,10 +203,14 @@ FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)
 class MethodOptions(Options, frozen=True):
     """Base of methods that presets name: its fields are its options.
 
-    Two options mean the same in every method that has them. `contact_gap` is what the tracker
-    measures between thumb and finger at skin contact [m]. `alignment` is the rotation from the
-    human's world axes to the robot's.
+    `alignment` means the same in every method that has it: the rotation from the human's world axes
+    to the robot's.
     """
+
+    def fitted_to(self, human: Hand) -> Self:
+        """Return these options with those that a measured person decides, if there are any."""
+        del human
+        return self
 
     def bind(self, human: Hand, robot: Hand) -> BoundMethod:
         """Check the method against two hands; see `Method.bind`."""
@@ -214,6 +218,11 @@ class MethodOptions(Options, frozen=True):
             option="method",
             problem=f"{type(self).__name__} has no `bind` for {robot.name}",
         )
+
+
+def _nobody(human: Hand, robot: Hand) -> bool:
+    del human, robot
+    return False
 
 
 class Preset(NamedTuple):
@@ -225,6 +234,8 @@ class Preset(NamedTuple):
         purpose: Intended use, in words.
         weakness: Known weaknesses, in words.
         rank: Place in lists of presets: those with a lower one come first.
+        suits: Whether two hands, human and robot, may take it if no preset is named. The first one
+            in the list that suits them is their default.
     """
 
     method: MethodOptions
@@ -232,3 +243,4 @@ class Preset(NamedTuple):
     purpose: str
     weakness: str
     rank: int = 2
+    suits: Callable[[Hand, Hand], bool] = _nobody

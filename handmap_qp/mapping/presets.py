@@ -31,10 +31,8 @@ from handmap_qp.errors import (
     did_you_mean,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping import methods
-from handmap_qp.mapping.hand_pair import KNUCKLES, MIDDLES, TIPS
 from handmap_qp.mapping.method import MethodOptions, Preset
 from handmap_qp.options import Option, options_of
 from handmap_qp.plugins import Plugins
@@ -110,23 +108,14 @@ def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
 
 
 def default_preset(human: Hand, robot: Hand) -> str:
-    """Choose the preset for two hands.
-
-    It is teleoperation where fingers correspond, else object, or fixed_wrist if the robot's wrist
-    cannot move.
+    """Return the preset of two hands for which none is named: the first that suits them.
 
     Args:
         human: The hand that leads.
         robot: The hand that follows.
     """
-    given = {point.name for point in human.reference_points}
-    fingers = set(FINGERS) & {point.finger for point in robot.spec.points}
-    needed = {
-        table[finger] for finger in fingers for table in (TIPS, MIDDLES, KNUCKLES)
-    }
-    if fingers and needed <= given:
-        return "teleoperation"
-    return "object" if robot.has_moving_wrist else "fixed_wrist"
+    suitable = (name for name in PRESETS if PRESETS[name].suits(human, robot))
+    return next(suitable)
 
 
 def possible_presets(human: Hand, robot: Hand) -> tuple[str, ...]:
@@ -194,21 +183,18 @@ IK_NAMES = frozenset(option.name for option in options_of(IkOptions))
 """Names of the options of the QP; no method has an option of such a name."""
 
 
-def preset_choice(name: str, contact_gap: float | None = None) -> Choice:
+def preset_choice(name: str, human: Hand | None = None) -> Choice:
     """Return a preset with its own options.
 
     Args:
         name: Name of the preset.
-        contact_gap: The measured contact gap [m], for methods that know one; the preset's if
-            omitted.
+        human: The hand that leads, for options that a measured person decides.
 
     Raises:
         InvalidOptionsError: If there is no such preset.
     """
     preset = get_preset(name)
-    method = preset.method
-    if contact_gap is not None and "contact_gap" in method.values:
-        method = method.replaced(contact_gap=contact_gap)
+    method = preset.method if human is None else preset.method.fitted_to(human)
     return Choice(name, method, preset.ik)
 
 

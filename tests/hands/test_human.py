@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -339,7 +340,7 @@ def test_left_hand_is_the_scaled_right_hand_mirrored() -> None:
 )
 def test_bad_lengths(change: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidInputError, match=message):
-        HumanLengths(**{"bases": DEFAULT.bases, "segments": DEFAULT.segments, **change})
+        replace(DEFAULT, **change)
 
 
 @pytest.mark.parametrize(

@@ -38,15 +38,12 @@ def test_possible_presets_are_those_that_the_mapper_accepts(name: str) -> None:
 
 
 def test_a_choice_takes_options_of_its_preset_only() -> None:
-    fingers = preset_choice("teleoperation", contact_gap=0.017)
+    person = load_hand("human").with_contact_gap(0.017)
+    fingers = preset_choice("teleoperation", person)
+    assert fingers.method.values["contact_gap"] == 0.017
     changed = fingers.with_changes({"pinch_weight": 2.0, "damping": 0.3})
     assert changed.preset == "teleoperation"
-    assert (
-        changed.method
-        == preset_choice("teleoperation", 0.017)
-        .with_changes({"pinch_weight": 2.0})
-        .method
-    )
+    assert changed.method == fingers.with_changes({"pinch_weight": 2.0}).method
     assert (changed.ik.damping, changed.ik.rest_weight) == (0.3, fingers.ik.rest_weight)
     for choice, name in (
         (fingers, "rigid_from"),

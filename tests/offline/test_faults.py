@@ -33,7 +33,7 @@ class Stage:
         self.period = float(np.median(np.diff(recording.time)))
         self.robot: Hand = load_hand("allegro_right")
         self._human = scaled_human(recording, lengths=person.lengths)
-        self._choice = preset_choice("teleoperation", person.contact_gap)
+        self._choice = preset_choice("teleoperation", self._human)
         self.clean = self.run(self.samples)
 
     def run(self, samples: list[HumanSample]) -> Trajectory:

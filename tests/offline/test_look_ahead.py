@@ -120,7 +120,7 @@ def test_both_ways_have_less_lag_and_keep_every_limit() -> None:
     flexion[:4] = human.rest[:4]
     landmarks = np.array([human.points(s * flexion) for s in share])
     recording = Recording("fist", time, landmarks, np.ones(count), "right")
-    choice = preset_choice("teleoperation", 0.015)
+    choice = preset_choice("teleoperation", human.with_contact_gap(0.015))
     own = load_hand("human")
     online = map_recording(
         HandMapper(own, robot, choice.method, ik=choice.ik), recording

@@ -443,15 +443,14 @@ def test_the_measured_contact_gap_is_that_of_a_preset_chosen_later(server: Any) 
     replay = Replay(
         closing_recording(),
         motion,
-        motion.human,
+        motion.human.with_contact_gap(0.018),
         load_hand("three_finger"),
         PAPER,
-        contact_gap=0.018,
     )
     viewer = ReplayViewer(server, replay)
     viewer.steering.preset.value = "teleoperation"
     viewer.tick(0.0)
-    assert replay.choice == preset_choice("teleoperation", 0.018)
+    assert replay.choice == preset_choice("teleoperation", replay.human)
     assert viewer.steering.options.handles["contact_gap"].value == 0.018
 
 
@@ -560,7 +559,7 @@ def test_joint_bars_tell_a_position_limit_from_a_speed_limit() -> None:
     q, is_limited = robot.rest.copy(), np.zeros(len(robot.rest), dtype=bool)
     q[0], q[1] = robot.upper_limits[0], robot.lower_limits[1]
     is_limited[[0, 2]] = True
-    bars = InstantGauges(replay.variants).bars(
+    bars = InstantGauges(replay.variants, None).bars(
         [replace(sample, robot_q=q, is_limited=is_limited)]
     )
     colours = re.findall(r"text-align:right;color:(#\w+)", bars)

@@ -22,7 +22,8 @@ from handmap_qp.se3 import affine, rotation_from_rpy
 
 ROBOT = load_hand("three_finger")
 GAUGES = InstantGauges(
-    [Variant("paper", ROBOT, preset_choice("paper"), [])], contact_gap=0.012
+    [Variant("paper", ROBOT, preset_choice("paper"), [])],
+    load_hand("human").with_contact_gap(0.012),
 )
 
 

@@ -197,7 +197,7 @@ def map_episode(
     human = scaled_human(
         recording, points=options.arguments.human_points, lengths=person.lengths
     )
-    choice = options.arguments.preset_for(human, robot, person.contact_gap)
+    choice = options.arguments.preset_for(human, robot)
     if options.smoother is not None:
         trajectory = map_both_ways(human, robot, choice.method, choice.ik, recording)
         return recording, trajectory, person

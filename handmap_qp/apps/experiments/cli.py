@@ -11,19 +11,6 @@ import tyro
 from handmap_qp.apps.arguments import HandName, InputArguments, PersonFile
 from handmap_qp.apps.tables import print_rows, print_table, progress
 
-DEFAULT_METHODS = (
-    "teleoperation",
-    "teleoperation+smooth",
-    "object",
-    "paper",
-    "fingertip-vectors",
-    "finger-vectors",
-    "joint-to-joint",
-    "virtual-sphere",
-    "virtual-ellipsoid",
-)
-"""Methods that `handmap compare` runs if none are named."""
-
 
 @dataclass(frozen=True)
 class Demo:
@@ -146,9 +133,13 @@ class Compare:
         ]
     ]
     robot: HandName
-    methods: Annotated[tuple[str, ...], tyro.conf.arg(metavar="METHOD...")] = (
-        DEFAULT_METHODS
-    )
+    methods: Annotated[
+        tuple[str, ...],
+        tyro.conf.arg(
+            metavar="METHOD...",
+            help_behavior_hint="(default: every preset, and the first one +smooth)",
+        ),
+    ] = ()
     peers: bool = False
     peers_from: Annotated[
         Path | None,

@@ -117,7 +117,7 @@ def markdown(comparison: Comparison) -> str:
     for take in comparison.takes:
         values = {run.method: run.values for run in comparison.runs if run.take is take}
         about = f"{len(take.recording)} samples, {_palm(take)}"
-        about += f", contact gap {1e3 * take.contact_gap:.0f} mm"
+        about += f", contact gap {1e3 * take.human.contact_gap:.0f} mm"
         about += ", mirrored" if take.is_mirrored else ""
         parts += ["", f"## {take.name}", "", f"{about}.", "", *_tables(values)]
     return "\n".join(parts).rstrip() + "\n"
@@ -187,7 +187,7 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
                 "valid": int(take.recording.valid.sum()),
                 "is_mirrored": take.is_mirrored,
                 "palm": _palm(take),
-                "contact_gap_mm": 1e3 * take.contact_gap,
+                "contact_gap_mm": 1e3 * take.human.contact_gap,
                 "pinch_samples": pinches.get(take.name, 0),
             }
             for take in comparison.takes
@@ -215,9 +215,9 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     own = [
         name + ending for name in own_methods() for ending in ("", SMOOTH, LOOK_AHEAD)
     ]
-    unknown = [
-        name for name in request.methods if name not in outside and name not in own
-    ]
+    first, *others = own_methods()
+    names = request.methods or (first, first + SMOOTH, *others)
+    unknown = [name for name in names if name not in outside and name not in own]
     if unknown:
         known = ", ".join([*own_methods(), *outside])
         raise InvalidInputError(
@@ -226,12 +226,8 @@ def _methods(request: Compare) -> list[ComparedMethod]:
             got=unknown[0],
             advice="" if request.peers else "peers need --peers",
         )
-    chosen = [outside[n] if n in outside else own_method(n) for n in request.methods]
-    return (
-        chosen
-        if outside.keys() & set(request.methods)
-        else [*chosen, *outside.values()]
-    )
+    chosen = [outside[n] if n in outside else own_method(n) for n in names]
+    return chosen if outside.keys() & set(names) else [*chosen, *outside.values()]
 
 
 def _takes(

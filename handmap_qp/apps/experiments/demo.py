@@ -131,7 +131,7 @@ def run_gestures(
     recording = read_recording(DEMO, robot.spec.side)
     person = measure_person(recording)
     human = scaled_human(recording, lengths=person.lengths)
-    choice = preset_choice(default_preset(human, robot), person.contact_gap)
+    choice = preset_choice(default_preset(human, robot), human)
     mapper = HandMapper(human, robot, choice.method, ik=choice.ik)
 
     def make(folder: Path) -> Trajectory:

@@ -173,7 +173,7 @@ class Map:
         human = scaled_human(
             recording, points=self.arguments.human_points, lengths=person.lengths
         )
-        preset = self.arguments.preset_for(human, robot, person.contact_gap)
+        preset = self.arguments.preset_for(human, robot)
         mapper = HandMapper(human, robot, preset.method, ik=preset.ik)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
             trajectory = map_recording(

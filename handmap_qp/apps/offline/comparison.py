@@ -85,7 +85,6 @@ class Take:
             before.
         wrist: Pose of the human model's wrist frame in the world, shape (T, 4, 4).
         q: The human's joint angles, fitted for the jerk alone [rad], shape (T, 20).
-        contact_gap: Distance of thumb and finger landmarks where the skin touches [m].
     """
 
     recording: Recording
@@ -95,7 +94,6 @@ class Take:
     trace: HandTrace
     wrist: np.ndarray
     q: np.ndarray
-    contact_gap: float
 
     @property
     def name(self) -> str:
@@ -246,7 +244,6 @@ def prepare_take(
         trace=trace,
         wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
         q=fit_recording(recording, lengths=lengths).q,
-        contact_gap=person.contact_gap,
     )
 
 
@@ -388,7 +385,7 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
 
 def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
     """Map the landmarks of a take, with the palm that it is measured against."""
-    _, method, ik = preset_choice(base_name(name), take.contact_gap)
+    _, method, ik = preset_choice(base_name(name), take.human)
     recording = take.recording
     if name.endswith(LOOK_AHEAD):
         options = LookAhead()

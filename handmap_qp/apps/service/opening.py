@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -41,7 +41,6 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import (
     IK_NAMES,
     Choice,
-    default_preset,
     known_options,
     preset_choice,
     preset_with,
@@ -224,7 +223,6 @@ class Hands:
         choice: Preset and options of the mapper.
         palm: Recognises landmarks of another size; None if samples are joint angles or points.
         lengths: The measured human hand; None for the model's own.
-        contact_gap: The measured contact gap [m]; None if it was not measured yet.
         pair: Both hands, matched for teleoperation; kept so that `configure` finds it at once. None
             if their fingers do not correspond.
     """
@@ -235,7 +233,6 @@ class Hands:
     choice: Choice
     palm: PalmShape | None
     lengths: HumanLengths | None
-    contact_gap: float | None
     pair: HandPair | None = None
 
     @property
@@ -248,7 +245,6 @@ def prepare_hands(
     request: Open,
     cache: HandCache,
     lengths: HumanLengths | None = None,
-    contact_gap: float | None = None,
 ) -> Hands:
     """Make the mapper of a session.
 
@@ -256,7 +252,6 @@ def prepare_hands(
         request: The client's request.
         cache: The hands that clients may open.
         lengths: The human hand as measured from landmarks; the request decides if omitted.
-        contact_gap: The contact gap as measured from landmarks [m], unless the request gives one.
 
     Returns:
         The mapper and the hands.
@@ -268,7 +263,6 @@ def prepare_hands(
         raise RefusedError(
             "invalid", "give hand_length or lengths, not both", field="lengths"
         )
-    contact_gap = contact_gap if request.contact_gap is None else request.contact_gap
     robot = cache.robot(request.robot, request.robot_points, request.mount)
     if lengths is None:
         lengths = with_field_errors("lengths", lambda: _human_lengths(request))
@@ -276,22 +270,23 @@ def prepare_hands(
     human = with_field_errors(
         "human_points", lambda: cache.human(side, points, lengths)
     )
+    if request.contact_gap is not None:
+        human = human.with_contact_gap(request.contact_gap)
     if request.input == "landmarks":
         palm = PalmShape(human)
         # Reject reference points that are no landmarks now, not at the first sample.
         with_field_errors("human_points", lambda: LandmarkReader(human))
-    choice = read_choice(request, human, robot, contact_gap)
+    choice = read_choice(request, human, robot)
     mapper = with_option_errors(
         robot, choice, lambda: HandMapper(human, robot, choice.method, ik=choice.ik)
     )
     pair = None
-    if default_preset(human, robot) == "teleoperation":
-        # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
-        with suppress(HandmapError):
-            pair = hand_pair(human, robot)
+    # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
+    with suppress(HandmapError):
+        pair = hand_pair(human, robot)
     rejoins = request.resume == "clutch"
     follower = Follower(mapper, rejoin="clutch" if rejoins else "glide")
-    return Hands(mapper, follower, robot, choice, palm, lengths, contact_gap, pair)
+    return Hands(mapper, follower, robot, choice, palm, lengths, pair)
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
@@ -307,22 +302,19 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     return HumanLengths(*map(np.array, msgspec.structs.astuple(given)))
 
 
-def read_choice(
-    request: Open, human: Hand, robot: Hand, contact_gap: float | None = None
-) -> Choice:
+def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
     """Read preset and options from a request.
 
     Args:
         request: The request, with the changes of all `configure` since.
         human: The hand that leads.
         robot: The hand that follows.
-        contact_gap: The measured contact gap [m], used unless the request gives one.
 
     Raises:
         RefusedError: With the field at fault.
     """
     name = request.preset or preset_with(request.options, human, robot)
-    start = with_field_errors("preset", lambda: preset_choice(name, contact_gap))
+    start = with_field_errors("preset", lambda: preset_choice(name, human))
     method = _changed("options", start.method, request.options)
     ik = _changed("ik", start.ik, request.ik)
     for option, is_allowed, expected in (
@@ -430,5 +422,6 @@ class Calibration:
         lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
         # Without a touch, nothing was measured: the preset's own gap is the better guess.
         smallest = smallest_gap(time, landmarks)
-        gap = clipped_gap(smallest) if smallest < TOUCH_GAP else None
-        return prepare_hands(self._request, self._cache, lengths, gap)
+        if smallest < TOUCH_GAP:
+            lengths = replace(lengths, contact_gap=clipped_gap(smallest))
+        return prepare_hands(self._request, self._cache, lengths)

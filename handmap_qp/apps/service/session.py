@@ -537,7 +537,7 @@ class Session:
         if meter is None or landmarks is None or "contact_gap" in self._wanted.options:
             return
         if meter.add(self._stamp, landmarks):
-            self._choose(replace(self._hands, contact_gap=meter.gap), self._wanted)
+            self._choose(self._hands, self._wanted)
 
     def _choose(self, hands: Hands, wanted: Open) -> None:
         """Make these the hands of the session, with the options of a request.
@@ -545,8 +545,10 @@ class Session:
         Raises:
             RefusedError: With the option at fault. Nothing has changed then.
         """
-        mapper = hands.mapper
-        choice = read_choice(wanted, mapper.human, hands.robot, hands.contact_gap)
+        mapper, human = hands.mapper, hands.mapper.human
+        if self._gap_meter is not None and hands is self._hands:
+            human = human.with_contact_gap(self._gap_meter.gap)
+        choice = read_choice(wanted, human, hands.robot)
         method = None if choice.method == hands.choice.method else choice.method
         with_option_errors(
             hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik)

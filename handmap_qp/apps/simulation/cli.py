@@ -89,7 +89,7 @@ class Simulate:
         Annotated[Path | None, _optional("RECORDING", "none")]
     ] = None
     robot: HandName = "three_finger"
-    methods: tuple[str, ...] = ("teleoperation",)
+    methods: Annotated[tuple[str, ...], _optional("METHOD...", "the first preset")] = ()
     peers: Annotated[Path | None, _optional("FOLDER", "none")] = None
     object: Annotated[str | None, _optional("OBJECT", "box:0.03")] = None
     mass: Annotated[float | None, _optional("KG", "0.05")] = None

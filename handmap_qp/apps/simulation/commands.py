@@ -14,6 +14,7 @@ from handmap_qp.apps.offline.comparison import (
     Take,
     outside_methods,
     own_method,
+    own_methods,
 )
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
@@ -64,7 +65,7 @@ class PinchWindow(NamedTuple):
 def chosen_methods(
     names: tuple[str, ...], peers: Path | None, robot: str
 ) -> list[ComparedMethod]:
-    """Return mappings by name: of this package, and of an outside program.
+    """Return mappings by name, of this package and of an outside program; one preset if none.
 
     Raises:
         InvalidInputError: If there is no such mapping.
@@ -72,6 +73,7 @@ def chosen_methods(
     outside = (
         {m.name: m for m in outside_methods(peers, robot)} if peers is not None else {}
     )
+    names = names or own_methods()[:1]
     return [outside[name] if name in outside else own_method(name) for name in names]
 
 

@@ -218,10 +218,7 @@ class View:
             else read_person(self.person)
         )
         motion = fit_recording(recording, lengths=person.lengths)
-        human, gap = (
-            motion.human.with_points(self.arguments.human_points),
-            person.contact_gap,
-        )
+        human = motion.human.with_points(self.arguments.human_points)
         names = possible_presets(human, robot)
         if self.compare is not None and self.compare not in names:
             raise InvalidInputError(
@@ -230,17 +227,9 @@ class View:
                 value=self.compare,
                 advice=did_you_mean(self.compare, names),
             )
-        choice = self.arguments.preset_for(human, robot, gap)
+        choice = self.arguments.preset_for(human, robot)
         smoothing = self.arguments.smoothing
-        replay = Replay(
-            recording,
-            motion,
-            human,
-            robot,
-            choice,
-            smoothing=smoothing,
-            contact_gap=gap,
-        )
+        replay = Replay(recording, motion, human, robot, choice, smoothing=smoothing)
         if self.compare is not None:
             replay.compare(replay.preset(self.compare))
         return replay

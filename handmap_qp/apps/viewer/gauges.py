@@ -18,9 +18,8 @@ from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.human import CONTACT_GAP, FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
-from handmap_qp.mapping.methods.teleoperation import Teleoperation
 
 if TYPE_CHECKING:
     import viser
@@ -91,19 +90,14 @@ class InstantGauges:
 
     Args:
         variants: The robots, one or two.
-        contact_gap: What the tracker measures between two tips where the skin touches [m]; that of
-            teleoperation if omitted.
+        human: The human hand; None for robots alone.
     """
 
-    def __init__(
-        self, variants: Sequence[Variant], contact_gap: float | None = None
-    ) -> None:
+    def __init__(self, variants: Sequence[Variant], human: Hand | None) -> None:
         self._labels = [variant.label for variant in variants]
         self._robot = robot = variants[0].robot
         self._groups = joints_by_finger(robot)
-        self._contact_gap = (
-            Teleoperation().contact_gap if contact_gap is None else contact_gap
-        )
+        self._contact_gap = CONTACT_GAP if human is None else human.contact_gap
         try:
             self._meter = GapMeter(robot)
         except HandError:
@@ -303,14 +297,14 @@ class Gauges:
 
     Args:
         variants: The robots, one or two.
-        contact_gap: As of `InstantGauges`.
+        human: The human hand.
     """
 
     def __init__(
         self,
         server: viser.ViserServer,
         variants: Sequence[Variant],
-        contact_gap: float | None = None,
+        human: Hand,
     ) -> None:
         gui = server.gui
         gui.add_html(SCENE_LEGEND)
@@ -322,14 +316,14 @@ class Gauges:
         with gui.add_folder("time per step", expand_by_default=False):
             self.timing = _add_plot(server, "time per step [µs]", (("step", FIRST),))
         self.timing_note = gui.add_html("")
-        self._contact_gap = contact_gap
+        self._human = human
         self._rows = self._plotted = np.empty((0, 5))
         self._starts = np.empty(0, dtype=int)
         self.set_variants(variants)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
         """Show other methods' values, after which `set_rows` gives theirs over time."""
-        self._instant = InstantGauges(variants, self._contact_gap)
+        self._instant = InstantGauges(variants, self._human)
         self.error_note.content = legend([*error_entries(variants), ("now", ORANGE)])
 
     def set_rows(

@@ -87,7 +87,7 @@ class LiveViewer:
         self._shown = self._start
         self.scene = HandScene(server, source.human, [variant])
         control, show, save = add_panels(server)
-        self.gauges = Gauges(server, [variant])
+        self.gauges = Gauges(server, [variant], source.human)
         with control:
             self.status_text = server.gui.add_markdown("")
             self.stop = server.gui.add_button(

@@ -38,7 +38,6 @@ def make_page(
     variants: Sequence[Variant],
     *,
     solid: Solid | None = None,
-    contact_gap: float | None = None,
 ) -> bytes:
     """Return one HTML file that plays samples in real time, without a server or the network.
 
@@ -50,7 +49,6 @@ def make_page(
         variants: The robots, one or two, with as many samples as each other at the same times; at
             most 30 samples of each second are written.
         solid: An object that moves with `ViewSample.object_pose` of the first robot's samples.
-        contact_gap: What the tracker measures between two tips where the skin touches [m].
 
     Returns:
         The file's content.
@@ -66,7 +64,7 @@ def make_page(
             scene.draw(samples)
             shown = samples[0].time
         page, view = serializer.as_html(), scene.cameras.view
-    body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), contact_gap)
+    body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), human)
     head = _part("page_head.html").replace("__VIEW__", json.dumps(view))
     page = page.replace(
         "<title>Viser</title>", f"<title>{escape(title)} - handmap view</title>", 1
@@ -80,10 +78,10 @@ def _body(
     title: str,
     variants: Sequence[Variant],
     instants: Sequence[tuple[ViewSample, ...]],
-    contact_gap: float | None,
+    human: Hand | None,
 ) -> str:
     """Return title, gauges and options."""
-    gauges = InstantGauges(variants, contact_gap)
+    gauges = InstantGauges(variants, human)
     start, end = instants[0][0].time, instants[-1][0].time
     count = len(variants[0].samples)
     rate = f", {(count - 1) / (end - start):.0f} per second" if end > start else ""

@@ -121,9 +121,10 @@ class ServiceSession:
             self.choice = _choice(about)
             lengths = None
             if about["lengths"] is not None:
-                lengths = HumanLengths(
-                    **{k: np.array(v) for k, v in about["lengths"].items()}
-                )
+                measured = about["lengths"]
+                rows = (np.array(measured[k]) for k in ("bases", "segments", "rolls"))
+                bases, segments, rolls = rows
+                lengths = HumanLengths(bases, segments, rolls)
             self.human = load_hand(
                 human_name(about["side"]), points=about["human_points"], lengths=lengths
             )
@@ -357,5 +358,4 @@ class ServiceSession:
 
 def _choice(about: dict[str, Any]) -> Choice:
     choice = preset_choice(about["preset"])
-    options = about.get("options") or about["mapping"] or about["teleoperation"]
-    return choice.with_changes({**options, **about["ik"]})
+    return choice.with_changes(about["options"] | about["ik"])

@@ -53,7 +53,6 @@ class Replay:
         robot: The robot hand.
         choice: Preset and options.
         smoothing: How samples are smoothed; not at all if omitted.
-        contact_gap: The measured contact gap [m], for other presets than the one chosen.
 
     Attributes:
         human: The human hand.
@@ -77,7 +76,6 @@ class Replay:
         choice: Choice,
         *,
         smoothing: Smoothing | None = None,
-        contact_gap: float | None = None,
     ) -> None:
         if not motion.valid.any():
             raise InvalidInputError(
@@ -88,7 +86,7 @@ class Replay:
         self.time = motion.time - motion.time[0]
         self.switches: dict[int, bool] = {}
         self._recording, self._motion, self._given_robot = recording, motion, robot
-        self._smoothing, self.contact_gap = smoothing, contact_gap
+        self._smoothing = smoothing
         self.other: Variant | None = None
         self.remap(choice)
 
@@ -114,7 +112,7 @@ class Replay:
 
     def preset(self, name: str) -> Choice:
         """Return a preset with its own options and the measured contact gap."""
-        return preset_choice(name, self.contact_gap)
+        return preset_choice(name, self.human)
 
     def options_text(self) -> str:
         """Return the text of a file with the options in force."""
@@ -124,7 +122,7 @@ class Replay:
         """Return a page of the recording, with the mapping that it is compared with."""
         methods = " against ".join(variant.label for variant in self.variants)
         title = f"{self._recording.name} on {self.robot.name}, {methods}"
-        return make_page(title, self.human, self.variants, contact_gap=self.contact_gap)
+        return make_page(title, self.human, self.variants)
 
     def remap(self, choice: Choice) -> None:
         """Map the whole recording with another preset or other options.
@@ -241,7 +239,7 @@ class ReplayViewer:
         self.server, self.replay = server, replay
         self.scene = HandScene(server, replay.human, replay.variants)
         control, show, save = add_panels(server)
-        self.gauges = Gauges(server, replay.variants, replay.contact_gap)
+        self.gauges = Gauges(server, replay.variants, replay.human)
         # Options count from `_base`: the initial ones, or those of a preset chosen later.
         self._start = self._base = replay.choice
         self._changes: dict[str, Any] = {}

@@ -177,6 +177,7 @@ PRESETS = {
         "in-hand motion: the palm follows the wrist, and T deforms the fingers' grasp; no partners",
         "gestures: T cannot tell a pointing finger from a fist",
         rank=1,
+        suits=lambda _, robot: robot.has_moving_wrist,
     ),
     "fixed_wrist": Preset(
         Homogeneous(
@@ -186,6 +187,7 @@ PRESETS = {
         "in-hand motion on a hand whose wrist cannot move: all of T deforms the fingers' grasp",
         "gestures; the motion of the human's own wrist goes to the fingers as well",
         rank=1,
+        suits=lambda *_: True,
     ),
 }
 

@@ -10,16 +10,17 @@ apart.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 
 from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import CONTACT_GAP, FINGERS
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
-from handmap_qp.mapping.hand_pair import hand_pair
+from handmap_qp.mapping.hand_pair import hand_pair, missing_landmarks
 from handmap_qp.mapping.landmarks import (
     PalmMap,
     PalmMethod,
@@ -92,7 +93,7 @@ class Teleoperation(MethodOptions, frozen=True):
             "mm for gloves, 10 to 20 mm for cameras. `handmap map` measures it.",
             high=0.04,
         ),
-    ] = 0.013
+    ] = CONTACT_GAP
     ridge: Annotated[
         float, number("Pull of T towards a rotation.", high=1e3, above=True)
     ] = 0.1
@@ -107,9 +108,19 @@ class Teleoperation(MethodOptions, frozen=True):
         bool, text("Whether links of the robot are kept apart.")
     ] = True
 
+    def fitted_to(self, human: Hand) -> Self:
+        """Return these options with the contact gap of a person's hand."""
+        return self.replaced(contact_gap=human.contact_gap)
+
     def bind(self, human: Hand, robot: Hand) -> BoundTeleoperation:
         """Measure both hands and match their postures; see `Method.bind`."""
         return BoundTeleoperation(self, human, robot)
+
+
+def fingers_correspond(human: Hand, robot: Hand) -> bool:
+    """Return whether a robot has fingers, and a human hand the points of theirs."""
+    fingers = set(FINGERS) & {point.finger for point in robot.spec.points}
+    return bool(fingers) and not missing_landmarks(human, fingers)
 
 
 PRESETS = {
@@ -119,6 +130,7 @@ PRESETS = {
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
         rank=0,
+        suits=fingers_correspond,
     )
 }
 
