@@ -31,7 +31,7 @@ from service_tools import (
     skip,
 )
 
-from handmap_qp.apps.service.logs import JsonLines
+from handmap_qp.apps.service.logs import JsonLines, logs_on_stderr, report
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.apps.service.settings import Settings
@@ -400,3 +400,14 @@ def test_logs_are_json_lines() -> None:
     line = JsonLines().format(record)
     assert "\n" not in line
     assert json.loads(line)["field"] == 'a"\n'
+
+
+def test_logs_are_on_stderr_only_while_a_server_runs(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    # Each test has another stderr, as `pytest` captures it, and closes it at its end.
+    for event in ("first", "second"):
+        with logs_on_stderr("info"):
+            report(logging.INFO, event)
+        report(logging.INFO, "after")
+        assert json.loads(capsys.readouterr().err)["event"] == event

@@ -150,7 +150,7 @@ def test_a_token_is_for_its_owner_alone(
     file.chmod(0o600)
     assert read_token(file) == "a-token-of-the-tests"
     file.write_bytes(b"\xff\xfe")
-    assert "token: cannot be read" in complaint(
+    assert "token-file: expected a token of 16" in complaint(
         capsys, "serve", "--web", "--web-token-file", file
     )
 

@@ -14,10 +14,10 @@ import json
 import logging
 import os
 import resource
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -77,13 +77,24 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, default=str)
 
 
-def log_to_stderr(level: str) -> None:
-    """Send the service's logs to stderr as JSON lines."""
-    handler = logging.StreamHandler(sys.stderr)
+@contextmanager
+def logs_on_stderr(level: str) -> Iterator[None]:
+    """Write the service's logs to stderr as JSON lines, until the context ends.
+
+    Args:
+        level: Lowest level to log.
+    """
+    handler = logging.StreamHandler()
     handler.setFormatter(JsonLines())
-    log.handlers = [handler]
+    log.addHandler(handler)
     log.propagate = False
     log.setLevel(level.upper())
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.propagate = True
+        log.setLevel(logging.NOTSET)
 
 
 class Bucket:

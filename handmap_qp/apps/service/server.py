@@ -44,7 +44,7 @@ from handmap_qp.apps.service.logs import (
     AuditLog,
     Metrics,
     Throttle,
-    log_to_stderr,
+    logs_on_stderr,
     report,
 )
 from handmap_qp.apps.service.opening import HandCache
@@ -370,10 +370,11 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     Raises:
         InvalidInputError: If an address or file cannot be used.
     """
-    log_to_stderr(log_level)
     sys.setswitchinterval(_SWITCH_INTERVAL)
     _raise_file_limit()
-    if asyncio.run(_serve(settings)):
+    with logs_on_stderr(log_level):
+        is_preparing = asyncio.run(_serve(settings))
+    if is_preparing:
         # Python would wait for the thread that loads a hand, for seconds if the hand is large.
         sys.stdout.flush()
         os._exit(0)
