@@ -21,11 +21,12 @@ import asyncio
 import math
 import secrets
 import time as clock
+from collections import defaultdict
 from collections.abc import Callable, Coroutine, Generator
 from contextlib import suppress
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, cast
+from typing import Any, Literal, NamedTuple, TypeVar, cast
 
 import msgspec
 import numpy as np
@@ -47,9 +48,6 @@ from .messages import (
     Reply,
 )
 
-if TYPE_CHECKING:
-    from typing import Unpack
-
 OLDEST_PROTOCOL = min(PROTOCOLS)
 ADDRESS = "tcp://127.0.0.1:5570"
 KeyFiles = tuple[Path | str, Path | str]
@@ -70,56 +68,6 @@ class State(messages.State, frozen=True):
     """The state of a session or of the server; its `about` is a dict, as the server sent it."""
 
     about: dict[str, Any] | None = None  # ty: ignore[incompatible-attribute-override]
-
-
-class Changes(TypedDict, total=False):
-    """Options to change, as the fields of `messages.Configure`."""
-
-    preset: str | None
-    options: dict[str, Any] | None
-    mapping: dict[str, Any] | None
-    teleoperation: dict[str, Any] | None
-    ik: dict[str, Any] | None
-    has_detail: bool | None
-
-
-class Choices(Changes, total=False):
-    """What a session is opened with, as the fields of `messages.Open`."""
-
-    name: str | None
-    input: Literal["q", "landmarks", "points"] | None
-    layout: str | None
-    side: Literal["right", "left"] | None
-    hand_length: float | None
-    lengths: dict[str, Any] | None
-    contact_gap: float | None
-    human_points: str | None
-    robot_points: str | None
-    mount: Literal["floating", "fixed"] | None
-    robot_q: npt.ArrayLike | None
-    robot_wrist: Pose | npt.ArrayLike | None
-    restore: bool | None
-    is_released: bool | None
-    max_dt: float | None
-    time_from: Literal["server", "client"] | None
-    watchdog: float | None
-    return_after: float | None
-    return_speed: float | None
-    resume: Literal["follow", "clutch"] | None
-    is_shared: bool | None
-
-
-class Human(TypedDict, total=False):
-    """One sample of the human hand, as the fields of `messages.Step`."""
-
-    q: npt.ArrayLike | None
-    wrist: Pose | npt.ArrayLike | None
-    landmarks: npt.ArrayLike | None
-    points: npt.ArrayLike | None
-    values: npt.ArrayLike | None
-    time: float | None
-    valid: bool | None
-    confidence: float | None
 
 
 class ServiceError(RuntimeError):
@@ -165,16 +113,21 @@ _OPTIONS = ("options", "mapping", "teleoperation", "ik")
 _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 
-def _request(kind: str, allowed: type, given: Any, **fields: Any) -> Request:
+def _request(kind: str, message: type[messages.Request], given: Request) -> Request:
     """Return a request with the fields that are not None, with poses in any form as `Pose`.
+
+    Args:
+        kind: Kind of the request.
+        message: Its type, or a base that has its fields.
+        given: Values by field.
 
     Raises:
         TypeError: If there is no such field.
         ValueError: If a pose is not one.
     """
-    if unknown := given.keys() - allowed.__annotations__.keys():
+    if unknown := given.keys() - message.__annotations__.keys():
         raise TypeError(f"{kind}() has no argument {sorted(unknown)[0]!r}")
-    request = {"type": kind, **fields}
+    request: Request = {"type": kind}
     for name, value in given.items():
         if value is not None:
             request[name] = Pose.of(value, name) if name.endswith("wrist") else value
@@ -210,10 +163,7 @@ class _Core:
         self._seq, self._protocol = 0, PROTOCOL
         self._sockets: dict[Use, tuple[tuple[str, str], Any]] = {}
         # Calls of several tasks take turns. One task may wait for the stream meanwhile.
-        self._turns: dict[Turn, asyncio.Lock] = {
-            "call": asyncio.Lock(),
-            "stream": asyncio.Lock(),
-        }
+        self._turns: dict[Turn, asyncio.Lock] = defaultdict(asyncio.Lock)
         self._forget()
 
     def _forget(self) -> None:
@@ -227,22 +177,14 @@ class _Core:
         self._stream_name, self._stream_port = "", 0
         self._released_at = 0  # number of the last request that changed `is_released`
 
-    def _open(self, robot: str, choices: Choices) -> Steps[Opened]:
-        fields = {"session": secrets.token_urlsafe(24), "robot": robot}
-        return self._call(_request("open", Choices, choices, **fields), Opened)
-
-    def _sample(self, kind: str, human: Human) -> Request:
-        request = {"time": clock.monotonic()} | _request(kind, Human, human)
+    def _sample(self, kind: str, human: Request) -> Request:
+        request = {"time": clock.monotonic()} | _request(kind, messages.Step, human)
         if "values" in request:
             request["values"] = np.ravel(request["values"])
         return request
 
     def _do(self, request: Request) -> Steps[None]:
         yield from self._call(request, Done)
-
-    def _stop(self, name: str | None, reason: str) -> Steps[None]:
-        addressee = {} if name is None else {"session": "", "name": name}
-        return self._do({"type": "stop", "reason": reason} | addressee)
 
     def _send(self, sample: Request) -> Steps[None]:
         if self.opened is None:
@@ -301,22 +243,23 @@ class _Core:
     ) -> Steps[R]:
         """Send a request; if the server has lost the session, reopen it and send it again."""
         until = clock.monotonic() + self.timeout if deadline is None else deadline
-        reply = yield from self._ask(numbered := self._numbered(request), until)
+        reply = yield from self._ask(request, until)
         if self._speaks_older(reply):
-            reply = yield from self._ask(numbered := self._numbered(request), until)
+            reply = yield from self._ask(request, until)
         is_lost = isinstance(reply, Error) and reply.code == "no_session"
         if is_lost and self._open_request and request["type"] not in ("open", "close"):
             yield from self._reopen(until)
-            reply = yield from self._ask(numbered := self._numbered(request), until)
+            reply = yield from self._ask(request, until)
         if isinstance(reply, Error):
             raise ServiceError(reply)
         if not isinstance(reply, kind):
             raise ServiceError(Error(code="protocol", message=f"unexpected {reply}"))
-        self._note(numbered, reply)
+        self._note(request, reply)
         return reply
 
     def _ask(self, request: Request, deadline: float) -> Steps[Reply]:
-        """Send a request and wait for its answer, each attempt on a new connection."""
+        """Number a request, send it and wait for its answer, each attempt on a new connection."""
+        request = self._numbered(request)
         payload = _ENCODE(request)
         for left in range(self.attempts, 0, -1):
             # Each attempt has an equal share of the time that is left.
@@ -452,7 +395,7 @@ def _note_changes(wanted: Request, request: Request) -> None:
         # A preset replaces all options but those that protect the robot.
         kept = {name: wanted.pop(name, {}) for name in _OPTIONS}["ik"]
         wanted["ik"] = {name: kept[name] for name in PROTECTING if name in kept}
-    for name in Changes.__annotations__.keys() & request.keys():
+    for name in messages.Configure.__annotations__.keys() & request.keys():
         value = request[name]
         wanted[name] = wanted.get(name, {}) | value if name in _OPTIONS else value
 
@@ -517,7 +460,7 @@ class Client(_Core):
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def open(self, robot: str, **choices: Unpack[Choices]) -> Opened:
+    def open(self, robot: str, **choices: Any) -> Opened:
         """Open a session: one human hand that leads one robot hand.
 
         A session that was open before stays open if the server refuses.
@@ -532,9 +475,11 @@ class Client(_Core):
         Returns:
             The session, also kept as `opened`.
         """
-        return self._run(self._open(robot, choices))
+        request = _request("open", messages.Open, choices | {"robot": robot})
+        request["session"] = secrets.token_urlsafe(24)
+        return self._run(self._call(request, Opened))
 
-    def step(self, **human: Unpack[Human]) -> Command:
+    def step(self, **human: Any) -> Command:
         """Map one sample and wait for its command.
 
         Args:
@@ -547,7 +492,7 @@ class Client(_Core):
         """
         return self._run(self._call(self._sample("step", human), Command))
 
-    def send(self, **human: Unpack[Human]) -> None:
+    def send(self, **human: Any) -> None:
         """Send a sample as in `step`, without waiting for its command.
 
         Read the command with `latest`. If several samples wait, the server maps the newest.
@@ -605,7 +550,8 @@ class Client(_Core):
                 sessions of the server if the client has none.
             reason: Reason for the server's log.
         """
-        return self._run(self._stop(name, reason))
+        addressee = {} if name is None else {"session": "", "name": name}
+        return self._run(self._do({"type": "stop", "reason": reason} | addressee))
 
     def clear(self, stop: int) -> None:
         """Clear an emergency stop on purpose; the robot is then released, and `clutch` engages it.
@@ -630,16 +576,16 @@ class Client(_Core):
             robot_wrist: Pose of its wrist, as in `open`.
         """
         start = {"robot_q": robot_q, "robot_wrist": robot_wrist}
-        return self._run(self._do(_request("reset", Choices, start)))
+        return self._run(self._do(_request("reset", messages.Reset, start)))
 
-    def configure(self, **changes: Unpack[Changes]) -> None:
+    def configure(self, **changes: Any) -> None:
         """Change options; options that are not named, and the reference, stay as they are.
 
         Args:
             **changes: Fields of `messages.Configure`. With another `preset`, options that are not
                 named are the preset's own.
         """
-        return self._run(self._do(_request("configure", Changes, changes)))
+        return self._run(self._do(_request("configure", messages.Configure, changes)))
 
     def status(self) -> State:
         """Return the state of the session; of the server if no session is open."""

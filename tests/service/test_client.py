@@ -38,15 +38,11 @@ import handmap_qp.client
 from handmap_qp.apps.service.server import Server
 from handmap_qp.client import (
     AsyncClient,
-    Changes,
-    Choices,
     Client,
-    Human,
     ServiceError,
     ServiceTimeoutError,
-    messages,
 )
-from handmap_qp.client.messages import Pose, Request
+from handmap_qp.client.messages import Pose
 from handmap_qp.hands.human import HumanLengths
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -273,19 +269,6 @@ def test_both_clients_have_the_same_documented_methods_and_signatures() -> None:
         assert inspect.iscoroutinefunction(coroutine)
         assert not inspect.iscoroutinefunction(method)
         assert inspect.signature(method) == inspect.signature(coroutine)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "request_type"),
-    [(Choices, messages.Open), (Human, messages.Step), (Changes, messages.Configure)],
-)
-def test_arguments_are_the_fields_of_the_request(
-    arguments: type, request_type: type[Request]
-) -> None:
-    fields = set(request_type.__struct_fields__) - set(Request.__struct_fields__)
-    # `robot` is positional, and `watch` chooses the session of requests that others may send too.
-    positional = {"robot"} if request_type is messages.Open else {"name"}
-    assert arguments.__annotations__.keys() == fields - positional
 
 
 def test_an_argument_that_does_not_exist_is_rejected_before_sending() -> None:

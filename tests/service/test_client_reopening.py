@@ -327,13 +327,9 @@ def test_a_client_restores_its_running_session_with_its_secret(server: Server) -
         after = tracker.step(q=human_q(), wrist=WRIST)
         assert (after.epoch, tracker.reopened) == (before.epoch, 1)
         # Neither a repetition with an older number nor another name is its session.
-        for request in (
-            payload | {"seq": 1},
-            payload | {"seq": 10**6, "name": "other"},
-        ):
-            steps = tracker._ask(
-                request | {"protocol": 2}, clock.monotonic() + PATIENCE
-            )
+        for number, request in ((0, payload), (10**6, payload | {"name": "other"})):
+            tracker._seq = number
+            steps = tracker._ask(request, clock.monotonic() + PATIENCE)
             reply = tracker._run(steps)
             assert isinstance(reply, Error)
             assert (reply.code, reply.field) == ("invalid", "session")
