@@ -10,12 +10,12 @@ import pytest
 
 from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_recording
 from handmap_qp.apps.offline.summary import count_rules, find_holds
-from handmap_qp.apps.offline.trajectory import Trajectory, map_samples
+from handmap_qp.apps.offline.trajectory import Trajectory, trajectory_of
 from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
-from handmap_qp.stream.follower import PALM_SPEED, TURN_SPEED
+from handmap_qp.stream.follower import PALM_SPEED, TURN_SPEED, Follower
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.injection import inject, parse_faults
 
@@ -38,9 +38,9 @@ class Stage:
 
     def run(self, samples: list[HumanSample]) -> Trajectory:
         choice = self._choice
-        return map_samples(
-            HandMapper(self._human, self.robot, choice.method, ik=choice.ik), samples
-        )
+        mapper = HandMapper(self._human, self.robot, choice.method, ik=choice.ik)
+        time = np.array([sample.time for sample in samples])
+        return trajectory_of(self.robot, time, Follower(mapper).map_samples(samples))
 
 
 @pytest.fixture(scope="module")

@@ -41,7 +41,7 @@ from handmap_qp.apps.offline.look_ahead import (
 )
 from handmap_qp.apps.offline.metrics import mean_values
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
-from handmap_qp.apps.offline.trajectory import follow_recording
+from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
@@ -399,8 +399,12 @@ def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
         ik = ik.replaced(**SMOOTH_IK) if smoothing else ik
         mapper = HandMapper(take.human, robot, method, ik=ik)
         # Mappings are compared, not how faults of the tracker are met: peers meet none.
-        trajectory = follow_recording(
-            mapper, recording, wrist_poses=take.wrist, smoothing=smoothing
+        trajectory = map_recording(
+            mapper,
+            recording,
+            wrist_poses=take.wrist,
+            smoothing=smoothing,
+            is_guarded=False,
         )
     return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
@@ -16,7 +16,6 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
-from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import RULES, Verdict
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
@@ -123,7 +122,7 @@ def map_motion(
     """
     columns = zip(motion.q, motion.wrist, motion.dt, motion.valid, strict=True)
     steps = (
-        mapper.map_step(q, wrist, dt=dt) if is_valid else _UNSEEN
+        mapper.map_step(q, wrist, dt=dt) if is_valid else None
         for q, wrist, dt, is_valid in columns
     )
     return trajectory_of(mapper.robot, motion.time, steps, progress)
@@ -136,6 +135,7 @@ def map_recording(
     *,
     wrist_poses: np.ndarray | None = None,
     smoothing: Smoothing | None = None,
+    is_guarded: bool = True,
 ) -> Trajectory:
     """Map the landmarks of a recording as a live stream: by a `Follower`.
 
@@ -148,6 +148,7 @@ def map_recording(
         wrist_poses: Poses of the human model's wrist frame, shape (T, 4, 4); fitted to the palm's
             landmarks if omitted.
         smoothing: How samples are smoothed before they are mapped; not at all if omitted.
+        is_guarded: False to follow every valid sample, whatever it shows: to compare mappings.
 
     Returns:
         The robot's trajectory, with one entry per sample of `recording`.
@@ -155,117 +156,70 @@ def map_recording(
     Raises:
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
-    steps = Follower(mapper, smoothing=smoothing).map_samples(
-        recording_samples(recording, wrist_poses)
-    )
+    follower = Follower(mapper, smoothing=smoothing)
+    steps: Iterator[MapStep | None]
+    if is_guarded:
+        steps = follower.map_samples(recording_samples(recording, wrist_poses))
+    else:
+        wrists = [None] * len(recording) if wrist_poses is None else wrist_poses
+        columns = zip(
+            recording.landmarks, wrists, recording.steps, recording.valid, strict=True
+        )
+        steps = (
+            follower.map(mapper.landmarks.read(landmarks, wrist), float(dt))
+            if is_valid
+            else None
+            for landmarks, wrist, dt, is_valid in columns
+        )
     return trajectory_of(mapper.robot, recording.time, steps, progress)
-
-
-def follow_recording(
-    mapper: HandMapper,
-    recording: Recording,
-    *,
-    wrist_poses: np.ndarray | None = None,
-    smoothing: Smoothing | None = None,
-) -> Trajectory:
-    """Map every valid sample of a recording, whatever it shows: to compare mappings.
-
-    Args:
-        mapper: The mapper; its human hand must be scaled to the person.
-        recording: The recording.
-        wrist_poses: As of `map_recording`.
-        smoothing: As of `map_recording`.
-
-    Returns:
-        The robot's trajectory, which holds in samples that are not valid.
-
-    Raises:
-        InvalidInputError: If a sample cannot be mapped.
-    """
-    follower, landmarks = Follower(mapper, smoothing=smoothing), recording.landmarks
-    wrists = [None] * len(recording) if wrist_poses is None else wrist_poses
-    steps = (
-        follower.map(mapper.landmarks.read(landmarks[i], wrists[i]), dt)
-        if recording.valid[i]
-        else _UNSEEN
-        for i, dt in enumerate(recording.steps.tolist())
-    )
-    return trajectory_of(mapper.robot, recording.time, steps)
-
-
-def map_samples(
-    mapper: HandMapper,
-    samples: Sequence[HumanSample],
-    progress: Callable[[int], None] | None = None,
-) -> Trajectory:
-    """Map the samples of a stream, one after the other.
-
-    Args:
-        mapper: The mapper; its human hand must be scaled to the person.
-        samples: The samples, in the order of arrival.
-        progress: Called after each sample with the number of samples done.
-
-    Returns:
-        The robot's trajectory, with one entry per sample.
-
-    Raises:
-        InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
-    """
-    time = np.array([sample.time for sample in samples])
-    return trajectory_of(
-        mapper.robot, time, Follower(mapper).map_samples(samples), progress
-    )
 
 
 def trajectory_of(
     robot: Hand,
     time: np.ndarray,
-    mapped: Iterator[MapStep | Verdict],
+    mapped: Iterator[MapStep | None],
     progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
-    """Collect steps; where there is a verdict alone, the robot holds the posture before it."""
-    count = len(time)
-    steps: list[MapStep] = []
-    verdicts: list[Verdict] = []
-    confidence, step_cpu = np.ones(count), np.full(count, np.nan)
-    last: MapStep | None = None
-    for i in range(count):
+    """Collect the steps of samples; None stands for one that is not valid.
+
+    The robot then holds the posture before it. Before the first sample that is followed, it is
+    where that one puts it.
+
+    Args:
+        robot: The robot hand.
+        time: Instants [s], shape (T,).
+        mapped: The steps, which are computed one by one.
+        progress: Called after each sample with the number of samples done.
+
+    Raises:
+        InvalidInputError: If no sample is followed.
+    """
+    found: list[MapStep | None] = []
+    step_cpu = np.empty(len(time))
+    for i in range(len(time)):
         started = thread_time_ns()
-        result = next(mapped)
-        verdict = _FOLLOWED if isinstance(result, MapStep) else result
-        if isinstance(result, MapStep):
-            confidence[i], verdict = result.confidence, result.verdict or _FOLLOWED
-            # Before the first sample that is followed, the robot is where that puts it.
-            last = result if last is not None or not result.is_held else None
-            if not verdict.is_held:
-                step_cpu[i] = 1e-9 * (thread_time_ns() - started)
-                steps += [result] * (i - len(steps))
-        verdicts.append(verdict)
-        if last is not None:
-            steps.append(last)
+        found.append(next(mapped))
+        step_cpu[i] = 1e-9 * (thread_time_ns() - started)
         if progress is not None:
             progress(i + 1)
-    if last is None:
-        rule, broken = Counter(verdict.rule for verdict in verdicts).most_common(1)[0]
-        reason = next((text for name, text in RULES.items() if name == rule), rule)
-        raise InvalidInputError(
-            argument="motion",
-            expected="at least one sample that makes sense",
-            got=f"none of {count}; in {broken}, {reason}",
-        )
+    verdicts = [
+        _UNSEEN if step is None else step.verdict or _FOLLOWED for step in found
+    ]
+    is_held = np.array([verdict.is_held for verdict in verdicts])
+    if is_held.all():
+        raise _nothing_followed(verdicts)
+    first = int(np.argmin(is_held))
+    is_placed = np.array([step is not None for step in found])
+    is_placed[:first] = False
+    places = np.where(is_placed, np.arange(len(time)), first)
+    steps = [step for k in np.maximum.accumulate(places) if (step := found[k])]
     q = np.array([step.command.q for step in steps])
     wrist = np.array([step.command.wrist for step in steps])
     wrist_targets = np.array([step.wrist_target for step in steps])
-    is_held = np.array([verdict.is_held for verdict in verdicts])
     at_limit = robot.at_position_limit(q)
     targets = np.array([step.targets for step in steps])
     points = np.array([step.points for step in steps])
-    active = np.array([step.ik.active for step in steps])
-    at_bound = (active[:, steps[0].ik.joint_columns] != 0) & ~is_held[:, None]
-    status = [
-        "held" if verdict.is_held else step.status
-        for step, verdict in zip(steps, verdicts, strict=True)
-    ]
+    at_bound = np.array([step.at_bound for step in steps])
     return Trajectory(
         robot=robot,
         time=time,
@@ -277,12 +231,22 @@ def trajectory_of(
         wrist_error=np.linalg.norm(wrist[:, :3, 3] - wrist_targets[:, :3, 3], axis=1),
         valid=~is_held,
         at_limit=at_limit,
-        at_speed_limit=at_bound & ~at_limit,
-        status=np.array(status),
-        step_cpu=step_cpu,
+        at_speed_limit=at_bound & ~at_limit & ~is_held[:, None],
+        status=np.where(is_held, "held", [step.status for step in steps]),
+        step_cpu=np.where(is_held, np.nan, step_cpu),
         rule=np.array([verdict.rule for verdict in verdicts]),
         consistency=np.array([verdict.consistency for verdict in verdicts]),
-        confidence=confidence,
+        confidence=np.array([step.confidence if step else 1.0 for step in found]),
+    )
+
+
+def _nothing_followed(verdicts: list[Verdict]) -> InvalidInputError:
+    """Return the error of a motion without a sample to follow, with the most frequent reason."""
+    rule, count = Counter(verdict.rule for verdict in verdicts).most_common(1)[0]
+    return InvalidInputError(
+        argument="motion",
+        expected="at least one sample that makes sense",
+        got=f"none of {len(verdicts)}; in {count}, {RULES.get(rule, rule)}",
     )
 
 
