@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
+from operator import attrgetter
 from pathlib import Path
 from time import thread_time_ns
 
@@ -16,7 +17,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
-from handmap_qp.human.verdict import RULES, Verdict
+from handmap_qp.human.verdict import RULES, Rule, Verdict
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.step import MapStep
 from handmap_qp.output_files import replaced_file
@@ -194,32 +195,32 @@ def trajectory_of(
     Raises:
         InvalidInputError: If no sample is followed.
     """
-    found: list[MapStep | None] = []
-    step_cpu = np.empty(len(time))
-    for i in range(len(time)):
-        started = thread_time_ns()
-        found.append(next(mapped))
-        step_cpu[i] = 1e-9 * (thread_time_ns() - started)
-        if progress is not None:
-            progress(i + 1)
-    verdicts = [
-        _UNSEEN if step is None else step.verdict or _FOLLOWED for step in found
-    ]
-    is_held = np.array([verdict.is_held for verdict in verdicts])
+    found, step_cpu = _timed(mapped, len(time), progress)
+    verdicts = [_verdict(step) for step in found]
+    is_held, rule, consistency = _columns(
+        verdicts,
+        "is_held",
+        "rule",
+        "consistency",
+    )
     if is_held.all():
-        raise _nothing_followed(verdicts)
+        raise _nothing_followed(rule.tolist())
     first = int(np.argmin(is_held))
     is_placed = np.array([step is not None for step in found])
     is_placed[:first] = False
     places = np.where(is_placed, np.arange(len(time)), first)
-    steps = [step for k in np.maximum.accumulate(places) if (step := found[k])]
-    q = np.array([step.command.q for step in steps])
-    wrist = np.array([step.command.wrist for step in steps])
-    wrist_targets = np.array([step.wrist_target for step in steps])
+    steps = [found[k] for k in np.maximum.accumulate(places)]
+    q, wrist, wrist_target, targets, points, at_bound, status = _columns(
+        steps,
+        "command.q",
+        "command.wrist",
+        "wrist_target",
+        "targets",
+        "points",
+        "at_bound",
+        "status",
+    )
     at_limit = robot.at_position_limit(q)
-    targets = np.array([step.targets for step in steps])
-    points = np.array([step.points for step in steps])
-    at_bound = np.array([step.at_bound for step in steps])
     return Trajectory(
         robot=robot,
         time=time,
@@ -228,32 +229,55 @@ def trajectory_of(
         targets=targets,
         points=points,
         point_error=np.linalg.norm(targets - points, axis=2),
-        wrist_error=np.linalg.norm(wrist[:, :3, 3] - wrist_targets[:, :3, 3], axis=1),
+        wrist_error=np.linalg.norm((wrist - wrist_target)[:, :3, 3], axis=1),
         valid=~is_held,
         at_limit=at_limit,
         at_speed_limit=at_bound & ~at_limit & ~is_held[:, None],
-        status=np.where(is_held, "held", [step.status for step in steps]),
+        status=np.where(is_held, "held", status),
         step_cpu=np.where(is_held, np.nan, step_cpu),
-        rule=np.array([verdict.rule for verdict in verdicts]),
-        consistency=np.array([verdict.consistency for verdict in verdicts]),
+        rule=rule,
+        consistency=consistency,
         confidence=np.array([step.confidence if step else 1.0 for step in found]),
     )
 
 
-def _nothing_followed(verdicts: list[Verdict]) -> InvalidInputError:
+def _timed(
+    mapped: Iterator[MapStep | None],
+    count: int,
+    progress: Callable[[int], None] | None,
+) -> tuple[list[MapStep | None], np.ndarray]:
+    """Compute steps one by one; return them and the CPU time of each [s], shape (count,)."""
+    found = []
+    step_cpu = np.empty(count)
+    for i in range(count):
+        started = thread_time_ns()
+        found.append(next(mapped))
+        step_cpu[i] = 1e-9 * (thread_time_ns() - started)
+        if progress is not None:
+            progress(i + 1)
+    return found, step_cpu
+
+
+def _columns(rows: Sequence[object], *names: str) -> list[np.ndarray]:
+    """Return named attributes of all rows as arrays; a name may have dots."""
+    return [np.array(list(map(attrgetter(name), rows))) for name in names]
+
+
+def _verdict(step: MapStep | None) -> Verdict:
+    """Return what is said about a sample; those without a guard are followed if they are valid."""
+    if step is None:
+        return Verdict("missing", True, False, 0.0, math.nan)
+    return step.verdict or Verdict("", False, False, 0.0, math.nan)
+
+
+def _nothing_followed(rules: list[Rule]) -> InvalidInputError:
     """Return the error of a motion without a sample to follow, with the most frequent reason."""
-    rule, count = Counter(verdict.rule for verdict in verdicts).most_common(1)[0]
+    rule, count = Counter(rules).most_common(1)[0]
     return InvalidInputError(
         argument="motion",
         expected="at least one sample that makes sense",
-        got=f"none of {len(verdicts)}; in {count}, {RULES.get(rule, rule)}",
+        got=f"none of {len(rules)}; in {count}, {RULES.get(rule, rule)}",
     )
-
-
-_UNSEEN = Verdict("missing", True, False, 0.0, math.nan)
-"""Verdict on samples that are not valid, where no guard sees them."""
-_FOLLOWED = Verdict("", False, False, 0.0, math.nan)
-"""Verdict on joint angles, which no guard sees."""
 
 
 def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
