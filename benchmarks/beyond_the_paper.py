@@ -31,6 +31,14 @@ from xml.etree import ElementTree as ET
 import common
 import msgspec
 import numpy as np
+from experiment_variants import (
+    FingerMode,
+    Pivot,
+    Variant,
+    largest_stretch,
+    limit_excess,
+    moved_scene,
+)
 from grasp_closing import default_preshape
 from grasp_planning import PlannedGrasp, contact_counts, plan_grasps
 
@@ -41,13 +49,10 @@ from handmap_qp.apps.experiments.paper import (
     write_csv,
 )
 from handmap_qp.apps.experiments.section_four import (
-    FingerMode,
-    Pivot,
     Scene,
     Setting,
     object_error,
     paper_scene,
-    run_experiment,
 )
 from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
 from handmap_qp.errors import DegeneratePointsError
@@ -76,14 +81,17 @@ _OPPOSITION = {"allegro_right": "joint_12.0"}
 """Joint of the thumb's opposition, by hand; closing does not move it."""
 
 
-def measured(case: Row, scene: Scene, **options: Any) -> Row:
+def measured(
+    case: Row, scene: Scene, variant: Variant | None = None, **options: Any
+) -> Row:
     """Run the experiment, and return the case with its errors, limit violation and stretch."""
-    run = run_experiment(scene, Setting(**options))
+    chosen = variant or Variant()
+    run = chosen.run(scene, Setting(**options))
     values = (
         1e3 * object_error(run),
         1e3 * run.point_rms,
-        float(np.degrees(run.limit_excess)),
-        float(np.abs(run.stretches).max()),
+        float(np.degrees(limit_excess(run))),
+        largest_stretch(run, chosen.ridge),
     )
     return {**case, **dict(zip(MEASURES, values, strict=True))}
 
@@ -99,7 +107,7 @@ def limits() -> Iterator[Row]:
         )
         for synergy, way in product(SYNERGIES, WAYS):
             case = {"margin_deg": margin, "fingers": way, "synergy": synergy}
-            yield measured(case, scene, synergy=synergy, steps=STEPS, fingers=way)
+            yield measured(case, scene, Variant(way), synergy=synergy, steps=STEPS)
 
 
 def own_limits() -> Iterator[Row]:
@@ -115,17 +123,16 @@ def own_limits() -> Iterator[Row]:
         (("toolbox", toolbox), ("ours", ours)), WAYS, SYNERGIES
     ):
         case = {"limits": name, "fingers": way, "synergy": synergy}
-        yield measured(case, scene, synergy=synergy, steps=STEPS, fingers=way)
+        yield measured(case, scene, Variant(way), synergy=synergy, steps=STEPS)
 
 
 def points() -> Iterator[Row]:
     """Compare errors of points and object with moving and with frozen fingers."""
-    for gamma, way, synergy in product(
-        GAMMAS, ("pseudoinverse", "qp", "frozen"), SYNERGIES
-    ):
+    ways: tuple[FingerMode, ...] = ("pseudoinverse", "qp", "frozen")
+    for gamma, way, synergy in product(GAMMAS, ways, SYNERGIES):
         case = {"gamma": gamma, "fingers": way, "synergy": synergy}
         yield measured(
-            case, paper_scene("ours"), synergy=synergy, gamma=gamma, fingers=way
+            case, paper_scene("ours"), Variant(way), synergy=synergy, gamma=gamma
         )
 
 
@@ -148,7 +155,9 @@ def subsets() -> Iterator[Row]:
         }
         # Without a ridge, three points or four in a plane do not determine T.
         try:
-            yield measured(case, scene, synergy=synergy, steps=STEPS, ridge=ridge)
+            yield measured(
+                case, scene, Variant(ridge=ridge), synergy=synergy, steps=STEPS
+            )
         except DegeneratePointsError:
             continue
 
@@ -163,7 +172,7 @@ def placement() -> Iterator[Row]:
             robot_points=robot.with_points(robot_set),
         )
         case = {"human_set": human_set, "robot_set": robot_set, "synergy": synergy}
-        yield measured(case, scene, synergy=synergy, steps=STEPS, ridge=RIDGE)
+        yield measured(case, scene, Variant(ridge=RIDGE), synergy=synergy, steps=STEPS)
 
 
 def start() -> Iterator[Row]:
@@ -180,12 +189,12 @@ def start() -> Iterator[Row]:
     ]
     for human, robot in list(zip(*pools, strict=False))[:PAIRS]:
         scene = Scene.at_contacts(human.grasp, robot.grasp)
-        for way, synergy in product(("pseudoinverse", "qp"), SYNERGIES):
+        ways: tuple[FingerMode, ...] = ("pseudoinverse", "qp")
+        for way, synergy in product(ways, SYNERGIES):
             case = {"fingers": way, "synergy": synergy}
             case |= {"human_trial": human.trial, "robot_trial": robot.trial}
-            yield measured(
-                case, scene, synergy=synergy, steps=STEPS, ridge=RIDGE, fingers=way
-            )
+            variant = Variant(way, ridge=RIDGE)
+            yield measured(case, scene, variant, synergy=synergy, steps=STEPS)
 
 
 def allegro() -> Iterator[Row]:
@@ -202,7 +211,7 @@ def allegro() -> Iterator[Row]:
     ):
         case = {"robot": robot, "fingers": way, "gamma": gamma, "synergy": synergy}
         yield measured(
-            case, scene, synergy=synergy, gamma=gamma, steps=STEPS, fingers=way
+            case, scene, Variant(way), synergy=synergy, gamma=gamma, steps=STEPS
         )
 
 
@@ -221,10 +230,11 @@ def origin() -> Iterator[Row]:
     for distance, (number, direction) in product((*DISTANCES, 1.0001), enumerate(axes)):
         if distance not in DISTANCES and number:
             continue
-        scene = paper_scene("ours").moved(distance * direction)
+        scene = moved_scene(paper_scene("ours"), distance * direction)
         for pivot, synergy in product(pivots if number < 3 else ("origin",), SYNERGIES):
             case = {"pivot": pivot, "distance_m": distance, "synergy": synergy}
-            yield measured(case, scene, synergy=synergy, steps=STEPS, pivot=pivot)
+            variant = Variant(pivot=pivot)
+            yield measured(case, scene, variant, synergy=synergy, steps=STEPS)
 
 
 def contacts() -> Iterator[Row]:

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.grasp.checks import one_of, positive_number, whole_number
 from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.objects import Shape
+from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import PoseLike, affine, check_pose, inverse_pose
@@ -45,6 +45,16 @@ class PlannedGrasp(NamedTuple):
     trial: int
     grasp: Grasp
     quality: float
+
+
+def circumradius(shape: Shape) -> float:
+    """Return the radius of the smallest sphere about a shape's centre that holds it [m]."""
+    match shape:
+        case Box():
+            return float(np.linalg.norm(shape.size)) / 2.0
+        case Cylinder():
+            return float(np.hypot(shape.radius, shape.length / 2.0))
+    return shape.radius
 
 
 def plan_grasps(
@@ -103,7 +113,7 @@ def plan_grasps(
     friction = positive_number(friction, "friction", or_zero=True)
     pose = np.eye(4) if object_pose is None else check_pose(object_pose, "object_pose")
     closer = HandCloser(hand, shape, pose, preshape=preshape, step=step, margin=margin)
-    near = shape.circumradius + closer.preshape.clearance
+    near = circumradius(shape) + closer.preshape.clearance
     centre = palm_centre(hand, closer.preshape)
     palm_to_wrist = inverse_pose(hand.wrist_to_palm)
     generator = np.random.default_rng(seed)

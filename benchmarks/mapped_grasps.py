@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from experiment_variants import moved_grasp
 
 from handmap_qp.apps.experiments.section_four import HandMotion, Scene
 from handmap_qp.apps.offline.comparison import ComparedMethod, prepare_take
@@ -83,7 +84,7 @@ def with_equal_palms(scene: Scene) -> Scene:
         wrist = np.eye(4) if grasp.wrist_pose is None else grasp.wrist_pose
         palms.append((wrist @ grasp.hand.wrist_to_palm)[:3, :3])
     rotation, centre = palms[0] @ palms[1].T, scene.robot.centre
-    robot = scene.robot.moved(affine(rotation, centre - rotation @ centre))
+    robot = moved_grasp(scene.robot, affine(rotation, centre - rotation @ centre))
     return replace(scene, robot=robot)
 
 

@@ -6,7 +6,7 @@ and mapping: whether an object is lost, the largest slip at a contact, the sum o
 the end against the prediction of the statics, and how much the two objects' displacements and
 rotations differ. With --summary, one row for each mapping.
 
-Mappings are the inverse kinematics of `apps.experiments.section_four` (`pseudoinverse` is eq.
+Mappings are the inverse kinematics of `experiment_variants.py` (`pseudoinverse` is eq.
 (8)), or of `handmap compare`, for a robot with the human's fingers; see `map_grasp`.
 
     python benchmarks/simulated_arc.py --gammas -0.3 0.3
@@ -17,21 +17,15 @@ Mappings are the inverse kinematics of `apps.experiments.section_four` (`pseudoi
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 import numpy as np
 from arc import ArcOptions, ArcOutcome, carry, planned_scene, soft_synergy
+from experiment_variants import FingerMode, Variant
 from mapped_grasps import map_grasp, with_equal_palms
 
-from handmap_qp.apps.experiments.section_four import (
-    FingerMode,
-    HandMotion,
-    Scene,
-    Setting,
-    run_experiment,
-)
+from handmap_qp.apps.experiments.section_four import HandMotion, Scene, Setting
 from handmap_qp.apps.grasp.contacts import Grasp
 from handmap_qp.apps.grasp.objects import Box
 from handmap_qp.apps.grasp.statics import Stiffness, quasistatic
@@ -41,7 +35,7 @@ from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands.library import load_hand
 
 CUBE, MASS = Box((0.05, 0.05, 0.05)), 0.1
-FINGERS = get_args(FingerMode)
+FINGERS: tuple[FingerMode, ...] = get_args(FingerMode)
 # Stiffness of contacts in the prediction by statics, far above the fingers' [N/m].
 _RIGID = 1e5
 
@@ -112,8 +106,8 @@ def simulate(
     )
     cases, human = [], None
     for name, method in mappings.items():
-        fingers = name if name in FINGERS else "frozen"
-        run = run_experiment(scene, replace(setting, fingers=fingers))
+        fingers = next((mode for mode in FINGERS if mode == name), "frozen")
+        run = Variant(fingers, ridge=0.1).run(scene, setting)
         if method is not None:
             run = run._replace(
                 robot=map_grasp(method, scene, run.human, options.duration)
@@ -255,7 +249,7 @@ def main() -> None:
     }
     mappings = {name: methods.get(name) for name in arguments.mappings}
     settings = [
-        Setting(synergy=synergy, gamma=gamma, steps=steps, ridge=0.1)
+        Setting(synergy=synergy, gamma=gamma, steps=steps)
         for synergy in arguments.synergies
         for gamma in arguments.gammas
         for steps in arguments.steps

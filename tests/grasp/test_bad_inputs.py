@@ -89,7 +89,6 @@ BAD_CALLS: dict[str, tuple[Callable[[], Any], str]] = {
     "wrist pose of words": (lambda: grasp(wrist_pose="here"), "wrist_pose"),
     "contacts of numbers": (lambda: grasp(contacts=[1.0]), "contacts"),
     "contacts None": (lambda: grasp(contacts=None), "contacts"),
-    "motion of words": (lambda: REFERENCE.moved("up"), "motion"),
     "no contact": (lambda: grasp(contacts=()).jacobian, "contacts"),
     "points of words": (lambda: grasp_matrix([["a", "b", "c"]], np.zeros(3)), "points"),
     "points of two columns": (

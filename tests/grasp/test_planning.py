@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 import scipy.optimize
+from experiment_variants import moved_grasp
 from grasp_cases import coupled_hand
 from grasp_closing import (
     MARGIN,
@@ -24,7 +25,7 @@ from grasp_measures import (
     ferrari_canny,
     grasp_quality,
 )
-from grasp_planning import PlannedGrasp, contact_counts, plan_grasps
+from grasp_planning import PlannedGrasp, circumradius, contact_counts, plan_grasps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import generators, motion_of, poses, rotations
@@ -359,7 +360,7 @@ def test_palms_look_at_the_object_from_the_planned_distance(name: str) -> None:
         palm = hand.frame_pose("palm", one.grasp.q, one.grasp.wrist_pose)
         middle = palm[:3, :3] @ palm_centre(hand) + palm[:3, 3]
         np.testing.assert_allclose(
-            middle, pose[:3, 3] + (CUBE.circumradius + 0.04) * palm[:3, 2], atol=1e-12
+            middle, pose[:3, 3] + (circumradius(CUBE) + 0.04) * palm[:3, 2], atol=1e-12
         )
 
 
@@ -402,7 +403,7 @@ def test_quality_does_not_depend_on_where_the_grasp_is(
     # The edges of the friction pyramid turn with the world, so the measure depends slightly
     # on the frame.
     tolerance = 0.12 if measure == "ferrari_canny" else 1e-7
-    assert grasp_quality(grasp.moved(pose), measure) == pytest.approx(
+    assert grasp_quality(moved_grasp(grasp, pose), measure) == pytest.approx(
         grasp_quality(grasp, measure), rel=tolerance
     )
 

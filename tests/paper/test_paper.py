@@ -7,25 +7,29 @@ from typing import Any
 import numpy as np
 import pytest
 from beyond_the_paper import limited_hand
+from experiment_variants import (
+    IK,
+    FingerMode,
+    Pivot,
+    Variant,
+    limit_excess,
+    moved_scene,
+)
 
 from handmap_qp import HandMapper
 from handmap_qp.apps.experiments.paper import GAMMAS
 from handmap_qp.apps.experiments.section_four import (
-    IK,
     UNIT,
-    Pivot,
     Run,
     Scene,
     Setting,
     Stiffnesses,
-    angle_between,
     human_motion,
     in_hand_step,
     object_error,
     object_poses,
     paper_scene,
     rms,
-    run_experiment,
     wrist_arc,
 )
 from handmap_qp.apps.grasp.paper_cube import reference_grasp
@@ -54,8 +58,10 @@ def agrees(found: float, expected: float) -> bool:
     return abs(1e3 * found - expected) <= max(0.02 * expected, 0.05)
 
 
-def run(scene: Scene, synergy: int, **choices: Any) -> Run:
-    return run_experiment(scene, Setting(synergy=synergy, **choices))
+def run(
+    scene: Scene, synergy: int, variant: Variant | None = None, **choices: Any
+) -> Run:
+    return (variant or Variant()).run(scene, Setting(synergy=synergy, **choices))
 
 
 # -- the reference numbers
@@ -91,7 +97,7 @@ def test_error_against_the_number_of_steps(
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
 def test_frozen_fingers(scene: Scene, table: dict[str, Any], synergy: int) -> None:
-    frozen, expected = run(scene, synergy, fingers="frozen"), table["at_50_steps"]
+    frozen, expected = run(scene, synergy, Variant("frozen")), table["at_50_steps"]
     for model, stiffnesses in MODELS.items():
         assert agrees(
             object_error(frozen, stiffnesses), expected[f"frozen_{model}"][synergy - 1]
@@ -123,10 +129,10 @@ def test_T_from_the_first_configuration(
 def test_one_metre_from_the_origin(
     scene: Scene, table: dict[str, Any], pivot: Pivot, synergy: int
 ) -> None:
-    far = object_error(run(scene.moved(METRE), synergy, pivot=pivot))
+    far = object_error(run(moved_scene(scene, METRE), synergy, Variant(pivot=pivot)))
     assert agrees(far, table["at_50_steps"][f"one_metre_off_{pivot}"][synergy - 1])
     assert far == pytest.approx(
-        object_error(run(scene, synergy, pivot=pivot)), abs=1e-9
+        object_error(run(scene, synergy, Variant(pivot=pivot))), abs=1e-9
     )
 
 
@@ -137,8 +143,8 @@ def test_about_the_origin_the_deformation_is_lost(
     # The table does not give the direction of its 1 m offset, and the result is ill-conditioned in
     # it (see below). Along x, 42 and 10.5 mm are reproduced within 15 %, 7.3 mm is not. All of them
     # are several times the error about the centroid.
-    far = object_error(run(scene.moved(METRE), synergy, pivot="origin"))
-    assert far > 4.0 * object_error(run(scene.moved(METRE), synergy))
+    far = object_error(run(moved_scene(scene, METRE), synergy, Variant(pivot="origin")))
+    assert far > 4.0 * object_error(run(moved_scene(scene, METRE), synergy))
     if synergy != 2:
         assert 1e3 * far == pytest.approx(
             table["at_50_steps"]["one_metre_off_origin"][synergy - 1], rel=0.15
@@ -147,7 +153,9 @@ def test_about_the_origin_the_deformation_is_lost(
 
 def test_about_the_origin_a_tenth_of_a_millimetre_decides(scene: Scene) -> None:
     found = [
-        object_error(run(scene.moved((1.0 + nudge) * METRE), 2, pivot="origin"))
+        object_error(
+            run(moved_scene(scene, (1.0 + nudge) * METRE), 2, Variant(pivot="origin"))
+        )
         for nudge in (0.0, 1e-4, 1e-3, 1e-2)
     ]
     assert np.ptp(found) > 0.01
@@ -203,8 +211,8 @@ def test_without_a_synergy_everything_goes_with_the_wrist(scene: Scene) -> None:
 def test_without_limits_in_reach_the_qp_is_the_pseudoinverse_of_its_cost(
     scene: Scene, synergy: int
 ) -> None:
-    qp, free = run(scene, synergy, fingers="qp"), run(scene, synergy, fingers="damped")
-    assert qp.limit_excess == 0.0
+    qp, free = (run(scene, synergy, Variant(way)) for way in ("qp", "damped"))
+    assert limit_excess(qp) == 0.0
     np.testing.assert_allclose(qp.robot.q, free.robot.q, atol=1e-6)
     np.testing.assert_allclose(qp.robot.wrist, free.robot.wrist, atol=1e-6)
 
@@ -223,17 +231,15 @@ def tight() -> Scene:
 
 @pytest.mark.parametrize("synergy", SYNERGIES)
 def test_within_limits_that_bite_the_qp_does_best(tight: Scene, synergy: int) -> None:
-    done = {
-        fingers: run(tight, synergy, fingers=fingers, steps=20)
-        for fingers in ("pseudoinverse", "clipped", "qp")
-    }
-    assert done["pseudoinverse"].limit_excess > np.radians(2.0)
-    assert max(done["clipped"].limit_excess, done["qp"].limit_excess) <= 1e-9
+    ways: tuple[FingerMode, ...] = ("pseudoinverse", "clipped", "qp")
+    done = {way: run(tight, synergy, Variant(way), steps=20) for way in ways}
+    assert limit_excess(done["pseudoinverse"]) > np.radians(2.0)
+    assert max(limit_excess(done["clipped"]), limit_excess(done["qp"])) <= 1e-9
     assert done["qp"].point_rms < done["clipped"].point_rms
 
 
 def test_the_experiment_equals_the_mapper(scene: Scene) -> None:
-    own = run(scene, 1, fingers="qp", pivot="own", ridge=0.1, steps=20)
+    own = run(scene, 1, Variant("qp", "own", ridge=0.1), steps=20)
     mapper = HandMapper(
         scene.human_points,
         scene.robot_points,
@@ -251,7 +257,6 @@ def test_the_experiment_equals_the_mapper(scene: Scene) -> None:
     )
     for k in range(1, 21):
         step = mapper.map_step(human.q[k], human.wrist[k])
-        np.testing.assert_allclose(step.targets, own.targets[k - 1], atol=1e-9)
         np.testing.assert_allclose(step.command.q, own.robot.q[k], atol=1e-9)
         np.testing.assert_allclose(step.command.wrist, own.robot.wrist[k], atol=1e-9)
 
@@ -279,16 +284,16 @@ def test_the_unit_of_force_cancels_in_motions(scene: Scene) -> None:
     np.testing.assert_allclose(ten.human_forces, 10.0 * one.human_forces, rtol=1e-6)
 
 
-@pytest.mark.parametrize("is_rigid", [False, True])
-def test_objects_move_in_comparable_directions(is_rigid: bool) -> None:
+@pytest.mark.parametrize("model", MODELS)
+def test_objects_move_in_comparable_directions(model: str) -> None:
     steps = [
-        in_hand_step(paper_scene("ours"), Setting(synergy=synergy), is_rigid=is_rigid)
+        in_hand_step(paper_scene("ours"), Setting(synergy=synergy), MODELS[model])
         for synergy in SYNERGIES
     ]
     assert max(step.angle for step in steps) < np.radians(45.0)
-    assert steps[0].angle == pytest.approx(
-        angle_between(steps[0].robot_motion, steps[0].human_motion)
-    )
+    one, other = steps[0].robot_motion, steps[0].human_motion
+    cosine = one @ other / np.linalg.norm(one) / np.linalg.norm(other)
+    assert np.cos(steps[0].angle) == pytest.approx(cosine)
 
 
 # -- the trends of Fig. 7
@@ -314,7 +319,7 @@ def test_points_tell_fingers_that_follow_from_frozen_ones_and_the_object_does_no
     scene: Scene,
 ) -> None:
     for synergy in SYNERGIES:
-        mapped, frozen = run(scene, synergy), run(scene, synergy, fingers="frozen")
+        mapped, frozen = run(scene, synergy), run(scene, synergy, Variant("frozen"))
         assert mapped.point_rms < frozen.point_rms
         assert object_error(mapped) > object_error(frozen)
 

@@ -227,9 +227,7 @@ def figure_6_first_step(steps: int = 50) -> FigureRecord:
     scene = paper_scene("ours")
     found = {
         model: [
-            in_hand_step(
-                scene, Setting(synergy=s, steps=steps), is_rigid=stiffnesses is None
-            )
+            in_hand_step(scene, Setting(synergy=s, steps=steps), stiffnesses)
             for s in SYNERGIES
         ]
         for model, stiffnesses in MODELS.items()

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
 
 import numpy as np
-import numpy.typing as npt
 
 from handmap_qp.apps.grasp.checks import finite_array
 from handmap_qp.apps.grasp.objects import Shape
@@ -143,33 +141,6 @@ class Grasp:
     def jacobian(self) -> np.ndarray:
         """Velocities of the contacts, fixed to their links, per joint velocity: J (3 n_c, n)."""
         return self.contact_hand.point_jacobian(self.q, self.wrist_pose)
-
-    def moved(self, motion: npt.ArrayLike) -> Self:
-        """Return the same grasp after one rigid motion of hand and object.
-
-        Args:
-            motion: Rigid motion in world axes, shape (4, 4).
-
-        Returns:
-            The moved grasp.
-
-        Raises:
-            InvalidInputError: If the motion is not rigid, or the hand's wrist is fixed.
-        """
-        if not self.hand.is_floating:
-            raise InvalidInputError(
-                problem=f"the wrist of {self.hand.name} is fixed, so the grasp cannot be moved",
-                advice="load the hand with mount='floating'",
-            )
-        rigid = check_pose(motion, "motion")
-        return type(self)(
-            self.hand,
-            self.q,
-            rigid @ self.object_pose,
-            self.contacts,
-            rigid @ self.wrist,
-            self.shape,
-        )
 
     def _link_poses(self) -> np.ndarray:
         return self.hand.link_poses(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from handmap_qp.apps.grasp.checks import finite_array, positive_number
 from handmap_qp.hands.spec import Vector
 
@@ -30,11 +28,6 @@ class Box:
         )
         object.__setattr__(self, "size", (x, y, z))
 
-    @property
-    def circumradius(self) -> float:
-        """Radius of the smallest enclosing sphere about the centre [m]."""
-        return float(np.linalg.norm(self.size)) / 2.0
-
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
@@ -51,11 +44,6 @@ class Sphere:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "radius", positive_number(self.radius, "radius"))
-
-    @property
-    def circumradius(self) -> float:
-        """Radius of the sphere [m]."""
-        return self.radius
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +64,6 @@ class Cylinder:
     def __post_init__(self) -> None:
         for name in ("radius", "length"):
             object.__setattr__(self, name, positive_number(getattr(self, name), name))
-
-    @property
-    def circumradius(self) -> float:
-        """Radius of the smallest enclosing sphere about the centre [m]."""
-        return float(np.hypot(self.radius, self.length / 2.0))
 
 
 Shape = Box | Sphere | Cylinder

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from typing import Any, NamedTuple
+from xml.etree import ElementTree as ET
 
 import numpy as np
 
@@ -19,9 +20,16 @@ from handmap_qp.apps.grasp.objects import Box
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import read_hand_spec
+from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_numbers
 
 REFERENCE_HANDS = ("human", "three_finger")
 """Names of the hands that have a reference grasp."""
+# Azimuth in the palm of the first joint of each finger of the three-fingered hand [rad].
+_AZIMUTHS = {
+    "f1_proximal": 0.0,
+    "f2_spread": 2.0 * np.pi / 3.0,
+    "f3_spread": -2.0 * np.pi / 3.0,
+}
 
 
 class ReferenceGrasp(NamedTuple):
@@ -47,11 +55,13 @@ class ReferenceGrasp(NamedTuple):
     published_counts: dict[int, int]
 
 
-def reference_grasp(hand: str = "human") -> ReferenceGrasp:
+def reference_grasp(hand: str = "human", *, is_toolbox: bool = False) -> ReferenceGrasp:
     """Return the reference grasp of a hand.
 
     Args:
         hand: `human` or `three_finger`.
+        is_toolbox: Whether the three-fingered hand is that of the toolbox's planner, at the
+            published joint angles, to which numbers computed with the toolbox belong.
 
     Returns:
         The grasp. Both hands hold the same cube in the same world.
@@ -61,13 +71,13 @@ def reference_grasp(hand: str = "human") -> ReferenceGrasp:
     """
     one_of(hand, REFERENCE_HANDS, "hand")
     figures = read_cube_figures(hand)
-    model = Hand(
-        read_hand_spec(urdf_directory() / hand / "hand.yaml"),
-        points="contacts",
-        mount="floating",
-    )
+    published = figures.get("published", figures)
+    spec = read_hand_spec(urdf_directory() / hand / "hand.yaml")
+    model = Hand(spec, points="contacts", mount="floating")
     wrist, q = np.array(figures["wrist_pose"]), np.array(figures["q"])
-    rows = figures["contacts"]
+    rows, object_pose = figures["contacts"], np.array(figures["object"]["pose"])
+    if is_toolbox:
+        model, q = _toolbox_hand(model), np.array(published["q"])
     links = model.link_poses([row["link"] for row in rows], q, wrist)
     contacts = tuple(
         Contact(
@@ -80,16 +90,28 @@ def reference_grasp(hand: str = "human") -> ReferenceGrasp:
     )
     shape = Box(tuple(figures["object"]["box"]))
     return ReferenceGrasp(
-        grasp=Grasp(
-            model, q, np.array(figures["object"]["pose"]), contacts, wrist, shape
-        ),
+        grasp=Grasp(model, q, object_pose, contacts, wrist, shape),
         published_points=np.array([row["point"] for row in rows]),
-        published_q=np.array(figures.get("published", figures)["q"]),
+        published_q=np.array(published["q"]),
         published_quality=figures["quality"],
         published_counts={
             int(count): number for count, number in figures["contact_counts"].items()
         },
     )
+
+
+def _toolbox_hand(hand: Hand) -> Hand:
+    """Return the three-fingered hand with its fingers 50/3 mm farther out."""
+    shift = float(read_cube_figures("three_finger")["published"]["finger_shift"])
+    robot = parse_urdf(hand.urdf_text)
+    for joint in robot.iterfind("joint"):
+        azimuth, origin = _AZIMUTHS.get(joint.get("name", "")), joint.find("origin")
+        if azimuth is not None and origin is not None:
+            outwards = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+            xyz = get_numbers(origin, "xyz", 3) + shift * outwards
+            set_numbers(origin, "xyz", xyz)
+    text = ET.tostring(robot, encoding="unicode")
+    return Hand(hand.spec, points="contacts", mount="floating", urdf_text=text)
 
 
 def read_cube_figures(hand: str) -> dict[str, Any]:
