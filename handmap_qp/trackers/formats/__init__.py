@@ -211,13 +211,19 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
     if name is not None:
         names = ", ".join(FORMATS)
         raise InvalidInputError(
-            argument="--format", expected=f"one of {names}", value=name
+            argument="--format",
+            expected=f"one of {names}",
+            value=name,
         )
     for form in FORMATS.values():
         if path.suffix.lower() in (form.suffixes or ("",)):
             return form
     expected = f"a file that ends in one of {', '.join(known_suffixes())}"
-    raise InvalidInputError(argument="OUT", expected=expected, value=str(path))
+    raise InvalidInputError(
+        argument="OUT",
+        expected=expected,
+        value=str(path),
+    )
 
 
 def write_recordings(
@@ -250,7 +256,9 @@ def _path_text(path: Path | str) -> str:
     text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
     if not isinstance(text, str):
         raise InvalidInputError(
-            argument="path", expected="the path of a file", value=path
+            argument="path",
+            expected="the path of a file",
+            value=path,
         )
     return text
 

@@ -93,7 +93,9 @@ def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_member(
-    file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo
+    file: Path,
+    archive: zipfile.ZipFile,
+    member: zipfile.ZipInfo,
 ) -> np.ndarray:
     """Read one array, whose header must agree with the size of the member."""
     with (
@@ -119,7 +121,11 @@ def _read_member(
 
 
 @contextmanager
-def damages(file: Path, problem: str, array: str = "") -> Iterator[None]:
+def damages(
+    file: Path,
+    problem: str,
+    array: str = "",
+) -> Iterator[None]:
     """Turn what readers raise on damaged files into `RecordingError`.
 
     Args:
@@ -137,5 +143,7 @@ def damages(file: Path, problem: str, array: str = "") -> Iterator[None]:
         else:
             text = " ".join(str(error).split())[:160]
         raise RecordingError(
-            f"{problem}: {text}".rstrip(": "), file=file, array=array
+            f"{problem}: {text}".rstrip(": "),
+            file=file,
+            array=array,
         ) from error

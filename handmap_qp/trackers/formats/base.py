@@ -15,17 +15,20 @@ from handmap_qp.errors import InvalidInputError, MissingExtraError, RecordingErr
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
-from handmap_qp.se3 import as_floats
+from handmap_qp.se3 import affine, as_floats, poses_from_quats
 
 SIDES: tuple[Side, ...] = ("left", "right")
-LANDMARK_COLUMNS: tuple[str, ...] = tuple(
-    f"{name}_{a}" for name in LANDMARK_NAMES for a in "xyz"
-)
-"""Names of the 63 coordinates of a sample, for formats that have columns."""
-POSE_COLUMNS: tuple[str, ...] = tuple(
-    f"wrist_pose_{i}{j}" for i in range(3) for j in range(4)
-)
-"""Names of the upper three rows of the wrist's pose, row by row."""
+COLUMNS: dict[str, tuple[str, ...]] = {
+    "landmarks": tuple(f"{name}_{a}" for name in LANDMARK_NAMES for a in "xyz"),
+    "wrist": tuple(f"wrist_pose_{i}{j}" for i in range(3) for j in range(4)),
+    "valid": ("valid",),
+    "confidence": ("confidence",),
+    "time": ("time",),
+}
+"""Names of the numbers of a sample by the fields of `Recording`, for formats that have columns.
+
+Of the wrist's pose they are the upper three rows, row by row.
+"""
 _WORDS = {
     "wrist": "the wrist's orientation",
     "confidence": "the confidence",
@@ -88,11 +91,8 @@ class RecordingFormat(abc.ABC):
 
     def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Name what of these recordings the format cannot hold."""
-        return tuple(
-            _WORDS[field]
-            for field in self.lacks
-            if any(_has(recording, field) for recording in recordings)
-        )
+        held = {field for r in recordings for field in _WORDS if _has(r, field)}
+        return tuple(_WORDS[field] for field in self.lacks if field in held)
 
     @abc.abstractmethod
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
@@ -121,11 +121,22 @@ class RecordingFormat(abc.ABC):
 
 
 def _has(recording: Recording, field: str) -> bool:
-    return (
-        bool(recording.source)
-        if field == "source"
-        else getattr(recording, field) is not None
-    )
+    value = getattr(recording, field)
+    return value is not None and len(value) > 0
+
+
+def check_some(recordings: Sequence[Recording]) -> None:
+    """Reject no recordings.
+
+    Raises:
+        InvalidInputError: If there is none.
+    """
+    if not recordings:
+        raise InvalidInputError(
+            argument="recordings",
+            expected="at least one",
+            got="none",
+        )
 
 
 def require(package: str) -> Any:
@@ -155,26 +166,39 @@ def reading(file: Path, prefix: str = "") -> Iterator[None]:
         yield
     except InvalidInputError as error:
         name = "handedness" if error.argument == "side" else error.argument
-        raise RecordingError(error.what, file=file, array=prefix + name) from error
+        raise RecordingError(
+            error.what,
+            file=file,
+            array=prefix + name,
+        ) from error
 
 
-def side_of(value: object, file: Path, array: str, line: int | None = None) -> Side:
+def side_of(
+    value: object,
+    file: Path,
+    array: str,
+    line: int | None = None,
+) -> Side:
     """Return the side that a value of a file names.
 
     Raises:
         RecordingError: If it names none.
     """
     text = str(value).strip().lower()
-    for side in SIDES:
-        if text == side:
-            return side
+    if text == "left" or text == "right":
+        return text
     problem = f"expected right or left, got {text[:20]!r}"
-    raise RecordingError(problem, file=file, array=array, line=line)
+    raise RecordingError(
+        problem,
+        file=file,
+        array=array,
+        line=line,
+    )
 
 
 def entry_stem(path: Path, entry: Entry) -> str:
     """Return the name of a recording: that of its file, and of its entry if it has one."""
-    return "_".join([path.stem, *entry.name.split("/")] if entry.name else [path.stem])
+    return "_".join([path.stem, *filter(None, entry.name.split("/"))])
 
 
 def build_recording(
@@ -186,7 +210,10 @@ def build_recording(
     prefix: str = "",
     valid: Any = None,
     wrist: Any = None,
-    **others: Any,
+    wrist_pose: Any = None,
+    confidence: Any = None,
+    name: str = "",
+    source: str = "",
 ) -> Recording:
     """Build a recording from the arrays of a file; samples that are not finite are not valid.
 
@@ -197,9 +224,13 @@ def build_recording(
         landmarks: Coordinates [m], shape (T, 21, 3) or (T, 63).
         prefix: Put before the name of an array at fault.
         valid: Whether the hand was seen, shape (T,); where the landmarks are finite if omitted.
-        wrist: Poses, shape (T, 4, 4), or their upper three rows, shape (T, 12); an array of NaN
-            counts as none.
-        others: Further fields of `Recording`; a confidence of NaN counts as none.
+        wrist: Poses, shape (T, 4, 4), or their upper three rows, shape (T, 12), where an array of
+            NaN counts as none.
+        wrist_pose: Without `wrist`, position [m] and quaternion in the order w, x, y, z, shape
+            (T, 7); it counts as none if one is not finite in a valid sample.
+        confidence: As of `Recording`; an array of NaN counts as none.
+        name: As of `Recording`; `entry_stem` if empty.
+        source: As of `Recording`.
 
     Raises:
         RecordingError: If `Recording` does not take them.
@@ -212,26 +243,17 @@ def build_recording(
         seen = finite_samples(points)
         if valid is not None:
             seen &= as_flags(valid, "valid", len(points))
-        if wrist is not None and wrist.shape[1:] == (12,):
-            rows = np.isnan(wrist).all()
-            wrist = None if rows else _poses_of_rows(wrist)
-        confidence = others.pop("confidence", None)
-        if (
-            confidence is not None
-            and np.isnan(as_floats(confidence, "confidence")).all()
-        ):
-            confidence = None
-        name = others.pop("name", "") or entry_stem(path, entry)
-        return Recording(
-            name,
-            time,
-            points,
-            seen,
-            entry.side,
-            wrist=wrist,
-            confidence=confidence,
-            **others,
-        )
+        if wrist is None and wrist_pose is not None:
+            wrist = _poses_of_sevens(wrist_pose, seen)
+        elif wrist is not None and wrist.shape[1:] == (12,):
+            rows = wrist.reshape(-1, 3, 4)
+            is_given = not np.isnan(rows).all()
+            wrist = affine(rows[..., :3], rows[..., 3]) if is_given else None
+        if confidence is not None:
+            shares = as_floats(confidence, "confidence")
+            confidence = None if np.isnan(shares).all() else shares
+        own = name or entry_stem(path, entry)
+        return Recording(own, time, points, seen, entry.side, source, wrist, confidence)
 
 
 def finite_samples(points: np.ndarray) -> np.ndarray:
@@ -239,19 +261,29 @@ def finite_samples(points: np.ndarray) -> np.ndarray:
     return np.asarray(np.isfinite(points).all(axis=tuple(range(1, points.ndim))))
 
 
-def landmark_rows(recording: Recording) -> np.ndarray:
-    """Return the landmarks as rows [m], shape (T, 63)."""
-    return recording.landmarks.reshape(len(recording), 3 * LANDMARK_COUNT)
+def known_columns(*recordings: Recording) -> list[str]:
+    """Return those of `COLUMNS` that one of the recordings has."""
+    return [
+        name
+        for name in COLUMNS
+        if any(getattr(recording, name) is not None for recording in recordings)
+    ]
 
 
-def pose_rows(recording: Recording) -> np.ndarray:
-    """Return the upper three rows of the wrist's poses, NaN where there are none, (T, 12)."""
-    if recording.wrist is None:
-        return np.full((len(recording), 12), np.nan)
-    return recording.wrist[:, :3].reshape(-1, 12)
+def column(recording: Recording, name: str) -> np.ndarray:
+    """Return one of `COLUMNS` for all samples, NaN if the recording has none, shape (T, n)."""
+    shape = len(recording), len(COLUMNS[name])
+    values = getattr(recording, name)
+    if values is None:
+        return np.full(shape, np.nan)
+    return (values[:, :3] if name == "wrist" else values).reshape(shape)
 
 
-def _poses_of_rows(rows: np.ndarray) -> np.ndarray:
+def _poses_of_sevens(values: Any, seen: np.ndarray) -> np.ndarray | None:
+    """Return poses (T, 4, 4) of `wrist_pose`; None if a valid sample has none."""
+    rows = as_floats(values, "wrist_pose", shape=(len(seen), 7))
+    if not np.isfinite(rows[seen]).all():
+        return None
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3] = rows.reshape(-1, 3, 4)
+    poses[seen] = poses_from_quats(rows[seen, :3], rows[seen, 3:], "wrist_pose")
     return poses

@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -18,19 +18,18 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.formats.archive import damages
 from handmap_qp.trackers.formats.base import (
-    LANDMARK_COLUMNS,
-    POSE_COLUMNS,
+    COLUMNS,
     SIDES,
     Entry,
     RecordingFormat,
     build_recording,
-    landmark_rows,
-    pose_rows,
+    column,
+    known_columns,
     side_of,
 )
 
-_NEEDED = ("side", "time", *LANDMARK_COLUMNS)
-_OPTIONAL = ("valid", "confidence", *POSE_COLUMNS)
+_ORDER = ("time", "landmarks", "valid", "confidence", "wrist")
+_POSE = COLUMNS["wrist"]
 
 
 class CsvFormat(RecordingFormat):
@@ -54,81 +53,62 @@ class CsvFormat(RecordingFormat):
             for line, row in rows:
                 side = side_of(row[column], path, "side", line)
                 counts[side] = counts.get(side, 0) + 1
-        names: list[Side] = [side for side in SIDES if side in counts]
-        return tuple(Entry(s if len(names) > 1 else "", s, counts[s]) for s in names)
+        is_one = len(counts) == 1
+        found = [side for side in SIDES if side in counts]
+        return tuple(Entry("" if is_one else s, s, counts[s]) for s in found)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the rows of one hand."""
         with _table(path) as (header, rows):
-            names = [name for name in (*_NEEDED[1:], *_OPTIONAL) if name in header]
-            places, side = [header[name] for name in names], header["side"]
+            given = {f: names for f, names in COLUMNS.items() if names[0] in header}
+            places = [(name, header[name]) for name in _joined(given)]
             table = np.array(
                 [
-                    [
-                        _number(path, line, names[i], row[k])
-                        for i, k in enumerate(places)
-                    ]
+                    [_number(path, line, name, row[i]) for name, i in places]
                     for line, row in rows
-                    if side_of(row[side], path, "side", line) == entry.side
+                    if side_of(row[header["side"]], path, "side", line) == entry.side
                 ]
             )
-        columns = dict(zip(names, table.T, strict=True))
-        poses = [name for name in POSE_COLUMNS if name in columns]
-        if poses and len(poses) < len(POSE_COLUMNS):
-            name = next(name for name in POSE_COLUMNS if name not in columns)
-            raise RecordingError(
-                f"has wrist poses, but no column {name!r}", file=path, line=1
-            )
-        return build_recording(
-            path,
-            entry,
-            columns["time"],
-            np.stack([columns[name] for name in LANDMARK_COLUMNS], axis=1),
-            valid=columns.get("valid"),
-            confidence=columns.get("confidence"),
-            wrist=np.stack([columns[name] for name in poses], axis=1)
-            if poses
-            else None,
-        )
+        ends = np.cumsum([len(names) for names in given.values()])
+        blocks = np.split(table, ends[:-1], axis=1)
+        columns: dict[str, Any] = {
+            field: block if block.shape[1] > 1 else block[:, 0]
+            for field, block in zip(given, blocks, strict=True)
+        }
+        return build_recording(path, entry, **columns)
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the columns that a recording cannot hold."""
         with _table(path) as (header, _):
-            return tuple(name for name in header if name not in (*_NEEDED, *_OPTIONAL))
+            known = {"side", *_joined(COLUMNS)}
+            return tuple(name for name in header if name not in known)
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand, or the rows of the left hand before those of the right one."""
         self.check_one_per_hand(recordings)
-        columns = [*_NEEDED, "valid"]
-        if any(recording.confidence is not None for recording in recordings):
-            columns.append("confidence")
-        if any(recording.wrist is not None for recording in recordings):
-            columns += POSE_COLUMNS
+        known = known_columns(*recordings)
+        fields = [field for field in _ORDER if field in known]
         with replaced_file(path, "path") as file:
             text = io.TextIOWrapper(file, "utf-8", newline="")
             writer = csv.writer(text, lineterminator="\n")
-            writer.writerow(columns)
+            writer.writerow(["side", *_joined({f: COLUMNS[f] for f in fields})])
             for recording in sorted(recordings, key=lambda r: r.side):
-                writer.writerows(_rows(recording, columns))
+                writer.writerows(_rows(recording, fields))
             text.detach()
 
 
-def _rows(recording: Recording, columns: Sequence[str]) -> Iterator[list[str]]:
-    """Yield the fields of each sample; repr is the shortest text that is read back exactly."""
-    given = recording.confidence
-    blocks = {
-        "time": recording.time[:, None],
-        LANDMARK_COLUMNS[0]: landmark_rows(recording),
-        "confidence": np.full((len(recording), 1), np.nan)
-        if given is None
-        else given[:, None],
-        POSE_COLUMNS[0]: pose_rows(recording),
-    }
-    numbers = np.hstack([block for name, block in blocks.items() if name in columns])
-    at = columns.index("valid") - 1
-    for row, is_valid in zip(numbers.tolist(), recording.valid, strict=True):
-        fields = ["" if math.isnan(number) else repr(number) for number in row]
-        yield [recording.side, *fields[:at], "1" if is_valid else "0", *fields[at:]]
+def _joined(fields: Mapping[str, Sequence[str]]) -> list[str]:
+    return [name for names in fields.values() for name in names]
+
+
+def _rows(recording: Recording, fields: Sequence[str]) -> Iterator[list[str]]:
+    """Yield the texts of each sample; repr is the shortest text that is read back exactly."""
+    blocks = [column(recording, field) for field in fields]
+    # Flags are written as 1 and 0.
+    lists = [(b.astype(int) if b.dtype == bool else b).tolist() for b in blocks]
+    for rows in zip(*lists, strict=True):
+        numbers = [number for row in rows for number in row]
+        yield [recording.side, *("" if math.isnan(n) else repr(n) for n in numbers)]
 
 
 Rows = Iterator[tuple[int, list[str]]]
@@ -140,14 +120,24 @@ def _table(path: Path) -> Iterator[tuple[dict[str, int], Rows]]:
     """Open a CSV file: its columns by name, and its rows below the header."""
     with (
         damages(path, "is not a CSV table"),
-        path.open(encoding="utf-8", newline="") as file,
+        path.open(
+            encoding="utf-8",
+            newline="",
+        ) as file,
     ):
         rows = _rows_of(path, file)
         _, names = next(rows, (0, []))
         header = {name.strip(): i for i, name in enumerate(names)}
-        for name in _NEEDED:
+        poses = _POSE if any(name in header for name in _POSE) else ()
+        for name in ("side", "time", *COLUMNS["landmarks"], *poses):
             if name not in header:
-                raise RecordingError(f"has no column {name!r}", file=path, line=1)
+                about = "wrist poses, but " if name in _POSE else ""
+                problem = f"has {about}no column {name!r}"
+                raise RecordingError(
+                    problem,
+                    file=path,
+                    line=1,
+                )
         yield header, rows
 
 
@@ -158,18 +148,36 @@ def _rows_of(path: Path, file: TextIO) -> Rows:
             count = count or len(row)
             if len(row) != count:
                 problem = f"expected {count} fields, got {len(row)}"
-                raise RecordingError(problem, file=path, line=reader.line_num)
+                raise RecordingError(
+                    problem,
+                    file=path,
+                    line=reader.line_num,
+                )
             yield reader.line_num, row
     except (csv.Error, UnicodeDecodeError) as error:
         problem = f"is not a CSV table in UTF-8: {error}"
-        raise RecordingError(problem, file=path, line=reader.line_num + 1) from error
+        raise RecordingError(
+            problem,
+            file=path,
+            line=reader.line_num + 1,
+        ) from error
 
 
-def _number(path: Path, line: int, name: str, text: str) -> float:
+def _number(
+    path: Path,
+    line: int,
+    name: str,
+    text: str,
+) -> float:
     if not text.strip():
         return math.nan
     try:
         return float(text)
     except ValueError as error:
         problem = f"expected a number, got {text[:20]!r}"
-        raise RecordingError(problem, file=path, array=name, line=line) from error
+        raise RecordingError(
+            problem,
+            file=path,
+            array=name,
+            line=line,
+        ) from error

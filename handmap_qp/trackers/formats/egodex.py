@@ -68,10 +68,14 @@ class EgoDexFormat(RecordingFormat):
         """List the hands whose wrist the file has."""
         with opened(path) as file:
             group = file["transforms"]
-            found: list[Side] = [side for side in SIDES if f"{side}Hand" in group]
+            found = [side for side in SIDES if f"{side}Hand" in group]
             if not found:
                 problem = "has neither 'leftHand' nor 'rightHand'"
-                raise RecordingError(problem, file=path, array="transforms")
+                raise RecordingError(
+                    problem,
+                    file=path,
+                    array="transforms",
+                )
             return tuple(Entry(side, side, len(group[f"{side}Hand"])) for side in found)
 
     def read(self, path: Path, entry: Entry) -> Recording:
@@ -79,18 +83,16 @@ class EgoDexFormat(RecordingFormat):
         names = joint_names(entry.side)
         with opened(path) as file:
             group = file["transforms"]
-            poses = [
-                numbers(path, group, name, (entry.samples, 4, 4)) for name in names
-            ]
+            count = entry.samples
+            poses = [numbers(path, group, name, (count, 4, 4)) for name in names]
             shares = None
             if "confidences" in file:
                 given = file["confidences"]
-                shares = np.array(
-                    [numbers(path, given, name, (entry.samples,)) for name in names]
-                )
-            time = np.arange(entry.samples) / RATE
+                rows = [numbers(path, given, name, (count,)) for name in names]
+                shares = np.array(rows)
+            time = np.arange(count) / RATE
             if "time" in file:
-                time = numbers(path, file, "time", (entry.samples,))
+                time = numbers(path, file, "time", (count,))
         is_seen = finite_samples(poses[0])
         return build_recording(
             path,
@@ -115,14 +117,13 @@ class EgoDexFormat(RecordingFormat):
 
     def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Name what the poses of joints cannot say."""
-        lost = [*super().losses(recordings)]
-        if any(r.wrist is None for r in recordings):
-            lost.append("that the wrist's orientation is unknown")
-        if any(_is_apart(r) for r in recordings):
-            lost.append("the wrist's position where it is not its landmark")
-        if any(r.confidence is None for r in recordings):
-            lost.append("that the confidence is unknown")
-        return tuple(lost)
+        lost = {
+            "that the wrist's orientation is unknown": lambda r: r.wrist is None,
+            "the wrist's position where it is not its landmark": _is_apart,
+            "that the confidence is unknown": lambda r: r.confidence is None,
+        }
+        found = [words for words, holds in lost.items() if any(map(holds, recordings))]
+        return (*super().losses(recordings), *found)
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both; the fingers' joints have no orientation of their own.
@@ -164,5 +165,5 @@ def _is_apart(recording: Recording) -> bool:
     """Tell whether the wrist's pose is elsewhere than the first landmark in a valid sample."""
     if recording.wrist is None:
         return False
-    places = recording.wrist[recording.valid, :3, 3]
-    return bool((places != recording.landmarks[recording.valid, 0]).any())
+    apart = recording.wrist[:, :3, 3] != recording.landmarks[:, 0]
+    return bool(apart[recording.valid].any())

@@ -46,7 +46,12 @@ def has_group(path: Path, name: str) -> bool:
         return name in file
 
 
-def numbers(path: Path, group: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
+def numbers(
+    path: Path,
+    group: Any,
+    name: str,
+    shape: tuple[int, ...],
+) -> np.ndarray:
     """Read an array of numbers.
 
     Args:
@@ -62,15 +67,25 @@ def numbers(path: Path, group: Any, name: str, shape: tuple[int, ...]) -> np.nda
     if not hasattr(item, "dtype"):
         shown = ", ".join(sorted(group)[:6]) + (", ..." if len(group) > 6 else "")
         raise RecordingError(
-            f"is missing; there are {shown or 'none'}", file=path, array=place
+            f"is missing; there are {shown or 'none'}",
+            file=path,
+            array=place,
         )
     if item.shape != shape or item.dtype.kind not in "biuf":
         sizes = ", ".join(map(str, shape))
         problem = f"expected numbers of shape ({sizes}), got {item.dtype} of shape {item.shape}"
-        raise RecordingError(problem, file=path, array=place)
+        raise RecordingError(
+            problem,
+            file=path,
+            array=place,
+        )
     if math.prod(shape) * item.dtype.itemsize > LARGEST_ARCHIVE:
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
-        raise RecordingError(problem, file=path, array=place)
+        raise RecordingError(
+            problem,
+            file=path,
+            array=place,
+        )
     return item[()].astype(float, copy=False)
 
 

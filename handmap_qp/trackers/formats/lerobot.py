@@ -22,12 +22,12 @@ from handmap_qp.errors import InvalidInputError, RecordingError
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import make_folder, sync, writing
 from handmap_qp.trackers.formats.base import (
-    LANDMARK_COLUMNS,
-    POSE_COLUMNS,
+    COLUMNS,
     Entry,
     RecordingFormat,
-    landmark_rows,
-    pose_rows,
+    check_some,
+    column,
+    known_columns,
     require,
 )
 
@@ -60,20 +60,7 @@ class Feature(NamedTuple):
         return 1 if self.names is None else len(self.names)
 
 
-_INDEX_FEATURES = {
-    "timestamp": Feature("float32"),
-    "frame_index": Feature("int64"),
-    "episode_index": Feature("int64"),
-    "index": Feature("int64"),
-    "task_index": Feature("int64"),
-}
-_FEATURES = {
-    "observation.landmarks": Feature("float64", LANDMARK_COLUMNS),
-    "observation.wrist": Feature("float64", POSE_COLUMNS),
-    "observation.valid": Feature("bool"),
-    "observation.confidence": Feature("float64"),
-    "observation.time": Feature("float64"),
-}
+_INDICES = ("frame_index", "episode_index", "index", "task_index")
 
 
 class LeRobotFormat(RecordingFormat):
@@ -95,54 +82,37 @@ class LeRobotFormat(RecordingFormat):
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """Refuse: no data set is read."""
-        raise _written_only(path)
+        problem = "is a LeRobot data set, which is written and not read"
+        advice = "read the recordings that it was made from"
+        raise RecordingError(f"{problem}: {advice}", file=path)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Refuse: no data set is read."""
-        raise _written_only(path)
+        raise NotImplementedError("entries refuses every path")
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as an episode."""
-        if not recordings:
-            raise InvalidInputError(
-                argument="recordings", expected="at least one", got="none"
+        check_some(recordings)
+        fields = {f"observation.{name}": name for name in known_columns(*recordings)}
+        features = {}
+        for feature, field in fields.items():
+            names = COLUMNS[field] if len(COLUMNS[field]) > 1 else None
+            features[feature] = Feature(
+                "bool" if field == "valid" else "float64", names
             )
-        features = dict(_FEATURES)
-        for name in ("confidence", "wrist"):
-            if all(getattr(recording, name) is None for recording in recordings):
-                del features[f"observation.{name}"]
         steps = np.concatenate([recording.steps for recording in recordings])
         fps = max(1.0, float(np.round(1.0 / np.median(steps))))
+        robot = "human_hand"
         with LeRobotWriter(
-            path, fps=fps, features=features, robot_type="human_hand"
+            path,
+            fps=fps,
+            features=features,
+            robot_type=robot,
         ) as writer:
-            for recording in recordings:
-                given = recording.confidence
-                values = {
-                    "landmarks": landmark_rows(recording),
-                    "wrist": pose_rows(recording),
-                    "valid": recording.valid,
-                    "confidence": np.full(len(recording), np.nan)
-                    if given is None
-                    else given,
-                    "time": recording.time,
-                }
-                writer.add(
-                    {f"observation.{name}": array for name, array in values.items()},
-                    f"{recording.side} human hand",
-                    {
-                        "name": recording.name,
-                        "side": recording.side,
-                        "source": recording.source,
-                    },
-                )
-
-
-def _written_only(path: Path) -> RecordingError:
-    problem = "is a LeRobot data set, which is written and not read"
-    return RecordingError(
-        f"{problem}: read the recordings that it was made from", file=path
-    )
+            for own in recordings:
+                columns = {name: column(own, field) for name, field in fields.items()}
+                about = {"name": own.name, "side": own.side, "source": own.source}
+                writer.add(columns, f"{own.side} human hand", about)
 
 
 class LeRobotWriter:
@@ -180,7 +150,8 @@ class LeRobotWriter:
             )
         self._root, self._argument = root, argument
         self._fps, self._robot_type = fps, robot_type
-        self._features = {**features, **_INDEX_FEATURES}
+        indices = dict.fromkeys(_INDICES, Feature("int64"))
+        self._features = {**features, "timestamp": Feature("float32"), **indices}
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, Stats] = {}
         self._episodes: list[dict[str, Any]] = []
@@ -193,7 +164,10 @@ class LeRobotWriter:
         make_folder(parent, self._argument)
         with writing(self._root, self._argument):
             self._folder = Path(
-                tempfile.mkdtemp(prefix=f".{self._root.name}-", dir=parent)
+                tempfile.mkdtemp(
+                    prefix=f".{self._root.name}-",
+                    dir=parent,
+                )
             )
         return self
 
@@ -242,64 +216,53 @@ class LeRobotWriter:
             InvalidInputError: If the disk is full.
         """
         frames = np.arange(len(next(iter(columns.values()))))
-        start, episode = self._frame_count, self._episode_count
+        start, end = self._frame_count, self._frame_count + len(frames)
+        episode = self._episode_count
+        number = self._tasks.setdefault(task, len(self._tasks))
+        indices = (frames, 0 * frames + episode, start + frames, 0 * frames + number)
         values = {
             **columns,
             "timestamp": frames / self._fps,
-            "frame_index": frames,
-            "episode_index": np.full_like(frames, episode),
-            "index": start + frames,
-            "task_index": np.full_like(
-                frames, self._tasks.setdefault(task, len(self._tasks))
-            ),
+            **dict(zip(_INDICES, indices, strict=True)),
         }
         with writing(self._root, self._argument):
             self._write_data(self._table(values))
-            stats = {
-                name: episode_stats(np.asarray(values[name]))
-                for name, feature in self._features.items()
-                if feature.dtype != "string"
+            chunk, file = divmod(self._file_index, CHUNK_FILES)
+            row = {
+                "episode_index": episode,
+                "tasks": [task],
+                "length": len(frames),
+                "data/chunk_index": chunk,
+                "data/file_index": file,
+                "dataset_from_index": start,
+                "dataset_to_index": end,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+                **(about or {}),
             }
-            for name, own in stats.items():
-                before = self._stats.get(name)
-                self._stats[name] = own if before is None else joined_stats(before, own)
-            self._episodes.append(
-                {
-                    "episode_index": episode,
-                    "tasks": [task],
-                    "length": len(frames),
-                    "data/chunk_index": self._file_index // CHUNK_FILES,
-                    "data/file_index": self._file_index % CHUNK_FILES,
-                    "dataset_from_index": start,
-                    "dataset_to_index": start + len(frames),
-                    "meta/episodes/chunk_index": 0,
-                    "meta/episodes/file_index": 0,
-                    **(about or {}),
-                    **{
-                        f"stats/{name}/{key}": value
-                        for name, own in _as_lists(stats).items()
-                        for key, value in own.items()
-                    },
-                }
-            )
+            for name, feature in self._features.items():
+                if feature.dtype != "string":
+                    own = episode_stats(np.asarray(values[name]))
+                    row |= {f"stats/{name}/{k}": v.tolist() for k, v in own.items()}
+                    self._stats[name] = joined_stats(self._stats.get(name), own)
+            self._episodes.append(row)
             if len(self._episodes) >= _ROW_GROUP:
                 self._flush_episodes()
-        self._frame_count += len(frames)
+        self._frame_count = end
         self._episode_count += 1
         return episode
 
     def _table(self, values: Mapping[str, np.ndarray]) -> Any:
-        pa, arrays = self._pa, []
+        pa, arrays = self._pa, {}
         for name, feature in self._features.items():
             flat = np.asarray(values[name]).reshape(-1)
-            kind = pa.type_for_alias(feature.dtype)
             if feature.dtype == "float32":
                 flat = flat.astype(np.float32)
-            array = pa.array(flat, type=kind)
+            arrays[name] = pa.array(flat, type=pa.type_for_alias(feature.dtype))
             if feature.names is not None:
-                array = pa.FixedSizeListArray.from_arrays(array, feature.size)
-            arrays.append(array)
-        return pa.Table.from_arrays(arrays, names=list(self._features))
+                size = feature.size
+                arrays[name] = pa.FixedSizeListArray.from_arrays(arrays[name], size)
+        return pa.table(arrays)
 
     def _write_data(self, table: Any) -> None:
         """Write an episode as a row group of its own, so that it is found without the others."""
@@ -309,15 +272,26 @@ class LeRobotWriter:
             self._file_index += 1
         if self._data is None:
             chunk, file = divmod(self._file_index, CHUNK_FILES)
-            place = _DATA_PATH.format(chunk_index=chunk, file_index=file)
+            place = _DATA_PATH.format(
+                chunk_index=chunk,
+                file_index=file,
+            )
             self._data = self._parquet(place, table)
         self._data.write_table(table, row_group_size=max(1, table.num_rows))
         self._file_size += table.nbytes
 
+    def _place(self, place: str) -> Path:
+        """Return a file of the data set, in a folder that exists."""
+        file = self._folder / place
+        file.parent.mkdir(
+            parents=True,
+            exist_ok=True,
+        )
+        return file
+
     def _parquet(self, place: str, table: Any) -> Any:
         """Open a parquet file with the columns of a table."""
-        file = self._folder / place
-        file.parent.mkdir(parents=True, exist_ok=True)
+        file = self._place(place)
         return self._pq.ParquetWriter(file, table.schema, compression="snappy")
 
     def _flush_episodes(self) -> None:
@@ -332,7 +306,11 @@ class LeRobotWriter:
     def _finish(self) -> None:
         self._flush_episodes()
         self._write_tasks()
-        self._write_json("stats", _as_lists(self._stats), indent=1)
+        stats = {
+            name: {key: array.tolist() for key, array in own.items()}
+            for name, own in self._stats.items()
+        }
+        self._write_json("stats", stats, indent=1)
         info = {
             "codebase_version": VERSION,
             "robot_type": self._robot_type,
@@ -356,37 +334,32 @@ class LeRobotWriter:
             if writer is not None:
                 writer.close()
 
-    def _write_json(self, name: str, values: Mapping[str, Any], indent: int) -> None:
-        file = self._folder / "meta" / f"{name}.json"
-        file.parent.mkdir(exist_ok=True)
-        file.write_text(json.dumps(values, indent=indent) + "\n", encoding="utf-8")
+    def _write_json(
+        self,
+        name: str,
+        values: Mapping[str, Any],
+        indent: int,
+    ) -> None:
+        text = json.dumps(values, indent=indent) + "\n"
+        self._place(f"meta/{name}.json").write_text(text, encoding="utf-8")
 
     def _write_tasks(self) -> None:
         """Write the tasks with the index that pandas, and so LeRobot, reads them by."""
-        columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
+        keys = ("name", "field_name", "pandas_type", "numpy_type", "metadata")
         kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
         about = {
             "index_columns": ["task"],
             "column_indexes": [],
             "columns": [
-                {
-                    "name": name,
-                    "field_name": name,
-                    "pandas_type": kind,
-                    "numpy_type": own,
-                    "metadata": None,
-                }
-                for name, kind, own in kinds
+                dict(zip(keys, (name, name, *types, None), strict=True))
+                for name, *types in kinds
             ],
             "creator": {"library": "pyarrow", "version": self._pa.__version__},
             "pandas_version": "2.0.0",
         }
-        table = self._pa.table(columns).replace_schema_metadata(
-            {"pandas": json.dumps(about)}
-        )
-        file = self._folder / "meta" / "tasks.parquet"
-        file.parent.mkdir(exist_ok=True)
-        self._pq.write_table(table, file)
+        columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
+        table = self._pa.table(columns, metadata={"pandas": json.dumps(about)})
+        self._pq.write_table(table, self._place("meta/tasks.parquet"))
 
 
 Stats = dict[str, np.ndarray]
@@ -410,16 +383,18 @@ def episode_stats(values: np.ndarray) -> Stats:
     }
 
 
-def joined_stats(one: Stats, other: Stats) -> Stats:
+def joined_stats(one: Stats | None, other: Stats) -> Stats:
     """Return the statistics of both (Chan, Golub and LeVeque 1979).
 
     Quantiles are the means of the episodes' own, weighted by their frames, as LeRobot itself puts
     them together.
     """
-    counts = np.array([one["count"][0], other["count"][0]])
-    if not counts.all():
-        return other if counts[1] else one
-    share = counts[1] / counts.sum()
+    if one is None or not one["count"].all():
+        return other
+    if not other["count"].all():
+        return one
+    count = one["count"] + other["count"]
+    share = other["count"] / count
     mixed = {name: (1.0 - share) * one[name] + share * other[name] for name in one}
     shift = other["mean"] - one["mean"]
     square = (1.0 - share) * one["std"] ** 2 + share * other["std"] ** 2
@@ -428,12 +403,5 @@ def joined_stats(one: Stats, other: Stats) -> Stats:
         "min": np.minimum(one["min"], other["min"]),
         "max": np.maximum(one["max"], other["max"]),
         "std": np.sqrt(square + share * (1.0 - share) * shift**2),
-        "count": counts.sum(keepdims=True),
-    }
-
-
-def _as_lists(stats: Mapping[str, Stats]) -> dict[str, dict[str, list[float]]]:
-    return {
-        name: {key: array.tolist() for key, array in own.items()}
-        for name, own in stats.items()
+        "count": count,
     }

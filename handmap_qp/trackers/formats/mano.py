@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,16 +32,8 @@ That order is 16 joints (wrist; index, middle, little, ring and thumb, three eac
 from thumb to little.
 """
 _POSES = ("pose", "hand_pose")
-_KNOWN = {
-    "joints",
-    "side",
-    "time",
-    "fps",
-    "valid",
-    "betas",
-    "transl",
-    "global_orient",
-} | {*_POSES}
+_KNOWN = {"joints", "side", "time", "fps", "valid", "betas", "transl", *_POSES}
+_KNOWN |= {"global_orient", "flat_hand_mean"}
 
 
 class ManoFormat(RecordingFormat):
@@ -98,37 +91,52 @@ class ManoFormat(RecordingFormat):
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the arrays that a recording cannot hold."""
-        return tuple(sorted(member_names(path) - _KNOWN - {"flat_hand_mean"}))
+        return tuple(sorted(member_names(path) - _KNOWN))
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write the joints of one hand."""
         self.check_one_per_hand([*recordings, *recordings[1:]])
         recording = recordings[0]
+        arrays = {
+            "side": np.array(recording.side),
+            "time": recording.time,
+            "joints": recording.landmarks[:, np.argsort(FROM_MANO)],
+            "valid": recording.valid,
+        }
         with replaced_file(path, "path") as file:
-            np.savez_compressed(
-                file,
-                allow_pickle=False,
-                side=np.array(recording.side),
-                time=recording.time,
-                joints=recording.landmarks[:, np.argsort(FROM_MANO)],
-                valid=recording.valid,
-            )
+            np.savez_compressed(file, allow_pickle=False, **arrays)
 
     @staticmethod
-    def _time(path: Path, arrays: dict[str, np.ndarray], count: int) -> np.ndarray:
+    def _time(
+        path: Path,
+        arrays: dict[str, np.ndarray],
+        count: int,
+    ) -> np.ndarray:
         if "time" in arrays:
             return arrays["time"]
         if "fps" not in arrays:
             raise RecordingError("has neither 'time' nor 'fps'", file=path)
-        fps = float(as_floats(arrays["fps"], "fps", shape=(), is_finite=True))
+        fps = float(
+            as_floats(
+                arrays["fps"],
+                "fps",
+                shape=(),
+                is_finite=True,
+            )
+        )
         if not fps > 0.0:
             raise RecordingError(
-                f"expected a rate > 0, got {fps:g}", file=path, array="fps"
+                f"expected a rate > 0, got {fps:g}",
+                file=path,
+                array="fps",
             )
         return np.arange(count) / fps
 
     def _forward(
-        self, path: Path, arrays: dict[str, np.ndarray], entry: Entry
+        self,
+        path: Path,
+        arrays: dict[str, np.ndarray],
+        entry: Entry,
     ) -> np.ndarray:
         """Return the joints of parameters, by the user's model."""
         if "flat_hand_mean" not in arrays:
@@ -136,30 +144,33 @@ class ManoFormat(RecordingFormat):
             meaning = "which says whether a pose of 0 is the flat hand"
             raise RecordingError(f"{problem}, {meaning}", file=path)
         count = entry.samples
-        if "pose" in arrays:
-            pose = as_floats(arrays["pose"], "pose", shape=(count, 48), is_finite=True)
-            root, fingers = pose[:, :3], pose[:, 3:]
-        else:
-            root = as_floats(
-                arrays.get("global_orient"),
-                "global_orient",
-                shape=(count, 3),
+
+        def given(name: str, *shape: int | str, default: Any = None) -> np.ndarray:
+            values = arrays.get(name, default)
+            return as_floats(
+                values,
+                name,
+                shape=shape,
                 is_finite=True,
             )
-            fingers = as_floats(
-                arrays["hand_pose"], "hand_pose", shape=(count, "k"), is_finite=True
-            )
-        shape = as_floats(
-            arrays.get("betas", np.zeros(10)), "betas", shape=(10,), is_finite=True
-        )
-        shift = arrays.get("transl", np.zeros((count, 3)))
-        shift = as_floats(shift, "transl", shape=(count, 3), is_finite=True)
+
+        if "pose" in arrays:
+            root, fingers = np.split(given("pose", count, 48), [3], axis=1)
+        else:
+            root = given("global_orient", count, 3)
+            fingers = given("hand_pose", count, "k")
+        shape = given("betas", 10, default=np.zeros(10))
+        shift = given("transl", count, 3, default=np.zeros((count, 3)))
         model = load_model(entry.side, self._model)
-        components = fingers.shape[1]
-        if components > len(model.hands_components):
-            problem = f"expected at most {len(model.hands_components)} numbers, got {components}"
-            raise RecordingError(problem, file=path, array="hand_pose")
-        if components < len(model.hands_components):
+        components, most = fingers.shape[1], len(model.hands_components)
+        if components > most:
+            problem = f"expected at most {most} numbers, got {components}"
+            raise RecordingError(
+                problem,
+                file=path,
+                array="hand_pose",
+            )
+        if components < most:
             fingers = fingers @ model.hands_components[:components]
         if not bool(arrays["flat_hand_mean"]):
             fingers = fingers + model.hands_mean

@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,14 +23,15 @@ ENVIRONMENT = "HANDMAP_MANO"
 TIP_VERTICES = (744, 320, 443, 554, 671)
 """Vertices of the fingertips, thumb to little (those of the smplx package)."""
 _JOINTS, _VERTICES, _SHAPES = 16, 778, 10
+_TURNS = 3 * (_JOINTS - 1)
 _SHAPES_OF = {
     "v_template": (_VERTICES, 3),
     "shapedirs": (_VERTICES, 3, _SHAPES),
-    "posedirs": (_VERTICES, 3, 9 * (_JOINTS - 1)),
+    "posedirs": (_VERTICES, 3, 3 * _TURNS),
     "J_regressor": (_JOINTS, _VERTICES),
     "weights": (_VERTICES, _JOINTS),
-    "hands_mean": (3 * (_JOINTS - 1),),
-    "hands_components": (3 * (_JOINTS - 1), 3 * (_JOINTS - 1)),
+    "hands_mean": (_TURNS,),
+    "hands_components": (_TURNS, _TURNS),
     "kintree_table": (2, _JOINTS),
 }
 
@@ -47,7 +49,10 @@ class ManoModel(NamedTuple):
     kintree_table: np.ndarray
 
     def joints(
-        self, turns: np.ndarray, shape: np.ndarray, translation: np.ndarray
+        self,
+        turns: np.ndarray,
+        shape: np.ndarray,
+        translation: np.ndarray,
     ) -> np.ndarray:
         """Compute joints and fingertips.
 
@@ -59,10 +64,13 @@ class ManoModel(NamedTuple):
         Returns:
             The 16 joints in MANO's order, then the tips from thumb to little [m], shape (T, 21, 3).
         """
+        from scipy.spatial.transform import Rotation
+
         tips = list(TIP_VERTICES)
         vertices = self.v_template + self.shapedirs @ shape
         rest = self.J_regressor @ vertices
-        rotations = _rotations(turns)
+        rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
+        rotations = rotations.reshape(*turns.shape, 3)
         offsets = (rotations[:, 1:] - np.eye(3)).reshape(len(turns), -1)
         posed = vertices[tips] + np.einsum("vck,tk->tvc", self.posedirs[tips], offsets)
         parents = self.kintree_table[0].astype(int)
@@ -90,49 +98,52 @@ def load_model(side: str, given: Path | None = None) -> ManoModel:
         RecordingError: If there is none, it cannot be read, or an array has another shape. A pickle
             is read without running code in it: it may hold arrays only.
     """
-    named = given or (
-        Path(os.environ[ENVIRONMENT]) if os.environ.get(ENVIRONMENT) else None
-    )
-    if named is None:
+    name = f"MANO_{side.upper()}.pkl"
+    found = given or os.environ.get(ENVIRONMENT)
+    if not found:
         raise RecordingError(
             "MANO parameters need the licensed model (mano.is.tue.mpg.de): give the path of "
-            f"MANO_{side.upper()}.pkl by --mano, or set {ENVIRONMENT}; joints need no model",
-            file=Path(f"MANO_{side.upper()}.pkl"),
+            f"{name} by --mano, or set {ENVIRONMENT}; joints need no model",
+            file=Path(name),
         )
-    file = named / f"MANO_{side.upper()}.pkl" if named.is_dir() else named
-    values: dict[str, Any] = (
-        read_archive(file) if file.suffix == ".npz" else _read_pickle(file)
-    )
-    arrays = {}
-    for name, shape in _SHAPES_OF.items():
-        if name not in values:
-            raise RecordingError("is missing", file=file, array=name)
-        value: Any = values[name]
-        array = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
-        if array.shape != shape or array.dtype.kind not in "biuf":
-            got = f"{array.dtype} of shape {array.shape}"
-            raise RecordingError(
-                f"expected numbers of shape {shape}, got {got}", file=file, array=name
-            )
-        arrays[name] = array.astype(float)
+    file = Path(found)
+    file = file / name if file.is_dir() else file
+    values = read_archive(file) if file.suffix == ".npz" else _read_pickle(file)
+    arrays = {key: _array(values, key, file) for key in _SHAPES_OF}
     parents = arrays["kintree_table"][0, 1:]
     if not (parents < np.arange(1, _JOINTS)).all():
+        problem = "expected parents before children"
         raise RecordingError(
-            "expected parents before children", file=file, array="kintree_table"
+            problem,
+            file=file,
+            array="kintree_table",
         )
     return ManoModel(**arrays)
 
 
-def _rotations(turns: np.ndarray) -> np.ndarray:
-    """Return the rotation matrices of rotation vectors (..., 3), shape (..., 3, 3)."""
-    angle = np.linalg.norm(turns, axis=-1)[..., None, None]
-    x, y, z = np.moveaxis(turns, -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
-    cross = cross.reshape(*turns.shape[:-1], 3, 3)
-    # sin(a)/a and (1 - cos(a))/a^2 by sinc, which is exact at 0.
-    first, half = np.sinc(angle / np.pi), np.sinc(angle / (2.0 * np.pi))
-    return np.eye(3) + first * cross + 0.5 * half**2 * (cross @ cross)
+def _array(
+    values: Mapping[str, Any],
+    name: str,
+    file: Path,
+) -> np.ndarray:
+    """Return an array of the model, dense and of its shape."""
+    if name not in values:
+        raise RecordingError(
+            "is missing",
+            file=file,
+            array=name,
+        )
+    value, shape = values[name], _SHAPES_OF[name]
+    array = np.asarray(value.toarray() if hasattr(value, "toarray") else value)
+    if array.shape != shape or array.dtype.kind not in "biuf":
+        got = f"{array.dtype} of shape {array.shape}"
+        problem = f"expected numbers of shape {shape}, got {got}"
+        raise RecordingError(
+            problem,
+            file=file,
+            array=name,
+        )
+    return array.astype(float)
 
 
 class _Shell:
@@ -145,15 +156,12 @@ class _Shell:
 
 
 _ALLOWED = {
-    ("numpy.core.multiarray", "_reconstruct"),
-    ("numpy._core.multiarray", "_reconstruct"),
-    ("numpy.core.multiarray", "scalar"),
-    ("numpy._core.multiarray", "scalar"),
-    ("numpy", "ndarray"),
-    ("numpy", "dtype"),
-    ("_codecs", "encode"),
-    ("scipy.sparse.csc", "csc_matrix"),
-    ("scipy.sparse._csc", "csc_matrix"),
+    "numpy.core.multiarray": ("_reconstruct", "scalar"),
+    "numpy._core.multiarray": ("_reconstruct", "scalar"),
+    "numpy": ("ndarray", "dtype"),
+    "_codecs": ("encode",),
+    "scipy.sparse.csc": ("csc_matrix",),
+    "scipy.sparse._csc": ("csc_matrix",),
 }
 
 
@@ -163,22 +171,19 @@ class _ArrayUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if module.partition(".")[0] == "chumpy":
             return _Shell
-        if (module, name) not in _ALLOWED:
+        if name not in _ALLOWED.get(module, ()):
             raise pickle.UnpicklingError(f"holds {module}.{name}, which is not read")
         return super().find_class(module, name)
 
 
 def _read_pickle(file: Path) -> dict[str, Any]:
+    problem = "cannot be read as a MANO model"
     try:
-        content = file.read_bytes()
-        values = _ArrayUnpickler(io.BytesIO(content), encoding="latin1").load()
+        content = io.BytesIO(file.read_bytes())
+        values = _ArrayUnpickler(content, encoding="latin1").load()
     except (pickle.UnpicklingError, ImportError, *DAMAGES) as error:
-        text = " ".join(str(error).split())
-        raise RecordingError(
-            f"cannot be read as a MANO model: {text[:160]}", file=file
-        ) from error
+        text = " ".join(str(error).split())[:160]
+        raise RecordingError(f"{problem}: {text}", file=file) from error
     if not isinstance(values, dict):
-        raise RecordingError(
-            "cannot be read as a MANO model: it is no table", file=file
-        )
+        raise RecordingError(f"{problem}: it is no table", file=file)
     return values

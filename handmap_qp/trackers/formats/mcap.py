@@ -26,7 +26,6 @@ from handmap_qp.trackers.formats.base import (
     Entry,
     RecordingFormat,
     build_recording,
-    finite_samples,
     reading,
     require,
 )
@@ -78,31 +77,26 @@ class McapFormat(RecordingFormat):
             topics = _hands(path, bag)[entry.side]
             name = _main(topics)
             pairs = list(_messages(bag, name))
-            messages, times = (
-                [message for _, message in pairs],
-                [_instant(m) for _, m in pairs],
-            )
-            wrist = (
-                _wrist_poses(path, bag, topics["wrist"], times)
-                if "wrist" in topics
-                else None
-            )
-            if "landmarks" in topics:
-                landmarks = _landmarks(path, name, messages)
-            else:
-                landmarks = _forward(path, name, messages, entry.side, wrist)
-            confidence = None
-            if "confidence" in topics:
+            messages = [message for _, message in pairs]
+            times = [_instant(message) for message in messages]
+            wrists = confidence = None
+            if "wrist" in topics:
                 found = {
-                    log: message.data
-                    for log, message in _messages(bag, topics["confidence"])
+                    _instant(m): _seven(m) for _, m in _messages(bag, topics["wrist"])
                 }
-                confidence = np.array([found.get(log, np.nan) for log, _ in pairs])
-        if (
-            wrist is not None
-            and not np.isfinite(wrist[finite_samples(landmarks)]).all()
-        ):
-            wrist = None
+                rows = [found.get(time, (np.nan,) * 7) for time in times]
+                wrists = np.array(rows).reshape(-1, 7)
+            if "confidence" in topics:
+                shares = {
+                    log: m.data for log, m in _messages(bag, topics["confidence"])
+                }
+                confidence = np.array([shares.get(log, np.nan) for log, _ in pairs])
+            with reading(path, name):
+                if "landmarks" in topics:
+                    rows = [_points(message, i) for i, message in enumerate(messages)]
+                    landmarks = np.array(rows).reshape(-1, LANDMARK_COUNT, 3)
+                else:
+                    landmarks = _forward(messages, entry.side, wrists)
         return build_recording(
             path,
             entry,
@@ -110,19 +104,17 @@ class McapFormat(RecordingFormat):
             landmarks,
             prefix=f"{name}: ",
             source=f"ROS 2 bag, {name}",
-            wrist=wrist,
+            wrist_pose=wrists,
             confidence=confidence,
         )
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the topics that a recording cannot hold."""
         with _opened(path) as bag:
-            used = {
-                topic
-                for topics in _hands(path, bag).values()
-                for topic in topics.values()
-            }
-            return tuple(f"topic {topic}" for topic in sorted(set(bag.topics) - used))
+            rest = set(bag.topics)
+            for topics in _hands(path, bag).values():
+                rest -= set(topics.values())
+            return tuple(f"topic {topic}" for topic in sorted(rest))
 
     def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Name what messages cannot hold."""
@@ -141,16 +133,23 @@ class McapFormat(RecordingFormat):
             if recording.time[0] < 0.0 or recording.time[-1] > 2.0**31:
                 expected = "instants from 0 to 2^31 s, as ROS 2 has them"
                 got = f"{recording.time[0]:g} to {recording.time[-1]:g}"
-                raise InvalidInputError(argument="time", expected=expected, got=got)
+                raise InvalidInputError(
+                    argument="time",
+                    expected=expected,
+                    got=got,
+                )
         with (
             replaced_path(path, "path") as temporary,
             tempfile.TemporaryDirectory(
-                prefix=f".{path.stem}-", dir=path.parent
+                prefix=f".{path.stem}-",
+                dir=path.parent,
             ) as folder,
         ):
             bag = Path(folder) / path.stem
             with bags.Writer(
-                bag, version=9, storage_plugin=bags.StoragePlugin.MCAP
+                bag,
+                version=9,
+                storage_plugin=bags.StoragePlugin.MCAP,
             ) as writer:
                 for recording in recordings:
                     _write_hand(writer, recording)
@@ -212,54 +211,54 @@ def _instant(message: Any) -> float:
     return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
 
-def _wrist_poses(path: Path, bag: Any, topic: str, times: list[float]) -> np.ndarray:
-    """Return the wrist's poses at the instants, NaN where there is none, shape (T, 4, 4)."""
-    found = {}
-    for _, message in _messages(bag, topic):
-        p, q = message.pose.position, message.pose.orientation
-        found[_instant(message)] = (p.x, p.y, p.z, q.w, q.x, q.y, q.z)
-    rows = np.array([found.get(time, (np.nan,) * 7) for time in times]).reshape(-1, 7)
-    is_given = finite_samples(rows)
-    poses = np.full((len(rows), 4, 4), np.nan)
-    if is_given.any():
-        with reading(path):
-            poses[is_given] = poses_from_quats(
-                rows[is_given, :3], rows[is_given, 3:], topic
-            )
-    return poses
+def _seven(message: Any) -> tuple[float, ...]:
+    """Return position and quaternion w, x, y, z of a pose."""
+    p, q = message.pose.position, message.pose.orientation
+    return p.x, p.y, p.z, q.w, q.x, q.y, q.z
 
 
-def _landmarks(path: Path, topic: str, messages: list[Any]) -> np.ndarray:
-    rows = []
-    for i, message in enumerate(messages):
-        if len(message.poses) != LANDMARK_COUNT:
-            problem = f"expected {LANDMARK_COUNT} poses, got {len(message.poses)} in message {i}"
-            raise RecordingError(problem, file=path, array=topic)
-        rows.append([(p.position.x, p.position.y, p.position.z) for p in message.poses])
-    return np.array(rows).reshape(len(rows), LANDMARK_COUNT, 3)
+def _points(message: Any, i: int) -> list[tuple[float, float, float]]:
+    """Return the landmarks of message i [m]."""
+    if len(message.poses) != LANDMARK_COUNT:
+        problem = (
+            f"expected {LANDMARK_COUNT} poses, got {len(message.poses)} in message {i}"
+        )
+        raise InvalidInputError(problem)
+    return [(p.position.x, p.position.y, p.position.z) for p in message.poses]
+
+
+def _posture(
+    message: Any,
+    i: int,
+    side: Side,
+) -> np.ndarray:
+    """Return the joint angles of message i, in the order of `HUMAN_JOINTS` [rad]."""
+    names = [name.removeprefix(f"{side}_") for name in message.name]
+    missing = [name for name in HUMAN_JOINTS if name not in names]
+    if missing:
+        raise InvalidInputError(f"message {i} has no position of joint {missing[0]!r}")
+    if len(message.position) != len(names):
+        counts = f"{len(names)} names and {len(message.position)} positions"
+        raise InvalidInputError(f"message {i} has {counts}")
+    return message.position[[names.index(name) for name in HUMAN_JOINTS]]
 
 
 def _forward(
-    path: Path, topic: str, messages: list[Any], side: Side, wrist: np.ndarray | None
+    messages: list[Any],
+    side: Side,
+    wrists: np.ndarray | None,
 ) -> np.ndarray:
     """Return the landmarks of joint states, by the model's own lengths."""
     human = load_hand(human_name(side), points="landmarks")
     rows = np.full((len(messages), LANDMARK_COUNT, 3), np.nan)
     for i, message in enumerate(messages):
-        names = [name.removeprefix(f"{side}_") for name in message.name]
-        missing = [name for name in HUMAN_JOINTS if name not in names]
-        if missing or len(message.position) != len(names):
-            problem = (
-                f"message {i} has no position of joint {missing[0]!r}"
-                if missing
-                else (
-                    f"message {i} has {len(names)} names and {len(message.position)} positions"
-                )
-            )
-            raise RecordingError(problem, file=path, array=topic)
-        q = message.position[[names.index(name) for name in HUMAN_JOINTS]]
-        pose = np.eye(4) if wrist is None else wrist[i]
-        if np.isfinite(q).all() and np.isfinite(pose).all():
+        q, pose = _posture(message, i, side), np.eye(4)
+        if wrists is not None:
+            seven = wrists[i]
+            if not np.isfinite(seven).all():
+                continue
+            pose = poses_from_quats(seven[:3], seven[3:], "wrist")
+        if np.isfinite(q).all():
             rows[i] = human.points(q, pose)
     return rows
 
@@ -287,27 +286,22 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         )
 
     names, none = list(motion.human.joint_names), np.zeros(0)
+    landmarks = np.where(recording.valid[:, None, None], recording.landmarks, np.nan)
     for i, time in enumerate(recording.time.tolist()):
         stamp = round(1e9 * time)
         instant = made("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
         header = made("std_msgs/msg/Header", instant, _FRAME)
-        points = (
-            recording.landmarks[i] if recording.valid[i] else np.full((21, 3), np.nan)
-        )
         values: dict[str, tuple[Any, ...]] = {
-            _POSES: (header, [pose(point) for point in points])
+            _POSES: (header, [pose(point) for point in landmarks[i]])
         }
         if motion.valid[i]:
             values[_STATE] = (header, names, motion.q[i], none, none)
         if recording.wrist is not None and recording.valid[i]:
             own = recording.wrist[i]
-            values[_POSE] = (
-                header,
-                pose(own[:3, 3], quat_wxyz_from_rotation(own[:3, :3]).tolist()),
-            )
+            quat = quat_wxyz_from_rotation(own[:3, :3]).tolist()
+            values[_POSE] = (header, pose(own[:3, 3], quat))
         if recording.confidence is not None:
             values[_NUMBER] = (float(recording.confidence[i]),)
         for kind, given in values.items():
-            writer.write(
-                topics[kind], stamp, store.serialize_cdr(made(kind, *given), kind)
-            )
+            content = store.serialize_cdr(made(kind, *given), kind)
+            writer.write(topics[kind], stamp, content)

@@ -13,15 +13,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import RecordingError
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.trackers.formats.base import (
+    COLUMNS,
     Entry,
     RecordingFormat,
     build_recording,
-    landmark_rows,
-    pose_rows,
+    check_some,
+    column,
+    known_columns,
     side_of,
 )
 from handmap_qp.trackers.formats.hdf5 import (
@@ -31,8 +32,6 @@ from handmap_qp.trackers.formats.hdf5 import (
     numbers,
     opened,
 )
-
-_KNOWN = {"landmarks", "time", "valid", "confidence", "wrist"}
 
 
 class RobomimicFormat(RecordingFormat):
@@ -62,25 +61,18 @@ class RobomimicFormat(RecordingFormat):
         """Read one demonstration."""
         with opened(path) as file:
             demo = file["data"][entry.name]
-            obs, count = demo["obs"], entry.samples
-            is_flat = len(obs["landmarks"].shape) == 2
-            sizes = {"time": (), "valid": (), "confidence": (), "wrist": (12,)}
-            sizes["landmarks"] = (
-                (3 * LANDMARK_COUNT,) if is_flat else (LANDMARK_COUNT, 3)
-            )
-            columns = {
-                name: numbers(path, obs, name, (count, *size))
-                for name, size in sizes.items()
-                if name in obs or name == "time"
-            }
-            about = {key: str(demo.attrs.get(key, "")) for key in ("name", "source")}
-        return build_recording(
-            path,
-            entry,
-            prefix=f"data/{entry.name}/obs/",
-            **columns,
-            **about,
-        )
+            obs = demo["obs"]
+            columns: dict[str, Any] = {}
+            for name, names in COLUMNS.items():
+                if name in obs or name == "time":
+                    size = (len(names),) if len(names) > 1 else ()
+                    if name == "landmarks" and len(obs[name].shape) == 3:
+                        size = (len(names) // 3, 3)
+                    columns[name] = numbers(path, obs, name, (entry.samples, *size))
+            for key in ("name", "source"):
+                columns[key] = str(demo.attrs.get(key, ""))
+        prefix = f"data/{entry.name}/obs/"
+        return build_recording(path, entry, **columns, prefix=prefix)
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the arrays that a recording cannot hold."""
@@ -88,15 +80,12 @@ class RobomimicFormat(RecordingFormat):
             found: set[str] = set()
             for demo in file["data"].values():
                 found |= {name for name in demo if name != "obs"}
-                found |= {f"obs/{name}" for name in demo["obs"] if name not in _KNOWN}
+                found |= {f"obs/{name}" for name in set(demo["obs"]) - set(COLUMNS)}
             return tuple(sorted(found))
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as a demonstration."""
-        if not recordings:
-            raise InvalidInputError(
-                argument="recordings", expected="at least one", got="none"
-            )
+        check_some(recordings)
         with created(path) as file:
             data = file.create_group("data")
             data.attrs["total"] = sum(len(recording) for recording in recordings)
@@ -108,13 +97,9 @@ class RobomimicFormat(RecordingFormat):
                 for key in ("name", "side", "source"):
                     demo.attrs[key] = getattr(recording, key)
                 obs = demo.create_group("obs")
-                obs["time"] = recording.time
-                obs["landmarks"] = landmark_rows(recording)
-                obs["valid"] = recording.valid
-                if recording.confidence is not None:
-                    obs["confidence"] = recording.confidence
-                if recording.wrist is not None:
-                    obs["wrist"] = pose_rows(recording)
+                for name in known_columns(recording):
+                    values = column(recording, name)
+                    obs[name] = values if values.shape[1] > 1 else values[:, 0]
 
 
 def _number(name: str) -> tuple[int, str]:
@@ -123,14 +108,19 @@ def _number(name: str) -> tuple[int, str]:
     return (int(digits.group(1)) if digits else -1, name)
 
 
-def _entry(path: Path, name: str, demo: Any) -> Entry:
-    if not hasattr(demo, "keys") or "obs" not in demo or "landmarks" not in demo["obs"]:
-        known = (
-            sorted(demo["obs"])
-            if hasattr(demo, "keys") and "obs" in demo
-            else ["no group obs"]
+def _entry(
+    path: Path,
+    name: str,
+    demo: Any,
+) -> Entry:
+    found = demo["obs"] if hasattr(demo, "keys") and "obs" in demo else {}
+    if "landmarks" not in found:
+        names = ", ".join(sorted(found)) if hasattr(found, "name") else "no group obs"
+        problem = f"has no landmarks; it has {names}"
+        raise RecordingError(
+            problem,
+            file=path,
+            array=f"data/{name}",
         )
-        problem = f"has no landmarks; it has {', '.join(known)}"
-        raise RecordingError(problem, file=path, array=f"data/{name}")
     side = side_of(demo.attrs.get("side"), path, f"data/{name}")
-    return Entry(name, side, len(demo["obs"]["landmarks"]))
+    return Entry(name, side, len(found["landmarks"]))
