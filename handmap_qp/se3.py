@@ -172,7 +172,7 @@ def rotation_from_rpy(rpy: npt.ArrayLike) -> np.ndarray:
 def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """Find roll, pitch and yaw of a rotation (3, 3), as in a URDF [rad], pitch within +-pi / 2.
 
-    Where the pitch is a right angle, only yaw minus roll (or their sum) is determined; both are then
+    Where the pitch is a right angle, only yaw minus roll (or their sum) is determined, and both are
     some that fit. Pinocchio's `matrixToRpy` loses digits near there.
     """
     (_, xy, xz), (_, yy, yz), (zx, zy, zz) = rotation

@@ -13,9 +13,10 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.fingers import THUMB, Finger, PalmKinematics, find_fingers
+from handmap_qp.hands.fingers import Finger, PalmKinematics, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
+from handmap_qp.mapping.landmarks import chain_landmarks, require_points
 
 # Bones that point along the axis of abduction say nothing of it: length that pulls it to zero [m].
 _STRAIGHTENING = 0.0005
@@ -45,20 +46,9 @@ class FingerAngles:
                 problem=f"{human.name} has other joints than the human hand",
                 advice="load_hand('human')",
             )
-        names = {point.name: k for k, point in enumerate(human.reference_points)}
-        needed = {finger: _landmarks(finger) for finger in fingers}
-        missing = [
-            name for wanted in needed.values() for name in wanted if name not in names
-        ]
-        if missing:
-            raise InvalidOptionsError(
-                option="human_points",
-                problem=f"joint angles need {', '.join(missing)} among the human's points",
-                advice="load the human with points='joints' or points='landmarks'",
-            )
-        self._points = np.array(
-            [[names[name] for name in needed[finger]] for finger in fingers]
-        )
+        needed = [name for finger in fingers for name in chain_landmarks(finger)]
+        points = require_points(human, needed, "a mapping of joint angles")
+        self._points = points.reshape(-1, 4)
         self.columns = np.array(
             [4 * FINGERS.index(finger) + np.arange(4) for finger in fingers]
         )
@@ -127,8 +117,3 @@ class _FingerFrames:
             angles.append(float(np.arctan2(y, x)))
             turned = turned.dot(pin.exp3(angles[-1] * frame[:, 2]))
         return np.array(angles)
-
-
-def _landmarks(finger: str) -> tuple[str, ...]:
-    joints = ("cmc", "mcp", "ip") if finger == THUMB else ("mcp", "pip", "dip")
-    return (*(f"{finger}_{joint}" for joint in joints), f"{finger}_tip")

@@ -24,6 +24,11 @@ from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.mapping.landmarks import (
+    chain_landmarks,
+    point_indices,
+    require_points,
+)
 from handmap_qp.mapping.matched_posture import nearest_posture
 from handmap_qp.se3 import as_floats, frozen, inverse_pose, transform_points
 
@@ -33,7 +38,6 @@ MIDDLES = {f: f"{f}_{'ip' if f == THUMB else 'pip'}" for f in FINGERS}
 """Landmark of the joint in the middle of each finger."""
 TIPS = {f: f"{f}_tip" for f in FINGERS}
 """Landmark of each fingertip."""
-_THUMB, _FINGER = ("cmc", "mcp", "ip", "tip"), ("mcp", "pip", "dip", "tip")
 
 # Weight of a jaw's position errors. The gap to the thumb is all that a jaw can show.
 _JAW_WEIGHT = 1e-4
@@ -69,11 +73,9 @@ _PINCHING = _OPENING.replaced(
 _PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
 
 
-def missing_landmarks(human: Hand, fingers: Iterable[str]) -> list[str]:
-    """Return which landmarks of fingers are no reference points of a human hand."""
-    given = {point.name for point in human.reference_points}
-    needed = [table[f] for f in fingers for table in (TIPS, MIDDLES, KNUCKLES)]
-    return [name for name in needed if name not in given]
+def finger_landmarks(fingers: Iterable[str]) -> list[str]:
+    """Return the landmarks that a pair of hands needs of each finger."""
+    return [table[f] for f in fingers for table in (TIPS, MIDDLES, KNUCKLES)]
 
 
 class HandPair:
@@ -117,7 +119,7 @@ class HandPair:
         self, human: Hand, robot: Hand, matched: np.ndarray | None = None
     ) -> None:
         self.human, self._measured = human, _robot_fingers(robot)
-        names = {point.name: k for k, point in enumerate(human.reference_points)}
+        names = point_indices(human)
         self.chains, self.pads = self._measured.chains, self._measured.pads
         self.contacts: ShapePairs = self._measured.contacts
         self.fingers, self.has_jaws = self._measured.names, self._measured.has_jaws
@@ -127,14 +129,8 @@ class HandPair:
         self.partners = np.array([names[partner] for partner in wanted])
         self.tips = np.array([names[TIPS[finger]] for finger in self.fingers])
         self.knuckles = np.array([names[KNUCKLES[finger]] for finger in self.fingers])
-        self.shape_points = np.array(
-            [
-                names[name]
-                for f in FINGERS
-                for name in (TIPS[f], MIDDLES[f])
-                if name in names
-            ]
-        )
+        shape = [table[finger] for finger in FINGERS for table in (TIPS, MIDDLES)]
+        self.shape_points = np.array([names[name] for name in shape if name in names])
         self.human_rest = frozen(_points_in_palm(human, resting_posture(human)))
         self.human_reach = bone_lengths(human, self.fingers)
         self.robot_reach = np.array(
@@ -175,12 +171,7 @@ class HandPair:
                 problem="teleoperation needs fingers, and no point of the robot names one",
                 advice="add `finger` to the points of its hand.yaml, or take the preset object",
             )
-        if missing := missing_landmarks(self.human, self.fingers):
-            raise InvalidOptionsError(
-                option="human_points",
-                problem=f"teleoperation needs {', '.join(missing)} among the human's points",
-                advice="load the human with points='joints' or points='landmarks'",
-            )
+        require_points(self.human, finger_landmarks(self.fingers), "teleoperation")
 
     def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
         given = self.robot.matched if matched is None else matched
@@ -329,7 +320,7 @@ def require_partners(
     Raises:
         InvalidOptionsError: If no robot point has a partner.
     """
-    names = {point.name: k for k, point in enumerate(human.reference_points)}
+    names = point_indices(human)
     wanted = partner_names(robot, {point.name for point in human.spec.points})
     pairs = [
         (j, names[partner]) for j, partner in enumerate(wanted) if partner in names
@@ -421,9 +412,7 @@ def resting_posture(human: Hand) -> np.ndarray:
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
     at_rest = _named_points_at_rest(human)
-    names = [
-        f"{f}_{joint}" for f in fingers for joint in (_THUMB if f == THUMB else _FINGER)
-    ]
+    names = [name for finger in fingers for name in chain_landmarks(finger)]
     joints = np.array([at_rest[name] for name in names]).reshape(-1, 4, 3)
     return np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.human.landmarks import landmarks_at_rest
@@ -138,6 +141,38 @@ def _missing_wrist() -> InvalidInputError:
     return InvalidInputError(
         argument="wrist_pose", problem="needed for the pose of the palm"
     )
+
+
+def chain_landmarks(finger: str) -> list[str]:
+    """Return the names of a finger's landmarks from its base to its tip."""
+    joints = ("cmc", "mcp", "ip") if finger == THUMB else ("mcp", "pip", "dip")
+    return [f"{finger}_{joint}" for joint in (*joints, "tip")]
+
+
+def point_indices(human: Hand) -> dict[str, int]:
+    """Return the indices of a human hand's reference points by name."""
+    return {point.name: k for k, point in enumerate(human.reference_points)}
+
+
+def require_points(human: Hand, names: Iterable[str], user: str) -> np.ndarray:
+    """Return the indices of named reference points of a human hand, shape (k,).
+
+    Args:
+        human: The human hand.
+        names: The names.
+        user: What needs them, for the message.
+
+    Raises:
+        InvalidOptionsError: If the hand has no reference point of a name.
+    """
+    wanted, known = list(names), point_indices(human)
+    if missing := [name for name in wanted if name not in known]:
+        raise InvalidOptionsError(
+            option="human_points",
+            problem=f"{user} needs {', '.join(missing)} among the human's points",
+            advice="load the human with points='joints' or points='landmarks'",
+        )
+    return np.array([known[name] for name in wanted], dtype=int)
 
 
 _PALM = ("wrist", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")

@@ -86,7 +86,7 @@ def test_knuckle_vectors_name_their_missing_requirement() -> None:
     assert unknown.value.option == "origin"
     with pytest.raises(InvalidOptionsError, match="index_mcp") as missing:
         HandMapper(HUMAN.with_points("fingertips"), ALLEGRO, KNUCKLE)
-    assert missing.value.option == "origin"
+    assert missing.value.option == "human_points"
     with pytest.raises(InvalidOptionsError) as text:
         FingertipVectors(scale="1")  # ty: ignore[invalid-argument-type]
     assert text.value.option == "scale"

@@ -315,7 +315,7 @@ def test_a_chain_that_crashes_urdf_readers_is_refused(made: MadeHand) -> None:
         f'<parent link="{made.palm if i == 0 else f"x{i - 1}"}"/><child link="x{i}"/></joint>'
         for i in range(5000)
     ]
-    with pytest.raises(HandError, match="chain of 5001 links .* at most 2000"):
+    with pytest.raises(HandError, match=r"chain of 5001 links .* at most 2000"):
         detect_text(
             made.urdf.replace("</robot>", "".join(parts) + "</robot>"), Path("x.urdf")
         )

@@ -29,7 +29,7 @@ from handmap_qp.mapping.hand_pair import (
     points_in_palm_at,
     require_partners,
 )
-from handmap_qp.mapping.landmarks import PalmMap, PalmMethod
+from handmap_qp.mapping.landmarks import PalmMap, PalmMethod, require_points
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -110,18 +110,17 @@ class BoundFingertipVectors(PalmMethod):
         """Find both hands' knuckles and the ratio of reaches of each pair's finger."""
         human, robot = self.human, self.robot
         chains = find_fingers(robot)
-        names = {point.name: k for k, point in enumerate(human.reference_points)}
         led = [str(robot.reference_points[j].finger) for j in self.pairs[0]]
         leading = [str(human.reference_points[k].finger) for k in self.pairs[1]]
-        missing = {KNUCKLES[finger] for finger in leading} - set(names)
-        if missing or not led:
+        if not led:
             raise InvalidOptionsError(
                 option="origin",
-                problem=f"'knuckle' needs {', '.join(sorted(missing)) or 'named fingers'}",
+                problem=f"'knuckle' needs named fingers, and {robot.name} has none",
                 value="knuckle",
-                advice="load the human with points='joints', and name the robot's fingers",
+                advice="add `finger` to the points of its hand.yaml",
             )
-        self.human_origins = np.array([names[KNUCKLES[finger]] for finger in leading])
+        knuckles = [KNUCKLES[finger] for finger in leading]
+        self.human_origins = require_points(human, knuckles, "origin=knuckle")
         self.robot_origins = points_in_palm_at(
             robot, [chains[finger].knuckle for finger in led]
         )

@@ -20,11 +20,12 @@ from handmap_qp.hands.human import CONTACT_GAP, FINGERS
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
-from handmap_qp.mapping.hand_pair import hand_pair, missing_landmarks
+from handmap_qp.mapping.hand_pair import finger_landmarks, hand_pair
 from handmap_qp.mapping.landmarks import (
     PalmMap,
     PalmMethod,
     palm_of,
+    point_indices,
     transform_point,
 )
 from handmap_qp.mapping.method import (
@@ -120,7 +121,7 @@ class Teleoperation(MethodOptions, frozen=True):
 def fingers_correspond(human: Hand, robot: Hand) -> bool:
     """Return whether a robot has fingers, and a human hand the points of theirs."""
     fingers = set(FINGERS) & {point.finger for point in robot.spec.points}
-    return bool(fingers) and not missing_landmarks(human, fingers)
+    return bool(fingers) and set(finger_landmarks(fingers)) <= set(point_indices(human))
 
 
 PRESETS = {
