@@ -293,41 +293,45 @@ def check_pose(
         InvalidInputError: On a wrong shape, numbers that are not finite, coordinates beyond
             `FARTHEST`, or a 3x3 part that is not a rotation.
     """
-    is_array = type(value) is np.ndarray
-    pose = as_floats(
-        value
-        if is_array or not isinstance(value, HasHomogeneous)
-        else value.homogeneous,
-        name,
-    )
+    is_plain = isinstance(value, np.ndarray) or not isinstance(value, HasHomogeneous)
+    pose = as_floats(value if is_plain else value.homogeneous, name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
+    defect = _rotation_defect(pose) if pose.shape == (4, 4) else math.inf
+    expected, got, advice = "", "", ""
     if pose.shape != (4, 4):
-        has_order = pose.shape != (7,)
-        advice = "" if has_order else "7 numbers need quat_order='wxyz' or 'xyzw'"
         expected, got = (
             "shape (4, 4), a pinocchio.SE3 or 7 numbers",
             f"shape {pose.shape}",
         )
-        raise InvalidInputError(
-            argument=name, expected=expected, value=value, got=got, advice=advice
-        )
-    # Plain floats: numpy takes ten times as long on so small an array, once or twice a sample. Zero
-    # times the sum makes the result NaN where any number is NaN or infinite.
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), bottom = pose.tolist()
-    if bottom != [0.0, 0.0, 0.0, 1.0] or not (
-        max(abs(x), abs(y), abs(z))
-        + 0.0 * (a + b + c + d + e + f + g + h + i + x + y + z)
-        <= FARTHEST
-    ):
+        if pose.shape == (7,):
+            advice = "7 numbers need quat_order='wxyz' or 'xyzw'"
+    # `<= FARTHEST` is also false for NaN.
+    elif not (abs(pose) <= FARTHEST).all() or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         expected = (
             f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
         )
+        got = str(pose.tolist())
+    elif not defect <= _ROTATION_TOLERANCE:
+        turn = np.linalg.det(pose[:3, :3])
+        expected = "a rotation as its 3x3 part"
+        got = f"a matrix off a rotation by {defect:.3g}, with determinant {turn:.3g}"
+    if expected:
         raise InvalidInputError(
-            argument=name, expected=expected, value=value, got=str(pose.tolist())
+            argument=name, expected=expected, value=value, got=got, advice=advice
         )
-    # Two orthogonal unit columns and their cross product are a proper rotation.
-    defect = max(
+    if defect > _ROTATION_EXACT:
+        pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
+    return pose
+
+
+def _rotation_defect(pose: np.ndarray) -> float:
+    """Return how far two columns are from orthogonal unit ones, and the third from their product.
+
+    In plain floats: numpy takes ten times as long on so small an array, once or twice a sample.
+    """
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = pose.tolist()
+    return max(
         abs(a * a + d * d + g * g - 1.0),
         abs(b * b + e * e + h * h - 1.0),
         abs(a * b + d * e + g * h),
@@ -335,15 +339,6 @@ def check_pose(
         abs(b * g - a * h - f),
         abs(a * e - b * d - i),
     )
-    if not defect <= _ROTATION_TOLERANCE:
-        turn = np.linalg.det(pose[:3, :3])
-        got = f"a matrix off a rotation by {defect:.3g}, with determinant {turn:.3g}"
-        raise InvalidInputError(
-            argument=name, expected="a rotation as its 3x3 part", value=value, got=got
-        )
-    if defect > _ROTATION_EXACT:
-        pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
-    return pose
 
 
 def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
@@ -398,27 +393,24 @@ def as_floats(
         InvalidInputError: If these are not real numbers, a ragged sequence of them, of another
             shape, or not finite where they must be.
     """
-    array, got = _as_array(value)
-    if (
-        array is not None
-        and not got
-        and shape is not None
-        and not _has_shape(array, shape)
-    ):
+    array, got = _as_array(value), ""
+    if array is None:
+        got = f"{type(value).__name__} {describe_value(value)}"
+    elif shape is not None and not _has_shape(array, shape):
         got = f"shape {array.shape}"
-    if array is not None and not got and is_finite and not np.isfinite(array).all():
+    elif is_finite and not np.isfinite(array).all():
         place = tuple(map(int, np.argwhere(~np.isfinite(array))[0]))
         got = f"{array[place]}" + (f" at {list(place)}" if place else "")
-    if array is None or got:
-        expected = _numbers_text(shape, "finite " if is_finite else "")
-        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
-    return array
+    else:
+        return array
+    expected = _numbers_text(shape, "finite " if is_finite else "")
+    raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
 
-def _as_array(value: Any) -> tuple[np.ndarray | None, str]:
-    """Return real numbers as an array of floats, or what was given instead."""
+def _as_array(value: Any) -> np.ndarray | None:
+    """Return real numbers as an array of floats; None if they are something else."""
     if type(value) is np.ndarray and value.dtype == np.float64:
-        return value, ""
+        return value
     try:
         array = np.asarray(value)
         # An array of objects may hold fractions or long integers.
@@ -426,11 +418,9 @@ def _as_array(value: Any) -> tuple[np.ndarray | None, str]:
             array.dtype.kind == "O"
             and all(isinstance(x, numbers.Real) for x in array.flat)
         )
-        if is_real:
-            return array.astype(float, copy=False), ""
+        return array.astype(float, copy=False) if is_real else None
     except (TypeError, ValueError, OverflowError, RecursionError):
-        return None, ""
-    return None, f"{type(value).__name__} {describe_value(value)}"
+        return None
 
 
 def _has_shape(array: np.ndarray, shape: tuple[int | str, ...]) -> bool:

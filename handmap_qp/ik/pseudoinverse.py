@@ -103,7 +103,7 @@ class PseudoinverseIk(PointIk):
         along = inverse * (U.T @ b + s * (Vt @ homogeneous))
         return self._scale * (homogeneous - Vt.T @ along)
 
-    def _step(
+    def _solution(
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
     ) -> np.ndarray | None:
         if goal.tasks:

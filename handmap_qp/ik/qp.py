@@ -289,15 +289,11 @@ class PointIk:
                 rows = feasible(linear, least, most, stopping=stopping, so_far=total)
             step = self._step(goal, least, most, rows)
             iterations += 1
-            last_step = math.nan if step is None else math.sqrt(step.dot(step))
-            # Catch NaN too, which solvers return where extreme weights or targets overflow.
-            has_failed = step is None or not math.isfinite(last_step)
+            has_failed = step is None
             # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
             # outside their limits back all the same: the box excludes zero there.
-            total = clip(
-                0.0 if step is None or has_failed else total + step, lower, upper
-            )
-            last_step = 0.0 if has_failed else last_step
+            total = clip(0.0 if step is None else total + step, lower, upper)
+            last_step = 0.0 if step is None else math.sqrt(step.dot(step))
             first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
@@ -353,6 +349,13 @@ class PointIk:
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
     ) -> np.ndarray | None:
         """Pose the QP of one iteration and solve it; None if the solver fails."""
+        step = self._solution(goal, lower, upper, rows)
+        # Catch NaN too, which solvers return where extreme weights or targets overflow.
+        return step if step is not None and math.isfinite(step.dot(step)) else None
+
+    def _solution(
+        self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
+    ) -> np.ndarray | None:
         problem = self.hand, self.options, self.configuration, goal
         if self.options.formulation == "mink":
             from handmap_qp.ik import mink_problem

@@ -220,12 +220,13 @@ def _finger_links(
     pairs += [
         (column, _leaders(place, len(flexes))) for place, column in enumerate(flexes)
     ]
+    # Every flexion of the resting hand is one: its sign is the sense.
+    sense = np.where(human.rest[human_columns] < 0.0, -1.0, 1.0)
+    sense[0] = 1.0
     found = []
     for column, leaders in pairs:
-        # Every flexion of the resting hand is one: its sign is the sense.
         senses = np.zeros(4)
-        for k in leaders:
-            senses[k] = -1.0 if k > 0 and human.rest[human_columns[k]] < 0.0 else 1.0
+        senses[leaders] = sense[leaders]
         end = _closed_end(human, robot, finger, others, column, human_columns, senses)
         zero = human.rest[human_columns] if end.counts_from_rest else np.zeros(4)
         limits = np.array(
@@ -233,10 +234,7 @@ def _finger_links(
         )
         reach = np.where(senses < 0.0, -limits[::-1], limits) * np.abs(senses)
         least, most = reach.sum(axis=1) - senses @ zero
-        lower, upper = (
-            float(robot.lower_limits[column]),
-            float(robot.upper_limits[column]),
-        )
+        ends = robot.lower_limits[column].item(), robot.upper_limits[column].item()
         found.append(
             JointLink(
                 finger.name,
@@ -245,7 +243,7 @@ def _finger_links(
                 float(senses @ zero),
                 (min(float(least), -1e-6), max(float(most), 1e-6)),
                 end.start,
-                (lower, upper) if end.is_upper else (upper, lower),
+                ends if end.is_upper else ends[::-1],
             )
         )
     return found
