@@ -84,10 +84,13 @@ class SampleClock(NamedTuple):
         if step == 0.0:
             return Tick("duplicate", 0.0, 0.0), self._replace(is_idle=True)
         if -_SET_BACK <= step < 0.0:
-            is_next = self.late_count > 0 and stamp > self.late_stamp
-            count = self.late_count + 1 if is_next else 1
+            count = 1 + (self.late_count if stamp > self.late_stamp else 0)
             if count < _LATE_SAMPLES:
-                late = self._replace(late_stamp=stamp, late_count=count, is_idle=True)
+                late = self._replace(
+                    late_stamp=stamp,
+                    late_count=count,
+                    is_idle=True,
+                )
                 return Tick("disorder", 0.0, 0.0), late
         if step < 0.0 or step > _SET_FORWARD:
             return Tick("clock_jump", period, period), SampleClock(stamp, period)

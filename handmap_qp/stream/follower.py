@@ -7,7 +7,6 @@ a snap, and samples may be smoothed before they are mapped. The service, `handma
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from time import perf_counter
@@ -24,7 +23,7 @@ from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt
 from handmap_qp.mapping.method import HumanPose, Targets
 from handmap_qp.mapping.step import MapStep
-from handmap_qp.se3 import affine
+from handmap_qp.se3 import affine, lengths
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.smoothing import Smoothing, SmoothState, smooth_sample
 
@@ -57,6 +56,19 @@ class _Offset(NamedTuple):
     position: np.ndarray
     turn: np.ndarray
     duration: float
+
+    def added(
+        self,
+        pose: HumanPose,
+        fingers: float,
+        palm: float,
+    ) -> HumanPose:
+        """Add shares of the offset to a pose."""
+        points, wrist = pose.in_wrist + fingers * self.points, pose.wrist
+        if wrist is not None:
+            rotation = wrist[:3, :3] @ pin.exp3(palm * self.turn)
+            wrist = affine(rotation, wrist[:3, 3] + palm * self.position)
+        return HumanPose.placed(points, wrist)
 
 
 class Rejoin(NamedTuple):
@@ -93,12 +105,13 @@ class Rejoin(NamedTuple):
         if before.wrist is not None and pose.wrist is not None:
             position = before.wrist[:3, 3] - pose.wrist[:3, 3]
             turn = pin.log3(pose.wrist[:3, :3].T @ before.wrist[:3, :3])
-        times = [_SHORTEST, _PEAK * _longest(points) / FINGER_SPEED]
+        times = [lengths(points).max() / FINGER_SPEED]
         if self.kind == "glide":
-            times += [_PEAK * _longest(position[None]) / PALM_SPEED]
-            times += [_PEAK * _longest(turn[None]) / TURN_SPEED]
+            times += [lengths(position) / PALM_SPEED, lengths(turn) / TURN_SPEED]
+        duration = max(_SHORTEST, _PEAK * float(max(times)))
         return self._replace(
-            offset=_Offset(points, position, turn, max(times)), elapsed=0.0
+            offset=_Offset(points, position, turn, duration),
+            elapsed=0.0,
         )
 
     def advance(self, pose: HumanPose, dt: float) -> tuple[HumanPose, Rejoin]:
@@ -113,24 +126,12 @@ class Rejoin(NamedTuple):
             return pose, self._replace(seen=pose)
         left = 1.0 - _minimum_jerk(self.elapsed / offset.duration)
         stays = self.kind == "clutch"
-        moved = _moved(pose, offset, left, 1.0 if stays else left)
-        is_over = left == 0.0 and not stays
+        moved = offset.added(pose, left, 1.0 if stays else left)
         return moved, self._replace(
-            seen=moved, offset=None if is_over else offset, elapsed=self.elapsed + dt
+            seen=moved,
+            offset=offset if left > 0.0 or stays else None,
+            elapsed=self.elapsed + dt,
         )
-
-
-def _moved(pose: HumanPose, offset: _Offset, fingers: float, palm: float) -> HumanPose:
-    """Add shares of an offset to a pose."""
-    points, wrist = pose.in_wrist + fingers * offset.points, pose.wrist
-    if wrist is not None:
-        rotation = wrist[:3, :3] @ pin.exp3(palm * offset.turn)
-        wrist = affine(rotation, wrist[:3, 3] + palm * offset.position)
-    return HumanPose.placed(points, wrist)
-
-
-def _longest(rows: np.ndarray) -> float:
-    return math.sqrt(np.einsum("ij,ij->i", rows, rows).max())
 
 
 def _minimum_jerk(share: float) -> float:
@@ -171,7 +172,9 @@ class Follower:
         if rejoin not in get_args(RejoinKind):
             kinds = ", ".join(get_args(RejoinKind))
             raise InvalidOptionsError(
-                option="rejoin", expected=f"one of {kinds}", value=rejoin
+                option="rejoin",
+                expected=f"one of {kinds}",
+                value=rejoin,
             )
         self.mapper, self.rejoin, self.smoothing = mapper, rejoin, smoothing
         self._guard = StreamGuard(mapper.human)
@@ -222,7 +225,7 @@ class Follower:
     def map_samples(self, samples: Sequence[HumanSample]) -> Iterator[MapStep]:
         """Map the samples of a recording one after the other, as `map_sample` up to rounding.
 
-        Verdicts, palms and targets are computed for all samples at once, where that can be done.
+        Palms and targets are computed for all samples at once, where that can be done.
 
         Args:
             samples: The samples, of one hand.
@@ -233,39 +236,34 @@ class Follower:
         Raises:
             HandmapError: As of `map_sample`.
         """
-        verdicts = self._guard.judge(samples)
-        used = [i for i, verdict in enumerate(verdicts) if not verdict.is_held]
-        poses = self._read_all([samples[i] for i in used])
-        places = {i: k for k, i in enumerate(used)}
-        reference, targets = None, None
-        for i, (sample, verdict) in enumerate(zip(samples, verdicts, strict=True)):
+        verdicts = [self._guard.check(sample) for sample in samples]
+        judged = list(zip(samples, verdicts, strict=True))
+        used = [sample for sample, verdict in judged if not verdict.is_held]
+        points, wrists = self._read_all(used)
+        poses = HumanPose(points, wrists)
+        reference, targets, place = None, None, 0
+        for sample, verdict in judged:
             if verdict.is_held:
                 yield self._hold(sample, verdict)
                 continue
             if self.mapper.reference is not reference:
                 reference = self.mapper.reference
                 targets = None if self.smoothing else self.mapper.targets_of(poses)
-            k = places[i]
-            pose = HumanPose(
-                poses.points[k], None if poses.wrist is None else poses.wrist[k]
-            )
-            yield self._follow(
-                pose, sample, verdict, targets=targets[k] if targets else None
-            )
+            pose = HumanPose(points[place], wrists[place])
+            known = targets[place] if targets else None
+            yield self._follow(pose, sample, verdict, targets=known)
+            place += 1
 
-    def _read_all(self, samples: Sequence[HumanSample]) -> HumanPose:
-        """Return the poses of samples along a leading axis; palms are fitted where none is given.
-
-        Raises:
-            InvalidInputError: If a coordinate is too large.
-            InvalidOptionsError: If a reference point of the human is not a landmark.
-        """
+    def _read_all(
+        self, samples: Sequence[HumanSample]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the points and the wrists of samples; palms are fitted where none is given."""
         landmarks = np.array([sample.landmarks for sample in samples])
         poses = self.mapper.landmarks.read(landmarks.reshape(-1, LANDMARK_COUNT, 3))
+        wrists = np.array(poses.wrist)
         for i, sample in enumerate(samples):
-            if poses.wrist is not None and sample.wrist is not None:
-                poses.wrist[i] = sample.wrist
-        return poses
+            wrists[i] = wrists[i] if sample.wrist is None else sample.wrist
+        return poses.points, wrists
 
     def map(
         self,
@@ -297,12 +295,13 @@ class Follower:
         """Map a sample that makes sense; its targets may be known unless the robot comes back."""
         started = perf_counter() if started is None else started
         back = self._present_return()
-        moved, back = (back.start(pose) if verdict.is_return else back).advance(
-            pose, verdict.dt
-        )
-        known = targets if moved is pose else None
+        back = back.start(pose) if verdict.is_return else back
+        moved, back = back.advance(pose, verdict.dt)
         step = self.map(
-            moved, _granted(verdict, dt), targets=known, speed=verdict.speed
+            moved,
+            _granted(verdict, dt),
+            targets=targets if moved is pose else None,
+            speed=verdict.speed,
         )
         self._return = back
         return structs.replace(
@@ -314,7 +313,10 @@ class Follower:
         )
 
     def _hold(
-        self, sample: HumanSample, verdict: Verdict, dt: float | None = None
+        self,
+        sample: HumanSample,
+        verdict: Verdict,
+        dt: float | None = None,
     ) -> MapStep:
         step = self.mapper.hold(_granted(verdict, dt), self._present_return().seen)
         return structs.replace(step, verdict=verdict, confidence=sample.confidence)

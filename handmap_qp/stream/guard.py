@@ -3,13 +3,12 @@
 Trackers lose the hand, find it elsewhere, confuse palm and back, repeat old data and report zeros.
 The guard compares every sample with the person's hand and with the sample before, and says whether
 the robot may follow it. It counts in the time of the stamps. A sample that it rejects never moves
-the robot; `mapping.rejoin` leads back to the hand afterwards.
+the robot; `stream.follower` leads back to the hand afterwards.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,20 +16,20 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import PalmShape, landmarks_at_rest
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.human.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
+from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import Finding, Rule, Verdict
 from handmap_qp.stream.clock import RateCheck, SampleClock, Tick
 from handmap_qp.stream.motion import (
-    FINGER_LIMITS,
-    PALM_LIMITS,
-    TURN_LIMITS,
+    BELIEVED,
+    USUAL,
     Change,
-    Sight,
     Track,
     change_between,
+    first_track,
     fixed_lengths,
-    measure,
+    is_same_hand,
+    is_zero,
 )
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -42,26 +41,14 @@ _LONG_SETTLING = 0.5
 """The same after a flip or an outlier, which can last [s]."""
 _BRIEF = 0.1
 """Holds up to this end at once when the hand is where it can have moved to meanwhile [s]."""
-BONE_STEP, _BONE_USUAL = 0.008, 0.0015
-"""Change of a length that is always believed, and the first guess of the usual one [m]."""
-_EXCESS = 12.0
-"""A change of speed is a jump if it is this many times the tracker's usual one."""
-_BONE_EXCESS = 15.0
+_EXCESS = np.array([12.0, 12.0, 12.0, 15.0])
+"""A change is not a hand's if it is this many times the tracker's usual one."""
 _RATE = 0.05
 """Share by which an estimate of a usual change moves with each sample.
 
 It falls no lower than where it has an effect, so that it rises within half a second when noise
 begins.
 """
-
-
-class _Usual(NamedTuple):
-    """Running medians of the changes between samples: of palm, turn, fingers and lengths."""
-
-    palm: float = PALM_LIMITS.usual
-    turn: float = TURN_LIMITS.usual
-    fingers: float = FINGER_LIMITS.usual
-    lengths: float = _BONE_USUAL
 
 
 class GuardState(NamedTuple):
@@ -72,9 +59,8 @@ class GuardState(NamedTuple):
         now: Time of the stream [s]: the sum of the time steps.
         good: The last sample that was followed.
         last: The last sample that could be a hand's.
-        usual: How much samples usually change.
+        usual: Running medians of the changes between samples, shape (4,), as `motion.BELIEVED`.
         cause: The rule that began the present hold; empty if there is none.
-        held_since: Time of its begin [s].
         steady_since: Time since which samples make sense [s].
         same_since: Time since which the landmarks are exactly the same [s].
     """
@@ -83,9 +69,8 @@ class GuardState(NamedTuple):
     now: float = 0.0
     good: Track | None = None
     last: Track | None = None
-    usual: _Usual = _Usual()
+    usual: np.ndarray = USUAL
     cause: Rule = ""
-    held_since: float = 0.0
     steady_since: float = 0.0
     same_since: float = 0.0
 
@@ -124,74 +109,34 @@ class StreamGuard:
         Raises:
             InvalidInputError: If it is of the other hand.
         """
-        return self._check(sample, arrival)
-
-    def judge(self, samples: Sequence[HumanSample]) -> list[Verdict]:
-        """Judge the next samples, as `check` does; their motion is measured all at once.
-
-        Args:
-            samples: The samples.
-
-        Raises:
-            InvalidInputError: If one is of the other hand.
-        """
-        clock, now, clocks = self.state.clock, self.state.now, []
-        for sample in samples:
-            tick, clock = clock.advance(sample.time)
-            now += tick.elapsed
-            clocks.append((now, clock.shortest))
-        seen = [i for i, sample in enumerate(samples) if _is_seen(sample)]
-        times, shortest = np.array([clocks[i] for i in seen]).reshape(-1, 2).T
-        landmarks = np.array([samples[i].landmarks for i in seen]).reshape(
-            -1, LANDMARK_COUNT, 3
-        )
-        sights = measure(self.state.last, times, landmarks, shortest) if seen else []
-        known = dict(zip(seen, sights, strict=True))
-        return [
-            self._check(sample, None, known.get(i)) for i, sample in enumerate(samples)
-        ]
-
-    def _check(
-        self, sample: HumanSample, arrival: float | None, sight: Sight | None = None
-    ) -> Verdict:
-        self.check_side(sample.side)
+        if sample.side != self._side:
+            raise InvalidInputError(
+                argument="side",
+                expected=f"samples of a {self._side} hand",
+                value=sample.side,
+                got=f"one of a {sample.side} hand",
+            )
         before = self.state
         tick, clock = before.clock.advance(sample.time)
         state = before._replace(clock=clock, now=before.now + tick.elapsed)
+        held = Verdict(tick.rule, True, False, tick.dt, math.nan)
         if tick.rule in ("duplicate", "disorder"):
             self.state = state
-            return Verdict(tick.rule, True, False, tick.dt, math.nan)
-        if _is_seen(sample):
-            sight = _measured(sample, sight, state)
-        rule, finding = self._input_fault(sample, sight, arrival)
-        if rule or sight is None:
+            return held
+        rule, finding = self._input_fault(sample, arrival)
+        if rule:
             self.state = _holding(state, rule)
-            return Verdict(rule, True, False, tick.dt, math.nan, finding)
-        verdict, self.state = self._follow(
-            sight, state, tick, before.clock.late_count > 0
-        )
+            return held._replace(rule=rule, finding=finding)
+        was_late = before.clock.late_count > 0
+        verdict, self.state = self._follow(sample, state, tick, was_late)
         if self.state.cause and not state.cause:
             self._input.alert()
         if sample.wrist is None or self._input.is_wrist_proven or verdict.is_held:
             return verdict
         return verdict._replace(rule="unproven")
 
-    def check_side(self, side: Side) -> None:
-        """Reject samples of the other hand.
-
-        Raises:
-            InvalidInputError: If the side is not the person's.
-        """
-        if side != self._side:
-            raise InvalidInputError(
-                argument="side",
-                expected=f"samples of a {self._side} hand",
-                value=side,
-                got=f"one of a {side} hand",
-            )
-
     def _input_fault(
-        self, sample: HumanSample, sight: Sight | None, arrival: float | None
+        self, sample: HumanSample, arrival: float | None
     ) -> tuple[Rule, Finding | None]:
         """Return what makes a sample unusable by itself; empty if nothing does."""
         rate = None if arrival is None else self._rate.update(sample.time, arrival)
@@ -201,128 +146,118 @@ class StreamGuard:
             )
             advice = "give the time of the tracker's clock in seconds"
             return "time", Finding("time", problem, advice)
-        if sight is None:
+        if not sample.valid or sample.confidence == 0.0:
             return "missing", None
-        if sight.is_zero:
+        if is_zero(sample.landmarks):
             return "zero", None
         finding = self._input.update(sample.time, sample.landmarks, sample.wrist)
         if finding is not None:
             return finding.kind, finding
-        return ("" if self._palm.fits_size(sight.size) else "size"), None
+        size = palm_sizes(sample.landmarks[PALM])
+        return ("" if self._palm.fits_size(size) else "size"), None
 
     def _follow(
-        self, sight: Sight, state: GuardState, tick: Tick, was_late: bool
+        self,
+        sample: HumanSample,
+        state: GuardState,
+        tick: Tick,
+        was_late: bool,
     ) -> tuple[Verdict, GuardState]:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
-        fresh, last, change = sight.fresh, state.last, sight.change
+        fresh, last = first_track(state.now, sample.landmarks), state.last
         consistency = math.sqrt(np.square(fresh.lengths - self._lengths).mean())
         verdict = Verdict("", False, False, tick.dt, consistency)
-        if not sight.is_same:
+        if last is None or not is_same_hand(last, fresh):
             state = state._replace(same_since=state.now)
-        if last is None or change is None:
-            first = state._replace(good=fresh, last=fresh, cause="")
-            return verdict._replace(is_return=state.cause != ""), first
-        if state.now - state.same_since >= FROZEN_AFTER:
-            return verdict._replace(rule="frozen", is_held=True), _holding(
-                state, "frozen"
+        if last is None:
+            first = state._replace(
+                good=fresh,
+                last=fresh,
+                cause="",
             )
-        rule = _named(change, state.usual)
-        if tick.rule == "gap" and _named(
-            change_between(last, fresh, state.clock.period), state.usual
-        ):
-            rule = "gap"
-        state = state._replace(
-            last=change.track, usual=_learnt(state.usual, change, last)
-        )
-        if rule:
-            state = _holding(state._replace(last=fresh), rule)
+            return verdict._replace(is_return=state.cause != ""), first
+        held = verdict._replace(is_held=True)
+        if state.now - state.same_since >= FROZEN_AFTER:
+            return held._replace(rule="frozen"), _holding(state, "frozen")
+        rule, state = _moved(state, last, fresh, is_gap=tick.rule == "gap")
         was_held = state.cause != ""
         if was_held and not self._has_returned(fresh, rule, state):
-            return verdict._replace(rule=rule or "settling", is_held=True), state
-        info: Rule = tick.rule if tick.rule in ("clock_jump", "gap") else ""
+            return held._replace(rule=rule or "settling"), state
         is_return = was_held or tick.rule == "gap" or was_late
         state = state._replace(good=state.last, cause="")
-        return verdict._replace(rule=info, is_return=is_return), state
+        return verdict._replace(rule=tick.rule, is_return=is_return), state
 
-    def _has_returned(self, fresh: Track, rule: Rule, state: GuardState) -> bool:
+    def _has_returned(
+        self,
+        fresh: Track,
+        rule: Rule,
+        state: GuardState,
+    ) -> bool:
         """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
         good, now = state.good, state.now
         if good is None:
             return not rule
         since_good = max(now - good.time, state.clock.shortest)
         if since_good <= _BRIEF:
-            near = change_between(good, fresh, since_good)
-            return not _named(near, state.usual)
+            return not _named(change_between(good, fresh, since_good), state.usual)
         if rule:
             return False
-        is_doubtful = state.cause in ("flip", "outlier") and _is_other(
-            good, fresh, state.usual
-        )
-        return now - state.steady_since >= (_LONG_SETTLING if is_doubtful else SETTLING)
+        settling = SETTLING
+        if state.cause in ("flip", "outlier"):
+            # The hand may still be turned, mirrored or of other lengths.
+            change = change_between(good, fresh, 1.0)
+            if change.is_turned or _excess(change, state.usual)[3]:
+                settling = _LONG_SETTLING
+        return now - state.steady_since >= settling
 
 
-def _is_seen(sample: HumanSample) -> bool:
-    return sample.valid and sample.confidence != 0.0
-
-
-def _measured(sample: HumanSample, sight: Sight | None, state: GuardState) -> Sight:
-    """Return what a sample shows after the last one; what is known of it, if that holds."""
-    if sight is not None and sight.is_after(state.last):
-        return sight
-    times, shortest = np.array([[state.now], [state.clock.shortest]])
-    return measure(state.last, times, sample.landmarks[None], shortest)[0]
+def _moved(
+    state: GuardState,
+    last: Track,
+    fresh: Track,
+    *,
+    is_gap: bool,
+) -> tuple[Rule, GuardState]:
+    """Name what no hand does from one sample to the next, and learn what is usual."""
+    since = max(state.now - last.time, state.clock.shortest)
+    change = change_between(last, fresh, since)
+    rule = _named(change, state.usual)
+    if is_gap:
+        usual_step = change_between(last, fresh, state.clock.period)
+        rule = "gap" if _named(usual_step, state.usual) else rule
+    state = state._replace(last=change.track, usual=_learnt(state.usual, change, last))
+    return rule, _holding(state._replace(last=fresh), rule) if rule else state
 
 
 def _holding(state: GuardState, rule: Rule) -> GuardState:
     """Begin a hold, or go on with it; samples must make sense again from now on."""
-    if state.cause:
-        return state._replace(steady_since=state.now)
-    return state._replace(cause=rule, held_since=state.now, steady_since=state.now)
+    return state._replace(cause=state.cause or rule, steady_since=state.now)
 
 
-def _is_other(before: Track, sample: Track, usual: _Usual) -> bool:
-    """Tell whether a sample shows the hand turned, mirrored or of other lengths than before."""
-    change = change_between(before, sample, 1.0)
-    return bool(change.is_turned) or bool(_is_stretched(change, usual))
+def _excess(change: Change, usual: np.ndarray) -> np.ndarray:
+    """Tell which changes no hand makes, given the tracker's usual ones, shape (4,)."""
+    return change.sizes > np.maximum(BELIEVED, _EXCESS * usual)
 
 
-def _is_stretched(change: Change, usual: _Usual) -> np.ndarray:
-    return change.lengths > max(BONE_STEP, _BONE_EXCESS * usual.lengths)
-
-
-def _is_odd(change: Change, usual: _Usual) -> np.ndarray:
-    """Tell which changes no hand makes, shape (...), given the tracker's usual ones."""
-    return (
-        change.is_turned
-        | _is_stretched(change, usual)
-        | (change.palm > max(PALM_LIMITS.acceleration, _EXCESS * usual.palm))
-        | (change.turn > max(TURN_LIMITS.acceleration, _EXCESS * usual.turn))
-        | (change.fingers > max(FINGER_LIMITS.acceleration, _EXCESS * usual.fingers))
-        | change.is_too_fast
-    )
-
-
-def _named(change: Change, usual: _Usual) -> Rule:
+def _named(change: Change, usual: np.ndarray) -> Rule:
     """Name a change that no hand makes; empty if hands do."""
-    if not _is_odd(change, usual):
-        return ""
+    excess = _excess(change, usual)
     if change.is_turned:
         return "flip"
-    return "outlier" if change.is_alone or _is_stretched(change, usual) else "jump"
+    if not excess.any() and not change.is_too_fast:
+        return ""
+    return "outlier" if change.is_alone or excess[3] else "jump"
 
 
-def _learnt(usual: _Usual, change: Change, before: Track) -> _Usual:
+def _learnt(
+    usual: np.ndarray,
+    change: Change,
+    before: Track,
+) -> np.ndarray:
     """Move the running medians by a fixed share: a single fault hardly counts."""
-    lengths = _median(usual.lengths, change.lengths, BONE_STEP / _BONE_EXCESS)
+    rates = np.where(change.sizes > usual, 1.0 + _RATE, 1.0 - _RATE)
+    learnt = np.maximum(BELIEVED / _EXCESS, usual * rates)
     if before.dt <= 0.0:
-        return usual._replace(lengths=lengths)
-    return _Usual(
-        _median(usual.palm, change.palm, PALM_LIMITS.acceleration / _EXCESS),
-        _median(usual.turn, change.turn, TURN_LIMITS.acceleration / _EXCESS),
-        _median(usual.fingers, change.fingers, FINGER_LIMITS.acceleration / _EXCESS),
-        lengths,
-    )
-
-
-def _median(estimate: float, value: np.ndarray, least: float) -> float:
-    return max(least, estimate * (1.0 + _RATE if value > estimate else 1.0 - _RATE))
+        # After a first sample, only lengths can be compared.
+        learnt[:3] = usual[:3]
+    return learnt

@@ -8,9 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.library import load_hand
 from handmap_qp.human.contact_gap import measure_contact_gap
-from handmap_qp.human.landmarks import human_name, measure_hand
+from handmap_qp.human.landmarks import measure_hand, scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording, mirrored, recording_samples
 from handmap_qp.stream.guard import StreamGuard
@@ -32,7 +31,9 @@ def measure_person(*recordings: Recording) -> Person:
     """
     if not recordings:
         raise InvalidInputError(
-            argument="recordings", expected="at least one", got="none"
+            argument="recordings",
+            expected="at least one",
+            got="none",
         )
     joined = _joined([without_faults(recording) for recording in recordings])
     return Person(joined.name, measure_hand(joined), measure_contact_gap(joined))
@@ -47,11 +48,10 @@ def without_faults(recording: Recording) -> Recording:
     Raises:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
-    lengths = measure_hand(recording)
-    human = load_hand(human_name(recording.side), points="landmarks", lengths=lengths)
-    verdicts = StreamGuard(human).judge(recording_samples(recording))
-    follows = [not verdict.is_held for verdict in verdicts]
-    valid = recording.valid & np.array(follows)
+    human = scaled_human(recording, points="landmarks")
+    guard = StreamGuard(human)
+    is_held = [guard.check(sample).is_held for sample in recording_samples(recording)]
+    valid = recording.valid & ~np.array(is_held)
     if 2 * valid.sum() < recording.valid.sum() or (valid == recording.valid).all():
         return recording
     return replace(recording, valid=valid)
@@ -66,10 +66,6 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     for each in right:
         times.append(each.time - each.time[0] + start)
         start = times[-1][-1] + 1.0
-    return Recording(
-        right[0].name,
-        np.concatenate(times),
-        np.concatenate([each.landmarks for each in right]),
-        np.concatenate([each.valid for each in right]),
-        "right",
-    )
+    landmarks = np.concatenate([each.landmarks for each in right])
+    valid = np.concatenate([each.valid for each in right])
+    return Recording(right[0].name, np.concatenate(times), landmarks, valid, "right")

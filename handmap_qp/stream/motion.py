@@ -1,8 +1,4 @@
-"""The motion from one sample of landmarks to the next, by which `stream.guard` judges samples.
-
-All of it holds for samples of any number, along the same leading axes of all arrays: of none for a
-live sample, of time for a recording.
-"""
+"""The motion from one sample of landmarks to the next, by which `stream.guard` judges samples."""
 
 from __future__ import annotations
 
@@ -30,26 +26,14 @@ _ENDS = np.array(
 """Pairs of landmarks whose distance does not change: bones, and neighbours in the palm."""
 
 
-class Limits(NamedTuple):
-    """Bounds of one measure of motion.
-
-    Attributes:
-        acceleration: Change of speed between two samples that is always believed [m/s^2, rad/s^2].
-        speed: Speed that is never believed [m/s, rad/s].
-        usual: First guess of the tracker's usual change of speed.
-    """
-
-    acceleration: float
-    speed: float
-    usual: float
-
-
-PALM_LIMITS = Limits(60.0, 6.0, 8.0)
-"""Translation of the palm. Recordings of free motion reach 1.5 m/s."""
-TURN_LIMITS = Limits(600.0, 40.0, 80.0)
-"""Rotation of the palm. Recordings reach 22 rad/s."""
-FINGER_LIMITS = Limits(150.0, 6.0, 12.0)
-"""Landmarks in palm axes. Recordings reach 3.8 m/s."""
+BELIEVED = np.array([60.0, 600.0, 150.0, 0.008])
+"""Changes between two samples that are always believed: of the velocity of the palm [m/s^2], of its
+angular velocity [rad/s^2], of landmarks in palm axes [m/s^2], and of lengths [m]."""
+USUAL = np.array([8.0, 80.0, 12.0, 0.0015])
+"""First guess of the tracker's usual changes."""
+FASTEST = np.array([6.0, 40.0, 6.0])
+"""Speeds that are never believed: of the palm [m/s], of its turn [rad/s], and of landmarks in palm
+axes [m/s]. Recordings of free motion reach 1.5 m/s, 22 rad/s and 3.8 m/s."""
 ALONE = 3.0
 """A landmark that leaves its place alone is this many times as fast as the next one."""
 
@@ -57,27 +41,25 @@ ALONE = 3.0
 class Track(NamedTuple):
     """A sample and the motion that led to it; velocities are zero for a first sample.
 
-    Shapes are those of one sample.
-
     Attributes:
         time: Its instant, in the time of the clock [s].
         points: Landmarks from the palm's centre [m], shape (21, 3).
         centre: Centre of the palm [m], shape (3,).
+        lengths: The distances that cannot change [m], shape (23,).
         velocity: Of the centre [m/s], shape (3,).
         turning: Angular velocity of the palm [rad/s], shape (3,).
         bending: Velocities of the landmarks in palm axes [m/s], shape (21, 3).
         dt: Time between this sample and the one before [s]; 0 for a first one.
-        lengths: The distances that cannot change [m], shape (23,).
     """
 
-    time: np.ndarray
+    time: float
     points: np.ndarray
     centre: np.ndarray
+    lengths: np.ndarray
     velocity: np.ndarray
     turning: np.ndarray
     bending: np.ndarray
-    dt: np.ndarray
-    lengths: np.ndarray
+    dt: float = 0.0
 
 
 class Change(NamedTuple):
@@ -85,191 +67,104 @@ class Change(NamedTuple):
 
     Attributes:
         track: The sample with the motion that led to it.
-        palm: Change of the palm's velocity [m/s^2].
-        turn: Change of its angular velocity [rad/s^2].
-        fingers: Largest change of a landmark's velocity in palm axes [m/s^2].
-        lengths: Largest change of a distance that cannot change [m].
+        sizes: Change of the palm's velocity [m/s^2], and of its angular velocity [rad/s^2]; largest
+            change of a landmark's velocity in palm axes [m/s^2], and of a distance that cannot
+            change [m]. Shape (4,), as `BELIEVED`.
         is_turned: The hand turned by more than 60 degrees, or became its mirror image.
         is_alone: One landmark changed its velocity far more than all others.
         is_too_fast: A speed is above what hands reach.
     """
 
     track: Track
-    palm: np.ndarray
-    turn: np.ndarray
-    fingers: np.ndarray
-    lengths: np.ndarray
-    is_turned: np.ndarray
-    is_alone: np.ndarray
-    is_too_fast: np.ndarray
+    sizes: np.ndarray
+    is_turned: bool
+    is_alone: bool
+    is_too_fast: bool
 
 
-class Sight(NamedTuple):
-    """What a sample shows by itself, and against the sample before it.
-
-    Attributes:
-        size: RMS radius of the palm [m].
-        is_zero: Landmarks lie in one place or at the origin.
-        fresh: The sample without motion.
-        before: The sample before with the motion that led to it; None for the first.
-        change: Motion from `before` to this sample.
-        is_same: Both have exactly the same landmarks.
-    """
-
-    size: float
-    is_zero: bool
-    fresh: Track
-    before: Track | None = None
-    change: Change | None = None
-    is_same: bool = False
-
-    def is_after(self, last: Track | None) -> bool:
-        """Tell whether `before` is a track, by their times."""
-        if self.before is None or last is None:
-            return self.before is last
-        return bool(self.before.time == last.time and self.before.dt == last.dt)
-
-
-def measure(
-    last: Track | None, times: np.ndarray, landmarks: np.ndarray, shortest: np.ndarray
-) -> list[Sight]:
-    """Measure samples, each against the one before it.
-
-    Args:
-        last: The sample before the first; None if there is none.
-        times: Instants, in the time of the clock [s], shape (T,).
-        landmarks: Landmarks [m], shape (T, 21, 3).
-        shortest: Least time that speeds are computed over [s], shape (T,).
-    """
-    sizes, columns = palm_sizes(landmarks[:, PALM]), first_track(times, landmarks)
-    zeros, fresh = is_zero(sizes, landmarks), _rows(columns)
-    found = [
-        Sight(*own) for own in zip(sizes.tolist(), zeros.tolist(), fresh, strict=True)
-    ]
-    first = 0 if last is not None else 1
-    if len(found) == first:
-        return found
-    start = last or fresh[0]
-    now = Track(*(column[first:] for column in columns))
-    before = _shifted(start, now)
-    moved, *turns = motion_between(
-        before, now, np.maximum(now.time - before.time, shortest[first:])
-    )
-    changes = change_of(_shifted(start, moved), moved, *turns)
-    numbers = zip(*(column.tolist() for column in changes[1:]), strict=True)
-    rows = zip(_rows(moved), numbers, is_same_hand(before, now).tolist(), strict=True)
-    for i, (track, values, is_same) in enumerate(rows, start=first):
-        change = Change(track, *values)
-        found[i] = found[i]._replace(before=start, change=change, is_same=is_same)
-        start = track
-    return found
-
-
-def _shifted(start: Track, columns: Track) -> Track:
-    """Return the track before each one of many: `start` before the first."""
-    pairs = zip(start, columns, strict=True)
-    return Track(
-        *(np.concatenate([np.asarray(own)[None], column[:-1]]) for own, column in pairs)
-    )
-
-
-def _rows(columns: Track) -> list[Track]:
-    return [Track(*row) for row in zip(*columns, strict=True)]
-
-
-def is_zero(size: float | np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-    """Tell whether landmarks (..., 21, 3) lie in one place, or all but one at the origin, (...)."""
+def is_zero(landmarks: np.ndarray) -> bool:
+    """Tell whether landmarks (21, 3) lie in one place, or all but one at the origin."""
     # One landmark may be the origin of the tracker's world.
-    seen = landmarks.any(axis=-1).sum(axis=-1)
-    return (np.asarray(size) < ZERO_SIZE) | (seen < landmarks.shape[-2] - 1)
+    seen = landmarks.any(axis=-1).sum()
+    return bool(palm_sizes(landmarks[PALM]) < ZERO_SIZE or seen < len(landmarks) - 1)
 
 
-def first_track(now: float | np.ndarray, landmarks: np.ndarray) -> Track:
-    """Return landmarks (..., 21, 3) [m] at times (...) [s] as samples without motion."""
-    centre = landmarks[..., PALM, :].mean(axis=-2)
-    points = landmarks - centre[..., None, :]
-    still, dt = np.zeros_like(centre), np.zeros(centre.shape[:-1])
-    unbent, fixed = np.zeros_like(points), fixed_lengths(landmarks)
-    return Track(np.asarray(now), points, centre, still, still, unbent, dt, fixed)
+def first_track(now: float, landmarks: np.ndarray) -> Track:
+    """Return landmarks (21, 3) [m] at a time [s] as a sample without motion."""
+    centre = landmarks[PALM].mean(axis=0)
+    points, still = landmarks - centre, np.zeros(3)
+    fixed = fixed_lengths(landmarks)
+    return Track(now, points, centre, fixed, still, still, np.zeros_like(points))
 
 
-def is_same_hand(before: Track, sample: Track) -> np.ndarray:
-    """Tell whether two samples have exactly the same landmarks, shape (...)."""
-    is_same = (before.points == sample.points).all(axis=(-2, -1))
-    return is_same & (before.centre == sample.centre).all(axis=-1)
+def is_same_hand(before: Track, sample: Track) -> bool:
+    """Tell whether two samples have exactly the same landmarks."""
+    is_same = (before.points == sample.points).all()
+    return bool(is_same and (before.centre == sample.centre).all())
 
 
-def change_between(track: Track, sample: Track, dt: float | np.ndarray) -> Change:
+def change_between(
+    track: Track,
+    sample: Track,
+    dt: float,
+) -> Change:
     """Measure the motion from a track to a sample, dt [s] later."""
-    return change_of(track, *motion_between(track, sample, dt))
-
-
-def motion_between(
-    track: Track, sample: Track, dt: float | np.ndarray
-) -> tuple[Track, np.ndarray, np.ndarray]:
-    """Return the sample with its motion, its bending in former axes, and the palm's turn [rad]."""
-    dt = np.asarray(dt)
     # Kabsch: the rotation that takes the palm before to the palm now.
-    palms = sample.points[..., PALM, :], track.points[..., PALM, :]
-    rotation = nearest_rotation(palms[0].swapaxes(-1, -2) @ palms[1])
+    rotation = nearest_rotation(sample.points[PALM].T @ track.points[PALM])
     angle, turn = _angle(rotation)
-    bending = (sample.points @ rotation - track.points) / dt[..., None, None]
+    in_former_axes = (sample.points @ rotation - track.points) / dt
     moved = sample._replace(
-        velocity=(sample.centre - track.centre) / dt[..., None],
-        turning=turn / dt[..., None],
-        bending=bending @ rotation.swapaxes(-1, -2),
+        velocity=(sample.centre - track.centre) / dt,
+        turning=turn / dt,
+        bending=in_former_axes @ rotation.T,
         dt=dt,
     )
-    return moved, bending, angle
-
-
-def change_of(
-    track: Track, moved: Track, bending: np.ndarray, angle: np.ndarray
-) -> Change:
-    """Compare the motion of `motion_between` with the one before it, which led to the track."""
     # No motion is known before a first sample: speeds decide.
-    is_known = np.asarray(track.dt) > 0.0
-    span = np.where(is_known, 0.5 * (moved.dt + track.dt), moved.dt)
-    slips = lengths(bending - track.bending) * is_known[..., None]
-    order = np.partition(slips, -2, axis=-1)
-    fingers = order[..., -1] / span
+    is_known = track.dt > 0.0
+    span = 0.5 * (dt + track.dt) if is_known else dt
+    changes = [
+        moved.velocity - track.velocity,
+        moved.turning - track.turning,
+        *(in_former_axes - track.bending),
+    ]
+    palm, turned, *slips = (is_known * lengths(np.array(changes)) / span).tolist()
+    second, fingers = sorted(slips)[-2:]
+    stretch = np.abs(moved.lengths - track.lengths).max()
+    speeds = np.array(
+        [
+            lengths(moved.velocity),
+            angle / dt,
+            lengths(in_former_axes).max(),
+        ]
+    )
     return Change(
         moved,
-        is_known * lengths(moved.velocity - track.velocity) / span,
-        is_known * lengths(moved.turning - track.turning) / span,
-        fingers,
-        np.abs(moved.lengths - track.lengths).max(axis=-1),
-        is_turned=(angle > FLIP) | _is_mirrored(track.points, moved.points),
-        is_alone=fingers > ALONE * order[..., -2] / span,
-        is_too_fast=(lengths(moved.velocity) > PALM_LIMITS.speed)
-        | (angle / moved.dt > TURN_LIMITS.speed)
-        | (lengths(bending).max(axis=-1) > FINGER_LIMITS.speed),
+        np.array([palm, turned, fingers, stretch]),
+        is_turned=angle > FLIP or _is_mirrored(track.points, moved.points),
+        is_alone=fingers > ALONE * second,
+        is_too_fast=bool((speeds > FASTEST).any()),
     )
 
 
-def _is_mirrored(before: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _is_mirrored(before: np.ndarray, points: np.ndarray) -> bool:
     """Tell whether a reflection lays one hand better on the other than any rotation does."""
-    covariance = points.swapaxes(-1, -2) @ before
-    found = np.linalg.det(covariance) < 0.0
-    if found.any():
-        found &= np.linalg.svd(covariance, compute_uv=False)[..., 2] > MIRROR
-    return found
+    covariance = points.T @ before
+    if np.linalg.det(covariance) >= 0.0:
+        return False
+    return bool(np.linalg.svd(covariance, compute_uv=False)[2] > MIRROR)
 
 
 def fixed_lengths(landmarks: np.ndarray) -> np.ndarray:
-    """Return the distances that cannot change [m], shape (..., 23), of landmarks (..., 21, 3)."""
-    spans = landmarks[..., _ENDS, :] - landmarks[..., _STARTS, :]
-    return np.sqrt(np.einsum("...ij,...ij->...i", spans, spans))
+    """Return the distances that cannot change [m], shape (23,), of landmarks (21, 3)."""
+    return lengths(landmarks[_ENDS] - landmarks[_STARTS])
 
 
-def _angle(rotation: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _angle(rotation: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the angle of a rotation, and its rotation vector; only the angle near 180 degrees."""
-    axis = 0.5 * (rotation[..., _LAST, _NEXT] - rotation[..., _NEXT, _LAST])
-    sine = lengths(axis)
-    angle = np.arctan2(sine, 0.5 * (np.trace(rotation, axis1=-2, axis2=-1) - 1.0))
-    return angle, axis * np.where(sine > 1e-6, angle / np.maximum(sine, 1e-6), 1.0)[
-        ..., None
-    ]
+    axis = 0.5 * (rotation[_LAST, _NEXT] - rotation[_NEXT, _LAST])
+    sine = math.sqrt(axis @ axis)
+    angle = math.atan2(sine, 0.5 * (np.trace(rotation) - 1.0))
+    return angle, axis * (angle / sine if sine > 1e-6 else 1.0)
 
 
 _NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])

@@ -46,19 +46,21 @@ class SmoothState(NamedTuple):
 
     Attributes:
         points: Smoothed points in wrist axes, or in the world without a wrist [m], shape (n, 3).
-        speeds: Smoothed velocity of each point [m/s], shape (n, 3).
         wrist: Smoothed wrist pose, shape (4, 4); None without a wrist.
-        twist: Smoothed velocity of the wrist, linear and angular, in its axes, shape (6,).
+        speeds: Smoothed velocity of each point, shape (n, 3) [m/s]; of a wrist also its linear and
+            angular ones, shape (n + 2, 3).
     """
 
     points: np.ndarray
-    speeds: np.ndarray
     wrist: np.ndarray | None
-    twist: np.ndarray
+    speeds: np.ndarray
 
 
 def smooth_sample(
-    options: Smoothing, before: SmoothState | None, sample: HumanPose, dt: float
+    options: Smoothing,
+    before: SmoothState | None,
+    sample: HumanPose,
+    dt: float,
 ) -> tuple[HumanPose, SmoothState]:
     """Smooth one sample: the points in wrist axes, and the wrist pose.
 
@@ -71,51 +73,26 @@ def smooth_sample(
     Returns:
         The smoothed sample, and the state for the next one.
     """
-    points = sample.in_wrist
-    is_first = (
-        before is None
-        or dt > _LONGEST_GAP
-        or (before.wrist is None) != (sample.wrist is None)
-    )
-    if is_first or before is None:
-        state = SmoothState(points, np.zeros_like(points), sample.wrist, np.zeros(6))
-        return sample, state
-    speeds = _blend(
-        before.speeds, (points - before.points) / dt, options.speed_cutoff, dt
-    )
-    cutoff = options.min_cutoff + options.speed_gain * lengths(speeds)[:, None]
-    smooth = _blend(before.points, points, cutoff, dt)
-    wrist, twist = None, before.twist
-    if sample.wrist is not None and before.wrist is not None:
-        wrist, twist = _smooth_wrist(options, before.wrist, twist, sample.wrist, dt)
-    return HumanPose.placed(smooth, wrist), SmoothState(smooth, speeds, wrist, twist)
-
-
-def _smooth_wrist(
-    options: Smoothing,
-    before: np.ndarray,
-    twist: np.ndarray,
-    now: np.ndarray,
-    dt: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the smoothed wrist pose and its smoothed velocity."""
-    turn = pin.log3(before[:3, :3].T @ now[:3, :3])
-    shift = now[:3, 3] - before[:3, 3]
-    twist = _blend(twist, np.concatenate([shift, turn]) / dt, options.speed_cutoff, dt)
-    linear = options.min_cutoff + options.speed_gain * math.sqrt(
-        twist[:3].dot(twist[:3])
-    )
-    angular = options.min_cutoff + options.speed_gain * _HAND * math.sqrt(
-        twist[3:].dot(twist[3:])
-    )
-    rotation = before[:3, :3] @ pin.exp3(_share(angular, dt) * turn)
-    return affine(rotation, before[:3, 3] + _share(linear, dt) * shift), twist
-
-
-def _blend(
-    before: np.ndarray, now: np.ndarray, cutoff: float | np.ndarray, dt: float
-) -> np.ndarray:
-    return before + _share(cutoff, dt) * (now - before)
+    points, wrist = sample.in_wrist, sample.wrist
+    count = len(points)
+    if before is None or dt > _LONGEST_GAP or (before.wrist is None) != (wrist is None):
+        still = np.zeros((count if wrist is None else count + 2, 3))
+        return sample, SmoothState(points, wrist, still)
+    moves, levers = [*(points - before.points)], np.ones(len(before.speeds))
+    if before.wrist is not None and wrist is not None:
+        turn = pin.log3(before.wrist[:3, :3].T @ wrist[:3, :3])
+        moves += [wrist[:3, 3] - before.wrist[:3, 3], turn]
+        levers[-1] = _HAND
+    steps = np.array(moves)
+    share = _share(options.speed_cutoff, dt)
+    speeds = before.speeds + share * (steps / dt - before.speeds)
+    cutoffs = options.min_cutoff + options.speed_gain * levers * lengths(speeds)
+    steps *= _share(cutoffs[:, None], dt)
+    if before.wrist is not None:
+        rotation = before.wrist[:3, :3] @ pin.exp3(steps[-1])
+        wrist = affine(rotation, before.wrist[:3, 3] + steps[-2])
+    smooth = before.points + steps[:count]
+    return HumanPose.placed(smooth, wrist), SmoothState(smooth, wrist, speeds)
 
 
 def _share(cutoff: float | np.ndarray, dt: float) -> float | np.ndarray:
