@@ -117,7 +117,7 @@ def measure(hand: Hand, takes: list[Take]) -> dict[str, Any]:
     comparison = compare_methods(takes, hand, [own_method(method)])
     overall = comparison.overall(comparison.methods[0])
     failed = [run for run in comparison.runs if run.problem]
-    touched = [pinch.finger for pinch in measure_pinches(hand) if pinch.touches]
+    touched = [pinch.finger for pinch in measure_pinches(hand) if pinch.touch == "yes"]
     return {
         "hand": hand.name,
         "joints": len(hand.joint_names),

@@ -13,8 +13,8 @@ import trimesh
 from arm_cases import mounted
 
 from handmap_qp import Hand, HandError, HandSpec, IkOptions, PointSpec
+from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import detect
-from handmap_qp.apps.onboarding.measure import colliding_links
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.spec import ArmSpec, CollisionSpec, PalmSpec, WristSpec
 from handmap_qp.ik.qp import PointIk
@@ -78,7 +78,7 @@ def test_meshes_are_found_from_the_urdf(
         palm.geometry.aabb_local.max_, [0.02, 0.01, 0.01], atol=1e-6
     )
     # The check of a description and the mapping find the same meshes.
-    assert colliding_links(hand, hand.rest) == ()
+    assert colliding_links(hand, hand.rest) == []
 
 
 @pytest.mark.parametrize("mesh", ["part.stl", "package://arm_description/part.stl"])

@@ -9,17 +9,19 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.onboarding.anatomy import FINGERS, angle_between
+from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import detect_text, left_out_wrist
 from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
 from handmap_qp.apps.onboarding.measure import (
-    colliding_links,
     fingertip_pads,
     make_fist,
     measure_arm,
@@ -52,17 +54,17 @@ _LARGEST_TURN, _LARGEST_SLIDE = 2.0 * np.pi + 0.01, 2.0
 _OFF_THE_LINK = 0.02
 # Names in one finding.
 _MOST_NAMES = 3
-# Least confidence of the detection for a warning, and the angle with and without certainty [deg].
+# Least confidence of the detection for a warning, and the largest angle by its certainty [deg].
 _SURE = 0.65
-_CERTAIN_ANGLE, _LIKELY_ANGLE = 20.0, 40.0
+_ANGLES = {"certain": 20.0, "likely": 40.0}
 # Largest angles of the axis of flexion and of the straight fingers to the palm's axes [deg].
 _ACROSS, _DISTAL = 25.0, 35.0
-# A thumb whose pad stays farther than this from every other opposes none of them [m].
-_OPPOSING = 0.015
+# A thumb whose pad stays farther than this from every other opposes none of them [mm].
+_OPPOSING = 15.0
 # Knuckles closer than this may be in any order [m].
 _NARROW = 0.004
-# A point this far from its target is out of reach [m].
-_OUT_OF_REACH = 0.02
+# A point this far from its target is out of reach [mm].
+_OUT_OF_REACH = 20.0
 # A person's hand moves this far to all sides in front of the body [m].
 _ARM_MOTION = 0.25
 # An arm follows if it reaches that far in this share of the directions.
@@ -123,21 +125,18 @@ class Report:
 
     def tables(self) -> Tables:
         """Return everything as tables to print: rows by title."""
-        names = ("", "key", "found", "change")
-        findings = [dict(zip(names, finding, strict=True)) for finding in self.findings]
-        return {f"{self.name}: findings": findings, **self.measured}
+        return {f"{self.name}: findings": self._rows(""), **self.measured}
 
     def document(self, picture: Path | None) -> dict[str, Any]:
         """Return everything as values for JSON."""
-        names = ("level", "key", "found", "change")
-        findings = [dict(zip(names, finding, strict=True)) for finding in self.findings]
         shown = None if picture is None else str(picture)
-        return {
-            "name": self.name,
-            **self.measured,
-            "findings": findings,
-            "picture": shown,
-        }
+        found = {"findings": self._rows("level"), "picture": shown}
+        return {"name": self.name, **self.measured, **found}
+
+    def _rows(self, level: str) -> list[dict[str, Any]]:
+        """Return a row per finding; `level` heads its first column."""
+        names = (level, "key", "found", "change")
+        return [dict(zip(names, finding, strict=True)) for finding in self.findings]
 
 
 def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
@@ -162,12 +161,10 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
         report.name, report.measured["Joints"] = built.name, _joint_rows(built)
         for where, check in _CHECKS[: None if has_motion else -1]:
             try:
-                for finding in check(built, report.measured):
-                    report.findings.append(finding)
+                report.findings += check(built, report.measured)
             except HandmapError as error:
-                report.findings.append(
-                    Finding("advice", where, f"not checked: {error}")
-                )
+                failed = Finding("advice", where, f"not checked: {error}")
+                report.findings.append(failed)
     if not {"error", "warning"} & {finding.level for finding in report.findings}:
         what = (
             "no contradiction between description, names, limits, shapes and gestures"
@@ -180,28 +177,19 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
 
 def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
     """Return a row per joint of the URDF: role, limits of active joints, rest angle."""
-    rest = hand.all_joints(hand.rest)
-    rows = []
-    for i, (joint, role) in enumerate(
-        zip(hand.all_joint_names, hand.all_joint_roles, strict=True)
-    ):
-        is_set = i < len(hand.joint_names)
-        limits = (
-            f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]"
-            if is_set
-            else ""
+    limits = (hand.lower_limits, hand.upper_limits, hand.velocity_limits)
+    own = [
+        (f"[{lower:.3g}, {upper:.3g}]", f"{speed:.3g}")
+        for lower, upper, speed in zip(*limits, strict=True)
+    ]
+    rest = hand.all_joints(hand.rest).tolist()
+    every = (hand.all_joint_names, hand.all_joint_roles, rest, own)
+    return [
+        {"joint": joint, "role": role, "limits": limit, "speed": speed, "rest": angle}
+        for joint, role, angle, (limit, speed) in zip_longest(
+            *every, fillvalue=("", "")
         )
-        speed = f"{hand.velocity_limits[i]:.3g}" if is_set else ""
-        rows.append(
-            {
-                "joint": joint,
-                "role": role,
-                "limits": limits,
-                "speed": speed,
-                "rest": float(rest[i]),
-            }
-        )
-    return rows
+    ]
 
 
 def _check_joints(hand: Hand, tables: Tables) -> Findings:
@@ -229,14 +217,14 @@ def _check_joints(hand: Hand, tables: Tables) -> Findings:
 
 def _check_ranges(hand: Hand, tables: Tables) -> Findings:
     """Find ranges in degrees or millimetres; joints of an arm may turn twice."""
-    width, own = hand.upper_limits - hand.lower_limits, ~_carriers(hand)
+    width = np.where(_carriers(hand), 0.0, hand.upper_limits - hand.lower_limits)
     joints = [hand.model.getJointId(joint) for joint in hand.joint_names]
     turns = PalmKinematics(hand).axes(hand.rest, joints)[0].any(axis=1)
     for kind, largest, unit in (
         (turns, _LARGEST_TURN, "degrees"),
         (~turns, _LARGEST_SLIDE, "millimetres"),
     ):
-        wide = np.flatnonzero((width > largest) & kind & own)
+        wide = np.flatnonzero((width > largest) & kind)
         if len(wide):
             count = (
                 f"{len(wide)} joints have ranges" if len(wide) > 1 else "it has a range"
@@ -248,27 +236,23 @@ def _check_ranges(hand: Hand, tables: Tables) -> Findings:
 
 def _carriers(hand: Hand) -> np.ndarray:
     """Return which active joints move the wrist, shape (n,)."""
-    carriers = [
-        *hand.model.supports[hand.model.frames[hand.wrist_frame_id].parentJoint]
-    ]
-    return np.array(
-        [hand.model.getJointId(joint) in carriers for joint in hand.joint_names]
-    )
+    model = hand.model
+    carriers = [*model.supports[model.frames[hand.wrist_frame_id].parentJoint]]
+    return np.isin([model.getJointId(joint) for joint in hand.joint_names], carriers)
 
 
 def _check_speeds(hand: Hand, tables: Tables) -> Findings:
     """Find joints of the fingers that are too slow for a fist in half a second."""
     stretched = zero_posture(hand)
     travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
-    needed = np.minimum(travel, _FIST_ANGLE) / _FIST_TIME
-    slowness = needed / hand.velocity_limits
-    slow = np.flatnonzero((slowness > 1.0) & ~_carriers(hand))
-    if len(slow):
-        worst, count = slow[np.argmax(slowness[slow])], len(slow)
+    times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
+    times[_carriers(hand)] = 0.0
+    worst, count = int(np.argmax(times)), int((times > _FIST_TIME).sum())
+    if count:
         what = (
             f"{count} {'joints are' if count > 1 else 'joint is'} too slow for a fist in half a "
             f"second; at {hand.velocity_limits[worst]:.3g} per second this one needs "
-            f"{_FIST_TIME * slowness[worst]:.2g} s"
+            f"{times[worst]:.2g} s"
         )
         change = "give the true speeds in `limits`, or move more slowly than people do"
         yield Finding("advice", f"limits.{hand.joint_names[worst]}", what, change)
@@ -279,12 +263,13 @@ def _check_followers(hand: Hand, tables: Tables) -> Findings:
     if not followers:
         return
     plain = pin.buildModelFromXML(hand.urdf_text)
-    for i, joint in enumerate(hand.joint_names):
-        at = plain.joints[plain.getJointId(joint)].idx_q
-        lower, upper = plain.lowerPositionLimit[at], plain.upperPositionLimit[at]
-        narrowing = max(hand.lower_limits[i] - lower, upper - hand.upper_limits[i])
-        if narrowing > 0.005 * (upper - lower):
-            now = f"[{hand.lower_limits[i]:.3g}, {hand.upper_limits[i]:.3g}]"
+    at = [plain.idx_qs[plain.getJointId(joint)] for joint in hand.joint_names]
+    limits = (plain.lowerPositionLimit[at], plain.upperPositionLimit[at])
+    own = (hand.lower_limits, hand.upper_limits)
+    for joint, *ends in zip(hand.joint_names, *limits, *own, strict=True):
+        lower, upper, low, high = ends
+        if max(low - lower, upper - high) > 0.005 * (upper - lower):
+            now = f"[{low:.3g}, {high:.3g}]"
             what = f"its followers narrow [{lower:.3g}, {upper:.3g}] to {now}"
             yield Finding("fine", f"limits.{joint}", what)
     within = "" if hand.notes else ", within their own limits"
@@ -444,15 +429,8 @@ def _check_opposition(hand: Hand, tables: Tables) -> Findings:
         for finger, pad in fingertip_pads(hand, fingers).items()
     ]
     pinches = measure_pinches(hand)
-    tables["Pinches"] = [
-        {
-            "thumb and": pinch.finger,
-            "nearest, mm between pads": max(0.0, round(1e3 * pinch.gap, 1)),
-            "touch": "yes" if pinch.touches else "no",
-        }
-        for pinch in pinches
-    ]
-    touched = [pinch.finger for pinch in pinches if pinch.touches]
+    tables["Pinches"] = msgspec.to_builtins(pinches)
+    touched = [pinch.finger for pinch in pinches if pinch.touch == "yes"]
     if THUMB not in fingers:
         yield Finding(
             "advice", "points", "no point is on a thumb: pinches are not mapped"
@@ -461,7 +439,7 @@ def _check_opposition(hand: Hand, tables: Tables) -> Findings:
         yield Finding("fine", "points", f"the thumb can touch {', '.join(touched)}")
     elif pinches:
         nearest = min(pinches, key=lambda pinch: pinch.gap)
-        gap = f"{1e3 * nearest.gap:.0f} mm away"
+        gap = f"{nearest.gap:.0f} mm away"
         what = f"the thumb touches no finger; nearest is the {nearest.finger}, {gap}"
         level: Level = "warning" if nearest.gap > _OPPOSING else "advice"
         yield Finding(
@@ -478,34 +456,30 @@ def _compare_detection(hand: Hand, tables: Tables) -> Findings:
     except HandError as error:
         yield Finding("advice", "palm", f"not compared with the URDF: {error.problem}")
         return
-    clues = {clue.what: clue for clue in found.clues}
-    own, theirs = hand.link_poses(
-        [hand.spec.palm.link, found.spec.palm.link], hand.rest
-    )[:, :3, :3]
-    for name in ("distal", "dorsal"):
+    sure = {clue.what: clue for clue in found.clues if clue.confidence > _SURE}
+    links = [hand.spec.palm.link, found.spec.palm.link]
+    own, theirs = hand.link_poses(links, hand.rest)[:, :3, :3]
+    for name in filter(sure.get, ("distal", "dorsal")):
         # The detected direction in the frame of the described palm link.
         other = own.T @ theirs @ np.array(getattr(found.spec.palm, name))
         angle = angle_between(np.array(getattr(hand.spec.palm, name)), other)
-        allowed = (
-            _CERTAIN_ANGLE if clues[name].certainty == "certain" else _LIKELY_ANGLE
-        )
-        if angle > allowed and clues[name].confidence > _SURE:
+        if angle > _ANGLES[sure[name].certainty]:
             better = ", ".join(f"{value:.3f}" for value in other)
-            what = f"is {angle:.0f} degrees from the detected one: {clues[name].how}"
+            what = f"is {angle:.0f} degrees from the detected one: {sure[name].how}"
             yield Finding("warning", f"palm.{name}", what, f"try [{better}]")
     side = found.spec.side
-    if side != hand.side and clues["side"].confidence > _SURE:
-        yield Finding(
-            "warning", "side", f"{clues['side'].how}: a {side} hand", f"side: {side}"
-        )
-    if side != hand.side or clues["fingers"].confidence <= _SURE:
-        return
-    # The finger named by each point must be the one whose chain moves it.
+    if side == hand.side:
+        yield from _compare_fingers(hand, found.chains if "fingers" in sure else {})
+    elif "side" in sure:
+        what = f"{sure['side'].how}: a {side} hand"
+        yield Finding("warning", "side", what, f"side: {side}")
+
+
+def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Findings:
+    """Find points that name another finger than the one whose joints move them."""
+    owners = {j: finger for finger, chain in [*chains.items()][::-1] for j in chain}
     for point in hand.reference_points:
-        mover = hand.model.names[place_of(hand, point)[0]]
-        owner = next(
-            (finger for finger, chain in found.chains.items() if mover in chain), None
-        )
+        owner = owners.get(hand.model.names[place_of(hand, point)[0]])
         if owner is not None and point.finger not in (None, owner):
             what = f"is on the finger at the position of the {owner}, but names {point.finger}"
             change = f"finger: {owner}, with a matching name and partner"
@@ -513,26 +487,11 @@ def _compare_detection(hand: Hand, tables: Tables) -> Findings:
 
 
 def _check_reach(hand: Hand, tables: Tables) -> Findings:
-    """Measure the point of each finger with the largest span."""
-    rows = sorted(measure_reach(hand), key=lambda row: -row.span)
-    fingers = dict.fromkeys(point.finger for point in hand.reference_points)
-    best = [
-        next(row for row in rows if row.finger == finger)
-        for finger in fingers
-        if finger
-    ]
-    tables["Fingers"] = [
-        {
-            "point": row.point,
-            "span mm": 1e3 * row.span,
-            "moves in": f"{row.directions} of 3 directions",
-            "slowest direction, mm per rad or m": 1e3 * row.slowest,
-            "manipulability": f"{row.manipulability:.2e}",
-        }
-        for row in best
-    ]
-    for row in best:
-        if row.directions == 0:
+    """Find fingers whose point no joint moves."""
+    rows = measure_reach(hand)
+    tables["Fingers"] = msgspec.to_builtins(rows)
+    for row in rows:
+        if row.moves_in.startswith("0"):
             change = "put it on a link that moves, or leave it out"
             yield Finding("warning", "points", f"no joint moves {row.point}", change)
 
@@ -599,24 +558,13 @@ def _check_arm(hand: Hand, tables: Tables) -> Findings:
 
 def _check_motion(hand: Hand, tables: Tables) -> Findings:
     motion = try_motion(hand)
-    tables["A standard motion"] = [
-        {
-            "posture": part.name,
-            "worst point": part.worst_point,
-            "error mm": 1e3 * part.error,
-            "joints at a position limit": ", ".join(part.limited),
-        }
-        for part in motion
-    ]
+    tables["A standard motion"] = msgspec.to_builtins(motion)
     for part in motion:
-        if part.error > _OUT_OF_REACH:
-            stops = (
-                f", {', '.join(part.limited[:3])} at a position limit"
-                if part.limited
-                else ""
-            )
-            gap = f"stays {1e3 * part.error:.0f} mm from its target{stops}"
-            yield Finding("advice", "reach", f"{part.name}: {part.worst_point} {gap}")
+        if part.error_mm > _OUT_OF_REACH:
+            far = f"{part.worst_point} stays {part.error_mm:.0f} mm from its target"
+            if stops := part.joints_at_a_position_limit:
+                far += f", {', '.join(stops.split(', ')[:3])} at a position limit"
+            yield Finding("advice", "reach", f"{part.posture}: {far}")
 
 
 _CHECKS: tuple[tuple[str, Callable[[Hand, Tables], Findings]], ...] = (

@@ -1,4 +1,4 @@
-"""Pairs of links that self-collision avoidance keeps apart on a new hand."""
+"""Pairs of links: those that overlap, and those that self-collision avoidance keeps apart."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.onboarding.detect import Detection
-from handmap_qp.apps.onboarding.measure import across
+from handmap_qp.apps.onboarding.measure import random_postures
 from handmap_qp.errors import HandmapError
+from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
+from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.hands.spec import CollisionSpec
 
 MARGIN = 0.0005
@@ -24,6 +25,9 @@ MARGIN = 0.0005
 _SAMPLES, _NEAR = 60, 0.01
 # Pairs that overlap in more postures than this overlap by design.
 _BY_DESIGN = 0.5
+# The same of a few postures; links of a compact joint are shorter than this and overlap when it
+# bends [m].
+_FEW, _IN_FEW, _SHORT = 8, 0.8, 0.025
 
 
 def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
@@ -63,7 +67,8 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     wanted = [
         _is_wanted(owners[one], owners[other], [*fingers]) for one, other in pairs.links
     ]
-    distances = _distances(hand, pairs)
+    postures = np.vstack([hand.rest, random_postures(hand, _SAMPLES)])
+    distances = _distances(hand, pairs.geometry, postures)
     touches = distances[0] < 2.0 * MARGIN
     pinches = np.array([bool(finger) for finger in pairs.fingers], dtype=bool)
     is_near = pinches | (distances.min(axis=0) < _NEAR)
@@ -99,16 +104,57 @@ def _is_wanted(one: str, other: str, fingers: list[str]) -> bool:
     return "palm" not in (one, other) and abs(row.index(one) - row.index(other)) == 1
 
 
-def _distances(hand: Hand, pairs: ShapePairs) -> np.ndarray:
-    """Return the distance of each pair at rest and in random postures [m], shape (1 + n, k)."""
-    data, geometry_data = hand.model.createData(), pairs.geometry.createData()
-    random = across(hand, np.random.default_rng(0).random((_SAMPLES, len(hand.rest))))
+def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
+    """Return the pairs of links whose collision shapes overlap in one posture.
+
+    Pairs that meet in a joint, or that overlap in most postures, are left out.
+
+    Args:
+        hand: The hand.
+        q: Joint angles [rad], shape (n,).
+
+    Raises:
+        HandError: If a shape cannot be read.
+    """
+    geometry, model = read_collision_shapes(hand), hand.model
+    shapes = geometry.geometryObjects
+    joints = [shape.parentJoint for shape in shapes]
+    near = {joint: _neighbours(model, joint, joints) for joint in joints}
+    for i, j in itertools.combinations(range(len(shapes)), 2):
+        if joints[i] not in near[joints[j]] and joints[j] not in near[joints[i]]:
+            geometry.addCollisionPair(pin.CollisionPair(i, j))
+    postures = np.vstack([q, random_postures(hand, _FEW)])
+    overlaps = _distances(hand, geometry, postures) <= 0.0
+    found = overlaps[0] & (overlaps[1:].mean(axis=0) < _IN_FEW)
+    names = [model.frames[shape.parentFrame].name for shape in shapes]
+    pairs = itertools.compress(geometry.collisionPairs, found)
+    return [*dict.fromkeys((names[pair.first], names[pair.second]) for pair in pairs)]
+
+
+def _neighbours(model: pin.Model, joint: int, with_shape: list[int]) -> list[int]:
+    """Return a joint and those above it up to the next one with a body that is not short.
+
+    Bodies on these joints may overlap where they meet.
+    """
+    found = [joint]
+    while joint > 0:
+        length = np.linalg.norm(model.jointPlacements[joint].translation)
+        joint = model.parents[joint]
+        found.append(joint)
+        if joint in with_shape and length > _SHORT:
+            break
+    return found
+
+
+def _distances(
+    hand: Hand, geometry: pin.GeometryModel, postures: np.ndarray
+) -> np.ndarray:
+    """Return the distance of each of k pairs in postures (p, n) [m], shape (p, k)."""
+    data, geometry_data = hand.model.createData(), geometry.createData()
     found = []
-    for q in (hand.rest, *random):
+    for q in postures:
         vector = hand.configuration_vector(q)
-        pin.updateGeometryPlacements(
-            hand.model, data, pairs.geometry, geometry_data, vector
-        )
-        pin.computeDistances(pairs.geometry, geometry_data)
+        pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data, vector)
+        pin.computeDistances(geometry, geometry_data)
         found.append([result.min_distance for result in geometry_data.distanceResults])
-    return np.array(found, dtype=float).reshape(_SAMPLES + 1, -1)
+    return np.array(found, dtype=float).reshape(len(postures), -1)

@@ -2,75 +2,69 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import compress, product
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.apps.onboarding.anatomy import angle_between
 from handmap_qp.errors import HandmapError
-from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import (
     THUMB,
     Finger,
     PalmKinematics,
-    Place,
     find_fingers,
     zero_posture,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
+from handmap_qp.human.landmarks import human_name
 from handmap_qp.mapping.mapper import HandMapper
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
 # Least singular value of a fingertip's Jacobian that counts as a direction of motion [m/rad].
 _LEAST_MOTION = 0.003
-# Links of a compact joint are shorter than this and overlap when it bends [m].
-_SHORT = 0.025
 _SAMPLES = 200
 # Random postures of an arm, directions in which its reach is measured, and cosine of their cones.
 _ARM_SAMPLES = 1500
-_DIRECTIONS = np.array(
-    [
-        v / np.linalg.norm(v)
-        for i in np.ndindex(3, 3, 3)
-        if (v := np.array(i) - 1.0).any()
-    ]
-)
+_DIRECTIONS = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
+_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
-# Search for a pinch: iterations, damping [m/rad], and random starts.
-_ITERATIONS, _DAMPING, _STARTS = 40, 0.01, 6
+# Random postures in which the search for a pinch starts.
+_STARTS = 6
 # Surfaces that come this near touch [m].
 _TOUCHING = 0.002
 # Radius of a pad without shapes [m].
 _RADIUS = 0.006
 
 
-class FingerReach(NamedTuple):
-    """How one fingertip moves.
+class _Row(msgspec.Struct, rename=lambda name: name.replace("_", " ")):
+    """A row of a table, whose columns are its fields."""
+
+
+class FingerReach(_Row):
+    """How the reference point of a finger with the largest span moves.
 
     Attributes:
-        point: Name of the reference point.
-        finger: Its finger.
-        span: Largest distance between two positions that it reaches [m].
-        directions: Number of directions in which it can move at rest, 0 to 3.
-        slowest: Smallest singular value of its Jacobian among these directions [m/rad].
+        point: Its name.
+        span_mm: Largest distance between two positions that it reaches [mm].
+        moves_in: Number of directions in which it can move at rest, of three.
+        slowest: Smallest singular value of its Jacobian among these directions [mm per rad or m].
         manipulability: Yoshikawa's measure at rest, the product of these singular values
             [(m/rad)^directions].
     """
 
     point: str
-    finger: str
-    span: float
-    directions: int
-    slowest: float
-    manipulability: float
+    span_mm: float
+    moves_in: str
+    slowest: float = msgspec.field(name="slowest direction, mm per rad or m")
+    manipulability: str
 
 
 class Size(NamedTuple):
@@ -93,20 +87,20 @@ class Size(NamedTuple):
         return self.length / HUMAN_LENGTH
 
 
-class MotionPart(NamedTuple):
+class MotionPart(_Row):
     """How well a robot follows one part of the standard motion.
 
     Attributes:
-        name: What the human hand does.
-        error: Largest distance of a point from its target at the end of the part [m].
-        worst_point: The point with that error.
-        limited: Joints at a position limit at the end of the part.
+        posture: What the human hand does.
+        worst_point: The point farthest from its target at the end of the part.
+        error_mm: Its distance from the target [mm].
+        joints_at_a_position_limit: Their names.
     """
 
-    name: str
-    error: float
+    posture: str
     worst_point: str
-    limited: tuple[str, ...]
+    error_mm: float
+    joints_at_a_position_limit: str
 
 
 class Fist(NamedTuple):
@@ -124,60 +118,63 @@ class Fist(NamedTuple):
     fingers: tuple[str, ...]
 
 
-class Pinch(NamedTuple):
+class Pinch(_Row):
     """How near the thumb's pad comes to a finger's.
 
     Attributes:
         finger: The finger.
-        gap: Smallest distance between the surfaces of both pads [m]; 0 or less if they touch.
-        q: Joint angles there, shape (n,).
+        gap: Smallest distance between the surfaces of both pads [mm]; 0 if they overlap.
+        touch: Whether they touch: `yes` or `no`.
     """
 
-    finger: str
-    gap: float
-    q: np.ndarray
-
-    @property
-    def touches(self) -> bool:
-        """Whether the pads touch."""
-        return self.gap < _TOUCHING
+    finger: str = msgspec.field(name="thumb and")
+    gap: float = msgspec.field(name="nearest, mm between pads")
+    touch: str
 
 
-def measure_reach(hand: Hand) -> tuple[FingerReach, ...]:
-    """Measure reach and manipulability of every reference point on a finger.
+def measure_reach(hand: Hand) -> list[FingerReach]:
+    """Measure reach and manipulability of each finger's reference point with the largest span.
 
     Args:
         hand: The hand; an arm stays at rest.
     """
     wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
-    arm = {hand.model.joints[joint].idx_v for joint in hand.model.supports[wrist]}
-    fingers = np.array([v not in arm or wrist == 0 for v in hand.v_indices])
-    generator = np.random.default_rng(0)
-    size = (_SAMPLES, len(hand.rest))
+    arm = [hand.model.idx_vs[joint] for joint in hand.model.supports[wrist]]
+    own = ~np.isin(hand.v_indices, arm) | (wrist == 0)
+    generator, size = np.random.default_rng(0), (_SAMPLES, len(hand.rest))
     shares = np.vstack([generator.random(size), generator.integers(0, 2, size)])
-    postures = np.where(fingers, across(hand, shares), hand.rest)
+    postures = np.where(own, across(hand, shares), hand.rest)
     places = np.array([hand.points(q) for q in postures])
-    jacobian = hand.point_jacobian(hand.rest)[:, fingers]
-    rows = []
-    for i, point in enumerate(hand.reference_points):
-        if point.finger is None:
-            continue
-        motions = np.linalg.svd(jacobian[3 * i : 3 * i + 3], compute_uv=False)
-        motions = motions[motions > _LEAST_MOTION]
-        gaps = places[:, None, i] - places[None, :: max(1, len(places) // 100), i]
-        span, count = float(np.linalg.norm(gaps, axis=2).max()), len(motions)
-        slowest, product = (
-            (float(motions.min()), float(np.prod(motions))) if count else (0.0, 0.0)
-        )
-        rows.append(
-            FingerReach(point.name, point.finger, span, count, slowest, product)
-        )
-    return tuple(rows)
+    gaps = places[:, None] - places[:: max(1, len(places) // 100)]
+    spans = 1e3 * np.linalg.norm(gaps, axis=3).max(axis=(0, 1))
+    jacobians = hand.point_jacobian(hand.rest)[:, own].reshape(len(spans), 3, -1)
+    best: dict[str, FingerReach] = {}
+    for point, span, jacobian in zip(
+        hand.reference_points, spans.tolist(), jacobians, strict=True
+    ):
+        finger = point.finger
+        if finger and (finger not in best or span > best[finger].span_mm):
+            motions = np.linalg.svd(jacobian, compute_uv=False)
+            motions = motions[motions > _LEAST_MOTION]
+            measures = (motions[-1], motions.prod()) if len(motions) else (0.0, 0.0)
+            best[finger] = FingerReach(
+                point=point.name,
+                span_mm=span,
+                moves_in=f"{len(motions)} of 3 directions",
+                slowest=1e3 * float(measures[0]),
+                manipulability=f"{measures[1]:.2e}",
+            )
+    return [*best.values()]
 
 
 def across(hand: Hand, shares: np.ndarray) -> np.ndarray:
     """Return the postures at shares of the joints' ranges, shape (..., n)."""
     return hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
+
+
+def random_postures(hand: Hand, count: int) -> np.ndarray:
+    """Return postures within the joint limits, always the same ones, shape (count, n)."""
+    return across(hand, np.random.default_rng(0).random((count, len(hand.rest))))
 
 
 def measure_arm(hand: Hand) -> np.ndarray | None:
@@ -189,9 +186,7 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
     """
     if hand.is_floating or not hand.has_moving_wrist:
         return None
-    postures = across(
-        hand, np.random.default_rng(0).random((_ARM_SAMPLES, len(hand.rest)))
-    )
+    postures = random_postures(hand, _ARM_SAMPLES)
     start = hand.frame_pose("wrist", hand.rest)[:3, 3]
     moved = np.array([hand.frame_pose("wrist", q)[:3, 3] - start for q in postures])
     lengths = np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
@@ -219,85 +214,34 @@ def measure_size(hand: Hand) -> Size:
     )
 
 
-def colliding_links(hand: Hand, q: np.ndarray) -> tuple[tuple[str, str], ...]:
-    """Return the pairs of links whose collision shapes overlap in one posture.
-
-    Pairs that meet in a joint, or that overlap in most postures, are left out.
-
-    Args:
-        hand: The hand.
-        q: Joint angles [rad], shape (n,).
-
-    Raises:
-        HandError: If a shape cannot be read.
-    """
-    geometry, model, data = (
-        read_collision_shapes(hand),
-        hand.model,
-        hand.model.createData(),
-    )
-    shapes = geometry.geometryObjects
-    with_shape = {shape.parentJoint for shape in shapes}
-    for i, j in itertools.combinations(range(len(shapes)), 2):
-        if not _meet(model, shapes[i].parentJoint, shapes[j].parentJoint, with_shape):
-            geometry.addCollisionPair(pin.CollisionPair(i, j))
-    results = geometry.createData()
-
-    def overlaps(angles: np.ndarray) -> np.ndarray:
-        vector = hand.configuration_vector(angles)
-        pin.computeCollisions(model, data, geometry, results, vector, False)
-        return np.array(
-            [result.isCollision() for result in results.collisionResults], dtype=bool
-        )
-
-    others = across(hand, np.random.default_rng(0).random((8, len(q))))
-    # Shapes that overlap in most postures overlap by design: ignore them.
-    found = overlaps(q) & (np.mean([overlaps(other) for other in others], axis=0) < 0.8)
-    pairs = [geometry.collisionPairs[i] for i in np.flatnonzero(found).tolist()]
-    frames = [
-        (shapes[pair.first].parentFrame, shapes[pair.second].parentFrame)
-        for pair in pairs
-    ]
-    return tuple(
-        dict.fromkeys(
-            (model.frames[one].name, model.frames[other].name) for one, other in frames
-        )
-    )
-
-
-def try_motion(hand: Hand) -> tuple[MotionPart, ...]:
+def try_motion(hand: Hand) -> list[MotionPart]:
     """Map a standard motion of a human hand: from rest to each of `standard_postures`."""
-    human = load_hand(
-        "human" if hand.side == "right" else "human_left", hand_length=HUMAN_LENGTH
-    )
+    human = load_hand(human_name(hand.side), hand_length=HUMAN_LENGTH)
     rigid = "wrist" if hand.has_moving_wrist else "none"
+    # A floating hand can turn as a whole; a hand that is held cannot, and its world's axes need not
+    # be the human's.
+    alignment = "world" if hand.is_floating else "palm"
     parts = []
     for name, posture in standard_postures(human).items():
-        # A floating hand can turn as a whole; a hand that is held cannot, and its world's axes
-        # need not be the human's.
-        alignment = "world" if hand.is_floating else "palm"
         mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
         mapper.map_step(human.rest, np.eye(4))
         # 0.75 s of motion, then 0.25 s to settle.
-        shares = np.concatenate(
-            [0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 45)), np.ones(15)]
-        )
+        ways = np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0)
         steps = [
             mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
-            for share in shares
+            for share in 0.5 - 0.5 * np.cos(ways)
         ]
         error, q = steps[-1].point_error, steps[-1].command.q
         worst = int(np.argmax(error))
-        limited = tuple(
-            joint
-            for joint, is_at in zip(
-                hand.joint_names, hand.at_position_limit(q), strict=True
-            )
-            if is_at
+        limited = compress(hand.joint_names, hand.at_position_limit(q))
+        part = MotionPart(
+            posture=name,
+            worst_point=hand.reference_points[worst].name,
+            error_mm=1e3 * float(error[worst]),
+            joints_at_a_position_limit=", ".join(limited),
         )
-        name_of_worst = hand.reference_points[worst].name
-        parts.append(MotionPart(name, float(error[worst]), name_of_worst, limited))
-    return tuple(parts)
+        parts.append(part)
+    return parts
 
 
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
@@ -327,26 +271,6 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
 
 def _spread(points: np.ndarray) -> float:
     return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
-
-
-def _meet(model: pin.Model, one: int, other: int, with_shape: set[int]) -> bool:
-    """Return whether two joints carry the same body or neighbouring bodies.
-
-    Short bodies and bodies without a shape between them are skipped.
-    """
-    if one == other:
-        return True
-    for near, far in ((one, other), (other, one)):
-        at = near
-        while at > 0:
-            parent = model.parents[at]
-            if parent == far:
-                return True
-            length = np.linalg.norm(model.jointPlacements[at].translation)
-            if parent in with_shape and length > _SHORT:
-                break
-            at = parent
-    return False
 
 
 def make_fist(hand: Hand) -> Fist | None:
@@ -383,10 +307,8 @@ def make_fist(hand: Hand) -> Fist | None:
     )
 
 
-def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
-    """Find how near the thumb's pad can come to every other finger's.
-
-    Damped least squares from several postures, within the joint limits.
+def measure_pinches(hand: Hand) -> list[Pinch]:
+    """Find how near the thumb's pad can come to every other finger's, within the joint limits.
 
     Args:
         hand: The hand; an arm stays at rest.
@@ -395,18 +317,19 @@ def measure_pinches(hand: Hand) -> tuple[Pinch, ...]:
         One entry per finger; none if the hand has no thumb or no second finger.
     """
     fingers = find_fingers(hand)
-    if THUMB not in fingers:
-        return ()
     pads, pinches = fingertip_pads(hand, fingers), []
+    if THUMB not in fingers:
+        return pinches
     for name, finger in fingers.items():
         if name != THUMB:
             used = [pads[THUMB], pads[name]]
             radii = sum(pad.radius for pad in used)
             columns = np.union1d(fingers[THUMB].columns, finger.columns)
-            places = [(pad.joint, pad.offset) for pad in used]
-            distance, q = _nearest(hand, places, columns, radii)
-            pinches.append(Pinch(name, distance - radii, q))
-    return tuple(pinches)
+            gap = _nearest(hand, used, columns, radii) - radii
+            touch = "yes" if gap < _TOUCHING else "no"
+            nearest = max(0.0, round(1e3 * gap, 1))
+            pinches.append(Pinch(finger=name, gap=nearest, touch=touch))
+    return pinches
 
 
 def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
@@ -417,36 +340,26 @@ def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
         return {name: Pad(*chain.tip, _RADIUS) for name, chain in chains.items()}
 
 
-def _nearest(
-    hand: Hand, places: list[Place], columns: np.ndarray, near: float
-) -> tuple[float, np.ndarray]:
-    """Return the smallest distance of two points, or one below `near`, and the posture there."""
-    view, low, high = (
-        PalmKinematics(hand),
-        hand.lower_limits[columns],
-        hand.upper_limits[columns],
-    )
-    random = low + np.random.default_rng(0).random((_STARTS, len(columns))) * (
-        high - low
-    )
-    starts = [hand.rest[columns], 0.5 * (low + high), np.clip(0.0, low, high), *random]
-    best, best_q = np.inf, hand.rest.copy()
-    for start in starts:
-        if best < near:
-            break
-        q = hand.rest.copy()
-        q[columns] = start
-        for _ in range(_ITERATIONS):
-            gap = np.subtract(*view.points(q, places))
-            distance = float(np.linalg.norm(gap))
-            if distance < best:
-                best, best_q = distance, q.copy()
-            J = np.subtract(
-                *(view.motion(q, place)[:3, columns] for place in reversed(places))
-            )
-            step = J.T @ np.linalg.solve(J @ J.T + _DAMPING**2 * np.eye(3), gap)
-            moved = np.clip(q[columns] + step, low, high)
-            if distance < near or np.abs(moved - q[columns]).max() < 1e-4:
-                break
-            q[columns] = moved
-    return best, best_q
+def _nearest(hand: Hand, pads: list[Pad], columns: np.ndarray, near: float) -> float:
+    """Return the smallest distance of two pads' centres, or one below `near` [m]."""
+    from scipy.optimize import least_squares
+
+    view, q, best = PalmKinematics(hand), hand.rest.copy(), np.inf
+    low, high = hand.lower_limits[columns], hand.upper_limits[columns]
+
+    def gap(positions: np.ndarray) -> np.ndarray:
+        q[columns] = positions
+        return np.subtract(*view.points(q, [(pad.joint, pad.offset) for pad in pads]))
+
+    def slope(positions: np.ndarray) -> np.ndarray:
+        q[columns] = positions
+        motions = (view.motion(q, (pad.joint, pad.offset)) for pad in pads)
+        return np.subtract(*motions)[:3, columns]
+
+    middle, zero = 0.5 * (low + high), zero_posture(hand)[columns]
+    others = random_postures(hand, _STARTS)[:, columns]
+    for start in (hand.rest[columns], middle, zero, *others):
+        if best >= near:
+            found = least_squares(gap, start, slope, bounds=(low, high))
+            best = min(best, float(np.linalg.norm(found.fun)))
+    return best
