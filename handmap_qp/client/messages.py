@@ -22,11 +22,21 @@ PROTOCOLS = (1, 2)
 TOPIC_END = b"\0"
 """Separator between a session's name and the message in its stream."""
 
+LARGEST = 1e3
+"""Largest coordinate [m] and angle [rad] of a request; larger numbers are mistakes."""
+# Bounds also reject NaN.
+Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
+Place = tuple[Number, Number, Number]
+Angles = Annotated[tuple[Number, ...], Meta(max_length=256)]
+Places = Annotated[tuple[Place, ...], Meta(max_length=256)]
+# Numbers of a layout may be in millimetres or degrees.
+Value = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Values = Annotated[tuple[Value, ...], Meta(max_length=1024)]
+Stamp = Annotated[float, Meta(ge=-1e15, le=1e15)]
 Vector = tuple[float, float, float]
 Names = tuple[str, ...]
-Numbers = Annotated[tuple[float, ...], Meta(max_length=256)]
-Points = Annotated[tuple[Vector, ...], Meta(max_length=256)]
-Values = Annotated[tuple[float, ...], Meta(max_length=1024)]
+Numbers = tuple[float, ...]
+Points = tuple[Vector, ...]
 Preset = Annotated[str, Meta(max_length=64)]
 Length = Annotated[float, Meta(gt=0, le=1)]
 Gap = Annotated[float, Meta(ge=0, le=0.04)]
@@ -126,9 +136,9 @@ class Lengths(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         rolls: Turn of each finger's joint axes about the palm's y axis [rad].
     """
 
-    bases: tuple[Vector, Vector, Vector, Vector, Vector]
-    segments: tuple[Vector, Vector, Vector, Vector, Vector]
-    rolls: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    bases: tuple[Place, Place, Place, Place, Place]
+    segments: tuple[Place, Place, Place, Place, Place]
+    rolls: tuple[Number, Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class Request(
@@ -217,7 +227,7 @@ class Open(Request, frozen=True):
     mapping: dict[str, Any] = {}
     teleoperation: dict[str, Any] = {}
     ik: dict[str, Any] = {}
-    robot_q: Numbers | None = None
+    robot_q: Angles | None = None
     robot_wrist: Pose | None = None
     restore: bool = False
     is_released: bool = False
@@ -253,10 +263,10 @@ class Step(Request, frozen=True):
         confidence: The tracker's own confidence; 0 counts as not seen.
     """
 
-    time: float
-    q: Numbers | None = None
-    landmarks: Points | None = None
-    points: Points | None = None
+    time: Stamp
+    q: Angles | None = None
+    landmarks: Places | None = None
+    points: Places | None = None
     values: Values | None = None
     wrist: Pose | None = None
     valid: bool = True
@@ -352,7 +362,7 @@ class Reset(Request, frozen=True):
             limits.
     """
 
-    robot_q: Numbers | None = None
+    robot_q: Angles | None = None
     robot_wrist: Pose | None = None
 
 

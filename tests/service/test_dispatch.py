@@ -212,8 +212,8 @@ def test_postures_are_noted_at_each_command_only_with_a_file(
         again = msgspec.structs.replace(
             opening(name="lab", restore=True), session=secret
         )
-        session = asyncio.run(here.sessions.open(again, b"", Caller()))
-        assert session.record.q == tuple(last["q"])
+        entry = asyncio.run(here.sessions.open(again, b"", Caller()))
+        assert entry.session.record.q == tuple(last["q"])
         here.sessions.end(secret, "no_session", "test")
         found = store.find("lab", "three_finger", 8)
         assert found is not None

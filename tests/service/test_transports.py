@@ -303,10 +303,8 @@ def test_a_failed_handshake_is_logged_and_counted(
 def test_the_limit_of_time_stamps_is_named(time: float) -> None:
     answer = decode_request(encode(Sampler()(time)))
     assert isinstance(answer, Error)
-    assert (answer.field, answer.message) == (
-        "time",
-        f"expected a number within 1e+15 of 0, got {time:g}",
-    )
+    assert answer.field == "time"
+    assert "1000000000000000.0" in answer.message
 
 
 def test_what_a_name_may_be_is_said_in_words() -> None:

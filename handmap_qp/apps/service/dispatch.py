@@ -17,7 +17,6 @@ from logging import ERROR, INFO
 from typing import Any
 
 import msgspec
-import numpy as np
 
 from handmap_qp.apps.service.logs import AuditLog, Bucket, Metrics, Throttle
 from handmap_qp.apps.service.opening import HandCache
@@ -27,6 +26,7 @@ from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.client import messages
 from handmap_qp.client.messages import (
+    LARGEST,
     NAME,
     AnyReply,
     AnyRequest,
@@ -41,6 +41,7 @@ from handmap_qp.client.messages import (
     Open,
     Pose,
     Release,
+    Request,
     Reset,
     Sample,
     State,
@@ -53,14 +54,7 @@ from handmap_qp.errors import RefusedError
 
 Answer = Callable[[bytes], None]
 """Callback of a transport that sends an answer; it must not block."""
-LARGEST = 1e3
-"""Largest coordinate [m] and angle [rad]; larger numbers are mistakes."""
-LATEST = 1e15
-"""Largest time stamp [s]."""
-# Numbers of a layout may be in millimetres or degrees.
-_BOUNDS = {"time": LATEST, "values": 1e6} | dict.fromkeys(
-    ("q", "landmarks", "points", "robot_q"), LARGEST
-)
+Send = Callable[[AnyReply], None]
 _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
 _MOST_PEERS, _ERRORS_PER_SECOND = 1024, 10.0
@@ -103,7 +97,7 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
     if request.protocol not in messages.PROTOCOLS or is_newer:
         return _wrong_protocol(request)
-    for field, message in _bad_numbers(request):
+    for field, message in _wrong_poses(request):
         return Error(seq=request.seq, code="invalid", message=message, field=field)
     return request
 
@@ -153,34 +147,18 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
     return message, path
 
 
-def _bad_numbers(request: AnyRequest) -> Iterator[tuple[str, str]]:
-    """Yield field and message of numbers that are not finite, or out of range."""
-    for field, largest in _BOUNDS.items():
-        yield from _outside(field, getattr(request, field, None), largest)
-    if isinstance(request, Open) and request.lengths is not None:
-        for field, rows in msgspec.structs.asdict(request.lengths).items():
-            yield from _outside(f"lengths.{field}", rows)
+def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
+    """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
     for field in ("wrist", "robot_wrist"):
         pose: Pose | None = getattr(request, field, None)
-        if pose is not None:
-            norm = math.hypot(*pose.quat_xyzw)
-            if not abs(norm - 1.0) <= _QUAT_TOLERANCE:
-                message = f"expected a unit quaternion, got norm {norm:g}"
-                yield f"{field}.quat_xyzw", message
-            yield from _outside(f"{field}.position", pose.position)
-
-
-def _outside(
-    field: str, values: Any, largest: float = LARGEST
-) -> Iterator[tuple[str, str]]:
-    if values is None:
-        return
-    array = np.array(values, dtype=float)
-    # `~(a <= b)` is also true of NaN.
-    for index in np.argwhere(~(np.abs(array) <= largest)):
-        value = array[tuple(index)]
-        place = field + "".join(f"[{i}]" for i in index)
-        yield place, f"expected a number within {largest:g} of 0, got {value:g}"
+        if pose is None:
+            continue
+        norm, far = math.hypot(*pose.quat_xyzw), math.hypot(*pose.position)
+        if not abs(norm - 1.0) <= _QUAT_TOLERANCE:
+            yield f"{field}.quat_xyzw", f"expected a unit quaternion, got norm {norm:g}"
+        if not far <= LARGEST:
+            message = f"expected at most {LARGEST:g} m from the origin, got {far:g} m"
+            yield f"{field}.position", message
 
 
 class Dispatcher:
@@ -222,8 +200,8 @@ class Dispatcher:
         self._configures = Bucket(settings.configures, clock())
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
-        self._pending: dict[str, tuple[Sample, Callable[[AnyReply], None]]] = {}
-        self._opening: dict[str, tuple[bytes, asyncio.Task[bytes]]] = {}
+        self._pending: dict[str, tuple[Sample, Send]] = {}
+        self._opening: dict[str, tuple[bytes, asyncio.Task[AnyReply]]] = {}
         self._refusals, self._bugs = Throttle(), Throttle()
         metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
         metrics.gauges["uptime_seconds"] = lambda: self._clock() - self._started
@@ -265,36 +243,22 @@ class Dispatcher:
             return False
         request = decode_request(payload)
         if isinstance(request, Error):
-            self._count(request)
-            send(request)
+            send(self._counted(request))
         elif isinstance(request, Sample):
             self._receive_sample(request, send)
         elif isinstance(request, Open):
-            self._receive_open(request, payload, answer)
-        elif isinstance(request, Named | Subscribe) and request.name is not None:
-            send(self._attempt(request, lambda: self._by_name(request, now, subscribe)))
-        elif isinstance(request, Status | Stop) and not request.session:
-            send(self._attempt(request, lambda: self._for_all(request, now)))
+            self._receive_open(request, payload, send)
         else:
-            answer(self._answer_client(request, payload, now))
+            send(self._attempt(request, self._answer, request, payload, now, subscribe))
         return True
 
     def flush(self) -> None:
         """Map the newest streamed sample of each session since the last call."""
         pending, self._pending = self._pending, {}
         for sample, send in pending.values():
-            try:
-                entry = self.sessions.find(sample.session)
-            except RefusedError as error:
-                send(self._refusal(sample.seq, error))
-                continue
-            if sample.seq <= entry.seq:
-                entry.session.counts["stale"] += 1
-                continue
-            entry.seq, entry.payload = sample.seq, b""
-            reply = self._carry_out(entry.session, sample, self._clock())
+            reply = self._attempt(sample, self._for_stream, sample)
             if isinstance(reply, Error):
-                self.sessions.send(entry.session.name, encode_reply(reply))
+                send(reply)
 
     def tick(self) -> None:
         """Let time pass: run the watchdogs, and close idle sessions."""
@@ -310,7 +274,7 @@ class Dispatcher:
                 self._tick(session, now)
             except Exception as error:
                 # The watchdogs of the other sessions must continue.
-                self._bug(0, error)
+                self._failure(0, error)
 
     async def close(self) -> None:
         """Close all sessions."""
@@ -332,7 +296,7 @@ class Dispatcher:
         if command is not None:
             self._send(session, command)
 
-    def _receive_sample(self, sample: Sample, send: Callable[[AnyReply], None]) -> None:
+    def _receive_sample(self, sample: Sample, send: Send) -> None:
         """Keep the newest sample of each session until all waiting messages have been read."""
         if not self._pending:
             asyncio.get_running_loop().call_soon(self.flush)
@@ -340,20 +304,44 @@ class Dispatcher:
             self._metrics.counts["replaced"] += 1
         self._pending[sample.session] = sample, send
 
-    def _answer_client(self, request: AnyRequest, payload: bytes, now: float) -> bytes:
-        """Answer a session's client; repeat the last answer if the request is repeated."""
-        try:
-            entry = self.sessions.find(request.session)
-            if request.seq == entry.seq and payload == entry.payload:
-                return entry.answer
-            if request.seq <= entry.seq:
-                message = f"expected a number above {entry.seq}, got {request.seq}"
-                raise RefusedError("stale", message, field="seq")
-        except RefusedError as error:
-            return encode_reply(self._refusal(request.seq, error))
+    def _for_stream(self, sample: Sample) -> AnyReply:
+        """Map a streamed sample; its command, or why there is none, is in the stream."""
+        entry = self.sessions.find(sample.session)
+        if sample.seq <= entry.seq:
+            entry.session.counts["stale"] += 1
+        else:
+            entry.seq, entry.payload = sample.seq, b""
+            now = self._clock()
+            reply = self._attempt(sample, self._act, entry.session, sample, now)
+            if isinstance(reply, Error):
+                self.sessions.send(entry.session.name, encode_reply(reply))
+        return Done(seq=sample.seq)
+
+    def _answer(
+        self,
+        request: AnyRequest,
+        payload: bytes,
+        now: float,
+        subscribe: Callable[[str], None] | None,
+    ) -> AnyReply:
+        """Answer a request at once; repeat the last answer if a session's client repeats itself.
+
+        Raises:
+            RefusedError: If there is no such session, or the request is older than the last one, or
+                the client may not do that.
+        """
+        if isinstance(request, Named | Subscribe) and request.name is not None:
+            return self._by_name(request, now, subscribe)
+        if isinstance(request, Status | Stop) and not request.session:
+            return self._for_all(request, now)
+        entry = self.sessions.find(request.session)
+        if request.seq == entry.seq and payload == entry.payload:
+            return entry.answer
+        if request.seq <= entry.seq:
+            message = f"expected a number above {entry.seq}, got {request.seq}"
+            raise RefusedError("stale", message, field="seq")
         entry.seq, entry.payload = request.seq, payload
-        reply = self._carry_out(entry.session, request, now)
-        entry.answer = encode_reply(reply)
+        entry.answer = self._attempt(request, self._act, entry.session, request, now)
         return entry.answer
 
     def _by_name(
@@ -386,7 +374,7 @@ class Dispatcher:
         if not (is_allowed or is_free or session.request.is_shared):
             message = f"session {request.name!r} was not opened with is_shared: only its owner may"
             raise RefusedError("denied", message, field="name")
-        return self._carry_out(session, request, now)
+        return self._act(session, request, now)
 
     def _for_all(self, request: Status | Stop, now: float) -> AnyReply:
         """Answer a request about the server, or stop the robots of all sessions."""
@@ -403,29 +391,24 @@ class Dispatcher:
             )
         self._audit.note("stop", self._who(), **_changes(request))
         for entry in list(self.sessions.entries.values()):
-            self._carry_out(entry.session, request, now)
+            self._attempt(request, self._act, entry.session, request, now)
         return Done(seq=request.seq)
 
     def _attempt(
-        self, request: AnyRequest | Named, work: Callable[[], AnyReply]
+        self, request: Request, work: Callable[..., AnyReply], *values: Any
     ) -> AnyReply:
-        """Return what `work` returns, or the error to answer with."""
+        """Return what `work` makes of some values, or the error to answer with."""
         try:
-            return work()
-        except RefusedError as error:
-            return self._refusal(request.seq, error)
+            return work(*values)
         except Exception as error:
-            return self._bug(request.seq, error)
+            return self._failure(request.seq, error)
 
-    def _carry_out(
-        self, session: Session, request: AnyRequest | Named, now: float
-    ) -> AnyReply:
-        """Carry out a request for a session."""
-        return self._attempt(request, lambda: self._act(session, request, now))
+    def _act(self, session: Session, request: Request, now: float) -> AnyReply:
+        """Carry out a request for a session.
 
-    def _act(
-        self, session: Session, request: AnyRequest | Named, now: float
-    ) -> AnyReply:
+        Raises:
+            RefusedError: If it cannot be carried out.
+        """
         if isinstance(request, Step):
             command = session.step(request, now)
             self._metrics.counts["steps"] += 1
@@ -441,9 +424,7 @@ class Dispatcher:
             self._control(session, request, now)
         return Done(seq=request.seq)
 
-    def _control(
-        self, session: Session, request: AnyRequest | Named, now: float
-    ) -> None:
+    def _control(self, session: Session, request: Request, now: float) -> None:
         """Engage, disengage, change or stop a session, or start it again."""
         match request:
             case Configure():
@@ -468,38 +449,34 @@ class Dispatcher:
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
 
-    def _receive_open(self, request: Open, payload: bytes, answer: Answer) -> None:
+    def _receive_open(self, request: Open, payload: bytes, send: Send) -> None:
         """Open a session in a task; a repeated request gets the same answer."""
         entry = self.sessions.entries.get(request.session)
         if entry is not None and payload == entry.payload:
-            answer(entry.answer)
+            send(entry.answer)
             return
         first, task = self._opening.get(request.session, (payload, None))
-        if first != payload or (
-            task is None and len(self._opening) >= self._settings.sessions
-        ):
-            refusal = RefusedError("busy", "too many at once")
-            answer(encode_reply(self._refusal(request.seq, refusal)))
+        is_full = task is None and len(self._opening) >= self._settings.sessions
+        if first != payload or is_full:
+            busy = RefusedError("busy", "too many at once")
+            send(self._failure(request.seq, busy))
             return
         if task is None:
             opening = self._open(request, payload, self._who())
             task = asyncio.get_running_loop().create_task(opening)
             self._opening[request.session] = payload, task
         task.add_done_callback(
-            lambda done: None if done.cancelled() else answer(done.result())
+            lambda done: None if done.cancelled() else send(done.result())
         )
 
-    async def _open(self, request: Open, payload: bytes, by: Caller) -> bytes:
+    async def _open(self, request: Open, payload: bytes, by: Caller) -> AnyReply:
         """Open a session; return the answer."""
         try:
-            session = await self.sessions.open(request, payload, by)
-            reply = encode_reply(session.opened(request.seq, self.stream_port))
-            self.sessions.entries[request.session].answer = reply
-            return reply
-        except RefusedError as error:
-            return encode_reply(self._refusal(request.seq, error))
+            entry = await self.sessions.open(request, payload, by)
+            entry.answer = entry.session.opened(request.seq, self.stream_port)
+            return entry.answer
         except Exception as error:
-            return encode_reply(self._bug(request.seq, error))
+            return self._failure(request.seq, error)
         finally:
             del self._opening[request.session]
 
@@ -508,27 +485,26 @@ class Dispatcher:
         self.sessions.note(session)
         self.sessions.send(session.name, encode_reply(command))
 
-    def _refusal(self, seq: int, error: RefusedError) -> Error:
-        reply = Error(seq=seq, code=error.code, message=str(error), field=error.field)
-        self._count(reply)
-        return reply
+    def _failure(self, seq: int, error: Exception) -> Error:
+        """Return the error to answer with; log an unexpected one."""
+        if isinstance(error, RefusedError):
+            code, message, field = error.code, str(error), error.field
+        else:
+            self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
+            code, field = "internal", ""
+            message = "the server failed at this request; see its log"
+        return self._counted(Error(seq=seq, code=code, message=message, field=field))
 
-    def _bug(self, seq: int, error: Exception) -> Error:
-        """Log an unexpected exception, and tell the client that the request failed."""
-        self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
-        message = "the server failed at this request; see its log"
-        reply = Error(seq=seq, code="internal", message=message)
-        self._count(reply)
-        return reply
-
-    def _count(self, error: Error) -> None:
+    def _counted(self, error: Error) -> Error:
+        """Return an error, counted and logged."""
         self._metrics.refusals[error.code] += 1
         self._refusals.report(
             INFO, "refused", code=error.code, field=error.field, message=error.message
         )
+        return error
 
 
-def _changes(request: AnyRequest | Named) -> dict[str, Any]:
+def _changes(request: Request) -> dict[str, Any]:
     """Return the fields of a request that the audit log keeps: those that were given."""
     left_out = {"type", "protocol", "seq", "session", "name"}
     given = msgspec.to_builtins(request)

@@ -8,10 +8,10 @@ from typing import Any, get_args
 import docstring_parser
 import msgspec
 
-from handmap_qp.apps.service.dispatch import LARGEST, LATEST
 from handmap_qp.apps.service.opening import MOST_ITERATIONS, SOLVERS
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client.messages import (
+    LARGEST,
     PROTOCOL,
     About,
     AnyReply,
@@ -76,8 +76,7 @@ in right-handed worlds.
   `new WebSocket(url, ["handmap.v1", "bearer.TOKEN"])`.
 
 A message is at most {Settings().message_size} bytes long; a longer one ends its connection.
-Coordinates [m] and angles [rad] are within {LARGEST:g} of 0, time stamps [s] within
-{LATEST:g}.
+The wrist of a request is at most {LARGEST:g} m from the origin.
 
 If a request arrives again byte by byte, the server repeats its answer without carrying it out
 again. A request with a session's public `name` in place of its secret is carried out each time."""

@@ -9,9 +9,10 @@ import math
 import secrets
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from logging import INFO
 from typing import Any, NamedTuple, TypeVar
+from weakref import WeakSet
 
 import msgspec
 
@@ -20,8 +21,9 @@ from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepa
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record
-from handmap_qp.client.messages import Error, Open
+from handmap_qp.client.messages import AnyReply, Done, Error, Open
 from handmap_qp.errors import RefusedError
+from handmap_qp.hands.hand import Hand
 
 LEASE = 2.0
 """Time after a request of its owner in which nobody else may have a session [s]."""
@@ -74,13 +76,13 @@ class Entry:
         session: The session.
         seq: Number of the request.
         payload: The request as received.
-        answer: Its encoded answer.
+        answer: Its answer.
     """
 
     session: Session
     seq: int
     payload: bytes
-    answer: bytes = b""
+    answer: AnyReply = field(default_factory=Done)
 
 
 class Sessions:
@@ -97,7 +99,6 @@ class Sessions:
     Attributes:
         entries: Sessions by their secrets.
         publish: Callbacks that receive the messages of all streams.
-        is_preparing: Whether the opening thread loads a hand, which it does not stop on request.
     """
 
     def __init__(
@@ -111,7 +112,7 @@ class Sessions:
     ) -> None:
         self.entries: dict[str, Entry] = {}
         self.publish: list[Publish] = []
-        self.is_preparing = False
+        self._works: WeakSet[Future[Any]] = WeakSet()
         self._audit = audit
         self._settings, self._cache, self._metrics = settings, cache, metrics
         self._store, self._clock = store, clock
@@ -128,6 +129,11 @@ class Sessions:
     def names(self) -> tuple[str, ...]:
         """Public names of the open sessions."""
         return tuple(entry.session.name for entry in self.entries.values())
+
+    @property
+    def is_preparing(self) -> bool:
+        """Whether the opening thread loads a hand, which it does not stop on request."""
+        return any(work.running() for work in self._works)
 
     def find(self, secret: str) -> Entry:
         """Return the session of a secret, and renew its lease.
@@ -155,7 +161,7 @@ class Sessions:
             raise RefusedError("invalid", f"no session {name!r}", field="name")
         return session
 
-    async def open(self, request: Open, payload: bytes, by: Caller) -> Session:
+    async def open(self, request: Open, payload: bytes, by: Caller) -> Entry:
         """Open a session.
 
         Args:
@@ -175,8 +181,8 @@ class Sessions:
             robot = hands.mapper.robot
             # The client of the former session may have returned meanwhile.
             self._check_owner(request, by)
-            former = self._former(request, name, robot.name, len(robot.joint_names))
-            running = None if former is None else self._find_named(name)
+            running = self._find_named(name)
+            former = self._former(request, name, robot, running)
             session = Session(
                 request,
                 hands,
@@ -192,11 +198,12 @@ class Sessions:
         # A stop also outlives a session that is not restored.
         if (last := self._store.records.get(name)) is not None and last.stop:
             session.stop(last.stop)
-        for secret, entry in list(self.entries.items()):
-            if entry.session.name == name:
-                self.end(secret, "taken", "a client restored this session", by=by)
+        if running is not None:
+            reason = "a client restored this session"
+            self.end(running.request.session, "taken", reason, by=by)
         self._last_heard.pop(name, None)
-        self.entries[request.session] = Entry(session, request.seq, payload)
+        entry = Entry(session, request.seq, payload)
+        self.entries[request.session] = entry
         self.note(session)
         self._metrics.counts["opened"] += 1
         event: dict[str, Any] = {
@@ -206,7 +213,7 @@ class Sessions:
         }
         self._audit.note("opened", by, **event)
         report(INFO, "opened", input=request.input, **event)
-        return session
+        return entry
 
     def note(self, session: Session) -> None:
         """Note where a session is, if that is to outlive the server.
@@ -259,15 +266,9 @@ class Sessions:
 
     def _submit(self, work: Callable[[], _T]) -> Future[_T]:
         """Run work in the opening thread."""
-
-        def run() -> _T:
-            self.is_preparing = True
-            try:
-                return work()
-            finally:
-                self.is_preparing = False
-
-        return self._executor.submit(run)
+        future = self._executor.submit(work)
+        self._works.add(future)
+        return future
 
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
@@ -278,50 +279,40 @@ class Sessions:
         is_again = is_its_own and request.restore and not is_repeat
         is_replacing = last is not None and request.restore
         count = len(self.entries) + len(self._names_opening) - is_replacing
-        for is_wrong, code, field, message in (
-            (
-                len(request.session) < _SHORTEST_SECRET,
-                "invalid",
-                "session",
-                f"expected at least {_SHORTEST_SECRET} random characters",
-            ),
-            (
-                held is not None and not is_again,
-                "invalid",
-                "session",
-                "a session with this secret exists: choose another one",
-            ),
-            (count >= most, "busy", "", f"all {most} sessions are taken"),
-            (
-                request.time_from == "client" and not self._settings.simulated_time,
-                "denied",
-                "time_from",
-                "the server uses its own clock (see handmap serve --simulated-time)",
-            ),
-            (
-                name in self._names_opening,
-                "busy",
-                "name",
-                f"session {name!r} is being opened",
-            ),
-            (
-                last is not None and not request.restore,
-                "invalid",
-                "name",
-                f"session {name!r} exists: restore=true takes it over",
-            ),
-            (
-                request.restore and name is None,
-                "invalid",
-                "name",
-                "missing: restore needs the name of the session",
-            ),
-        ):
-            if is_wrong:
-                raise RefusedError(code, message, field=field)
-        if not self._opens.take(self._clock()):
-            message = f"more than {self._settings.opens:g} sessions opened a second"
-            raise RefusedError("rate", f"{message}: try again later")
+        _refuse_if(
+            len(request.session) < _SHORTEST_SECRET,
+            f"expected at least {_SHORTEST_SECRET} random characters",
+            "session",
+        )
+        _refuse_if(
+            held is not None and not is_again,
+            "a session with this secret exists: choose another one",
+            "session",
+        )
+        _refuse_if(count >= most, f"all {most} sessions are taken", code="busy")
+        _refuse_if(
+            request.time_from == "client" and not self._settings.simulated_time,
+            "the server uses its own clock (see handmap serve --simulated-time)",
+            "time_from",
+            "denied",
+        )
+        opening = f"session {name!r} is being opened"
+        _refuse_if(name in self._names_opening, opening, "name", "busy")
+        _refuse_if(
+            last is not None and not request.restore,
+            f"session {name!r} exists: restore=true takes it over",
+            "name",
+        )
+        _refuse_if(
+            request.restore and name is None,
+            "missing: restore needs the name of the session",
+            "name",
+        )
+        _refuse_if(
+            not self._opens.take(self._clock()),
+            f"more than {self._settings.opens:g} sessions opened a second: try again later",
+            code="rate",
+        )
         self._check_owner(request, by)
 
     def _find_named(self, name: str | None) -> Session | None:
@@ -350,21 +341,29 @@ class Sessions:
             raise RefusedError(code, f"session {name!r} {reason}", field="name")
 
     def _former(
-        self, request: Open, name: str, robot: str, joints: int
+        self, request: Open, name: str, robot: Hand, running: Session | None
     ) -> Record | None:
         """Return the record of the former session of this name, if the request asks for it."""
         if not request.restore:
             return None
-        running = self._find_named(name)
         if running is not None:
             self._store.note(running.record)
-        found = self._store.find(name, robot, joints)
-        if found is None and request.robot_q is None:
-            message = f"no record of a session {name!r}: give the robot's joint angles in robot_q"
-            raise RefusedError("invalid", message, field="restore")
+        found = self._store.find(name, robot.name, len(robot.joint_names))
+        _refuse_if(
+            found is None and request.robot_q is None,
+            f"no record of a session {name!r}: give the robot's joint angles in robot_q",
+            "restore",
+        )
         return found
 
     def _new_name(self) -> str:
         """Return a name that is unique also over restarts, because others may watch it."""
         self._last_name += 1
         return f"session-{self._last_name}-{secrets.token_hex(3)}"
+
+
+def _refuse_if(
+    is_wrong: bool, message: str, field: str = "", code: str = "invalid"
+) -> None:
+    if is_wrong:
+        raise RefusedError(code, message, field=field)
