@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +14,13 @@ from simulation_cases import CUBE
 from handmap_qp import HandError, InvalidInputError, cli, load_hand
 from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow, find_pinch
-from handmap_qp.apps.simulation.page import travel, write_page
 from handmap_qp.apps.simulation.physics import (
     Body,
     MeshShape,
     Physics,
     parse_object,
-    turn_up,
 )
-from handmap_qp.apps.simulation.pictures import Stage, film, picture
+from handmap_qp.apps.simulation.pictures import Stage, film, picture, write_page
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
 from handmap_qp.apps.simulation.trials import (
@@ -169,30 +166,14 @@ def test_pictures_and_films_show_the_object(episode: Episode, tmp_path: Path) ->
 def test_a_page_plays_both_hands_without_a_network(
     episode: Episode, tmp_path: Path
 ) -> None:
-    page, counts = tmp_path / "run.html", []
-    episodes = {"robot": episode, "again": episode}
-    write_page(page, episodes, UP, "a <run>", counts.append)
+    page = tmp_path / "run.html"
+    write_page(page, {"robot": episode, "again": episode}, UP, "a <run>")
     text = page.read_text(encoding="utf-8")
-    assert "<title>a &lt;run&gt;</title>" in text
+    assert "<title>a &lt;run&gt;" in text
     assert "__VISER_EMBED_DATA__" in text
     assert 'src="http' not in text
     duration = episode.at.time[-1] - episode.at.time[0]
-    assert counts[-1] == pytest.approx(30.0 * duration, abs=1.0)
-
-
-def test_a_lost_object_does_not_widen_the_view(episode: Episode) -> None:
-    seen = travel(episode, np.eye(3))
-    low, high = seen
-    for i in (0, -1):
-        assert (low <= episode.at.wrist[i, :3, 3] + 1e-9).all()
-        assert (episode.at.wrist[i, :3, 3] <= high + 1e-9).all()
-    fallen = episode.at.object_pose.copy()
-    fallen[-1, 2, 3] = -30.0
-    lost = replace(episode, at=episode.at._replace(object_pose=fallen))
-    np.testing.assert_array_equal(travel(lost, np.eye(3)), seen)
-    # Turned so that x is up, heights are along z.
-    turned = travel(episode, turn_up(np.array([1.0, 0.0, 0.0])))
-    np.testing.assert_allclose(np.ptp(turned[:, 2]), np.ptp(seen[:, 0]))
+    assert f"{duration:.1f} s, {len(episode.at.time)} samples" in text
 
 
 @pytest.mark.parametrize(

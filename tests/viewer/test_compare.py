@@ -19,11 +19,11 @@ from handmap_qp.apps.viewer.controls import KEPT, NOTHING
 from handmap_qp.apps.viewer.figure import BONES
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.replay import ReplayViewer
-from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.scene import BrowserCameras, HandScene, Solid
+from handmap_qp.apps.viewer.sample import Solid, Variant, ViewSample
+from handmap_qp.apps.viewer.scene import BrowserCameras, HandScene
 from handmap_qp.human.landmarks import TIPS
 from handmap_qp.mapping.by_name import METHODS
-from handmap_qp.mapping.presets import PRESETS, preset_choice
+from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
@@ -187,15 +187,22 @@ def test_a_page_of_a_robot_and_an_object_needs_no_human_hand(server: Any) -> Non
             robot_wrist=np.eye(4),
             robot_points=robot.points(robot.rest, np.eye(4)),
             object_pose=affine(np.eye(3), 0.1 * i * pose[:3, 3]),
+            note=f"{i} N",
         )
         for i in range(3)
     ]
-    variant = Variant("squeeze", robot, preset_choice("paper"), samples)
-    scene = HandScene(server, None, [variant], cube)
+    # Up, as the scene has it, is +z here.
+    turn = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+    variant = Variant("squeeze", robot, None, samples, cube, turn)
+    scene = HandScene(server, None, [variant])
     scene.draw([samples[-1]])
     solid = server.scene.get_handle_by_name("/robot/object")
     np.testing.assert_allclose(solid.position, 0.2 * pose[:3, 3])
-    page = make_page("A <cube>", None, [variant], solid=cube).decode()
+    frame = server.scene.get_handle_by_name("/robot")
+    np.testing.assert_allclose(rotation_from_quat_wxyz(frame.wxyz), turn, atol=1e-9)
+    name = server.scene.get_handle_by_name("/robot_name").text
+    assert name.splitlines() == ["three_finger", "squeeze", "2 N"]
+    page = make_page("A <cube>", None, [variant]).decode()
     assert "<title>A &lt;cube&gt; - handmap view</title>" in page
     assert "0.2 s, 3 samples" in page
 

@@ -15,9 +15,8 @@ from handmap_qp.apps.arguments import HandName
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_commands
-from handmap_qp.apps.simulation.page import write_page
 from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
-from handmap_qp.apps.simulation.pictures import Stage, film, picture
+from handmap_qp.apps.simulation.pictures import Stage, film, picture, write_page
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
 from handmap_qp.apps.simulation.trials import (
@@ -250,10 +249,7 @@ class Simulate:
                 film(Stage(episode, up), self.film, progress=advance)
             written.append(self.film)
         if self.html is not None:
-            with progress("writing the page") as advance:
-                write_page(
-                    self.html, episodes, up, f"{self.robot} - handmap simulate", advance
-                )
+            write_page(self.html, episodes, up, f"{self.robot}, simulated")
             written.append(self.html)
         for path in () if self.json else written:
             print(f"wrote {path}")

@@ -1,8 +1,11 @@
-"""Pictures of a simulation by the software renderer: `film`, `picture`."""
+"""Pictures of a simulation by the software renderer (`film`, `picture`), and its page.
+
+The page plays in a browser without a server, as that of `handmap view` does.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,9 @@ import numpy as np
 from handmap_qp.apps.drawing.hands import load_shape, solid
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.apps.simulation.physics import surface, turn_up
-from handmap_qp.apps.simulation.simulator import Episode
+from handmap_qp.apps.simulation.simulator import Episode, Instant
+from handmap_qp.apps.viewer.page import make_page
+from handmap_qp.apps.viewer.sample import Solid, Variant, ViewSample
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import affine
@@ -19,6 +24,8 @@ from handmap_qp.se3 import affine
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
 _PAPER = np.array([0.965, 0.97, 0.975])
 _SIZE = (480, 360)
+# From +z up, as in pictures, to +y up and seen along +z, as in the view.
+_TO_VIEW = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
 class Stage:
@@ -110,6 +117,48 @@ def picture(stage: Stage, path: Path, *, count: int = 4) -> None:
     strip = np.concatenate([stage.frame(int(i)) for i in chosen], axis=1)
     with replaced_file(path, "--picture") as file:
         pillow.fromarray(strip).save(file, format="PNG", optimize=True)
+
+
+def write_page(
+    path: Path, episodes: Mapping[str, Episode], up: np.ndarray, title: str
+) -> None:
+    """Write one HTML file that plays simulations side by side, in real time.
+
+    Args:
+        path: The file.
+        episodes: What happened, by the name to show; at the same times.
+        up: Direction against gravity, shape (3,).
+        title: Title of the page.
+
+    Raises:
+        MissingExtraError: If viser is not installed.
+        InvalidInputError: If the file cannot be written.
+    """
+    axes = _TO_VIEW @ turn_up(up)
+    variants = []
+    for name, episode in episodes.items():
+        mesh = surface(episode.body.shape)
+        solid = Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        samples = [
+            _view_sample(episode, Instant(*row))
+            for row in zip(*episode.at, strict=True)
+        ]
+        variants.append(Variant(name, episode.hand, None, samples, solid, axes))
+    page = make_page(title, None, variants, follow="world")
+    with replaced_file(path, "--html") as file:
+        file.write(page)
+
+
+def _view_sample(episode: Episode, at: Instant) -> ViewSample:
+    wrist = at.wrist if episode.hand.is_floating else None
+    return ViewSample(
+        time=float(at.time),
+        robot_q=at.q,
+        robot_wrist=at.wrist,
+        robot_points=episode.hand.points(at.q, wrist),
+        object_pose=at.object_pose,
+        note=f"{at.normal_force:.1f} N, {at.links_touching} links touch",
+    )
 
 
 def _pillow() -> Any:

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
-from handmap_qp.apps.viewer.sample import ViewSample
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf import parse_urdf
@@ -39,6 +39,7 @@ Seen = tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]
 TARGET_COLOUR = (0.98, 0.66, 0.10)
 LANDMARK_COLOUR = (0.10, 0.52, 0.50)
 DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
+OBJECT_COLOUR = (226, 178, 76)
 _FINGERS = [(0, *range(first, first + 4)) for first in (1, 5, 9, 13, 17)]
 BONES = np.array(
     [pair for chain in _FINGERS for pair in pairwise(chain)]
@@ -508,32 +509,44 @@ class RobotFigure(HandFigure):
     """A robot hand, with the targets of its reference points.
 
     Args:
-        hand: The robot hand.
-        variant: Index of the variant whose samples it shows.
+        variant: The robot, and the object beside it.
+        index: Index of the variant whose samples it shows.
 
     Attributes:
         label: Name of what moves it.
     """
 
-    def __init__(self, server: viser.ViserServer, hand: Hand, variant: int) -> None:
-        node = f"robot_{variant + 1}" if variant else "robot"
-        super().__init__(server, node, hand, ROBOT_COLOUR, variant)
-        self.label = ""
+    def __init__(self, server: viser.ViserServer, variant: Variant, index: int) -> None:
+        node = f"robot_{index + 1}" if index else "robot"
+        super().__init__(server, node, variant.robot, ROBOT_COLOUR, index)
+        self.label, solid = "", variant.solid
+        self._solid: Any = solid and server.scene.add_mesh_simple(
+            f"/{node}/object",
+            solid.vertices.astype(np.float32),
+            solid.faces.astype(np.uint32),
+            color=OBJECT_COLOUR,
+            flat_shading=True,
+        )
         # Larger than the points, so that one that has arrived does not hide its target.
         radius = 1.15 * self.point_size * self.radius
         self._targets = Spheres(server, f"/{node}/targets", radius, TARGET_COLOUR, 0.5)
 
     def draw(self, sample: ViewSample) -> None:
-        """Draw the hand, its points and targets, and write its name and state."""
+        """Draw the hand, its points, targets and object, and write its name and state."""
         super().draw(sample)
         self._targets.move(sample.targets)
+        if self._solid is not None and sample.object_pose is not None:
+            self._solid.wxyz = quat_wxyz_from_rotation(sample.object_pose[:3, :3])
+            self._solid.position = sample.object_pose[:3, 3]
         self.name(
             "\n".join(filter(None, (self.hand.name, self.label, state_text(sample))))
         )
 
 
 def state_text(sample: ViewSample) -> str:
-    """Return why the robot does not follow the human at a sample; empty if it does."""
+    """Return a sample's note, or why the robot does not follow; empty if it does."""
+    if sample.note:
+        return sample.note
     if sample.is_seen:
         return sample.status if sample.status in ("released", "gliding") else ""
     return sample.status if ":" in sample.status else "hand not seen, robot held"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
+from itertools import cycle
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
     import viser
 
 HUMAN, FIRST, SECOND = "#8a8f98", "#2166d8", "#0b8f7c"
-"""The human hand's values, the robot's, and those of the robot that it is compared with."""
+ROBOTS = (FIRST, SECOND, "#a83e9b", "#8a5a00")
+"""The robot's values, and those of the robots that it is compared with."""
 GREY, RED, ORANGE = "#9aa0a8", "#d62929", "#f08c00"
 # Gaps longer than this fill the whole bar [m].
 _LONGEST_GAP = 0.15
@@ -136,7 +138,7 @@ class InstantGauges:
         readings = [self.read(sample) for sample in samples]
         heads = "".join(
             f'<th style="{_CELL};color:{colour};font-weight:600">{escape(label)}</th>'
-            for label, colour in zip(self._labels, (FIRST, SECOND), strict=False)
+            for label, colour in zip(self._labels, cycle(ROBOTS), strict=False)
         )
         rows = "".join(
             f'<tr><td style="color:#666">{name}</td>'
@@ -164,7 +166,7 @@ class InstantGauges:
         The bar is red at a position limit, and orange where the speed limit held the joint. The
         second robot's is a narrow bar below.
         """
-        robot, (sample, *others) = self._robot, samples
+        robot, (sample, *others) = self._robot, samples[:2]
         low, high, q = robot.lower_limits, robot.upper_limits, sample.robot_q
         postures = [q, robot.rest, *(other.robot_q for other in others)]
         shares = 100.0 * np.clip((np.array(postures) - low) / (high - low), 0.0, 1.0)
@@ -221,7 +223,7 @@ def _pinch_bars(human: Mapping[str, float], readings: Sequence[Readings]) -> str
             table.get(finger, np.nan)
             for table in (human, *(r.pinches for r in readings))
         ]
-        entries = list(zip(gaps, (HUMAN, FIRST, SECOND), strict=False))
+        entries = list(zip(gaps, (HUMAN, *ROBOTS), strict=False))
         bars = "".join(
             f'<div style="height:4px;margin:1px 0;background:{colour};'
             f'width:{100.0 * np.clip(np.nan_to_num(gap) / _LONGEST_GAP, 0.0, 1.0):.1f}%"></div>'
@@ -390,7 +392,7 @@ def error_entries(variants: Sequence[Variant]) -> list[tuple[str, str]]:
     return [
         (first, FIRST),
         ("largest", GREY),
-        *((v.label, SECOND) for v in variants[1:]),
+        *zip((v.label for v in variants[1:]), cycle(ROBOTS[1:]), strict=False),
     ]
 
 

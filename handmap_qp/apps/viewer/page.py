@@ -22,7 +22,7 @@ from handmap_qp.apps.viewer.gauges import (
     round_up,
 )
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.scene import HandScene, Solid
+from handmap_qp.apps.viewer.scene import Follow, HandScene
 from handmap_qp.apps.viewer.serving import serving
 from handmap_qp.hands.hand import Hand
 
@@ -37,7 +37,7 @@ def make_page(
     human: Hand | None,
     variants: Sequence[Variant],
     *,
-    solid: Solid | None = None,
+    follow: Follow = "hands",
 ) -> bytes:
     """Return one HTML file that plays samples in real time, without a server or the network.
 
@@ -46,16 +46,17 @@ def make_page(
     Args:
         title: Title of the page.
         human: The human hand; None for robots alone.
-        variants: The robots, one or two, with as many samples as each other at the same times; at
-            most 30 samples of each second are written.
-        solid: An object that moves with `ViewSample.object_pose` of the first robot's samples.
+        variants: The robots, with as many samples as each other at the same times; at most 30
+            samples of each second are written.
+        follow: As of `HandScene`.
 
     Returns:
         The file's content.
     """
     instants = list(zip(*(variant.samples for variant in variants), strict=True))
     with serving() as server:
-        scene = HandScene(server, human, variants, solid)
+        scene = HandScene(server, human, variants)
+        scene.follow = follow
         scene.draw(instants[0])
         serializer = server.get_scene_serializer()
         shown = instants[0][0].time
@@ -96,7 +97,7 @@ def _body(
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": SCENE_LEGEND,
         "__ERRORS__": legend(error_entries(variants)),
-        "__OPTIONS__": "".join(_option_table(variant) for variant in variants),
+        "__OPTIONS__": "".join(map(_option_table, variants)),
         # Instants are much alike, so they are small when compressed.
         "__GAUGES__": base64.b64encode(
             gzip.compress(json.dumps(shown).encode())
@@ -110,6 +111,8 @@ def _body(
 
 def _option_table(variant: Variant) -> str:
     """Return the options of a robot's method as HTML; those that are no defaults are marked."""
+    if variant.choice is None:
+        return ""
     parts = (variant.choice.method, variant.choice.ik)
     rows = "".join(
         f"<tr{' class=changed' if name in type(part)().changes_to(part) else ''}>"

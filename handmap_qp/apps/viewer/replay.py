@@ -136,7 +136,11 @@ class Replay:
         is_changed = bool(self.preset(choice.preset).changes_to(choice))
         label = f"{choice.preset}, changed" if is_changed else choice.preset
         variant, other = self._map(choice, label), self.other
-        if other is not None and self._other_switches != self.switches:
+        if (
+            other is not None
+            and other.choice is not None
+            and self._other_switches != self.switches
+        ):
             # Both robots are released and clutched at the same samples.
             other = self._map(other.choice, other.label)
         self.variant, self.choice, self.other = variant, choice, other

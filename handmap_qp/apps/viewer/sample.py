@@ -29,12 +29,13 @@ class ViewSample:
         landmarks: Landmarks in W as they were tracked [m], shape (21, 3); None if there are none.
         deformation: Linear part of T_def, shape (3, 3); None if the source does not report it.
         pivot: The human's pivot after T, in W [m], shape (3,); given with `deformation`.
-        object_pose: Pose in V of an object, shape (4, 4); None if there is none.
+        object_pose: Pose in V of the variant's object, shape (4, 4); None if there is none.
         is_limited: Whether a position or speed limit held each robot joint in this step, shape
             (n,); None if the source does not report it.
         status: How the step ended, and the rule that the sample broke, as in `held: jump`.
         duration: Wall time of the mapping step [s]; NaN if there was none.
         is_seen: Whether the robot followed the sample; if not, the previous one is held.
+        note: Line below the robot's name; if empty, why the robot does not follow.
     """
 
     time: float
@@ -54,6 +55,7 @@ class ViewSample:
     status: str = ""
     duration: float = float("nan")
     is_seen: bool = True
+    note: str = ""
 
     @property
     def point_error(self) -> np.ndarray:
@@ -63,17 +65,35 @@ class ViewSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Solid:
+    """An object in the world of a robot.
+
+    Attributes:
+        vertices: Vertices in the object's frame [m], shape (n, 3).
+        faces: Indices of the vertices of each triangle, shape (m, 3).
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Variant:
     """A robot hand that the view shows, and what moves it.
 
     Attributes:
         label: Name of the method or preset, shown below the hand.
         robot: The robot hand, with the reference points that the method moves.
-        choice: Preset and options.
+        choice: Preset and options; None for a motion that they do not explain.
         samples: Its samples; at least the first.
+        solid: An object, placed by `ViewSample.object_pose`.
+        axes: Rotation from V to the scene's axes, in which +y is up and the view is along +z,
+            shape (3, 3); as the mapping aligns both hands if omitted.
     """
 
     label: str
     robot: Hand
-    choice: Choice
+    choice: Choice | None
     samples: Sequence[ViewSample]
+    solid: Solid | None = None
+    axes: np.ndarray | None = None

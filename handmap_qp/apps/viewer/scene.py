@@ -7,7 +7,6 @@ dorsal. Each robot's world is rotated by its mapping's alignment, so that equal 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -21,7 +20,6 @@ from handmap_qp.apps.viewer.figure import (
 )
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import quat_wxyz_from_rotation
 
 if TYPE_CHECKING:
     import viser
@@ -43,19 +41,6 @@ _NAMES, _MARGIN = 64, 14
 _NARROW = 480
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solid:
-    """An object in the world of the first robot.
-
-    Attributes:
-        vertices: Vertices in the object's frame [m], shape (n, 3).
-        faces: Indices of the vertices of each triangle, shape (m, 3).
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-
-
 class HandScene:
     """A row of figures: landmarks, human hand, robot hands.
 
@@ -63,7 +48,6 @@ class HandScene:
         human: The human hand; None for robots alone.
         variants: The robots from left to right, at least one. The first sample of the first one
             gives the scene's axes.
-        solid: An object beside the first robot, placed by `ViewSample.object_pose`.
 
     Attributes:
         follow: `hands` keeps each hand in place; `world` shows how it travels.
@@ -78,7 +62,6 @@ class HandScene:
         server: viser.ViserServer,
         human: Hand | None,
         variants: Sequence[Variant],
-        solid: Solid | None = None,
     ) -> None:
         self.server = server
         self.follow: Follow = "hands"
@@ -93,9 +76,6 @@ class HandScene:
                 server, human, variants[0].samples[0].human_points
             )
         self._robots: list[RobotFigure] = []
-        self._solid: Any = solid and server.scene.add_mesh_simple(
-            "/robot/object", solid.vertices, solid.faces, color=(226, 178, 76)
-        )
         self.set_variants(variants)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
@@ -107,7 +87,7 @@ class HandScene:
             variants: The robots, all of the hand of the first.
         """
         for i in range(len(self._robots), len(variants)):
-            self._robots.append(RobotFigure(self.server, variants[i].robot, i))
+            self._robots.append(RobotFigure(self.server, variants[i], i))
         upright = None
         wrist = variants[0].samples[0].human_wrist
         if (
@@ -150,10 +130,6 @@ class HandScene:
             low = self._lay_out(row)
             for figure in row:
                 self._draw_figure(figure, samples[figure.variant], low)
-            if self._solid is not None and samples[0].object_pose is not None:
-                pose = samples[0].object_pose
-                self._solid.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
-                self._solid.position = pose[:3, 3]
 
     def _draw_figure(self, figure: Figure, sample: ViewSample, low: float) -> None:
         """Draw a figure at its place, with its trail; its name is at a height `low` [m]."""
@@ -279,7 +255,10 @@ def _robot_axes(
         upright: The rotation from W to the scene's axes, shape (3, 3); None without a human hand,
             and the robot's first palm is upright then.
     """
-    alignment = variant.choice.method.values.get("alignment", "world")
+    if variant.axes is not None:
+        return variant.axes
+    options = {} if variant.choice is None else variant.choice.method.values
+    alignment = options.get("alignment", "world")
     if upright is None or (isinstance(alignment, str) and alignment == "palm"):
         return (variant.samples[0].robot_wrist @ robot.wrist_to_palm)[:3, :3].T
     return upright if isinstance(alignment, str) else upright @ np.array(alignment).T
