@@ -34,7 +34,7 @@ from handmap_qp import (
 )
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls
-from handmap_qp.apps.viewer.figure import HandFigure, link_meshes, state_text
+from handmap_qp.apps.viewer.figure import HandFigure, Seen, link_meshes, state_text
 from handmap_qp.apps.viewer.gauges import InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
 from handmap_qp.apps.viewer.scene import HandScene
@@ -242,9 +242,9 @@ def test_hands_stay_in_place_or_travel_as_asked(
     for sample in (replay.samples[0], replay.samples[-1]):
         scene.draw([sample])
         assert sample.human_wrist is not None
-        places.append(
-            in_scene(server, "/human", human.centre(sample.human_wrist)[None])[0]
-        )
+        centre = human.centre(Seen(None, (replay.human.rest, sample.human_wrist)))
+        assert centre is not None
+        places.append(in_scene(server, "/human", centre[None])[0])
     moved = float(np.linalg.norm(places[1] - places[0]))
     assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
 

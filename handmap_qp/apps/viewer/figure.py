@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections import defaultdict, deque
 from collections.abc import Iterable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,9 +33,6 @@ Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
 Shape = Literal["ellipsoid", "cube", "off"]
 """How T_def is shown."""
-Seen = tuple[np.ndarray | None, np.ndarray | None, np.ndarray | None]
-"""Joint angles (n,), wrist pose (4, 4) and reference points (n, 3) of a hand, where known."""
-
 TARGET_COLOUR = (0.98, 0.66, 0.10)
 LANDMARK_COLOUR = (0.10, 0.52, 0.50)
 DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
@@ -67,6 +64,18 @@ def as_bytes(colour: Colour) -> tuple[int, int, int]:
     """Return a colour as three numbers up to 255."""
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
+
+
+class Seen(NamedTuple):
+    """What is known of a hand at a sample.
+
+    Attributes:
+        points: Points in the hand's world [m], shape (n, 3).
+        posture: Joint angles [rad], shape (n,), and wrist pose, shape (4, 4).
+    """
+
+    points: np.ndarray | None
+    posture: tuple[np.ndarray, np.ndarray] | None = None
 
 
 class Figure(ABC):
@@ -106,26 +115,25 @@ class Figure(ABC):
     def is_shown(self, is_shown: bool) -> None:
         self._frame.visible = self._label.visible = is_shown
 
-    @property
-    def size(self) -> np.ndarray:
-        """Size of `extent` [m], shape (3,)."""
-        return np.ptp(self.extent, axis=0)
-
     @abstractmethod
-    def centre_of(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the centre in the figure's world [m], shape (3,); None if nothing is known."""
-
-    @abstractmethod
-    def corners_of(self, sample: ViewSample) -> np.ndarray:
-        """Return corners of what is drawn, if anything is, likewise, shape (n, 3)."""
-
-    @abstractmethod
-    def tips(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the fingertips in the figure's world [m], shape (n, 3); None if not known."""
+    def seen(self, sample: ViewSample) -> Seen:
+        """Return what is known of it at a sample."""
 
     @abstractmethod
     def draw(self, sample: ViewSample) -> None:
         """Draw one instant."""
+
+    def centre(self, seen: Seen) -> np.ndarray | None:
+        """Return the centre in the figure's world [m], shape (3,); None if nothing is known."""
+        return None if seen.points is None else seen.points.mean(axis=0)
+
+    def corners(self, seen: Seen) -> np.ndarray:
+        """Return corners of what is drawn, if anything is, likewise, shape (n, 3)."""
+        return np.asarray(seen.points)
+
+    def tips(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the fingertips in the figure's world [m], shape (n, 3); None for no trail."""
+        return None
 
     def turn(self, axes: np.ndarray) -> None:
         """Turn the figure's world to other axes (3, 3), and forget which room it needs."""
@@ -135,25 +143,27 @@ class Figure(ABC):
 
     def fit(self, samples: Iterable[ViewSample]) -> None:
         """Make room for instants that are known beforehand, save for rare excursions."""
-        seen = [box for sample in samples if (box := self._boxes(sample)) is not None]
-        if seen:
-            centres, boxes = map(np.array, zip(*seen, strict=True))
+        found = [box for sample in samples if (box := self._boxes(sample)) is not None]
+        if found:
+            centres, lows, highs = map(np.array, zip(*found, strict=True))
             self.travel = np.array([centres.min(axis=0), centres.max(axis=0)])
-            low, high = np.percentile(boxes, (_RARE, 100.0 - _RARE), axis=0)
-            self.extent = np.array([low[0], high[1]])
+            low = np.percentile(lows, _RARE, axis=0)
+            self.extent = np.array([low, np.percentile(highs, 100.0 - _RARE, axis=0)])
 
     def include(self, sample: ViewSample) -> None:
         """Make room for one more instant."""
-        if (seen := self._boxes(sample)) is not None:
-            self.travel = _extended(self.travel, np.tile(seen[0], (2, 1)))
-            self.extent = _extended(self.extent, seen[1])
+        if (box := self._boxes(sample)) is not None:
+            centre, low, high = box
+            self.travel = _extended(self.travel, centre, centre)
+            self.extent = _extended(self.extent, low, high)
 
-    def _boxes(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the centre (3,) and the box of the corners about it (2, 3), in scene axes."""
-        if (centre := self.centre_of(sample)) is None:
+    def _boxes(self, sample: ViewSample) -> tuple[np.ndarray, ...] | None:
+        """Return the centre, and lowest and highest corner about it, in scene axes, (3,) each."""
+        seen = self.seen(sample)
+        if (centre := self.centre(seen)) is None:
             return None
-        about = (self.corners_of(sample) - centre) @ self.axes.T
-        return self.axes @ centre, np.array([about.min(axis=0), about.max(axis=0)])
+        about = (self.corners(seen) - centre) @ self.axes.T
+        return self.axes @ centre, about.min(axis=0), about.max(axis=0)
 
     def place(self, middle: np.ndarray, low: float) -> None:
         """Move the figure's world so that a point of it is at the anchor.
@@ -280,21 +290,13 @@ class LandmarkFigure(Figure):
             server, "/landmarks/bones", len(BONES), LANDMARK_COLOUR, 3.0
         )
 
-    def centre_of(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the mean of the landmarks."""
-        points = _known(sample.landmarks)
-        return None if points is None else points.mean(axis=0)
-
-    def corners_of(self, sample: ViewSample) -> np.ndarray:
-        """Return the landmarks."""
-        return np.asarray(sample.landmarks)
-
-    def tips(self, sample: ViewSample) -> None:
-        """Leave no trail: the human hand has the same one."""
+    def seen(self, sample: ViewSample) -> Seen:
+        """Return the landmarks, unless some are not known."""
+        return Seen(_known(sample.landmarks))
 
     def draw(self, sample: ViewSample) -> None:
         """Show the landmarks; hide those that are not known."""
-        points = _known(sample.landmarks)
+        points = self.seen(sample).points
         self._points.move(points)
         self._bones.visible = points is not None
         if points is not None:
@@ -345,71 +347,44 @@ class HandFigure(Figure):
                 low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
                 size = high - low + 2.0 * _PADDING
                 self._corners[link] = low - _PADDING + _UNIT_BOX * size
-        to_wrist = inverse_pose(hand.frame_pose("wrist", hand.rest))
-        if is_on_arm:
-            points = transform_points(to_wrist, hand.points(hand.rest))
-            self._focus = 0.5 * points.mean(axis=0)
-            self.radius = float(np.linalg.norm(points, axis=1).max())
-        else:
-            corners = self.corners(hand.rest, inverse_pose(to_wrist))
-            corners = transform_points(to_wrist, corners)
-            low, high = corners.min(axis=0), corners.max(axis=0)
-            self._focus = 0.5 * (low + high)
-            self.radius = 0.4 * float(np.linalg.norm(high - low))
+        wrist = hand.frame_pose("wrist", hand.rest)
+        corners = transform_points(inverse_pose(wrist), self._box(hand.rest, wrist))
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        self._focus = 0.5 * (low + high)
+        self.radius = 0.4 * float(np.linalg.norm(high - low))
         self._points = Spheres(
             server, f"/{node}/points", self.point_size * self.radius, colour
         )
 
     def seen(self, sample: ViewSample) -> Seen:
-        """Return joint angles, wrist pose and reference points at a sample, where known."""
-        return sample.robot_q, sample.robot_wrist, sample.robot_points
+        """Return the robot of a sample."""
+        return Seen(sample.robot_points, (sample.robot_q, sample.robot_wrist))
 
-    def centre_of(self, sample: ViewSample) -> np.ndarray | None:
+    def centre(self, seen: Seen) -> np.ndarray | None:
         """Return the hand's centre, or that of its points."""
-        q, wrist, points = self.seen(sample)
-        if q is not None and wrist is not None:
-            return self.centre(wrist)
-        return None if points is None else points.mean(axis=0)
+        if seen.posture is None:
+            return super().centre(seen)
+        return transform_points(seen.posture[1], self._focus[None])[0]
 
-    def corners_of(self, sample: ViewSample) -> np.ndarray:
-        """Return the hand's corners, or its points."""
-        q, wrist, points = self.seen(sample)
-        if q is not None and wrist is not None:
-            return self.corners(q, wrist)
-        return np.asarray(points)
+    def corners(self, seen: Seen) -> np.ndarray:
+        """Return the corners of the boxes around its links, or its points."""
+        return (
+            super().corners(seen) if seen.posture is None else self._box(*seen.posture)
+        )
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tips of the posture."""
-        q, wrist, _ = self.seen(sample)
-        if q is None or wrist is None:
+        if (posture := self.seen(sample).posture) is None:
             return None
-        return self._tips.points(q, self._pose(wrist))
+        return self._tips.points(posture[0], self._pose(posture[1]))
 
     def draw(self, sample: ViewSample) -> None:
         """Draw the hand and its points; hide a hand of unknown posture."""
-        q, wrist, points = self.seen(sample)
-        self._body.visible = q is not None
-        if q is not None and wrist is not None:
-            self.show(q, wrist)
+        points, posture = self.seen(sample)
+        self._body.visible = posture is not None
+        if posture is not None:
+            self.show(*posture)
         self._points.move(points)
-
-    def centre(self, wrist: np.ndarray) -> np.ndarray:
-        """Return the hand's centre for a wrist pose (4, 4), in its world [m], shape (3,)."""
-        return transform_points(wrist, self._focus[None])[0]
-
-    def corners(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
-        """Return the corners of the boxes around its links, in its world [m], shape (n, 3).
-
-        Args:
-            q: Joint angles [rad], shape (n_joints,).
-            wrist: Wrist pose, shape (4, 4).
-        """
-        pose = self._pose(wrist)
-        if not self._corners:
-            points = np.vstack([self.hand.points(q, pose), wrist[None, :3, 3]])
-            return np.vstack([points - 2.0 * _PADDING, points + 2.0 * _PADDING])
-        poses = self.hand.link_poses(list(self._corners), q, pose)
-        return np.vstack(list(map(transform_points, poses, self._corners.values())))
 
     def show(self, q: np.ndarray, wrist: np.ndarray) -> None:
         """Show a posture.
@@ -428,6 +403,15 @@ class HandFigure(Figure):
         nodes = (self._body, *self._links.values())
         for node, quat, position in zip(nodes, quats, placed[:, :3, 3], strict=True):
             node.wxyz, node.position = quat, position
+
+    def _box(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
+        """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
+        pose = self._pose(wrist)
+        if not self._corners:
+            points = np.vstack([self.hand.points(q, pose), wrist[None, :3, 3]])
+            return np.vstack([points - 2.0 * _PADDING, points + 2.0 * _PADDING])
+        poses = self.hand.link_poses(list(self._corners), q, pose)
+        return np.vstack(list(map(transform_points, poses, self._corners.values())))
 
     def _pose(self, wrist: np.ndarray) -> np.ndarray | None:
         """Return the wrist pose as the hand's kinematics take it."""
@@ -473,8 +457,10 @@ class HumanFigure(HandFigure):
         )
 
     def seen(self, sample: ViewSample) -> Seen:
-        """Return joint angles, wrist pose and reference points at a sample, where known."""
-        return sample.human_q, sample.human_wrist, sample.human_points
+        """Return the human hand of a sample."""
+        q, wrist = sample.human_q, sample.human_wrist
+        posture = None if q is None or wrist is None else (q, wrist)
+        return Seen(sample.human_points, posture)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tracked tips, or else those of the posture."""
@@ -616,9 +602,9 @@ def _known(points: np.ndarray | None) -> np.ndarray | None:
     return points if points is not None and np.isfinite(points).all() else None
 
 
-def _extended(box: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _extended(box: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return a box (2, 3) that holds another one too, with a margin where it has to grow."""
     if not len(box):
-        return other
-    low = np.where(other[0] < box[0], other[0] - _MARGIN, box[0])
-    return np.array([low, np.where(other[1] > box[1], other[1] + _MARGIN, box[1])])
+        return np.array([low, high])
+    low = np.where(low < box[0], low - _MARGIN, box[0])
+    return np.array([low, np.where(high > box[1], high + _MARGIN, box[1])])

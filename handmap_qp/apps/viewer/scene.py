@@ -134,7 +134,7 @@ class HandScene:
     def _draw_figure(self, figure: Figure, sample: ViewSample, low: float) -> None:
         """Draw a figure at its place, with its trail; its name is at a height `low` [m]."""
         figure.draw(sample)
-        if (centre := figure.centre_of(sample)) is None:
+        if (centre := figure.centre(figure.seen(sample))) is None:
             return
         is_pinned = self.follow == "hands"
         figure.place(
@@ -160,7 +160,8 @@ class HandScene:
         """Place the figures side by side, fit the cameras, and return the height of the names."""
         is_travelling = self.follow == "world"
         sizes = [
-            figure.size + is_travelling * np.ptp(figure.travel, axis=0)
+            np.ptp(figure.extent, axis=0)
+            + is_travelling * np.ptp(figure.travel, axis=0)
             for figure in row
         ]
         _, height, depth = np.max(sizes, axis=0)
