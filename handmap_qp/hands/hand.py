@@ -1,9 +1,8 @@
 """`Hand`: any hand, human or robot, as a Pinocchio model with named reference points.
 
 The model holds the wrist too: a floating hand hangs from a free-flyer, a fixed one from the world.
-Reference points are frames of the model, so one Pinocchio call places them all. `joint_names` owns
-the order of every `q` that crosses the API. Pinocchio sorts sibling joints by name, and only this
-file knows both orders.
+`joint_names` owns the order of every `q` that crosses the API. Pinocchio sorts sibling joints by
+name, and only this file knows both orders.
 """
 
 from __future__ import annotations
@@ -28,25 +27,29 @@ from handmap_qp.hands.mimic import (
     tighten_model,
 )
 from handmap_qp.hands.model import (
-    add_frame,
     build_model,
     check_limits,
     check_wrist,
     choose_mount,
     compose_urdf,
+    link_frame,
     move_joint,
     palm_in_link,
     with_frames,
 )
 from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point, check_unique
-from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose
+from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose, frozen
 
 Points = str | Sequence[str | PointSpec]
 """A choice of reference points: the name of a set, or names and points."""
 
 LONGEST_STOP = 0.5
 """Longest time in which a robot stops, whatever its acceleration limit is [s]."""
+
+_LINK, _JOINT = pin.FrameType.BODY, pin.FrameType.JOINT
+# Made when first read, and again by a copy.
+_CACHED = ("urdf_text", "_placed_model", "_scratch")
 
 
 class Hand:
@@ -67,7 +70,7 @@ class Hand:
         side: `right` or `left`.
         mount: `floating` or `fixed`.
         model: Pinocchio model: the wrist's six coordinates first where it floats, then the joints
-            in Pinocchio's order, and the reference points as its last frames. Do not change it.
+            in Pinocchio's order. Do not change it.
         joint_names: Joints that are set, in the order of every `q`, those of an arm first; n of
             them. Joints that follow others (mimic) are not among them.
         q_indices: Indices of the joints in a Pinocchio configuration, shape (n,).
@@ -93,7 +96,7 @@ class Hand:
         point_weights: Their weights, shape (m,).
         palm_frame_id: Index of the palm frame in the model.
         wrist_frame_id: Index of the wrist frame in the model.
-        first_point_frame: Index of the first reference point's frame in the model.
+        point_frames: Pinocchio frames of the reference points, which the model does not have.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
 
@@ -139,7 +142,6 @@ class Hand:
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
         check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()
-        self._pointless_model = model
         self._take_points(chosen)
 
     @cached_property
@@ -178,8 +180,8 @@ class Hand:
         )
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but the workspace: a copy has one of its own, for another thread."""
-        return {name: value for name, value in vars(self).items() if name != "_scratch"}
+        """Return all that is not cached: a copy has a workspace of its own, for another thread."""
+        return {key: value for key, value in vars(self).items() if key not in _CACHED}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
@@ -224,9 +226,8 @@ class Hand:
             compose: Composes the URDF of that hand; called when `urdf_text` is first read.
         """
         hand = copy(self)
-        hand.__dict__.pop("urdf_text", None)
         hand._compose = compose
-        hand._pointless_model = model = pin.Model(self._pointless_model)
+        hand.model = model = pin.Model(self.model)
         for name, (origin, roll) in moves.items():
             move_joint(model, name, origin, roll)
         hand._take_points(self.reference_points)
@@ -284,9 +285,7 @@ class Hand:
             InvalidInputError: On a wrong shape or type; the array may be written in part.
         """
         try:
-            vector[self.q_indices] = q
-            if self.expansion is not None:
-                vector[self._follower_q] = self._follow.matrix @ q + self._follow.offset
+            vector[self._moving_q] = self._moving.all_joints(q)
             if wrist_pose is not None and self.is_floating:
                 vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
         except (TypeError, ValueError, IndexError) as error:
@@ -314,9 +313,8 @@ class Hand:
         if angles.ndim not in (1, 2) or angles.shape[-1] != count:
             expected, got = f"shape ({count},) or (T, {count})", f"shape {angles.shape}"
             raise InvalidInputError(argument="q", expected=expected, value=q, got=got)
-        following = angles @ self._follow.matrix.T + self._follow.offset
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
-        return np.concatenate([angles, following, locked], axis=-1)
+        return np.concatenate([self._moving.all_joints(angles), locked], axis=-1)
 
     def points(
         self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
@@ -356,9 +354,14 @@ class Hand:
         Raises:
             InvalidInputError: If there is no such frame, or as `configuration_vector`.
         """
-        frame_id = self._find(frame, "frame", self._frame_ids)
+        _check_type("frame", frame, str, "a name")
+        names = [point.name for point in self.reference_points]
+        own = dict(zip(names, self.point_frames, strict=True))
+        own["palm"] = self.model.frames[self.palm_frame_id]
+        own["wrist"] = self.model.frames[self.wrist_frame_id]
+        found = own.get(frame) or self._find(frame, "frame", _LINK, _JOINT)
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        return self._scratch.frame_pose(self.model.frames[frame_id])
+        return self._scratch.frame_pose(found)
 
     def link_poses(
         self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: PoseLike | None = None
@@ -376,103 +379,91 @@ class Hand:
                 argument="links", expected="names of links", value=links
             )
         frames = [
-            self._find(link, f"links[{i}]", self._links) for i, link in enumerate(links)
+            self._find(link, f"links[{i}]", _LINK) for i, link in enumerate(links)
         ]
         self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        poses = [self._scratch.frame_pose(self.model.frames[frame]) for frame in frames]
+        poses = [self._scratch.frame_pose(frame) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
 
     def _index_joints(
         self, rules: Sequence[MimicRule], locked: Mapping[str, float]
     ) -> None:
         """Name all joints, find them in Pinocchio's vectors, and map the active ones to all."""
-        names, followers = self.spec.all_joints, tuple(rule.follower for rule in rules)
-        roles = {"active": names, "follower": followers, "locked": tuple(locked)}
+        model, names = self.model, self.spec.all_joints
+        moving, count = (*names, *(rule.follower for rule in rules)), len(names)
+        roles = {"active": names, "follower": rules, "locked": locked}
         self.joint_names, self._locked = names, np.array(list(locked.values()))
-        self.all_joint_names = (*names, *followers, *locked)
+        self.all_joint_names = (*moving, *locked)
         self.all_joint_roles = tuple(role for role, of in roles.items() for _ in of)
-        model, moving, count = self.model, (*names, *followers), len(names)
-        joints = [model.joints[model.getJointId(name)] for name in moving]
-        at_q, at_v = (
-            [joint.idx_q for joint in joints],
-            [joint.idx_v for joint in joints],
+        joints = [model.getJointId(name) for name in moving]
+        self._moving_q = np.array([model.idx_qs[joint] for joint in joints])
+        at_v = np.array([model.idx_vs[joint] for joint in joints])
+        self.q_indices = frozen(self._moving_q[:count])
+        self.v_indices = frozen(at_v[:count])
+        self.active_columns = frozen(np.setdiff1d(np.arange(model.nv), at_v[count:]))
+        self.joint_columns = frozen(
+            np.searchsorted(self.active_columns, self.v_indices)
         )
-        self.q_indices, self._follower_q = (
-            _frozen(at_q[:count], int),
-            _frozen(at_q[count:], int),
-        )
-        self.v_indices, following = _frozen(at_v[:count], int), at_v[count:]
-        self.active_columns = _frozen(np.setdiff1d(np.arange(model.nv), following), int)
-        self.joint_columns = _frozen(
-            np.searchsorted(self.active_columns, self.v_indices), int
-        )
-        matrix, offset = map(_frozen, expansion_matrix(moving, names, rules))
-        self._follow = Expansion(matrix[count:], offset[count:])
+        self._moving = expansion_matrix(moving, names, rules)
         self.expansion = None
         if rules:
             to_all, shift = np.eye(model.nv)[:, self.active_columns], np.zeros(model.nv)
-            to_all[np.ix_(following, self.joint_columns)] = matrix[count:]
-            shift[following] = offset[count:]
-            self.expansion = Expansion(_frozen(to_all), _frozen(shift))
+            to_all[np.ix_(at_v, self.joint_columns)] = self._moving.matrix
+            shift[at_v] = self._moving.offset
+            self.expansion = Expansion(frozen(to_all), frozen(shift))
 
     def _add_wrist_and_palm(self) -> None:
         """Add frames of wrist and palm to the model."""
         model, spec = self.model, self.spec
-        # A slash before the name keeps them apart from links; Pinocchio does not add a frame whose
-        # name and kind exist already, so points carry their number too.
-        palm, wrist = spec.palm.link, spec.wrist.link
-        self.palm_frame_id = add_frame(
-            model, spec, "/palm", palm, palm_in_link(spec), "palm.link"
+        # A slash before the name keeps them apart from links.
+        palm = link_frame(
+            model, spec, "/palm", spec.palm.link, palm_in_link(spec), "palm.link"
         )
-        self.wrist_frame_id = add_frame(
-            model, spec, "/wrist", wrist, np.eye(4), "wrist.link"
+        wrist = link_frame(
+            model, spec, "/wrist", spec.wrist.link, np.eye(4), "wrist.link"
         )
+        self.palm_frame_id = model.addFrame(palm)
+        self.wrist_frame_id = model.addFrame(wrist)
         check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
-        self._wrist_to_root = model.frames[self.wrist_frame_id].placement.inverse()
-        to_palm = self._wrist_to_root * model.frames[self.palm_frame_id].placement
-        self.wrist_to_palm = _frozen(to_palm.homogeneous)
+        self._wrist_to_root = wrist.placement.inverse()
+        self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
 
     def _take_points(self, points: tuple[PointSpec, ...]) -> None:
-        """Use reference points: they are the last frames of a model of their own."""
-        self.model = model = pin.Model(self._pointless_model)
-        self.first_point_frame = len(model.frames)
-        for i, point in enumerate(points):
-            placement = affine(np.eye(3), np.array(point.xyz))
-            name, key = f"/{i}/{point.name}", f"points[{i}].link"
-            add_frame(model, self.spec, name, point.link, placement, key)
-        # By kind: in many URDFs a joint has the name of its link.
-        joints, self._links = (
-            {
-                frame.name: i
-                for i, frame in enumerate(model.frames)
-                if frame.type == kind
-            }
-            for kind in (pin.FrameType.JOINT, pin.FrameType.BODY)
-        )
-        own = {point.name: self.first_point_frame + i for i, point in enumerate(points)}
-        own |= {"palm": self.palm_frame_id, "wrist": self.wrist_frame_id}
-        self._frame_ids = {**joints, **self._links, **own}
+        """Use reference points."""
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
-        self.__dict__.pop("_placed_model", None)
+        # Pinocchio does not add a frame of a name that another one has, so they have their number.
+        self.point_frames = tuple(
+            link_frame(
+                self.model,
+                self.spec,
+                f"/{i}/{point.name}",
+                point.link,
+                affine(np.eye(3), np.array(point.xyz)),
+                f"points[{i}].link",
+            )
+            for i, point in enumerate(points)
+        )
 
     @cached_property
     def _placed_model(self) -> pin.Model:
-        """The model without the frames that no sample needs: the wrist first, then the points."""
-        points = range(self.first_point_frame, len(self.model.frames))
-        return with_frames(self.model, [self.wrist_frame_id, *points])
+        """The joints with the frames that samples need: the wrist first, then the points."""
+        wrist = self.model.frames[self.wrist_frame_id]
+        return with_frames(self.model, (wrist, *self.point_frames))
 
     @cached_property
     def _scratch(self) -> Configuration:
         """Workspace of the methods that place the hand; most hands with other points need none."""
         return self.configuration()
 
-    def _find(self, name: str, argument: str, known: Mapping[str, int]) -> int:
+    def _find(self, name: str, argument: str, *kinds: pin.FrameType) -> pin.Frame:
+        """Return the frame of a link or joint; by kind, as many joints are named as their link."""
         _check_type(argument, name, str, "a name")
-        if name not in known:
-            problem = f"{self.name} has no link {name!r}"
-            raise InvalidInputError(problem, argument=argument, value=name)
-        return known[name]
+        for kind in kinds:
+            if self.model.existFrame(name, kind):
+                return self.model.frames[self.model.getFrameId(name, kind)]
+        problem = f"{self.name} has no link {name!r}"
+        raise InvalidInputError(problem, argument=argument, value=name)
 
 
 def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ...]:
@@ -518,8 +509,6 @@ def _check_type(argument: str, value: Any, kind: Any, expected: str) -> None:
         raise InvalidInputError(argument=argument, expected=expected, value=value)
 
 
-def _frozen(values: npt.ArrayLike, dtype: type = float) -> np.ndarray:
-    """Return a write-protected copy."""
-    array = np.array(values, dtype=dtype)
-    array.setflags(write=False)
-    return array
+def _frozen(values: npt.ArrayLike) -> np.ndarray:
+    """Return a write-protected copy as floats."""
+    return frozen(np.array(values, dtype=float))

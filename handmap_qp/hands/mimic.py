@@ -55,6 +55,10 @@ class Expansion(NamedTuple):
     matrix: np.ndarray
     offset: np.ndarray
 
+    def all_joints(self, q: np.ndarray) -> np.ndarray:
+        """Return the positions of all joints [rad or m], shape (..., n_all), of (..., n_active)."""
+        return q @ self.matrix.T + self.offset
+
 
 def read_mimic_rules(robot: ET.Element) -> tuple[MimicRule, ...]:
     """Read the mimic rules of a URDF, resolved to leaders that follow no other joint.

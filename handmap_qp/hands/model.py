@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import get_args
 
 import numpy as np
@@ -141,15 +141,15 @@ def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> 
             each.placement.translation = place + (each.placement.translation - before)
 
 
-def add_frame(
+def link_frame(
     model: pin.Model,
     spec: HandSpec,
     name: str,
     link: str,
     placement: np.ndarray,
     key: str,
-) -> int:
-    """Add a frame with a name of its own and a placement (4, 4) on a link; return its index.
+) -> pin.Frame:
+    """Return a frame with a name of its own and a placement (4, 4) on a link; it is not added.
 
     Raises:
         HandError: If there is no such link, with the key of the spec that names it.
@@ -160,21 +160,19 @@ def add_frame(
     parent_id = model.getFrameId(link, pin.FrameType.BODY)
     parent = model.frames[parent_id]
     pose = parent.placement * pin.SE3(placement)
-    frame = pin.Frame(name, parent.parentJoint, parent_id, pose, pin.FrameType.OP_FRAME)
-    return model.addFrame(frame)
+    return pin.Frame(name, parent.parentJoint, parent_id, pose, pin.FrameType.OP_FRAME)
 
 
-def with_frames(model: pin.Model, frames: Sequence[int]) -> pin.Model:
-    """Return a model with the same joints and some of the frames: others take time to place."""
+def with_frames(model: pin.Model, frames: Iterable[pin.Frame]) -> pin.Model:
+    """Return a model with the same joints and only these frames: others take time to place."""
     few = pin.Model()
     for joint in range(1, model.njoints):
         place = model.jointPlacements[joint]
         few.addJoint(
             model.parents[joint], model.joints[joint], place, model.names[joint]
         )
-    for index in frames:
-        frame = model.frames[index]
-        kind = pin.FrameType.OP_FRAME
+    kind = pin.FrameType.OP_FRAME
+    for frame in frames:
         few.addFrame(pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, kind))
     return few
 

@@ -122,13 +122,8 @@ class AttachedPoints:
     @classmethod
     def reference_points(cls, hand: Hand) -> Self:
         """Return the hand's reference points."""
-        frames = [
-            hand.model.frames[i]
-            for i in range(hand.first_point_frame, hand.model.nframes)
-        ]
-        return cls(
-            hand, [(frame.parentJoint, frame.placement.translation) for frame in frames]
-        )
+        places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
+        return cls(hand, places)
 
     def __len__(self) -> int:
         return len(self._joints)
