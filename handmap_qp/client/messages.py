@@ -162,9 +162,13 @@ class Request(
     session: Annotated[str, Meta(max_length=64)] = ""
 
 
+FORMER_OPTIONS = {"mapping": "paper", "teleoperation": "teleoperation"}
+"""Former names of `options`, and the presets that they meant."""
+
+
 def _rename_options(request: Open | Configure) -> None:
     """Move options of former names to their present one."""
-    for former, preset in (("mapping", "paper"), ("teleoperation", "teleoperation")):
+    for former, preset in FORMER_OPTIONS.items():
         if given := getattr(request, former):
             msgspec.structs.force_setattr(request, "options", given | request.options)
             msgspec.structs.force_setattr(request, former, {})
@@ -544,7 +548,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         """Give options their former names too."""
-        former = "teleoperation" if self.preset == "teleoperation" else "mapping"
+        former = self.preset if self.preset in FORMER_OPTIONS else "mapping"
         msgspec.structs.force_setattr(self, former, self.options)
 
 

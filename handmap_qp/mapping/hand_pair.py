@@ -168,10 +168,10 @@ class HandPair:
         if not self.fingers:
             raise InvalidOptionsError(
                 option="method",
-                problem="teleoperation needs fingers, and no point of the robot names one",
+                problem="this method needs fingers, and no point of the robot names one",
                 advice="add `finger` to the points of its hand.yaml, or take the preset object",
             )
-        require_points(self.human, finger_landmarks(self.fingers), "teleoperation")
+        require_points(self.human, finger_landmarks(self.fingers), "this method")
 
     def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
         given = self.robot.matched if matched is None else matched

@@ -333,7 +333,7 @@ def test_a_missing_requirement_is_named() -> None:
     with pytest.raises(InvalidInputError) as missing:
         HandMapper(HUMAN, ALLEGRO).map_points(HUMAN.points(HUMAN.rest))
     assert missing.value.argument == "wrist_pose"
-    with pytest.raises(InvalidOptionsError, match="human_points: teleoperation needs"):
+    with pytest.raises(InvalidOptionsError, match="human_points: this method needs"):
         HandMapper(HUMAN.with_points("fingertips"), ALLEGRO, "teleoperation")
     with pytest.raises(
         InvalidOptionsError, match="expected one of teleoperation, paper, object"
