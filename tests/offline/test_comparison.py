@@ -19,13 +19,13 @@ from handmap_qp.apps.offline.comparison import (
     RobotMotion,
     Take,
     compare_methods,
-    held_samples,
     outside_methods,
     own_method,
     own_methods,
     prepare_take,
 )
 from handmap_qp.apps.offline.hand_trace import TIP
+from handmap_qp.apps.offline.trajectory import held_samples
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand

@@ -41,7 +41,7 @@ from handmap_qp.apps.offline.look_ahead import (
 )
 from handmap_qp.apps.offline.metrics import mean_values
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
-from handmap_qp.apps.offline.trajectory import map_recording
+from handmap_qp.apps.offline.trajectory import held_samples, map_recording
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
@@ -245,12 +245,6 @@ def prepare_take(
         wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
         q=fit_recording(recording, lengths=lengths).q,
     )
-
-
-def held_samples(valid: np.ndarray) -> np.ndarray:
-    """Return for every sample the index of the last valid one, at the start of the first, (T,)."""
-    index = np.maximum.accumulate(np.where(valid, np.arange(len(valid)), -1))
-    return np.where(index < 0, int(np.argmax(valid)), index)
 
 
 def compare_methods(

@@ -12,7 +12,7 @@ displacements are then compared.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -34,6 +34,7 @@ from handmap_qp.hands.fingers import THUMB, Finger
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimator
+from handmap_qp.se3 import inverse_pose, lengths, rigid_fit
 
 SETTLING = 0.5
 """Time at the start that does not count [s]."""
@@ -56,7 +57,8 @@ _LIMIT_TOLERANCE = 1e-6  # A joint is outside its limits beyond this [rad or m].
 _STILL = 1e-6  # A coordinate of a fingertip that moves less stands still [m].
 _MOST_LAG = 0.3  # Lags are looked for up to here [s].
 _LEAST = 1e-8
-_NAN = float("nan")
+Values = dict[str, Any]
+"""Metrics by their keys; those that are missing are NaN."""
 
 
 class Fidelity(NamedTuple):
@@ -71,7 +73,7 @@ class Fidelity(NamedTuple):
         pinch_samples: Samples of thumb-finger pairs in which the human pinches.
     """
 
-    values: dict[str, float]
+    values: Values
     fingers: dict[str, dict[str, float]]
     pinch_samples: int
 
@@ -110,15 +112,11 @@ def assess_fidelity(
         InvalidInputError: If the numbers of samples differ, no sample counts, or the hands have no
             finger in common.
     """
-    seen = (
-        np.ones(len(time), dtype=bool)
-        if valid is None
-        else np.asarray(valid, dtype=bool)
-    )
+    seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid)
     shared = [name for name in human.names if name in robot.names]
     sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
     _check(sizes, len(time), shared)
-    counts = seen & (time >= time[0] + SETTLING)
+    counts = seen.astype(bool) & (time >= time[0] + SETTLING)
     if not counts.any():
         raise InvalidInputError(
             argument="time",
@@ -127,25 +125,28 @@ def assess_fidelity(
         )
     h, r = human.part(counts, shared), robot.part(counts, shared)
     fingers = finger_metrics(h, r)
-    values = dict.fromkeys((metric.key for metric in METRICS), _NAN)
+    values = dict.fromkeys((metric.key for metric in METRICS), np.nan)
     values |= _over_fingers(shared, fingers)
-    values |= object_metrics(h, r) | palm_metrics(h, r) | key_vector_metrics(h, r)
+    values |= object_metrics(h, r)
+    values |= palm_metrics(h, r)
+    values |= key_vector_metrics(h, r)
     values["latency_ms"] = latency(h, r, time[counts])
     pinch_samples = 0
     if gaps is not None:
-        pinched, found = gap_metrics(h, gaps, counts)
-        pinch_samples = len(pinched)
-        values |= found | {"pinch_order": pinch_order(h, r)}
+        pinch_samples, found = gap_metrics(h, gaps, counts)
+        values |= found
+        values["pinch_order"] = pinch_order(h, r)
     if hand is not None and q is not None:
         values |= joint_metrics(hand, q, time, counts, human_q)
     if workspace is not None:
         values["workspace"] = workspace_share(r, workspace)
     if step_time is not None:
-        values["step_time_ms"] = 1e3 * _mean(step_time[counts])
+        values["step_time_ms"] = 1e3 * step_time[counts].mean()
     by_finger = {
         name: {key: float(found[i]) for key, found in fingers.items()}
         for i, name in enumerate(shared)
     }
+    values = {key: float(value) for key, value in values.items()}
     return Fidelity(values, by_finger, pinch_samples)
 
 
@@ -160,21 +161,20 @@ def _check(sizes: dict[str, int], count: int, shared: list[str]) -> None:
         )
 
 
-def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> dict[str, float]:
+def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> Values:
     """Return metrics of the whole hand: correlations weighted by the human's range, and means."""
     correlations, weights = fingers["extension_correlation"], fingers["extension_range"]
-    found = {
-        "extension_correlation": correlations @ weights / weights.sum()
-        if weights.any()
-        else _NAN,
+    found: Values = {
         "extension_rms": _rms(fingers["extension_rms"]),
         "finger_direction_deg": fingers["direction_deg"].mean(),
     }
     for key in ("wrist_direction_deg", "tip_error_mm", "tip_error_knuckles_mm"):
         found[key] = fingers[key].mean()
+    if weights.any():
+        found["extension_correlation"] = np.average(correlations, weights=weights)
     if THUMB in names:
         found["thumb_extension_correlation"] = correlations[names.index(THUMB)]
-    return {key: float(value) for key, value in found.items()}
+    return found
 
 
 def finger_metrics(human: HandTrace, robot: HandTrace) -> dict[str, np.ndarray]:
@@ -186,37 +186,34 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> dict[str, np.ndarray]:
     convention of each robot's description. Both are in mm of the human's hand.
     """
     one, other = human.extension, robot.extension
-    still = np.minimum(np.ptp(one, axis=0), np.ptp(other, axis=0)) < 1e-6
-    correlations = [
-        0.0 if is_still else float(np.corrcoef(a, b)[0, 1])
-        for a, b, is_still in zip(one.T, other.T, still, strict=True)
-    ]
+    is_still = np.minimum(np.ptp(one, axis=0), np.ptp(other, axis=0)) < _STILL
     low, high = np.percentile(one, (2.0, 98.0), axis=0)
-    h, r = human.local, robot.local
-    tip_h, tip_r = h[:, :, TIP], r[:, :, TIP]
+    knuckle_h, tip_h = (human.local[:, :, place] for place in (KNUCKLE, TIP))
+    knuckle_r, tip_r = (robot.local[:, :, place] for place in (KNUCKLE, TIP))
     ratio = (robot.reach / human.reach).mean()
-    wanted = tip_h - _knuckle_centre(human.names, h)
-    from_centre = (tip_r - _knuckle_centre(robot.names, r)) / ratio
+    # The thumb's knuckle does not count if there are others.
+    others = [i for i, name in enumerate(human.names) if name != THUMB] or [0]
+    from_centre_h, from_centre_r = (
+        tips - knuckles[:, others].mean(axis=1, keepdims=True)
+        for tips, knuckles in ((tip_h, knuckle_h), (tip_r, knuckle_r))
+    )
     return {
-        "extension_correlation": np.array(correlations),
+        "extension_correlation": np.where(is_still, 0.0, _correlations(one, other)),
         "extension_rms": _rms(one - other),
         "extension_range": high - low,
-        "direction_deg": angles_between(
-            tip_h - h[:, :, KNUCKLE], tip_r - r[:, :, KNUCKLE]
-        ).mean(axis=0),
+        "direction_deg": angles_between(tip_h - knuckle_h, tip_r - knuckle_r).mean(0),
         "wrist_direction_deg": angles_between(tip_h, tip_r).mean(axis=0),
         "tip_error_mm": _distance_mm(tip_r * (human.size / robot.size), tip_h),
-        "tip_error_knuckles_mm": _distance_mm(from_centre, wanted),
+        "tip_error_knuckles_mm": _distance_mm(from_centre_r / ratio, from_centre_h),
     }
 
 
 def angles_between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Angles between vectors of shape (..., 3) [deg], shape (...)."""
-    sine = np.linalg.norm(np.cross(a, b), axis=-1)
-    return np.degrees(np.arctan2(sine, (a * b).sum(axis=-1)))
+    return np.degrees(np.arctan2(lengths(np.cross(a, b)), (a * b).sum(axis=-1)))
 
 
-def object_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
+def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compare the motions that both hands impose on an object between their fingers.
 
     T (eqs. 5-6, ridge 0.1) is estimated from each hand's tips and middle joints, from the first
@@ -226,26 +223,22 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
         Mean angle between the rotations [deg], mean Frobenius norm of the difference of the
         log-stretches, mean distance between the centroids' displacements [mm].
     """
-    motions = [_object_motion(hand) for hand in (human, robot)]
-    (r1, s1, c1), (r2, s2, c2) = motions
-    angles = Rotation.from_matrix(r1.transpose(0, 2, 1) @ r2).magnitude()
+    r1, s1, c1 = _object_motion(human)
+    r2, s2, c2 = _object_motion(robot)
     return {
-        "object_rotation_deg": float(np.degrees(angles.mean())),
-        "object_stretch": float(np.linalg.norm(s1 - s2, axis=(1, 2)).mean()),
-        "object_translation_mm": float(_distance_mm(c1, c2)),
+        "object_rotation_deg": np.degrees(_turns(r1, r2)).mean(),
+        "object_stretch": np.linalg.norm(s1 - s2, axis=(1, 2)).mean(),
+        "object_translation_mm": _distance_mm(c1, c2),
     }
 
 
-def palm_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
+def palm_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compare the palms' motions since the first sample, each in its own axes there, as RMS."""
-    one, other = (np.linalg.inv(hand.palm[0]) @ hand.palm for hand in (human, robot))
-    angles = Rotation.from_matrix(
-        one[:, :3, :3].transpose(0, 2, 1) @ other[:, :3, :3]
-    ).magnitude()
-    distances = np.linalg.norm(one[:, :3, 3] - other[:, :3, 3], axis=1)
+    one, other = (inverse_pose(hand.palm[0]) @ hand.palm for hand in (human, robot))
+    distances = lengths(one[:, :3, 3] - other[:, :3, 3])
     return {
-        "palm_deg": float(np.degrees(_rms(angles))),
-        "palm_mm": float(1e3 * _rms(distances)),
+        "palm_deg": np.degrees(_rms(_turns(one[:, :3, :3], other[:, :3, :3]))),
+        "palm_mm": 1e3 * _rms(distances),
     }
 
 
@@ -254,7 +247,7 @@ def pinch_gaps(hand: HandTrace) -> dict[str, np.ndarray]:
     if THUMB not in hand.names:
         return {}
     tips = hand.points[:, :, TIP]
-    gaps = np.linalg.norm(tips - tips[:, [hand.names.index(THUMB)]], axis=2)
+    gaps = lengths(tips - tips[:, [hand.names.index(THUMB)]])
     return {
         name: gap for name, gap in zip(hand.names, gaps.T, strict=True) if name != THUMB
     }
@@ -272,37 +265,34 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
     )
     a, b = a[a < NEAR], b[a < NEAR]
     if len(a) < 3 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
-        return _NAN
-    return float(np.corrcoef(rankdata(a), rankdata(b))[0, 1])
+        return np.nan
+    return float(_correlations(rankdata(a), rankdata(b)))
 
 
 def gap_metrics(
     human: HandTrace, gaps: SurfaceGaps, counts: np.ndarray
-) -> tuple[np.ndarray, dict[str, float]]:
-    """Return the robot's gaps in the human's pinches [m], and metrics of surfaces."""
+) -> tuple[int, Values]:
+    """Return how many samples of pairs the human pinches, and metrics of the robot's surfaces."""
     wanted = pinch_gaps(human)
     shared = [name for name in wanted if name in gaps.pinches]
     h = np.array([wanted[name] for name in shared]).ravel()
     r = np.array([gaps.pinches[name][counts] for name in shared]).ravel()
     pinched, apart = r[h < PINCH], r[h > OPEN]
     nearest = gaps.nearest[counts]
-    found = {
-        "self_penetration": float((nearest < -TOUCHING).mean()),
-        "colliding": float((nearest < 0.0).mean()),
+    found: Values = {
+        "self_penetration": (nearest < -TOUCHING).mean(),
+        "colliding": (nearest < 0.0).mean(),
     }
     if len(pinched):
-        closed = float((pinched < CLOSED).mean())
-        found |= {
-            "pinch_closed": closed,
-            "pinch_gap_mm": 1e3 * float(np.median(pinched)),
-            "pinch_gap_p95_mm": 1e3 * float(np.percentile(pinched, 95)),
-        }
+        deep, middle, wide = 1e3 * np.percentile(pinched, (5, 50, 95))
+        found["pinch_closed"] = (pinched < CLOSED).mean()
+        found |= {"pinch_gap_mm": middle, "pinch_gap_p95_mm": wide}
         # Surfaces that never come near cannot penetrate.
-        if closed:
-            found["pinch_depth_mm"] = 1e3 * max(0.0, -float(np.percentile(pinched, 5)))
+        if found["pinch_closed"]:
+            found["pinch_depth_mm"] = max(0.0, -deep)
     if len(apart):
-        found["pinch_false"] = float((apart < TOUCHING).mean())
-    return pinched, found
+        found["pinch_false"] = (apart < TOUCHING).mean()
+    return len(pinched), found
 
 
 def joint_metrics(
@@ -311,19 +301,19 @@ def joint_metrics(
     time: np.ndarray,
     counts: np.ndarray,
     human_q: np.ndarray | None,
-) -> dict[str, float]:
+) -> Values:
     """Compare joints with their limits, and their jerk with the fitted human's."""
     outside = np.maximum(hand.lower_limits - q, q - hand.upper_limits).max(axis=1)
     speed = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None] / hand.velocity_limits
     moving = counts[1:] & counts[:-1]
-    found = {
-        "outside_limits": float((outside > _LIMIT_TOLERANCE)[counts].mean()),
-        "speed_ratio": float(speed[moving].max()) if moving.any() else _NAN,
-    }
+    found: Values = {"outside_limits": (outside > _LIMIT_TOLERANCE)[counts].mean()}
+    if moving.any():
+        found["speed_ratio"] = speed[moving].max()
     if human_q is not None:
-        human_jerk = rms_derivative(human_q, time, counts, order=3)
-        jerk = rms_derivative(q, time, counts, order=3)
-        found["jerk_ratio"] = jerk / human_jerk if human_jerk > 0.0 else _NAN
+        human_jerk, jerk = (
+            rms_derivative(angles, time, counts, order=3) for angles in (human_q, q)
+        )
+        found["jerk_ratio"] = jerk / human_jerk if human_jerk > 0.0 else np.nan
     return found
 
 
@@ -343,22 +333,19 @@ def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
         eight samples.
     """
     if len(time) < 8:
-        return _NAN
+        return np.nan
     step = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1], step)
     a, b = (
-        np.column_stack(
-            [np.interp(grid, time, column) for column in tips.reshape(len(time), -1).T]
-        )
-        for tips in (human.local[:, :, TIP], robot.local[:, :, TIP])
+        np.array([np.interp(grid, time, column) for column in tips.T])
+        for tips in (_tip_columns(human), _tip_columns(robot))
     )
-    if min(np.ptp(a, axis=0).max(), np.ptp(b, axis=0).max()) < _STILL:
-        return _NAN
-    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    if min(np.ptp(a, axis=1).max(), np.ptp(b, axis=1).max()) < _STILL:
+        return np.nan
+    a, b = (rows - rows.mean(axis=1, keepdims=True) for rows in (a, b))
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
-    values = np.array(
-        [_lagged_correlation(a, b, lag) for lag in range(-most, most + 1)]
-    )
+    lags = range(-most, most + 1)
+    values = np.array([_lagged_correlation(a, b, lag) for lag in lags])
     best, shift = int(np.argmax(values)), 0.0
     if 0 < best < 2 * most:
         before, here, after = values[best - 1 : best + 2]
@@ -367,14 +354,14 @@ def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
     return float(1e3 * step * (best - most + shift))
 
 
-def key_vector_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
+def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compute those of mimic's metrics that need both hands; see the top of this module.
 
     Key vectors go from the palm's origin to each tip, and from the thumb's tip to each other tip.
     """
     count = len(human.names)
-    aligned, other = _palm_points(human), _palm_points(robot)
-    aligned = _laid_on(aligned, other)
+    other = _palm_points(robot)
+    aligned = _laid_on(_palm_points(human), other)
     starts, ends = [0] * count, list(range(1, 1 + count))
     if THUMB in human.names:
         thumb = 1 + human.names.index(THUMB)
@@ -382,14 +369,13 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
         starts += [thumb] * (count - 1)
     a, b = (points[:, ends] - points[:, starts] for points in (aligned, other))
     cosine = _cosines(a, b)
-    scale = np.linalg.norm(b, axis=2) / (np.linalg.norm(a, axis=2) + _LEAST)
-    tips = slice(1, 1 + count)
-    moves = _cosines(np.diff(aligned[:, tips], axis=0), np.diff(other[:, tips], axis=0))
-    bends = np.diff(other[:, tips], 2, axis=0)
+    tips, tips_other = (points[:, 1 : 1 + count] for points in (aligned, other))
+    moves = _cosines(np.diff(tips, axis=0), np.diff(tips_other, axis=0))
+    bends = np.diff(tips_other, 2, axis=0)
     return {
-        "key_cosine": float(cosine.mean()),
-        "key_angle_deg": float(np.degrees(np.arccos(cosine)).mean()),
-        "key_scale": float(scale.mean()),
+        "key_cosine": cosine.mean(),
+        "key_angle_deg": np.degrees(np.arccos(cosine)).mean(),
+        "key_scale": (lengths(b) / (lengths(a) + _LEAST)).mean(),
         "motion_preservation": _mean(moves),
         "flatness_mm2": 1e6 * _mean((bends**2).sum(axis=2)),
     }
@@ -397,12 +383,14 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> dict[str, float]:
 
 def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float:
     """Share of the reachable points that the fingertips came near, mean over the fingers."""
-    tips, shares = robot.local[:, :, TIP], []
-    for name, points in workspace.items():
-        if name in robot.names:
-            distances, _ = KDTree(tips[:, robot.names.index(name)]).query(points)
-            shares.append(float((distances <= WORKSPACE_RADIUS).mean()))
-    return float(np.mean(shares)) if shares else _NAN
+    shares = []
+    for name, tips in zip(
+        robot.names, robot.local[:, :, TIP].swapaxes(0, 1), strict=True
+    ):
+        if name in workspace:
+            distances, _ = KDTree(tips).query(workspace[name])
+            shares.append((distances <= WORKSPACE_RADIUS).mean())
+    return float(np.mean(shares)) if shares else np.nan
 
 
 def sample_workspace(
@@ -428,15 +416,8 @@ def sample_workspace(
         hand.lower_limits, hand.upper_limits, (count, len(hand.joint_names))
     )
     trace = trace_robot(hand, q, None, chains)
-    return dict(
-        zip(trace.names, trace.local[:, :, TIP].transpose(1, 0, 2), strict=True)
-    )
-
-
-def _knuckle_centre(names: tuple[str, ...], local: np.ndarray) -> np.ndarray:
-    """Centre of the knuckles, without the thumb's if there are others [m], shape (T, 1, 3)."""
-    others = [i for i, name in enumerate(names) if name != THUMB] or [0]
-    return local[:, others, KNUCKLE].mean(axis=1, keepdims=True)
+    tips = trace.local[:, :, TIP].swapaxes(0, 1)
+    return dict(zip(trace.names, tips, strict=True))
 
 
 def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -444,13 +425,10 @@ def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     points = hand.points[:, :, [TIP, MIDDLE]].reshape(len(hand.points), -1, 3)
     points = points @ hand.palm[0, :3, :3]
     estimator = MotionEstimator(points[0], ridge=OBJECT_RIDGE)
-    rotations, stretches = np.empty((2, len(points), 3, 3))
-    for t, sample in enumerate(points):
-        factors = polar(estimator.estimate(sample).motion[:3, :3])
-        rotations[t] = factors.rotation
-        stretches[t] = factors.stretch(np.log(np.maximum(factors.stretches, 1e-6)))
+    factors = polar(estimator.estimate(points).motion[:, :3, :3])
+    stretches = factors.stretch(np.log(np.maximum(factors.stretches, 1e-6)))
     centroids = points.mean(axis=1)
-    return rotations, stretches, centroids - centroids[0]
+    return factors.rotation, stretches, centroids - centroids[0]
 
 
 def _palm_points(hand: HandTrace) -> np.ndarray:
@@ -460,47 +438,52 @@ def _palm_points(hand: HandTrace) -> np.ndarray:
     return np.concatenate([origin, local[:, :, TIP], local[:, :, KNUCKLE]], axis=1)
 
 
+def _tip_columns(hand: HandTrace) -> np.ndarray:
+    """Coordinates of all fingertips in the palm frame [m], shape (T, 3 k)."""
+    return hand.local[:, :, TIP].reshape(len(hand.palm), -1)
+
+
 def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """Points of every sample moved by the similarity that lays them best on others (Umeyama)."""
-    centre, centre_onto = (
-        points.mean(axis=1, keepdims=True),
-        onto.mean(axis=1, keepdims=True),
-    )
-    a, b = points - centre, onto - centre_onto
-    left, values, right = np.linalg.svd(np.einsum("tki,tkj->tij", b, a))
-    signs = np.ones_like(values)
-    signs[:, 2] = np.sign(np.linalg.det(left @ right))
-    rotation = (left * signs[:, None]) @ right
-    scale = (values * signs).sum(axis=1) / np.maximum(
-        (a**2).sum(axis=(1, 2)), _LEAST**2
-    )
-    return scale[:, None, None] * (a @ rotation.transpose(0, 2, 1)) + centre_onto
+    centre, centre_onto = (one.mean(axis=1, keepdims=True) for one in (points, onto))
+    rotations = rigid_fit(points, onto)[:, :3, :3]
+    turned = (points - centre) @ rotations.swapaxes(1, 2)
+    fit = (turned * (onto - centre_onto)).sum(axis=(1, 2), keepdims=True)
+    size = (turned**2).sum(axis=(1, 2), keepdims=True)
+    return fit / np.maximum(size, _LEAST**2) * turned + centre_onto
 
 
 def _lagged_correlation(a: np.ndarray, b: np.ndarray, lag: int) -> float:
-    """Correlation of a(t) with b(t + lag), all columns together."""
-    count = len(a) - abs(lag)
-    one, other = a[max(0, -lag) :][:count], b[max(0, lag) :][:count]
-    norm = float(np.sqrt((one**2).sum() * (other**2).sum()))
-    return float((one * other).sum()) / norm if norm > 0.0 else _NAN
+    """Correlation of centred a(t) with b(t + lag), all rows together; shape (n, T) each."""
+    count = a.shape[1] - abs(lag)
+    one, other = a[:, max(0, -lag) :][:, :count], b[:, max(0, lag) :][:, :count]
+    return float(_cosines(one.ravel(), other.ravel()))
+
+
+def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Correlations of columns over time, shape (T, n) or (T,); 0 where either stands still."""
+    return _cosines((a - a.mean(axis=0)).T, (b - b.mean(axis=0)).T)
 
 
 def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cosines between vectors along the last axis; 0 where either is zero."""
     norms = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
     dots = (a * b).sum(axis=-1)
-    return np.clip(
-        np.divide(dots, norms, out=np.zeros_like(dots), where=norms > 0.0), -1.0, 1.0
-    )
+    return np.clip(dots / np.where(norms > 0.0, norms, np.inf), -1.0, 1.0)
+
+
+def _turns(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Angles between rotations of shape (T, 3, 3) [rad], shape (T,)."""
+    return Rotation.from_matrix(one.swapaxes(1, 2) @ other).magnitude()
 
 
 def _distance_mm(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Mean distance over samples [mm]."""
-    return 1e3 * np.linalg.norm(a - b, axis=-1).mean(axis=0)
+    return 1e3 * lengths(a - b).mean(axis=0)
 
 
 def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if values.size else _NAN
+    return float(values.mean()) if values.size else np.nan
 
 
 def _rms(values: np.ndarray) -> np.ndarray:

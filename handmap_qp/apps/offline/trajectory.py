@@ -205,11 +205,9 @@ def trajectory_of(
     )
     if is_held.all():
         raise _nothing_followed(rule.tolist())
-    first = int(np.argmin(is_held))
     is_placed = np.array([step is not None for step in found])
-    is_placed[:first] = False
-    places = np.where(is_placed, np.arange(len(time)), first)
-    steps = [found[k] for k in np.maximum.accumulate(places)]
+    is_placed[: np.argmin(is_held)] = False
+    steps = [found[k] for k in held_samples(is_placed)]
     q, wrist, wrist_target, targets, points, at_bound, status = _columns(
         steps,
         "command.q",
@@ -239,6 +237,12 @@ def trajectory_of(
         consistency=consistency,
         confidence=np.array([step.confidence if step else 1.0 for step in found]),
     )
+
+
+def held_samples(valid: np.ndarray) -> np.ndarray:
+    """Return for every sample the index of the last valid one, at the start of the first, (T,)."""
+    index = np.where(valid, np.arange(len(valid)), np.argmax(valid))
+    return np.maximum.accumulate(index)
 
 
 def _timed(
