@@ -161,15 +161,11 @@ def light(monkeypatch: pytest.MonkeyPatch) -> None:
     from matplotlib.figure import Figure
 
     def made(name: str) -> FigureRecord:
-        return FigureRecord(name, name, Figure(), [{"x": 1.0}], "Text.", {})
+        claim = {"the paper claims": "this", "we find": 1.0, "holds": "yes"}
+        return FigureRecord(name, name, Figure(), [{"x": 1.0}], "Text.", [claim])
 
     monkeypatch.setattr(paper, "FIGURES", {name: partial(made, name) for name in NAMES})
-    for table in ("claim_rows", "number_rows"):
-        monkeypatch.setattr(
-            paper,
-            table,
-            lambda *_: [{"the paper claims": "this", "we find": 1.0, "holds": "yes"}],
-        )
+    monkeypatch.setattr(paper, "number_rows", lambda _: [{"gamma 1": 1.0}])
 
 
 @pytest.mark.usefixtures("light")
@@ -183,7 +179,7 @@ def test_a_failure_keeps_earlier_files(
     def fail(*_: object) -> None:
         raise RuntimeError("no table")
 
-    monkeypatch.setattr(paper, "claim_rows", fail)
+    monkeypatch.setattr(paper, "number_rows", fail)
     with pytest.raises(RuntimeError, match="no table"):
         run_figures(folder)
     assert [path.name for path in tmp_path.iterdir()] == ["figures"]

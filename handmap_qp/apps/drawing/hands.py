@@ -271,10 +271,16 @@ def draw_hands(
         image,
         extent=(0.0, width, height, 0.0),
         interpolation="antialiased",
-        aspect="equal",
     )
+    pixel_axes(axes, camera)
+
+
+def pixel_axes(axes: Axes, camera: Camera) -> None:
+    """Let the coordinates of an axes be a camera's pixels, and remove its frame and ticks."""
+    width, height = camera.size
     axes.set_xlim(0.0, width)
     axes.set_ylim(height, 0.0)
+    axes.set_aspect("equal")
     axes.set_axis_off()
 
 

@@ -20,9 +20,11 @@ from handmap_qp.apps.experiments.paper_drawings import (
     draw_grasps,
     draw_sensitivity,
     draw_ways,
+    selected,
 )
 from handmap_qp.apps.experiments.section_four import (
     UNIT,
+    InHandStep,
     Setting,
     Stiffnesses,
     human_motion,
@@ -54,7 +56,7 @@ Row = dict[str, Any]
 
 
 class FigureRecord(NamedTuple):
-    """A figure with its numbers and text.
+    """A figure with its numbers, text and claims.
 
     Attributes:
         name: Stem of its file names.
@@ -62,7 +64,7 @@ class FigureRecord(NamedTuple):
         figure: The figure.
         rows: Its numbers; all rows have the same columns, with units in their names.
         text: Description of the result, as Markdown.
-        facts: Numbers for the table of claims, by name.
+        claims: What the paper claims about it, what we find, and whether the claim holds.
     """
 
     name: str
@@ -70,7 +72,7 @@ class FigureRecord(NamedTuple):
     figure: Figure
     rows: Sequence[Row]
     text: str
-    facts: dict[str, Any]
+    claims: list[Row]
 
     def save(self, folder: Path) -> None:
         """Write NAME.png, NAME.svg and NAME.csv."""
@@ -126,7 +128,8 @@ def run_figures(
             progress(name, i, total)
             made.append(make())
             made[-1].save(folder)
-        claims, numbers = claim_rows(made), number_rows(made)
+        claims = [claim for record in made for claim in record.claims]
+        numbers = number_rows(made)
         write_csv(folder / "claims.csv", claims)
         write_csv(folder / "final_errors.csv", numbers)
         (folder / "report.md").write_text(
@@ -159,13 +162,18 @@ def figure_4_grasps() -> FigureRecord:
         "toolbox. That toolbox models fingers as lines, so the contacts lie on the bones' axes, "
         "and our fingers, which have thickness, penetrate the cube."
     )
+    claim = _claim(
+        "the grasp planner gives seven contacts on the human hand and three on the robot's",
+        f"the figures take the toolbox's reference pair, with {human} and {robot}; "
+        "`benchmarks/beyond_the_paper.py` plans grasps",
+    )
     return FigureRecord(
         "figure_4_grasps",
         "Figure 4: both hands on the cube",
         draw_grasps(scene),
         rows,
         text,
-        {"human_contacts": human, "robot_contacts": robot},
+        [claim],
     )
 
 
@@ -192,12 +200,9 @@ def figure_5_object_paths(steps: int = 50) -> FigureRecord:
         for (geometry, model), (human, robot) in ways.items()
         for k in range(steps + 1)
     ]
-    way = 1e3 * float(
-        np.linalg.norm(np.diff(ways["ours", "rigid"][0], axis=0), axis=1).sum()
-    )
+    way = 1e3 * np.linalg.norm(np.diff(ways["ours", "rigid"][0], axis=0), axis=1).sum()
     rigid, soft = (
-        1e3 * float(np.linalg.norm(np.subtract(*ways["ours", model])[-1]))
-        for model in MODELS
+        row["distance_mm"] for row in selected(rows, geometry="ours", step=steps)
     )
     text = (
         f"The object's centre travels {way:.0f} mm in the human's hand. At the end the robot's is "
@@ -212,13 +217,26 @@ def figure_5_object_paths(steps: int = 50) -> FigureRecord:
     misses = [
         1e3 * rms(estimate_motion(path[0], path[-1]).residual_vectors) for path in paths
     ]
+    claims = [
+        _claim(
+            "the reference points move by a linear transformation (eq. 5)",
+            f"seven contacts miss their T by {listed(misses)} mm (RMS) over the path, "
+            "synergies 1 to 3 at gamma = 1",
+        ),
+        _claim(
+            "the robotic hand is able to follow the human hand's trajectory (Fig. 5)",
+            f"over a path of {way:.0f} mm the objects' centres end {rigid:.1f} mm apart (rigid), "
+            f"{soft:.1f} mm (quasi-static at unit stiffness)",
+            soft < 0.05 * way,
+        ),
+    ]
     return FigureRecord(
         "figure_5_object_paths",
         "Figure 5: the object's way",
         draw_ways(done["ours"], ways),
         rows,
         text,
-        {"way": way, "end_rigid": rigid, "end_soft": soft, "misses": misses},
+        claims,
     )
 
 
@@ -232,35 +250,8 @@ def figure_6_first_step(steps: int = 50) -> FigureRecord:
         ]
         for model, stiffnesses in MODELS.items()
     }
-    rows: list[Row] = []
-    for model, synergy in product(MODELS, SYNERGIES):
-        step = found[model][synergy - 1]
-        arrows = [
-            ("object motion", "mm", "human", 0, 1e3 * step.human_motion),
-            ("object motion", "mm", "robot", 0, 1e3 * step.robot_motion),
-        ]
-        # The quasi-static model gives the forces for both models of the motion.
-        if model == "quasi-static":
-            hands = (("human", step.human_forces), ("robot", step.robot_forces))
-            arrows += [
-                ("force change", "N", hand, i, force)
-                for hand, forces in hands
-                for i, force in enumerate(forces, 1)
-            ]
-        rows += [
-            {
-                "quantity": quantity,
-                "unit": unit,
-                "synergy": synergy,
-                "model": model,
-                "hand": hand,
-                "contact": contact,
-                **_xyz(arrow),
-            }
-            for quantity, unit, hand, contact, arrow in arrows
-        ]
     rigid, soft = (
-        [float(np.degrees(step.angle)) for step in found[model]] for model in MODELS
+        [float(np.degrees(step.angle)) for step in steps] for steps in found.values()
     )
     lengths = [
         float(np.linalg.norm(step.robot_motion) / np.linalg.norm(step.human_motion))
@@ -280,17 +271,60 @@ def figure_6_first_step(steps: int = 50) -> FigureRecord:
         for step in found["quasi-static"]
         for forces in (step.human_forces, step.robot_forces)
     ]
-    balance = max(
-        float(np.abs(one.sum(axis=0)).max() / np.abs(one).max()) for one in changes
-    )
+    balance = max(np.abs(one.sum(axis=0)).max() / np.abs(one).max() for one in changes)
+    human, robot = len(scene.human.contacts), len(scene.robot.contacts)
+    claims = [
+        _claim(
+            "the directions of the object's in-hand motion are quite comparable (Fig. 6)",
+            f"{listed(rigid, 0)} degrees apart for synergies 1 to 3 (rigid), "
+            f"{listed(soft, 0)} (quasi-static)",
+            max(rigid + soft) < _COMPARABLE,
+        ),
+        _claim(
+            "contact force variations cannot simply be compared (Fig. 6)",
+            f"{human} contacts against {robot}, at other places; the sums are zero on both hands "
+            f"(within {balance:.0e} of the largest force)",
+            True,
+        ),
+    ]
     return FigureRecord(
         "figure_6_first_step",
         "Figure 6: the first step",
         draw_first_step(scene, found),
-        rows,
+        _first_step_rows(found),
         text,
-        {"angles_rigid": rigid, "angles_soft": soft, "balance": balance},
+        claims,
     )
+
+
+def _first_step_rows(found: dict[str, list[InHandStep]]) -> list[Row]:
+    """Return motions [mm] of contact 0, the object, and force changes [N] by the soft model."""
+    rows: list[Row] = []
+    for model, synergy in product(MODELS, SYNERGIES):
+        step = found[model][synergy - 1]
+        arrows = [
+            ("object motion", "mm", "human", 0, 1e3 * step.human_motion),
+            ("object motion", "mm", "robot", 0, 1e3 * step.robot_motion),
+        ]
+        hands = (("human", step.human_forces), ("robot", step.robot_forces))
+        arrows += [
+            ("force change", "N", hand, i, force)
+            for hand, forces in hands
+            for i, force in enumerate(forces, 1)
+        ]
+        rows += [
+            {
+                "quantity": quantity,
+                "unit": unit,
+                "synergy": synergy,
+                "model": model,
+                "hand": hand,
+                "contact": contact,
+                **_xyz(arrow),
+            }
+            for quantity, unit, hand, contact, arrow in arrows
+        ]
+    return rows
 
 
 def figure_7_sensitivity() -> FigureRecord:
@@ -300,65 +334,88 @@ def figure_7_sensitivity() -> FigureRecord:
     rows: list[Row] = []
     for geometry, (sweep, synergy, gamma, steps) in product(("toolbox", "ours"), cases):
         run = run_experiment(paper_scene(geometry), Setting(synergy, gamma, steps))
-        errors = {f"error_{m}_mm": 1e3 * object_error(run, MODELS[m]) for m in MODELS}
-        case = {
-            "geometry": geometry,
-            "sweep": sweep,
-            "synergy": synergy,
-            "gamma": gamma,
-        }
         rows.append(
-            {**case, "steps": steps, **errors, "point_rms_mm": 1e3 * run.point_rms}
+            {
+                "geometry": geometry,
+                "sweep": sweep,
+                "synergy": synergy,
+                "gamma": gamma,
+                "steps": steps,
+                **{f"error_{m}_mm": 1e3 * object_error(run, MODELS[m]) for m in MODELS},
+                "point_rms_mm": 1e3 * run.point_rms,
+            }
         )
-
-    def curves(sweep: str, model: str, least: int = 0) -> list[list[float]]:
-        """Return a curve for every synergy, with the toolbox's geometry."""
-        return [
-            [
-                row[f"error_{model}_mm"]
-                for row in rows
-                if (row["geometry"], row["sweep"], row["synergy"])
-                == ("toolbox", sweep, synergy)
-                and row["steps"] >= least
-            ]
-            for synergy in SYNERGIES
-        ]
-
-    def variations(model: str, least: int) -> list[float]:
-        """Return the range in percent of the value at most steps, for every synergy."""
-        ranges = curves("steps", model, least)
-        return [100.0 * (max(curve) - min(curve)) / curve[-1] for curve in ranges]
-
-    by_gamma = curves("gamma", "rigid")
+    by_gamma = _curves(rows, "gamma", "rigid")
     growth, ends = [v[-1] / v[0] for v in by_gamma], [v[-1] for v in by_gamma]
-    change = variations("rigid", 5)
+    ends_soft = [v[-1] for v in _curves(rows, "gamma", "quasi-static")]
+    change = _variations(rows, "rigid", 5)
     text = (
         f"From gamma 0.1 to 1 the error grows {listed(growth)}-fold for synergies 1 to 3, to "
         f"{listed(ends)} mm (the object follows the contacts as a rigid body). From 5 to 200 steps "
         f"it varies by {listed(change, 0)} % of its value at 200. Solid lines: the robot hand of "
         "the toolbox's planner, with fingers 50/3 mm farther out. Dashed lines: the correct hand."
     )
-    facts = {
-        "growth": growth,
-        "ends": ends,
-        "ends_soft": [values[-1] for values in curves("gamma", "quasi-static")],
-        "change": change,
-        "change_from_20": variations("rigid", 20),
-        "change_soft": variations("quasi-static", 5),
-        "point_rms": [
-            1e3
-            * run_experiment(paper_scene(), Setting(synergy=s, start="first")).point_rms
-            for s in SYNERGIES
-        ],
-    }
+    settings = [Setting(synergy=s, start="first") for s in SYNERGIES]
+    misses = [1e3 * run_experiment(paper_scene(), one).point_rms for one in settings]
+    claims = [
+        _claim(
+            "the trajectory error is sensitive to gamma (Fig. 7, above)",
+            f"it grows {listed(growth)}-fold from gamma 0.1 to 1, synergies 1 to 3",
+            min(growth) > 2.0,
+        ),
+        _claim(
+            "the sensitivity differs between the synergies (Fig. 7, above)",
+            f"at gamma = 1 {listed(ends)} mm (rigid), {listed(ends_soft)} mm (quasi-static)",
+            max(ends) > 1.2 * min(ends),
+        ),
+        _claim(
+            "the error is much less sensitive to the size of the steps (Fig. 7, below)",
+            f"from 5 to 200 steps it varies by {listed(change, 0)} % (rigid), from 20 on by "
+            f"{listed(_variations(rows, 'rigid', 20), 0)} %; "
+            f"{listed(_variations(rows, 'quasi-static', 5))} % (quasi-static, from 5)",
+            max(change) < 100.0 * (min(growth) - 1.0),
+        ),
+        _claim(
+            "the robot's kinematics keep it from reproducing the in-hand motion fully",
+            "with T from the first configuration imposed on it, its contacts end "
+            f"{listed(misses)} mm (RMS) from `T s` at gamma = 1",
+            min(misses) > 0.5,
+        ),
+    ]
     return FigureRecord(
         "figure_7_sensitivity",
         "Figure 7: sensitivity to gamma and to the step",
         draw_sensitivity(rows),
         rows,
         text,
-        facts,
+        claims,
     )
+
+
+def _curves(
+    rows: Sequence[Row], sweep: str, model: str, least: int = 0
+) -> list[list[float]]:
+    """Return the errors [mm] of each synergy with the toolbox's hand, from `least` steps on."""
+    return [
+        [
+            row[f"error_{model}_mm"]
+            for row in selected(rows, geometry="toolbox", sweep=sweep, synergy=synergy)
+            if row["steps"] >= least
+        ]
+        for synergy in SYNERGIES
+    ]
+
+
+def _variations(rows: Sequence[Row], model: str, least: int) -> list[float]:
+    """Return the range of each synergy's errors in percent of that at most steps."""
+    curves = _curves(rows, "steps", model, least)
+    return [100.0 * (max(curve) - min(curve)) / curve[-1] for curve in curves]
+
+
+def _claim(claim: str, finding: str, holds: bool | None = None) -> Row:
+    """Compare a claim of the paper with our finding; None for an assumption."""
+    verdict = {None: "assumed", True: "yes", False: "no"}[holds]
+    return {"the paper claims": claim, "we find": finding, "holds": verdict}
 
 
 FIGURES: dict[str, Callable[[], FigureRecord]] = {
@@ -373,82 +430,6 @@ FIGURES: dict[str, Callable[[], FigureRecord]] = {
 """The paper's figures by the stems of their files."""
 
 
-def claim_rows(made: Sequence[FigureRecord]) -> list[Row]:
-    """Compare the paper's claims with our findings.
-
-    Args:
-        made: All of the paper's figures.
-
-    Returns:
-        One row per claim.
-    """
-    facts = {key: value for record in made for key, value in record.facts.items()}
-    growth, ends = facts["growth"], facts["ends"]
-    human, robot = facts["human_contacts"], facts["robot_contacts"]
-    claims: list[tuple[str, str, bool | None]] = [
-        (
-            "the grasp planner gives seven contacts on the human hand and three on the robot's",
-            f"the figures take the toolbox's reference pair, with {human} and {robot}; "
-            "`benchmarks/beyond_the_paper.py` plans grasps",
-            None,
-        ),
-        (
-            "the reference points move by a linear transformation (eq. 5)",
-            f"seven contacts miss their T by {listed(facts['misses'])} mm (RMS) over the path, "
-            "synergies 1 to 3 at gamma = 1",
-            None,
-        ),
-        (
-            "the robotic hand is able to follow the human hand's trajectory (Fig. 5)",
-            f"over a path of {facts['way']:.0f} mm the objects' centres end "
-            f"{facts['end_rigid']:.1f} mm apart (rigid), {facts['end_soft']:.1f} mm (quasi-static "
-            "at unit stiffness)",
-            facts["end_soft"] < 0.05 * facts["way"],
-        ),
-        (
-            "the directions of the object's in-hand motion are quite comparable (Fig. 6)",
-            f"{listed(facts['angles_rigid'], 0)} degrees apart for synergies 1 to 3 (rigid), "
-            f"{listed(facts['angles_soft'], 0)} (quasi-static)",
-            max(facts["angles_rigid"] + facts["angles_soft"]) < _COMPARABLE,
-        ),
-        (
-            "contact force variations cannot simply be compared (Fig. 6)",
-            f"{human} contacts against {robot}, at other places; the sums are zero on both hands "
-            f"(within {facts['balance']:.0e} of the largest force)",
-            True,
-        ),
-        (
-            "the trajectory error is sensitive to gamma (Fig. 7, above)",
-            f"it grows {listed(facts['growth'])}-fold from gamma 0.1 to 1, synergies 1 to 3",
-            min(growth) > 2.0,
-        ),
-        (
-            "the sensitivity differs between the synergies (Fig. 7, above)",
-            f"at gamma = 1 {listed(ends)} mm (rigid), {listed(facts['ends_soft'])} mm "
-            "(quasi-static)",
-            max(ends) > 1.2 * min(ends),
-        ),
-        (
-            "the error is much less sensitive to the size of the steps (Fig. 7, below)",
-            f"from 5 to 200 steps it varies by {listed(facts['change'], 0)} % (rigid), from 20 on "
-            f"by {listed(facts['change_from_20'], 0)} %; {listed(facts['change_soft'])} % "
-            "(quasi-static, from 5)",
-            max(facts["change"]) < 100.0 * (min(growth) - 1.0),
-        ),
-        (
-            "the robot's kinematics keep it from reproducing the in-hand motion fully",
-            "with T from the first configuration imposed on it, its contacts end "
-            f"{listed(facts['point_rms'])} mm (RMS) from `T s` at gamma = 1",
-            min(facts["point_rms"]) > 0.5,
-        ),
-    ]
-    verdicts = {None: "assumed", True: "yes", False: "no"}
-    return [
-        {"the paper claims": claim, "we find": finding, "holds": verdicts[holds]}
-        for claim, finding, holds in claims
-    ]
-
-
 def number_rows(made: Sequence[FigureRecord]) -> list[Row]:
     """Final object-centre errors [mm] by gamma (20 steps) and by number of steps (gamma = 1)."""
     rows = next(record.rows for record in made if record.name == "figure_7_sensitivity")
@@ -456,8 +437,7 @@ def number_rows(made: Sequence[FigureRecord]) -> list[Row]:
     for geometry, model, synergy in product(("toolbox", "ours"), MODELS, SYNERGIES):
         errors = {
             (row["sweep"], row[row["sweep"]]): row[f"error_{model}_mm"]
-            for row in rows
-            if (row["geometry"], row["synergy"]) == (geometry, synergy)
+            for row in selected(rows, geometry=geometry, synergy=synergy)
         }
         columns = {
             f"gamma {gamma:g}": errors["gamma", gamma] for gamma in (0.1, 0.5, 1.0)

@@ -56,6 +56,13 @@ def styled(draw: Callable[_Arguments, Figure]) -> Callable[_Arguments, Figure]:
     return drawn
 
 
+def new_figure(**settings: Any) -> Figure:
+    """Return an empty figure; settings as of `matplotlib.figure.Figure`."""
+    from matplotlib.figure import Figure
+
+    return Figure(**settings)
+
+
 def words(name: str) -> str:
     """Replace the underscores of a name by spaces."""
     return name.replace("_", " ")
