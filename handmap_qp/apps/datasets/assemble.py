@@ -20,10 +20,10 @@ import numpy as np
 
 from handmap_qp.apps.datasets.episodes import read_episode
 from handmap_qp.apps.datasets.manifest import Line
+from handmap_qp.apps.offline.look_ahead import continuous_quats
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import sync, writing
-from handmap_qp.se3 import quat_wxyz_from_rotation
 from handmap_qp.trackers.formats import SEPARATOR
 from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
@@ -218,9 +218,7 @@ def _resampled(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate joints and wrist; a frame is valid between two valid samples."""
     time, wrist = columns["time"], columns["wrist"]
-    quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in wrist])
-    flips = np.einsum("ti,ti->t", quats[1:], quats[:-1]) < 0.0
-    quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    quats = continuous_quats(wrist[:, :3, :3])
     rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
     state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
     state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)

@@ -22,9 +22,9 @@ from handmap_qp.apps.datasets.manifest import Line, Status
 from handmap_qp.apps.datasets.measures import measure_episode
 from handmap_qp.apps.datasets.sources import Task
 from handmap_qp.apps.datasets.workers import time_limit
-from handmap_qp.apps.offline.look_ahead import LookAhead, look_ahead, map_both_ways
+from handmap_qp.apps.offline.look_ahead import LookAhead, map_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.apps.offline.trajectory import Trajectory, map_recording
+from handmap_qp.apps.offline.trajectory import Trajectory
 from handmap_qp.errors import (
     DiskFullError,
     HandmapError,
@@ -34,10 +34,6 @@ from handmap_qp.errors import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import scaled_human
-from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording
-from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
@@ -166,44 +162,16 @@ def _run(job: Job, started: float) -> Line:
         recording = task.source.read()
     check_recording(recording)
     robot = _robot(job.options.robots[task.side], job.options.arguments.robot_points)
-    recording, trajectory, person = map_episode(recording, robot, job.options)
+    person, options = measure_person(recording), job.options
+    recording, trajectory = map_hand(
+        recording, robot, person, options.arguments, smoother=options.smoother
+    )
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
     digest = save_episode(job.folder / task.out, trajectory, task.side)
     line = job.line("done", cpu_s=process_time() - started)
     return msgspec.structs.replace(
         line, frames=len(recording), metrics=metrics, out=task.out, sha256=digest
     )
-
-
-def map_episode(
-    recording: Recording, robot: Hand, options: JobOptions
-) -> tuple[Recording, Trajectory, Person]:
-    """Map a recording to a robot, looking ahead if asked to.
-
-    Args:
-        recording: The recording.
-        robot: The robot hand.
-        options: The options.
-
-    Returns:
-        The recording as it was mapped, the trajectory, and the person.
-
-    Raises:
-        HandmapError: If the recording cannot be mapped.
-    """
-    person = measure_person(recording)
-    if options.smoother is not None:
-        recording = look_ahead(recording, options.smoother)
-    human = scaled_human(
-        recording, points=options.arguments.human_points, lengths=person.lengths
-    )
-    choice = options.arguments.preset_for(human, robot)
-    if options.smoother is not None:
-        trajectory = map_both_ways(human, robot, choice.method, choice.ik, recording)
-        return recording, trajectory, person
-    smoothing = options.arguments.smoothing
-    mapper = HandMapper(human, robot, choice.method, ik=choice.ik)
-    return recording, map_recording(mapper, recording, smoothing=smoothing), person
 
 
 @lru_cache(maxsize=8)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.drawing.contact_sheet import save_contact_sheet
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.experiments.demo_figures import (
@@ -21,21 +22,19 @@ from handmap_qp.apps.experiments.demo_figures import (
 )
 from handmap_qp.apps.experiments.output_folder import output_folder
 from handmap_qp.apps.experiments.section_four import ARC_HEIGHT, ARC_LENGTH
+from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.trajectory import (
     Trajectory,
     map_motion,
-    map_recording,
     save_npz,
 )
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies
-from handmap_qp.human.landmarks import scaled_human
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.methods.homogeneous import Homogeneous
-from handmap_qp.mapping.presets import default_preset, preset_choice
 from handmap_qp.se3 import affine
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import DEMO, read_recording
@@ -130,12 +129,11 @@ def run_gestures(
     robot = load_hand(name)
     recording = read_recording(DEMO, robot.spec.side)
     person = measure_person(recording)
-    human = scaled_human(recording, lengths=person.lengths)
-    choice = preset_choice(default_preset(human, robot), human)
-    mapper = HandMapper(human, robot, choice.method, ik=choice.ik)
 
     def make(folder: Path) -> Trajectory:
-        trajectory = map_recording(mapper, recording, progress)
+        _, trajectory = map_hand(
+            recording, robot, person, MappingArguments(), progress=progress
+        )
         save_npz(folder / "trajectory.npz", trajectory.columns)
         columns = [(trajectory.robot.name, trajectory.robot, trajectory.q)]
         save_contact_sheet(

@@ -158,11 +158,10 @@ class Map:
 
     def _map(self, recording: Recording, robot: Hand, out: Path) -> dict[str, Any]:
         """Map one hand, write its trajectory, and return the summary."""
+        from handmap_qp.apps.offline.look_ahead import map_hand
         from handmap_qp.apps.offline.summary import summarise
-        from handmap_qp.apps.offline.trajectory import map_recording, save_npz
-        from handmap_qp.human.landmarks import scaled_human
+        from handmap_qp.apps.offline.trajectory import save_npz
         from handmap_qp.human.person import read_person
-        from handmap_qp.mapping.mapper import HandMapper
         from handmap_qp.stream.measurement import measure_person
 
         person = (
@@ -170,14 +169,9 @@ class Map:
             if self.person is None
             else read_person(self.person)
         )
-        human = scaled_human(
-            recording, points=self.arguments.human_points, lengths=person.lengths
-        )
-        preset = self.arguments.preset_for(human, robot)
-        mapper = HandMapper(human, robot, preset.method, ik=preset.ik)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
-            trajectory = map_recording(
-                mapper, recording, advance, smoothing=self.arguments.smoothing
+            _, trajectory = map_hand(
+                recording, robot, person, self.arguments, progress=advance
             )
         save_npz(out, trajectory.columns)
         return {"recording": recording.name, **summarise(trajectory), "out": str(out)}

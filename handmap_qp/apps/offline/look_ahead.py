@@ -20,21 +20,37 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations_with_replacement
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_qp.apps.offline.trajectory import Trajectory, map_recording, trajectory_of
+from handmap_qp.apps.offline.trajectory import (
+    Trajectory,
+    map_recording,
+    stretches,
+    trajectory_of,
+)
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.landmarks import PALM
+from handmap_qp.human.landmarks import PALM, scaled_human
+from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import Method
-from handmap_qp.se3 import poses_from_quats, rigid_fit
+from handmap_qp.se3 import (
+    affine,
+    inverse_pose,
+    poses_from_quats,
+    rigid_fit,
+    transform_points,
+)
 from handmap_qp.stream.follower import Follower
+
+if TYPE_CHECKING:
+    from handmap_qp.apps.arguments import MappingArguments
 
 # The last pass follows joint angles, which are inside the limits already.
 _FOLLOW = {
@@ -84,16 +100,16 @@ def look_ahead(recording: Recording, options: LookAhead | None = None) -> Record
         tracker are left out, because the filled samples have none.
     """
     chosen = options or LookAhead()
-    valid = recording.valid
-    filled = _filled(recording.time, valid, chosen.longest_gap)
+    time, valid = recording.time, recording.valid
+    filled = _filled(time, valid, chosen.longest_gap)
     landmarks = recording.landmarks.copy()
-    for part in _parts(filled):
+    for part in stretches(filled):
         if valid[part].sum() < 3:
             filled[part] &= valid[part]
-            continue
-        landmarks[part] = _smoothed(
-            recording.time[part], recording.landmarks[part], valid[part], chosen.cutoff
-        )
+        else:
+            landmarks[part] = _smoothed(
+                time[part], recording.landmarks[part], valid[part], chosen
+            )
     return replace(
         recording, landmarks=landmarks, valid=filled, wrist=None, confidence=None
     )
@@ -114,7 +130,8 @@ def smooth_poses(
         The smoothed poses, shape (T, 4, 4).
     """
     rows = np.zeros((len(time), 7))
-    rows[valid] = np.hstack([_quats(poses[valid, :3, :3]), poses[valid, :3, 3]])
+    seen = poses[valid]
+    rows[valid] = np.hstack([continuous_quats(seen[:, :3, :3]), seen[:, :3, 3]])
     smooth = whittaker(time, rows, valid.astype(float), options.cutoff)
     return poses_from_quats(smooth[:, 4:], smooth[:, :4], "poses")
 
@@ -136,23 +153,64 @@ def whittaker(
     # Imported when used: it takes a quarter of the start of a worker, and most look at the past.
     from scipy.linalg import solveh_banded
 
-    count = len(time)
     before, after = np.diff(time)[:-1], np.diff(time)[1:]
-    # Second derivative by divided differences: rows (a, -(a + b), b) over three samples.
+    # Second derivative by divided differences: rows of three factors over three samples.
     first, last = 2.0 / (before * (before + after)), 2.0 / (after * (before + after))
-    middle, span = -(first + last), 0.5 * (before + after)
-    penalty = (2.0 * np.pi * cutoff) ** -4
-    bands = np.zeros((3, count))
-    bands[2] = weight * np.gradient(time)
-    bands[2, :-2] += penalty * span * first * first
-    bands[2, 1:-1] += penalty * span * middle * middle
-    bands[2, 2:] += penalty * span * last * last
-    bands[1, 1:-1] += penalty * span * first * middle
-    bands[1, 2:] += penalty * span * middle * last
-    bands[0, 2:] += penalty * span * first * last
+    factors = (first, -(first + last), last)
+    penalty = 0.5 * (before + after) * (2.0 * np.pi * cutoff) ** -4
+    weights = weight * np.gradient(time)
+    bands = np.zeros((3, len(time)))
+    bands[2] = weights
+    for row, column in combinations_with_replacement(range(3), 2):
+        places = slice(column, len(time) - 2 + column)
+        bands[2 + row - column, places] += penalty * factors[row] * factors[column]
     known = np.where(weight[:, None] > 0.0, values, 0.0)
-    right = (weight * np.gradient(time))[:, None] * known
+    right = weights[:, None] * known
     return np.asarray(solveh_banded(bands, right, check_finite=False))
+
+
+def map_hand(
+    recording: Recording,
+    robot: Hand,
+    person: Person,
+    arguments: MappingArguments,
+    *,
+    smoother: LookAhead | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[Recording, Trajectory]:
+    """Map a recording of a person with the options of a command.
+
+    Args:
+        recording: The recording.
+        robot: The robot hand.
+        person: The person.
+        arguments: Reference points and options.
+        smoother: How the recording is smoothed as a whole; None for a mapping that knows the past
+            only, as online.
+        progress: Called after each sample with the number of samples done.
+
+    Returns:
+        The recording as it was mapped, and the trajectory.
+
+    Raises:
+        HandmapError: If the recording cannot be mapped.
+    """
+    if smoother is not None:
+        recording = look_ahead(recording, smoother)
+    human = scaled_human(
+        recording, points=arguments.human_points, lengths=person.lengths
+    )
+    choice = arguments.preset_for(human, robot)
+    if smoother is not None:
+        trajectory = map_both_ways(
+            human, robot, choice.method, choice.ik, recording, progress=progress
+        )
+        return recording, trajectory
+    mapper = HandMapper(human, robot, choice.method, ik=choice.ik)
+    trajectory = map_recording(
+        mapper, recording, progress, smoothing=arguments.smoothing
+    )
+    return recording, trajectory
 
 
 def map_both_ways(
@@ -228,56 +286,38 @@ def map_both_ways(
     )
 
 
+def continuous_quats(rotations: np.ndarray) -> np.ndarray:
+    """Return quaternions wxyz of rotations (T, 3, 3) without jumps of sign, shape (T, 4)."""
+    # Imported when used: it takes a quarter of the start of a worker, and most look at the past.
+    from scipy.spatial.transform import Rotation
+
+    quats = Rotation.from_matrix(rotations).as_quat(canonical=True, scalar_first=True)
+    flips = (quats[1:] * quats[:-1]).sum(axis=1) < 0.0
+    quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
+    return quats
+
+
 def _smoothed(
-    time: np.ndarray, landmarks: np.ndarray, valid: np.ndarray, cutoff: float
+    time: np.ndarray, landmarks: np.ndarray, valid: np.ndarray, options: LookAhead
 ) -> np.ndarray:
     """Smooth landmarks, shape (T, 21, 3): the palm's motion, and what moves in the palm."""
     seen = landmarks[valid]
-    rotations, centres = _palms(seen)
-    local = (seen - centres[:, None]) @ rotations
-    rows = np.zeros((len(time), 4 + 3 + 63))
-    rows[valid] = np.hstack([_quats(rotations), centres, local.reshape(len(seen), 63)])
-    smooth = whittaker(time, rows, valid.astype(float), cutoff)
-    poses = poses_from_quats(smooth[:, 4:7], smooth[:, :4], "landmarks")
-    inside = smooth[:, 7:].reshape(-1, 21, 3)
-    return inside @ poses[:, :3, :3].transpose(0, 2, 1) + poses[:, None, :3, 3]
-
-
-def _palms(landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rotation (T, 3, 3) and centre (T, 3) of the palm from that of the first sample."""
-    points = landmarks[:, PALM]
-    rotations = rigid_fit(points, points[0])[:, :3, :3]
-    return rotations.transpose(0, 2, 1), points.mean(axis=1)
-
-
-def _quats(rotations: np.ndarray) -> np.ndarray:
-    """Return quaternions wxyz without jumps of sign, shape (T, 4)."""
-    # Bar-Itzhack 2000: the eigenvector of the largest eigenvalue of this symmetric matrix.
-    m = rotations
-    k = np.empty((len(m), 4, 4))
-    k[:, 0, 0] = m[:, 0, 0] + m[:, 1, 1] + m[:, 2, 2]
-    k[:, 1:, 1:] = m + m.transpose(0, 2, 1) - k[:, :1, :1] * np.eye(3)
-    axis = np.stack(
-        [m[:, 2, 1] - m[:, 1, 2], m[:, 0, 2] - m[:, 2, 0], m[:, 1, 0] - m[:, 0, 1]], 1
-    )
-    k[:, 0, 1:] = k[:, 1:, 0] = axis
-    quats = np.linalg.eigh(k)[1][:, :, -1]
-    flips = np.einsum("ti,ti->t", quats[1:], quats[:-1]) < 0.0
-    quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
-    return quats
+    points = seen[:, PALM]
+    turns = rigid_fit(points[0], points)[:, :3, :3]
+    palms, local = np.zeros((len(time), 4, 4)), np.zeros((len(time), 21, 3))
+    palms[valid] = affine(turns, points.mean(axis=1))
+    local[valid] = transform_points(inverse_pose(palms[valid]), seen)
+    columns, weight = local.reshape(len(time), -1), valid.astype(float)
+    inside = whittaker(time, columns, weight, options.cutoff)
+    poses = smooth_poses(time, palms, valid, options)
+    return transform_points(poses, inside.reshape(local.shape))
 
 
 def _filled(time: np.ndarray, valid: np.ndarray, longest: float) -> np.ndarray:
     """Tell which samples are valid or in a gap that is filled, shape (T,)."""
     filled = valid.copy()
-    seen = np.flatnonzero(valid)
-    for start, end in pairwise(seen):
-        if end > start + 1 and time[end] - time[start] <= longest:
-            filled[start:end] = True
+    for gap in stretches(~valid):
+        is_inside = gap.start > 0 and gap.stop < len(time)
+        if is_inside and time[gap.stop] - time[gap.start - 1] <= longest:
+            filled[gap] = True
     return filled
-
-
-def _parts(filled: np.ndarray) -> list[slice]:
-    """Return the stretches without a gap."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], filled.astype(int), [0]])))
-    return [slice(a, b) for a, b in edges.reshape(-1, 2).tolist()]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 
-from handmap_qp.apps.offline.trajectory import Trajectory
+from handmap_qp.apps.offline.trajectory import Trajectory, stretches
 
 SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `notes` says so."""
@@ -70,27 +71,22 @@ def find_holds(trajectory: Trajectory) -> list[dict[str, Any]]:
         time of its first sample from the first sample of all on [s]; `duration` to the first sample
         that is followed again, or to the end [s]; `samples` that were not followed.
     """
-    time, is_held = trajectory.time - trajectory.time[0], ~trajectory.valid
-    edges = np.diff(is_held.astype(int), prepend=0, append=0)
-    begins, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    time = trajectory.time - trajectory.time[0]
     return [
         {
-            "rule": str(trajectory.rule[begin]),
-            "start": float(time[begin]),
-            "duration": float(time[min(end, len(time) - 1)] - time[begin]),
-            "samples": int(end - begin),
+            "rule": str(trajectory.rule[hold.start]),
+            "start": float(time[hold.start]),
+            "duration": float(time[min(hold.stop, len(time) - 1)] - time[hold.start]),
+            "samples": hold.stop - hold.start,
         }
-        for begin, end in zip(begins, ends, strict=True)
+        for hold in stretches(~trajectory.valid)
     ]
 
 
 def count_rules(trajectory: Trajectory) -> dict[str, int]:
     """Count the samples that break each rule, most frequent first."""
-    rules, counts = np.unique(
-        trajectory.rule[trajectory.rule != ""], return_counts=True
-    )
-    order = np.argsort(-counts, kind="stable")
-    return {str(rules[i]): int(counts[i]) for i in order}
+    rules = sorted(trajectory.rule[trajectory.rule != ""].tolist())
+    return dict(Counter(rules).most_common())
 
 
 def notes(summary: dict[str, Any]) -> list[str]:

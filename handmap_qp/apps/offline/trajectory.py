@@ -245,6 +245,11 @@ def held_samples(valid: np.ndarray) -> np.ndarray:
     return np.maximum.accumulate(index)
 
 
+def stretches(flags: np.ndarray) -> list[slice]:
+    """Return the stretches of samples whose flags are set; flags of shape (T,)."""
+    return np.ma.clump_masked(np.ma.array(flags, mask=flags))
+
+
 def _timed(
     mapped: Iterator[MapStep | None],
     count: int,
