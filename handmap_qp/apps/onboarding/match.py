@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,11 @@ from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Positions are written with four decimals: 0.1 mrad or 0.1 mm.
-_DECIMALS = 4
+_SCALE = 1e4
+# The key `matched` with its value: the indented lines below it, and what is between them.
+_BLOCK = re.compile(
+    r"^([\"']?)matched\1[ \t]*:.*\n((?:[ \t\r]*\n)*[ \t]+\S.*\n)*", re.M
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,28 +49,26 @@ class Match:
     def rows(self) -> list[dict[str, Any]]:
         """Return a table row for every joint of the hand: limits, rest and matched position."""
         robot = self.robot
-        columns = (robot.lower_limits, robot.upper_limits, robot.rest, self.q)
-        rows = [
-            {
-                "joint": name,
-                "lower": low,
-                "upper": high,
-                "rest": rest,
-                "matched": matched,
-            }
-            for name, low, high, rest, matched in zip(
-                robot.joint_names, *(column.tolist() for column in columns), strict=True
-            )
-        ]
-        if (given := robot.matched) is not None:
-            for row, position in zip(rows, given.tolist(), strict=True):
-                row["in hand.yaml"] = position
+        columns: dict[str, Iterable[Any]] = {
+            "joint": robot.joint_names,
+            "lower": robot.lower_limits.tolist(),
+            "upper": robot.upper_limits.tolist(),
+            "rest": robot.rest.tolist(),
+            "matched": self.q.tolist(),
+        }
+        if robot.matched is not None:
+            columns["in hand.yaml"] = robot.matched.tolist()
+        rows = (
+            dict(zip(columns, row, strict=True))
+            for row in zip(*columns.values(), strict=True)
+        )
         return [row for row in rows if row["joint"] in robot.spec.joints]
 
     @property
     def text(self) -> str:
         """Return the key `matched` of a hand.yaml."""
-        return _block({row["joint"]: row["matched"] for row in self.rows})
+        matched = {row["joint"]: row["matched"] for row in self.rows}
+        return yaml.safe_dump({"matched": matched}, sort_keys=False, allow_unicode=True)
 
 
 def match_hand(
@@ -100,8 +102,11 @@ def match_hand(
         same = recording if recording.side == robot.side else mirrored(recording)
         human = scaled_human(same, points="landmarks")
     solved = HandPair(human, robot).solve_matched()
-    limits = zip(solved, robot.lower_limits, robot.upper_limits, strict=True)
-    return Match(human, robot, np.array([_rounded(*numbers) for numbers in limits]))
+    lower, upper = robot.lower_limits, robot.upper_limits
+    # Rounding must not leave the limits, which may have more decimals.
+    inside = np.ceil(lower * _SCALE), np.floor(upper * _SCALE)
+    rounded = np.clip(np.round(solved * _SCALE), *inside) / _SCALE
+    return Match(human, robot, np.clip(rounded, lower, upper))
 
 
 def own_file(hand: str | Path) -> Path:
@@ -190,47 +195,15 @@ def check_robot(hand: Hand) -> Hand:
     return hand
 
 
-def _rounded(value: float, lower: float, upper: float) -> float:
-    """Round a position inside its limits, which may have more decimals."""
-    scale = 10.0**_DECIMALS
-    nearest = round(float(value), _DECIMALS)
-    if nearest > upper:
-        nearest = math.floor(upper * scale) / scale
-    if nearest < lower:
-        nearest = math.ceil(lower * scale) / scale
-    return nearest if lower <= nearest <= upper else float(np.clip(value, lower, upper))
-
-
-def _block(positions: dict[str, float]) -> str:
-    """Return positions as the lines of a key of a YAML file; names are quoted where needed."""
-    return yaml.safe_dump({"matched": positions}, sort_keys=False, allow_unicode=True)
-
-
 def _with_block(text: str, block: str) -> str:
     """Replace the top-level key `matched` of a YAML text, or append it."""
     newline = "\r\n" if "\r\n" in text else "\n"
     block = block.replace("\n", newline)
-    document = yaml.compose(text, Loader=yaml.SafeLoader)
-    for key, value in document.value if isinstance(document, yaml.MappingNode) else ():
-        if key.value == "matched":
-            end = max(node.end_mark.index for node in (key, *_ends(value)))
-            following = text[end:].find("\n")
-            rest = "" if following < 0 else text[end + following + 1 :]
-            return text[: key.start_mark.index] + block + rest
+    replaced, count = _BLOCK.subn(lambda _: block, text, count=1)
+    if count:
+        return replaced
     comment = (
         "# Posture for the resting human hand, of `handmap hands match` [rad or m]."
     )
     gap = "" if not text or text.endswith("\n") else newline
     return f"{text}{gap}{comment}{newline}{block}"
-
-
-def _ends(node: yaml.Node) -> Iterator[yaml.Node]:
-    """Yield the nodes whose end marks are exact.
-
-    A block mapping ends where the next key begins, behind the comments between them.
-    """
-    if isinstance(node, yaml.MappingNode) and not node.flow_style:
-        for _, value in node.value:
-            yield from _ends(value)
-    else:
-        yield node

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
+from handmap_qp.apps.drawing.contact_sheet import FINGER_COLOURS
 from handmap_qp.apps.drawing.hands import (
     HandShape,
     draw_hands,
@@ -18,24 +18,28 @@ from handmap_qp.apps.drawing.hands import (
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
+from handmap_qp.hands.fingers import PalmKinematics, place_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import transform_points
+from handmap_qp.hands.spec import PointSpec
+from handmap_qp.se3 import affine, inverse_pose, lengths, transform_points
 
 _PANEL = (760, 820)
-# From the end of an axis to its label [pixel].
-_AXIS_GAP = 14.0
-_FINGER_COLOURS = {
-    "thumb": (0.84, 0.16, 0.16),
-    "index": (0.95, 0.55, 0.05),
-    "middle": (0.16, 0.60, 0.25),
-    "ring": (0.13, 0.40, 0.85),
-    "little": (0.55, 0.25, 0.70),
-}
-_OTHER_COLOUR = (0.25, 0.25, 0.28)
+# From the end of an axis to the middle of its label, to the side and up [pixel].
+_AXIS_GAP = np.array([38.0, -14.0])
+_GREY, _OTHER_COLOUR = (0.62, 0.64, 0.67), (0.25, 0.25, 0.28)
 _AXES = ("x, across", "y, distal", "z, dorsal")
 _AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
-# Title, azimuth and elevation of the two views [deg]; `draw_hand` sets the second azimuth by side.
-_VIEWS = (("back of the hand", 90.0, 12.0), ("palm, from the thumb's side", 0.0, 12.0))
+# Title and azimuth [deg] of the two views; the second azimuth is that of a right hand.
+_VIEWS = {"back of the hand": 90.0, "palm, from the thumb's side": 215.0}
+_ELEVATION = 12.0
+# Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
+_UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
+_BOX = {
+    "facecolor": "white",
+    "alpha": 0.75,
+    "edgecolor": "none",
+    "boxstyle": "round,pad=0.15",
+}
 
 
 def picture_path(hand: str) -> Path | None:
@@ -65,20 +69,19 @@ def draw_hand(hand: Hand, path: Path) -> None:
     figure = Figure(figsize=(2 * _PANEL[0] / 100, _PANEL[1] / 100 + 0.5), dpi=100)
     FigureCanvasAgg(figure)
     height = _PANEL[1] / (_PANEL[1] + 50)
-    for i, (title, azimuth, elevation) in enumerate(_VIEWS):
+    for i, (title, azimuth) in enumerate(_VIEWS.items()):
         axes = figure.add_axes((0.5 * i, 0.0, 0.5, height))
-        turned = azimuth if i == 0 else (215.0 if hand.side == "right" else -35.0)
-        scene.draw(axes, turned, elevation)
+        scene.draw(axes, 180.0 - azimuth if i and hand.side == "left" else azimuth)
         axes.text(
             _PANEL[0] / 2, 14, title, ha="center", va="top", fontsize=11, color="0.35"
         )
-    kinds = hand.all_joint_roles
-    count = kinds.count("active")
-    what = f"{hand.name}: a {hand.side} hand, {count} joint{'s' if count > 1 else ''}"
-    if "follower" in kinds:
-        count = kinds.count("follower")
-        what += f", {count} follower{'s' if count > 1 else ''}"
-    figure.text(0.5, 0.975, f"{what}; at rest", ha="center", va="center", fontsize=14)
+    counts = [
+        f"{count} {word}{'s' if count > 1 else ''}"
+        for role, word in (("active", "joint"), ("follower", "follower"))
+        if (count := hand.all_joint_roles.count(role))
+    ]
+    what = f"{hand.name}: a {hand.side} hand, {', '.join(counts)}; at rest"
+    figure.text(0.5, 0.975, what, ha="center", va="center", fontsize=14)
     save_picture(figure, path, facecolor="white")
 
 
@@ -87,101 +90,68 @@ class _Scene:
 
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
-        palm = hand.frame_pose("palm", hand.rest)
-        # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
-        upright = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-        self._to_picture = np.eye(4)
-        self._to_picture[:3, :3] = upright @ palm[:3, :3].T
-        self._to_picture[:3, 3] = -self._to_picture[:3, :3] @ palm[:3, 3]
-        self.points = transform_points(self._to_picture, hand.points(hand.rest))
-        self.size = float(np.linalg.norm(self.points, axis=1).max())
-        self.triangles = self._solid()
-        length = 0.28 * self.size
-        self.axes = length * (upright.T)
+        to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
+        points = transform_points(to_palm, hand.points(hand.rest))
+        self.points, self.size = points @ _UPRIGHT.T, lengths(points).max()
+        self.triangles = self._solid().moved(affine(_UPRIGHT, np.zeros(3)))
+        self.axes = 0.28 * self.size * _UPRIGHT.T
         self.marks = self._marks()
 
-    def draw(self, axes: Any, azimuth: float, elevation: float) -> None:
+    def draw(self, axes: Any, azimuth: float) -> None:
         """Draw one view into a matplotlib axes."""
-        around = [
-            self.triangles.vertices.reshape(-1, 3),
-            self.points,
-            self.axes,
-            np.zeros((1, 3)),
-        ]
+        corners = self.triangles.vertices.reshape(-1, 3)
         # The margin leaves room for labels on both sides.
         camera = Camera.framing(
-            np.concatenate(around),
+            np.vstack([corners, self.points, self.axes, np.zeros(3)]),
             _PANEL,
             azimuth=azimuth,
-            elevation=elevation,
+            elevation=_ELEVATION,
             margin=0.13,
         )
         draw_hands(axes, self.triangles, camera, marks=self.marks, supersampling=2)
         origin = camera.project(np.zeros(3))[:2]
         for tip, name, colour in zip(self.axes, _AXES, _AXIS_COLOURS, strict=True):
-            x, y, _ = camera.project(tip)
-            right, down = x - origin[0], y - origin[1]
             # Write beyond the end of the axis, so that the end stays visible.
-            is_upright = abs(down) > abs(right)
-            horizontal = "center" if is_upright else "left" if right > 0.0 else "right"
-            vertical = ("top" if down > 0.0 else "bottom") if is_upright else "center"
-            x += 0.0 if is_upright else np.copysign(_AXIS_GAP, right)
-            y += np.copysign(_AXIS_GAP, down) if is_upright else 0.0
-            axes.text(
-                x,
-                y,
+            way = camera.project(tip)[:2] - origin
+            axes.annotate(
                 name,
+                xy=origin + way,
+                xytext=_AXIS_GAP * way / max(np.linalg.norm(way), 1e-9),
+                textcoords="offset pixels",
+                ha="center",
+                va="center",
                 color=colour,
                 fontsize=10,
-                ha=horizontal,
-                va=vertical,
-                bbox=_box(),
+                bbox=_BOX,
             )
         self._label(axes, camera.project(self.points)[:, :2])
 
     def _label(self, axes: Any, places: np.ndarray) -> None:
         """Write the points' names at the panel's edges, each with a line to its point."""
-        middle = 0.5 * float(places[:, 0].min() + places[:, 0].max())
-        names = [point.name for point in self.hand.reference_points]
-        for is_right in (False, True):
-            chosen = [
-                i for i in range(len(places)) if (places[i, 0] > middle) == is_right
-            ]
-            # Among points at the same height, label the farthest from the edge on top, so that its
-            # line passes above the others.
-            towards = 1.0 if is_right else -1.0
-            chosen.sort(
-                key=lambda i, towards=towards: (
-                    round(places[i, 1] / 20.0),
-                    towards * places[i, 0],
-                )
-            )
-            heights = _spaced(
-                np.array([places[i, 1] for i in chosen]), 24.0, 50.0, _PANEL[1] - 20.0
-            )
-            for i, height in zip(chosen, heights, strict=True):
+        is_right = places[:, 0] > 0.5 * (places[:, 0].min() + places[:, 0].max())
+        for side, edge in ((is_right, _PANEL[0] - 8), (~is_right, 8)):
+            chosen = np.flatnonzero(side)
+            chosen = chosen[np.argsort(places[chosen, 1])]
+            # At least this far apart [pixel], and inside the panel if they fit.
+            steps = 24.0 * np.arange(len(chosen))
+            heights = np.maximum.accumulate(places[chosen, 1] - steps) + steps
+            excess = max(0.0, heights.max(initial=0.0) - _PANEL[1] + 20.0)
+            for i, height in zip(chosen.tolist(), heights - excess, strict=True):
                 colour = self._colour(i)
-                edge = _PANEL[0] - 8 if is_right else 8
                 axes.annotate(
-                    names[i],
-                    xy=(places[i, 0], places[i, 1]),
+                    self.hand.reference_points[i].name,
+                    xy=places[i],
                     xytext=(edge, height),
-                    ha="right" if is_right else "left",
+                    ha="right" if edge > 8 else "left",
                     va="center",
                     fontsize=10,
                     color=colour,
-                    bbox=_box(),
-                    arrowprops={
-                        "arrowstyle": "-",
-                        "color": colour,
-                        "linewidth": 0.8,
-                        "shrinkA": 0,
-                        "shrinkB": 3,
-                    },
+                    bbox=_BOX,
+                    arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.8},
                 )
 
     def _colour(self, i: int) -> tuple[float, float, float]:
-        return _FINGER_COLOURS.get(
+        return FINGER_COLOURS.get(
             self.hand.reference_points[i].finger or "", _OTHER_COLOUR
         )
 
@@ -198,74 +168,23 @@ class _Scene:
     def _solid(self) -> Triangles:
         """Return the hand's surface without its arm; sticks between joints if it has no shapes."""
         hand, model = self.hand, self.hand.model
-        shape = load_shape(hand)
         wrist = model.frames[hand.wrist_frame_id].parentJoint
-        own = [link for link in shape.links if self._is_of_hand(link.link, wrist)]
-        if own:
-            vertices, colours, normals = HandShape(hand, tuple(own)).triangles(
-                hand.rest
-            )
-        else:
-            vertices, colours, normals = merged(self._sticks(wrist))
-        return Triangles(
-            transform_points(self._to_picture, vertices),
-            colours,
-            normals @ self._to_picture[:3, :3].T,
-        )
-
-    def _is_of_hand(self, link: str, wrist: int) -> bool:
-        model = self.hand.model
-        joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
-        return wrist == 0 or wrist in model.supports[joint]
-
-    def _sticks(self, wrist: int) -> list[Triangles]:
-        hand, model = self.hand, self.hand.model
-        workspace = hand.configuration()
-        workspace.place_frames(hand.configuration_vector(hand.rest))
-        grey, thickness = (0.62, 0.64, 0.67), 0.015 * self.size
-        joints = [
-            i
-            for i in range(1, model.njoints)
-            if wrist == 0 or (i != wrist and wrist in model.supports[i])
+        links = [
+            link
+            for link in load_shape(hand).links
+            if wrist in model.supports[place_of(hand, PointSpec("", link.link))[0]]
         ]
-        ends = [
-            (
-                workspace.data.oMi[model.parents[i]].translation,
-                workspace.data.oMi[i].translation,
-            )
-            for i in joints
+        if links:
+            shape = HandShape(hand, tuple(links)).triangles(hand.rest)
+            return shape.moved(inverse_pose(hand.frame_pose("palm", hand.rest)))
+        origin, tips = np.zeros(3), [place_of(hand, p) for p in hand.reference_points]
+        sticks = [
+            ((model.parents[joint], origin), (joint, origin))
+            for joint in range(wrist + 1, model.njoints)
+            if wrist in model.supports[joint]
         ]
-        for i, point in enumerate(hand.reference_points):
-            parent = model.frames[
-                model.getFrameId(point.link, pin.FrameType.BODY)
-            ].parentJoint
-            ends.append(
-                (workspace.data.oMi[parent].translation, hand.points(hand.rest)[i])
-            )
-        return [
-            tube(np.array(pair), thickness, grey)
-            for pair in ends
-            if np.linalg.norm(pair[1] - pair[0]) > 1e-4
-        ]
-
-
-def _spaced(heights: np.ndarray, gap: float, top: float, bottom: float) -> np.ndarray:
-    """Move ascending heights apart to at least `gap`, inside the panel if they fit."""
-    placed = np.clip(heights, top, bottom)
-    for _ in range(200):
-        for i in range(1, len(placed)):
-            lack = gap - (placed[i] - placed[i - 1])
-            if lack > 0.0:
-                placed[i - 1] -= lack / 2.0
-                placed[i] += lack / 2.0
-        placed = np.clip(placed, top, bottom)
-    return placed
-
-
-def _box() -> dict[str, Any]:
-    return {
-        "facecolor": "white",
-        "alpha": 0.75,
-        "edgecolor": "none",
-        "boxstyle": "round,pad=0.15",
-    }
+        sticks += [((tip[0], origin), tip) for tip in tips]
+        places = [place for stick in sticks for place in stick]
+        ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)
+        ends = ends[lengths(ends[:, 1] - ends[:, 0]) > 1e-4]
+        return merged([tube(pair, 0.015 * self.size, _GREY) for pair in ends])
