@@ -30,7 +30,7 @@ from patience import wait_until
 
 from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.apps.arguments import MappingArguments
-from handmap_qp.apps.datasets import engines, sources
+from handmap_qp.apps.datasets import engines, sources, workers
 from handmap_qp.apps.datasets.assemble import assemble
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import PoolEngine, SerialEngine, _next_group
@@ -221,8 +221,8 @@ def test_workers_that_never_start_end_the_batch_with_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture,
 ) -> None:
-    monkeypatch.setattr(engines, "start_worker", die_at_once)
-    monkeypatch.setattr(engines, "_MOST_STARTS", 2)
+    monkeypatch.setattr(workers, "start_worker", die_at_once)
+    monkeypatch.setattr(workers, "MOST_STARTS", 2)
     command = [
         "batch",
         str(inputs),
@@ -319,12 +319,12 @@ def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(
     wait_until(
         lambda: manifest.exists() and manifest.read_bytes().count(b"\n"), "begins", LONG
     )
-    workers = children(process.pid)
-    assert workers
+    started = children(process.pid)
+    assert started
     process.kill()
     process.communicate()
     wait_until(
-        lambda: not any(map(is_alive, workers)), "workers end with their parent", LONG
+        lambda: not any(map(is_alive, started)), "workers end with their parent", LONG
     )
     done = manifest.read_bytes().count(b"\n")
     assert done < count

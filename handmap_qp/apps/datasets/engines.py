@@ -11,7 +11,7 @@ import os
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
@@ -21,13 +21,7 @@ from typing import Any, NamedTuple
 
 from handmap_qp.apps.datasets.episodes import Job, run_job, synced
 from handmap_qp.apps.datasets.manifest import MOST_KILLS, Line
-from handmap_qp.apps.datasets.workers import (
-    CONTEXT,
-    ONE_THREAD,
-    no_start,
-    one_thread,
-    start_worker,
-)
+from handmap_qp.apps.datasets.workers import ONE_THREAD, started_pool
 from handmap_qp.errors import HandmapError, MissingExtraError
 from handmap_qp.output_files import remove_torn
 
@@ -36,8 +30,6 @@ GROUP_FRAMES = 1024
 message to another process takes 3 ms of CPU time of both."""
 _IN_FLIGHT = 3
 """Groups of jobs given to each worker in advance, so that it never waits."""
-_MOST_STARTS = 10
-"""Pools in a row whose first worker dies before it begins; after that, none is started."""
 
 Group = tuple[Job, ...]
 """Jobs that a worker runs one after the other."""
@@ -105,19 +97,15 @@ class Engine(ABC):
         flying: dict[Future[Sequence[Line]], Group] = {}
         with self.start(self._count) as workers:
             most = max(1, _IN_FLIGHT * workers.count)
-            while flying or (waiting and not suspects and not is_stopped()):
-                if is_stopped():
-                    # Cancelled ones are given up: a next run begins with them.
-                    flying = {
-                        future: jobs
-                        for future, jobs in flying.items()
-                        if not future.cancel()
-                    }
-                while (
-                    waiting and not suspects and not is_stopped() and len(flying) < most
-                ):
+            while True:
+                while waiting and not (suspects or len(flying) >= most or is_stopped()):
                     jobs = _next_group(waiting, workers.count)
                     flying[workers.submit(jobs)] = jobs
+                if is_stopped():
+                    # Cancelled ones are given up: a next run begins with them.
+                    flying = {f: jobs for f, jobs in flying.items() if not f.cancel()}
+                if not flying:
+                    return
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
                     jobs, lines = flying.pop(future), _result(future, workers.death)
                     suspects.extend(jobs if lines is None else ())
@@ -174,18 +162,8 @@ class PoolEngine(Engine):
     @contextmanager
     def start(self, count: int) -> Iterator[Workers]:
         """Start spawned workers with one thread each."""
-        with one_thread():
-            for _ in range(_MOST_STARTS):
-                pool = ProcessPoolExecutor(
-                    count, mp_context=CONTEXT, initializer=start_worker
-                )
-                try:
-                    if _begins(pool):
-                        yield Workers(partial(pool.submit, run_group), count)
-                        return
-                finally:
-                    pool.shutdown(cancel_futures=True)
-        raise no_start(_MOST_STARTS)
+        with started_pool(count) as pool:
+            yield Workers(partial(pool.submit, run_group), count)
 
 
 class RayEngine(Engine):
@@ -229,15 +207,6 @@ class RayEngine(Engine):
 
         cpus = int(ray.cluster_resources().get("CPU", count))
         yield Workers(submit, max(1, cpus), ray.exceptions.RayError)
-
-
-def _begins(pool: ProcessPoolExecutor) -> bool:
-    """Return whether a first worker comes up; one that dies here has no recording to blame."""
-    try:
-        pool.submit(os.getpid).result()
-    except BrokenProcessPool:
-        return False
-    return True
 
 
 def _result(

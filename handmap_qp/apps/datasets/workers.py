@@ -7,9 +7,10 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from multiprocessing.connection import Connection
-from typing import TypeVar
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any, TypeVar
 
 from handmap_qp.errors import InvalidInputError
 
@@ -21,6 +22,8 @@ ONE_THREAD = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"
 )
 """Environment of a worker, read by its BLAS when it starts."""
+MOST_STARTS = 10
+"""Pools in a row whose first worker dies before it begins; after that, none is started."""
 
 
 @contextmanager
@@ -51,27 +54,53 @@ def _end_with_parent() -> None:
 
 
 @contextmanager
-def time_limit(seconds: int) -> Iterator[None]:
+def time_limit(seconds: float) -> Iterator[None]:
     """End a worker whose block takes longer, as libhdf5 may; a kill is counted and tried again."""
     is_worker = multiprocessing.parent_process() is not None
     if is_worker:
-        signal.alarm(seconds)
+        signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         if is_worker:
-            signal.alarm(0)
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
-def no_start(count: int) -> InvalidInputError:
-    """Return the error of workers that do not start: memory, or how a script starts processes."""
-    return InvalidInputError(
+@contextmanager
+def started_pool(count: int) -> Iterator[ProcessPoolExecutor]:
+    """Start spawned workers with one thread each.
+
+    Raises:
+        InvalidInputError: If the first worker dies before it begins, several times in a row: memory
+            is short, or a script starts processes without a guard.
+    """
+    with one_thread():
+        for _ in range(MOST_STARTS):
+            pool = ProcessPoolExecutor(
+                count, mp_context=CONTEXT, initializer=start_worker
+            )
+            try:
+                if _begins(pool):
+                    yield pool
+                    return
+            finally:
+                pool.shutdown(cancel_futures=True)
+    raise InvalidInputError(
         argument="--workers",
         expected="processes that start",
-        got=f"{count} in a row that died before they began",
+        got=f"{MOST_STARTS} in a row that died before they began",
         advice="take fewer if memory is short, or 0 to map in this process; in a script, "
         "call it below `if __name__ == '__main__':`",
     )
+
+
+def _begins(pool: ProcessPoolExecutor) -> bool:
+    """Return whether a first worker comes up; one that dies here has no recording to blame."""
+    try:
+        pool.submit(os.getpid).result()
+    except BrokenProcessPool:
+        return False
+    return True
 
 
 def each_apart(
@@ -92,34 +121,15 @@ def each_apart(
     """
     found: list[_Result | None] = []
     while len(found) < len(items):
-        results, theirs = CONTEXT.Pipe(duplex=False)
-        rest = list(items[len(found) :])
-        process = CONTEXT.Process(
-            target=_call_each, args=(theirs, call, rest), daemon=True
-        )
-        with one_thread():
-            process.start()
-        theirs.close()
-        try:
-            results.recv()
-        except EOFError:
-            raise no_start(1) from None
-        with suppress(EOFError):
-            while len(found) < len(items) and results.poll(patience):
-                found.append(results.recv())
-        process.kill()
-        process.join()
-        results.close()
-        if len(found) < len(items):
-            found.append(None)
+        with started_pool(1) as pool:
+            try:
+                for item in items[len(found) :]:
+                    found.append(pool.submit(_timed, call, item, patience).result())
+            except BrokenProcessPool:
+                found.append(None)
     return found
 
 
-def _call_each(
-    results: Connection, call: Callable[[_Item], _Result], items: Sequence[_Item]
-) -> None:
-    """Send a sign of life, then the result of each item."""
-    start_worker()
-    results.send(None)
-    for item in items:
-        results.send(call(item))
+def _timed(call: Callable[[Any], Any], item: Any, patience: float) -> Any:
+    with time_limit(patience):
+        return call(item)
