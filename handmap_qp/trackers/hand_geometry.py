@@ -13,22 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.se3 import lengths
 
-_BASES = (1, 5, 9, 13, 17)
-_PAIRS = np.array(
-    [
-        pair
-        for base in _BASES
-        for pair in ((0, base), *((base + k, base + k + 1) for k in range(3)))
-    ]
-    + [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
-)
-# Each finger's three outer landmarks, each from wrist, index and little MCP joints.
-_FINGERS_FROM_PALM = (
-    np.repeat([base + k for base in _BASES for k in (1, 2, 3)], 3),
-    np.tile([0, 5, 17], 15),
-)
+_BONES = [(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)]
+_ACROSS = [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
+_PAIRS = np.array(_BONES + _ACROSS)
 # Centre and half width of log(distance / median distance) over the hands that were measured: six
 # recordings of four trackers (WebXR headset, two Leap generations, MediaPipe), the human model's
 # own proportions, and those of Buchholz et al. 1992 (`HumanLengths.from_hand_length`). The half
@@ -74,7 +63,7 @@ HYPEREXTENSION = (0.75, 0.20)
 49 and 12 degrees. MCPs reach 45 degrees by themselves (e-hand.com, normal range of motion).
 """
 # Sizes of the features of `palmar_evidence`, at which they are taken as certain.
-_FEATURE_SIZES = np.array([0.10, 0.05, 0.20, HYPEREXTENSION[1], 0.10])
+_FEATURE_SIZES = (0.10, 0.05, 0.20, HYPEREXTENSION[1], 0.10)
 
 
 class PalmarEvidence(NamedTuple):
@@ -98,58 +87,56 @@ class PalmarEvidence(NamedTuple):
 
 
 class Distances(NamedTuple):
-    """Distances between pairs of landmarks over some samples.
+    """Distances that bones and palm keep, over some samples.
 
     Attributes:
-        medians: Logarithms of the median distances [log m].
+        medians: Logarithms of the median distances [log m], shape (..., 26).
         spreads: Interquartile ranges of the logarithms, as standard deviations; same shape.
     """
 
     medians: np.ndarray
     spreads: np.ndarray
 
-    def length(self, pairs: slice) -> float:
-        """Return the sum of some median distances [m]."""
-        return float(np.exp(self.medians[pairs]).sum())
-
-
-MIDDLE_FINGER = slice(8, 12)
-"""The pairs from the wrist to the tip of the middle finger, in `own_distances`."""
-_ROWS, _COLUMNS = np.triu_indices(LANDMARK_COUNT, 1)
+    @property
+    def hand_length(self) -> float:
+        """Length from the wrist to the tip of the middle finger along the bones [m]."""
+        return float(np.exp(self.medians[8:12]).sum())
 
 
 def own_distances(landmarks: np.ndarray) -> Distances:
     """Measure the distances that bones and palm keep, in our order.
 
     Args:
-        landmarks: Finite landmarks in any unit, shape (T, 21, 3).
-
-    Returns:
-        Medians and spreads, shape (26,).
+        landmarks: Finite landmarks in any unit, shape (T, ..., 21, 3).
     """
-    return _measure(landmarks, *_PAIRS.T)
-
-
-def all_distances(landmarks: np.ndarray) -> Distances:
-    """Measure all distances between landmarks.
-
-    Args:
-        landmarks: Finite landmarks in any unit and order, shape (T, 21, 3).
-
-    Returns:
-        Medians and spreads, shape (21, 21); -inf and 0 on the diagonals.
-    """
-    found = _measure(landmarks, _ROWS, _COLUMNS)
-    medians = np.full((LANDMARK_COUNT, LANDMARK_COUNT), -np.inf)
-    spreads = np.zeros_like(medians)
-    medians[_ROWS, _COLUMNS] = medians[_COLUMNS, _ROWS] = found.medians
-    spreads[_ROWS, _COLUMNS] = spreads[_COLUMNS, _ROWS] = found.spreads
-    return Distances(medians, spreads)
+    pairs = landmarks[..., _PAIRS, :]
+    squares = np.square(pairs[..., 0, :] - pairs[..., 1, :]).sum(axis=-1)
+    squares.sort(axis=0)
+    count = len(squares)
+    rows = squares[[count // 4, count // 2, count - 1 - count // 4]]
+    low, middle, high = 0.5 * np.log(np.maximum(rows, 1e-24))
+    return Distances(middle, (high - low) / _QUARTILES_APART)
 
 
 def log_size(distances: Distances) -> float:
-    """Return the logarithm of a hand's size, the median over `own_distances` of all pairs."""
+    """Return the logarithm of a hand's size, the median over all pairs."""
     return median(distances.medians - _CENTRES)
+
+
+def misfit(distances: Distances) -> np.ndarray:
+    """Tell how badly landmarks fit a hand in our order, shape (...).
+
+    Returns:
+        Root mean square deviation from the proportions of hands [half widths of their range], and
+        from rigidity. Below 1.3 for hands, above 1.5 for orders that are wrong in more than the
+        exchange of two similar fingers. Noise makes bones look soft; without spreads, proportions
+        alone count.
+    """
+    deviations = distances.medians - _CENTRES
+    middle = np.sort(deviations, axis=-1)[..., len(_CENTRES) // 2, None]
+    deviations = (deviations - middle) / _WIDTHS
+    squares = deviations**2 + (distances.spreads / _RIGID_SPREAD) ** 2
+    return np.sqrt(np.minimum(squares, _LARGEST_DEVIATION**2).mean(axis=-1))
 
 
 def stuck_fingers(landmarks: np.ndarray) -> np.ndarray:
@@ -163,7 +150,8 @@ def stuck_fingers(landmarks: np.ndarray) -> np.ndarray:
     Returns:
         True or False for each finger, shape (5,).
     """
-    bones = _squares(landmarks, *_PAIRS[:20].T).reshape(-1, 5, 4)[:, :, 2:]
+    chains = landmarks[:, 1:].reshape(-1, 5, 4, 3)
+    bones = np.square(np.diff(chains[:, :, 1:], axis=2)).sum(axis=3)
     trembling = (np.ptp(bones, axis=0) / bones.mean(axis=0)).max(axis=1)
     usual = median(trembling)
     # Rounded landmarks of a hand at rest repeat in the tracker's world too.
@@ -182,75 +170,15 @@ def carried_fingers(landmarks: np.ndarray) -> np.ndarray:
     Returns:
         True or False for each finger, shape (5,).
     """
-    away = np.sqrt(_squares(landmarks, *_FINGERS_FROM_PALM)).reshape(-1, 5, 9)
+    chains = landmarks[:, 1:].reshape(-1, 5, 4, 3)
+    spans = chains[:, :, 1:, None] - landmarks[:, None, None, [0, 5, 17]]
+    away = lengths(spans).reshape(-1, 5, 9)
     ranges = np.ptp(away, axis=0).max(axis=1)
     changing = (np.abs(np.diff(away, axis=0)) > _STEP).any(axis=2).mean(axis=0)
-    bones = np.diff(landmarks[-1, 1:].reshape(5, 4, 3), axis=1)
-    bones /= np.maximum(np.linalg.norm(bones, axis=2, keepdims=True), 1e-12)
+    bones = _unit(np.diff(chains[-1], axis=1))
     bends = (bones[:, 1:] * bones[:, :-1]).sum(axis=2)
     is_inside = ((bends > _INSIDE[0]) & (bends < _INSIDE[1])).any(axis=1)
     return (ranges < _CARRIED) & is_inside & (median(changing) > _OTHERS_CHANGE)
-
-
-def own_misfit(distances: Distances) -> float:
-    """Tell how badly landmarks in our order fit a hand.
-
-    Args:
-        distances: Of `own_distances`.
-
-    Returns:
-        The misfit, as of `misfits_of_orders`.
-    """
-    return float(_misfits(distances.medians, distances.spreads))
-
-
-def shape_misfit(distances: Distances) -> float:
-    """Return the misfit of landmarks in our order by proportions alone, without rigidity.
-
-    Noise makes bones look soft, and leaves their median lengths.
-    """
-    return float(_misfits(distances.medians, np.zeros_like(distances.spreads)))
-
-
-def misfits_of_orders(distances: Distances, orders: np.ndarray) -> np.ndarray:
-    """Tell how badly landmarks fit a hand, for several orders.
-
-    Args:
-        distances: Of `all_distances`.
-        orders: Orders to try, shape (K, 21): row by row, the index at which each of our landmarks
-            (`HumanSample.landmarks`) is found.
-
-    Returns:
-        Root mean square deviation from the proportions of hands [half widths of their range], and
-        from rigidity, shape (K,). Below 1.3 for hands, above 1.5 for orders that are wrong in more
-        than the exchange of two similar fingers.
-    """
-    first, second = orders[:, _PAIRS[:, 0]], orders[:, _PAIRS[:, 1]]
-    return _misfits(distances.medians[first, second], distances.spreads[first, second])
-
-
-def _measure(landmarks: np.ndarray, first: np.ndarray, second: np.ndarray) -> Distances:
-    """Return medians and spreads of the distances between pairs."""
-    squares = np.sort(_squares(landmarks, first, second), axis=0)
-    count = len(squares)
-    rows = squares[[count // 4, count // 2, count - 1 - count // 4]]
-    low, middle, high = 0.5 * np.log(np.maximum(rows, 1e-24))
-    return Distances(middle, (high - low) / _QUARTILES_APART)
-
-
-def _squares(
-    landmarks: np.ndarray, first: np.ndarray, second: np.ndarray
-) -> np.ndarray:
-    return np.square(landmarks[:, first] - landmarks[:, second]).sum(axis=-1)
-
-
-def _misfits(logs: np.ndarray, spreads: np.ndarray) -> np.ndarray:
-    """Return the misfits of medians and spreads, shape (..., 26) -> (...)."""
-    deviations = logs - _CENTRES
-    middle = np.sort(deviations, axis=-1)[..., len(_CENTRES) // 2, None]
-    deviations = (deviations - middle) / _WIDTHS
-    squares = deviations**2 + (spreads / _RIGID_SPREAD) ** 2
-    return np.sqrt(np.minimum(squares, _LARGEST_DEVIATION**2).mean(axis=-1))
 
 
 def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
@@ -266,38 +194,28 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
         The evidence for a right hand, sample by sample; about 0 for a flat hand of a tracker
         without an arched palm.
     """
-    along = landmarks[:, 9] - landmarks[:, 0]
-    along /= _norms(along)
-    palmar = cross(
-        landmarks[:, 5] - landmarks[:, 0], landmarks[:, 17] - landmarks[:, 0]
-    )
-    palmar /= _norms(palmar)
-    # Only heights above the palm's plane matter, so project all landmarks once.
-    heights = np.einsum("tki,ti->tk", landmarks, palmar)
-    heights -= heights[:, :1]
-    heights /= _norms(landmarks[:, 9] - landmarks[:, 0])
+    offsets = landmarks - landmarks[:, :1]
+    along, palmar = offsets[:, 9], _unit(np.cross(offsets[:, 5], offsets[:, 17]))
+    heights = (offsets @ palmar[:, :, None])[:, :, 0] / _sizes(along)[:, None]
     fingers = landmarks[:, 5:].reshape(-1, 4, 4, 3)
-    bones = fingers[:, :, 1:3] - fingers[:, :, :2]
-    bones /= np.maximum(np.sqrt(np.einsum("tfki,tfki->tfk", bones, bones)), 1e-12)[
-        ..., None
-    ]
-    bends = np.einsum(
-        "tfi,ti->tf", cross(bones[:, :, 0], bones[:, :, 1]), cross(along, palmar)
-    )
-    features = np.empty((len(landmarks), 5))
-    features[:, 0] = heights[:, 1]
-    features[:, 1] = -0.5 * (heights[:, 9] + heights[:, 13])
-    features[:, 2] = heights[:, 2]
-    features[:, 3] = bends.mean(axis=1)
+    bones = _unit(np.diff(fingers[:, :, :3], axis=2))
+    turns = np.cross(bones[:, :, 0], bones[:, :, 1])
+    bends = turns @ np.cross(_unit(along), palmar)[:, :, None]
     # Up to people's hyperextension, an MCP joint may be bent to either side.
-    bent = np.einsum("tfi,ti->tf", bones[:, :, 0], palmar).mean(axis=1)
-    features[:, 4] = bent - np.minimum(
-        np.maximum(bent, -HYPEREXTENSION[0]), HYPEREXTENSION[0]
+    bent = (bones[:, :, 0] @ palmar[:, :, None]).mean(axis=(1, 2))
+    limit = HYPEREXTENSION[0]
+    features = [
+        heights[:, 1],
+        -0.5 * (heights[:, 9] + heights[:, 13]),
+        heights[:, 2],
+        bends.mean(axis=(1, 2)),
+        bent - np.clip(bent, -limit, limit),
+    ]
+    base, arch, thumb, *fingers = (
+        np.clip(feature / size, -1.0, 1.0)
+        for feature, size in zip(features, _FEATURE_SIZES, strict=True)
     )
-    scores = np.minimum(np.maximum(features / _FEATURE_SIZES, -1.0), 1.0)
-    return PalmarEvidence(
-        scores[:, :2].sum(axis=1), scores[:, 2], scores[:, 3:].sum(axis=1)
-    )
+    return PalmarEvidence(base + arch, thumb, fingers[0] + fingers[1])
 
 
 def median(values: np.ndarray) -> float:
@@ -305,15 +223,10 @@ def median(values: np.ndarray) -> float:
     return float(np.sort(values)[len(values) // 2])
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return cross products, without the overhead that `np.cross` has on small arrays."""
-    first, second = a[..., _NEXT], b[..., _NEXT]
-    return first * b[..., _LAST] - a[..., _LAST] * second
+def _sizes(vectors: np.ndarray) -> np.ndarray:
+    """Return lengths of vectors, shape (...) of (..., 3), nowhere 0."""
+    return np.maximum(lengths(vectors), 1e-12)
 
 
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
-
-
-def _norms(vectors: np.ndarray) -> np.ndarray:
-    """Return lengths of vectors (T, 3), shape (T, 1), nowhere 0."""
-    return np.sqrt(np.maximum(np.einsum("ti,ti->t", vectors, vectors), 1e-24))[:, None]
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / _sizes(vectors)[..., None]

@@ -63,34 +63,58 @@ Change = Callable[[HumanSample, float, Onset], dict[str, Any]]
 """Takes a sample and the size of the fault, returns the fields that change."""
 
 
-def _jump(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
+def _jump(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> dict[str, Any]:
     return _moved(sample, affine(np.eye(3), size * onset.direction))
 
 
-def _flip(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
+def _flip(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> dict[str, Any]:
     wrist, axis, _ = _palm_axes(sample.landmarks)
     rotation = 2.0 * np.outer(axis, axis) - np.eye(3)
     return _moved(sample, affine(rotation, wrist - rotation @ wrist))
 
 
-def _mirror(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
+def _mirror(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> dict[str, Any]:
     wrist, _, normal = _palm_axes(sample.landmarks)
     reflection = np.eye(3) - 2.0 * np.outer(normal, normal)
     return {"landmarks": (sample.landmarks - wrist) @ reflection.T + wrist}
 
 
-def _zero(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
+def _zero(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> dict[str, Any]:
     wrist = None if sample.wrist is None else np.eye(4)
     return {"landmarks": np.zeros((LANDMARK_COUNT, 3)), "wrist": wrist}
 
 
-def _outlier(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
+def _outlier(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> dict[str, Any]:
     landmarks = sample.landmarks.copy()
     landmarks[onset.landmark] += size * onset.direction
     return {"landmarks": landmarks}
 
 
-def _noise(sample: HumanSample, size: float, onset: Onset) -> dict[str, Any]:
+def _noise(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> dict[str, Any]:
     noise = onset.random.normal(scale=abs(size), size=(LANDMARK_COUNT, 3))
     return {"landmarks": sample.landmarks + noise}
 
@@ -226,7 +250,9 @@ class Fault:
         if kind is None:
             expected = f"one of {', '.join(FAULT_NAMES)}"
             raise InvalidInputError(
-                argument="fault", expected=expected, value=self.name
+                argument="fault",
+                expected=expected,
+                value=self.name,
             )
         duration = kind.duration if self.duration is None else self.duration
         size = kind.size if self.size is None else self.size
@@ -246,7 +272,9 @@ class Fault:
             if not is_right:
                 argument = f"{self.name} {name}"
                 raise InvalidInputError(
-                    argument=argument, expected=expected, value=value
+                    argument=argument,
+                    expected=expected,
+                    value=value,
                 )
         object.__setattr__(self, "size", size)
 
@@ -279,7 +307,9 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
 
 
 def inject(
-    samples: Iterable[HumanSample], faults: Sequence[Fault], seed: int = 0
+    samples: Iterable[HumanSample],
+    faults: Sequence[Fault],
+    seed: int = 0,
 ) -> Iterator[HumanSample]:
     """Change samples while faults are active; other samples pass unchanged.
 
@@ -315,7 +345,11 @@ def inject(
         yield from changed
 
 
-def _apply(fault: Fault, sample: HumanSample, onset: Onset) -> tuple[HumanSample, ...]:
+def _apply(
+    fault: Fault,
+    sample: HumanSample,
+    onset: Onset,
+) -> tuple[HumanSample, ...]:
     kind = FAULT_KINDS[fault.name]
     if kind.change is not None and (sample.valid or not kind.needs_hand):
         sample = replace(sample, **kind.change(sample, fault.size or 0.0, onset))
@@ -327,7 +361,11 @@ def _digits(number: float) -> str:
     return np.format_float_positional(number, trim="-")
 
 
-def _onset(before: HumanSample, seed: int, number: int) -> Onset:
+def _onset(
+    before: HumanSample,
+    seed: int,
+    number: int,
+) -> Onset:
     random = np.random.default_rng((seed, number))
     direction = random.normal(size=3)
     direction /= np.linalg.norm(direction)
@@ -343,7 +381,9 @@ def _parse_fault(text: str) -> Fault:
         numbers = [None if part is None else float(part) for part in match.groups()[1:]]
     except ValueError as error:
         raise InvalidInputError(
-            argument="faults", expected=expected, value=text
+            argument="faults",
+            expected=expected,
+            value=text,
         ) from error
     name, (start, duration, size) = match[1], numbers
     return Fault(name, start, duration, size)  # ty: ignore[invalid-argument-type]

@@ -4,41 +4,25 @@ from __future__ import annotations
 
 from functools import cache
 from itertools import permutations
-from typing import NamedTuple
 
 import numpy as np
 
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.trackers.hand_geometry import (
-    all_distances,
-    misfits_of_orders,
+    Distances,
+    misfit,
     own_distances,
     palmar_evidence,
-    shape_misfit,
 )
 from handmap_qp.trackers.layouts import LAYOUTS
 
-# A misfit that no hand has (`hand_geometry.own_misfit`): at most 1.2 in recordings.
+# A misfit that no hand has (`hand_geometry.misfit`): at most 1.2 in recordings.
 _NO_HAND = 1.45
 # An order must fit better than ours by this much. Real recordings fit no other order better.
 _BETTER_BY = 0.12
 # Evidence of `palmar_evidence`, from -5 to 5, that the order or the side cannot be right.
 _CONTRADICTION = 0.6
-
-
-class OrderGuess(NamedTuple):
-    """What is wrong with the order of landmarks.
-
-    Attributes:
-        name: The order that explains them, in words; empty if none does.
-        misfit: Misfit of our own order.
-        best: Misfit of the named order, or of the best one.
-    """
-
-    name: str
-    misfit: float
-    best: float
 
 
 def prepare() -> None:
@@ -47,8 +31,10 @@ def prepare() -> None:
 
 
 def find_order(
-    landmarks: np.ndarray, sign: float, own_evidence: float
-) -> OrderGuess | None:
+    landmarks: np.ndarray,
+    sign: float,
+    own_evidence: float,
+) -> str | None:
     """Look for another order that explains landmarks much better than ours.
 
     Args:
@@ -57,32 +43,27 @@ def find_order(
         own_evidence: How well the palmar side fits in our order, from -5 to 5.
 
     Returns:
-        What is wrong; None if our order is plausible and none is much better.
+        Name of the order that explains them, in words, empty if none does; None if our order is
+        plausible and none is much better.
     """
     names, orders = _known_orders()
-    misfits = misfits_of_orders(all_distances(landmarks), orders)
+    distances = own_distances(landmarks[:, orders])
+    misfits = misfit(distances)
     own = float(misfits[0])
     # The other hand is an explanation too, so an order of fingers must beat it only where our own
     # order contradicts the side.
     needed = own - _BETTER_BY if own_evidence > -_CONTRADICTION else own
-    for k in np.argsort(misfits):
-        if misfits[k] >= needed:
-            break
-        if k == 0:
-            continue
-        evidence = sign * float(
-            np.median(palmar_evidence(landmarks[:, orders[k]]).total)
-        )
-        if evidence > min(-_CONTRADICTION, own_evidence):
-            name = names[k] if misfits[k] < _NO_HAND else ""
-            return OrderGuess(name, own, float(misfits[k]))
-    if shape_misfit(own_distances(landmarks)) > _NO_HAND:
-        best = int(misfits.argmin())
-        name = (
-            names[best] if misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY) else ""
-        )
-        return OrderGuess(name, own, float(misfits[best]))
-    return None
+    better = np.argsort(misfits)
+    for k in better[misfits[better] < needed]:
+        total = palmar_evidence(landmarks[:, orders[k]]).total
+        if sign * float(np.median(total)) > min(-_CONTRADICTION, own_evidence):
+            return names[k] if misfits[k] < _NO_HAND else ""
+    shape = Distances(distances.medians[0], np.zeros(len(distances.medians[0])))
+    if misfit(shape) <= _NO_HAND:
+        return None
+    best = int(misfits.argmin())
+    is_hand = misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY)
+    return names[best] if is_hand else ""
 
 
 @cache
@@ -103,19 +84,14 @@ def named_orders() -> dict[str, np.ndarray]:
 @cache
 def _known_orders() -> tuple[list[str], np.ndarray]:
     """Return names and indices of our own order, of the named ones, and of all finger orders."""
-    names, rows = [""], [list(range(LANDMARK_COUNT))]
-    for name, order in named_orders().items():
-        names.append(f"that of the layout {name}")
-        rows.append(order.tolist())
-    names.append("one with the wrist last")
-    rows.append([20, *range(20)])
-    for fingers in permutations(range(5)):
-        if fingers == (0, 1, 2, 3, 4):
-            continue
+    own = np.arange(LANDMARK_COUNT)
+    known = {"": own}
+    known |= {f"that of the layout {n}": order for n, order in named_orders().items()}
+    known["one with the wrist last"] = np.roll(own, 1)
+    for fingers in permutations(range(len(FINGERS))):
         # Finger `fingers[k]` was found at the place of finger k.
-        order = [0] * LANDMARK_COUNT
-        for place, finger in enumerate(fingers):
-            order[1 + 4 * finger : 5 + 4 * finger] = range(1 + 4 * place, 5 + 4 * place)
-        names.append("one with the fingers " + ", ".join(FINGERS[i] for i in fingers))
-        rows.append(order)
-    return names, np.array(rows)
+        places = own[1:].reshape(-1, 4)[np.argsort(fingers)]
+        name = "one with the fingers " + ", ".join(FINGERS[i] for i in fingers)
+        known[name] = np.concatenate([[0], places.ravel()])
+    known.pop("one with the fingers " + ", ".join(FINGERS))
+    return list(known), np.array(list(known.values()))

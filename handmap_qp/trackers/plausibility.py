@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,12 +23,11 @@ from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.verdict import Finding
 from handmap_qp.trackers.hand_geometry import (
-    Distances,
     carried_fingers,
     log_size,
     median,
+    misfit,
     own_distances,
-    own_misfit,
     palmar_evidence,
     stuck_fingers,
 )
@@ -35,17 +35,23 @@ from handmap_qp.trackers.landmark_order import find_order, prepare
 from handmap_qp.trackers.units import find_length_unit, find_time_unit
 from handmap_qp.trackers.wrist_axes import WristCheck
 
-_BATCH = 16  # samples, while the finding is new
-_BATCH_TIME = 0.25  # s; a slow tracker's batch ends sooner
-_LEAST_BATCH = 8  # samples
-_CALM = 2  # batches after which the finding is no longer new
-_CALM_FACTOR = 2  # of number and time of a batch from then on
-_ALERT_BATCH = 6  # least number of samples, after `alert`
-_ALERT_TIME = 0.19  # s; two such batches are shorter than the guard's hold after a flip
+
+class _Batch(NamedTuple):
+    """When a batch is complete: at `most` samples, or at `least` ones after `time` [s]."""
+
+    most: int
+    least: int
+    time: float
+
+
+_NEW = _Batch(16, 8, 0.25)  # while the finding is new
+_CALM = _Batch(32, 16, 0.5)
+# After `alert`: two such batches are shorter than the guard's hold after a flip.
+_ALERT = _Batch(16, 6, 0.19)
+_CALM_BATCHES = 2  # after which the finding is no longer new
 _SURE_SIDE = 0.6  # of 5 (`PalmarEvidence.total`)
-_BACKWARDS = (
-    -0.95
-)  # of 2 (`PalmarEvidence.fingers`): beyond the hyperextension of people
+# Of 2 (`PalmarEvidence.fingers`): beyond the hyperextension of people.
+_BACKWARDS = -0.95
 _OTHERWISE_RIGHT = 0.25  # of 3: what palm and thumb must say for backward fingers
 _SAME_MISFIT = 0.12  # a misfit that rises by less needs no new search for orders
 _CARRIED_BATCHES = 4  # 2 s or more: what tells a finger at rest from one that is stuck
@@ -100,7 +106,10 @@ class InputCheck:
         return self._wrist.is_proven
 
     def update(
-        self, time: float, landmarks: np.ndarray, wrist: np.ndarray | None = None
+        self,
+        time: float,
+        landmarks: np.ndarray,
+        wrist: np.ndarray | None = None,
     ) -> Finding | None:
         """Take one sample in which the tracker saw the hand.
 
@@ -120,22 +129,19 @@ class InputCheck:
     def alert(self) -> None:
         """Judge the next samples by themselves and soon: something has changed."""
         self._batch.clear()
-        self._calm = -_CALM
+        self._calm = -_CALM_BATCHES
 
     def _is_complete(self) -> bool:
         """Tell whether a batch is complete."""
-        count, duration = len(self._batch), self._batch[-1][0] - self._batch[0][0]
         if self._calm < 0 or self._finding is not None:
-            return count == _BATCH or (
-                count >= _ALERT_BATCH and duration >= _ALERT_TIME
-            )
-        has_wrists = all(wrist is not None for _, _, wrist in self._batch)
-        is_new = self._calm < _CALM or (has_wrists and not self._wrist.is_proven)
-        factor = 1 if is_new else _CALM_FACTOR
+            size = _ALERT
+        else:
+            has_wrists = all(wrist is not None for _, _, wrist in self._batch)
+            is_calm = self._wrist.is_proven or not has_wrists
+            size = _CALM if is_calm and self._calm >= _CALM_BATCHES else _NEW
+        count, duration = len(self._batch), self._batch[-1][0] - self._batch[0][0]
         # A batch that began with wrists may have grown beyond the number of one without.
-        return count >= factor * _BATCH or (
-            count >= factor * _LEAST_BATCH and duration >= factor * _BATCH_TIME
-        )
+        return count >= size.most or (count >= size.least and duration >= size.time)
 
     def finish(self) -> Finding | None:
         """Judge the samples that are left, at the end of a recording.
@@ -143,22 +149,22 @@ class InputCheck:
         Returns:
             The finding; that of the only batch, if there was no other one to agree with it.
         """
-        if self._batch and (len(self._batch) >= _LEAST_BATCH or not self._batches):
+        if self._batch and (len(self._batch) >= _NEW.least or not self._batches):
             self._judge()
         self._batch.clear()
         return self._guess if self._batches == 1 else self._finding
 
     def _judge(self) -> None:
         """Examine the collected samples, and change the finding if two batches agree."""
-        columns = list(zip(*self._batch, strict=True))
+        times, points, poses = zip(*self._batch, strict=True)
         self._batch.clear()
         self._batches += 1
         before = () if self._last_time is None else (self._last_time,)
-        self._last_time = columns[0][-1]
-        has_wrists = all(wrist is not None for wrist in columns[2])
-        wrists = np.array(columns[2])[:, :3] if has_wrists else None
-        guess = self._examine(
-            np.array([*before, *columns[0]]), np.array(columns[1]), wrists
+        self._last_time = times[-1]
+        has_wrists = all(pose is not None for pose in poses)
+        wrists = np.array(poses)[:, :3] if has_wrists else None
+        guess = find_time_unit(np.array([*before, *times])) or self._examine(
+            np.array(points), wrists
         )
         # Two batches in a row must agree that something is wrong, or that nothing is.
         is_same = (guess is None) == (self._guess is None) and self._batches > 1
@@ -168,39 +174,36 @@ class InputCheck:
         self._guess = guess
 
     def _examine(
-        self,
-        times: np.ndarray,
-        landmarks: np.ndarray,
-        wrists: np.ndarray | None,
+        self, landmarks: np.ndarray, wrists: np.ndarray | None
     ) -> Finding | None:
         """Return what is wrong in one batch."""
-        if unit := find_time_unit(times):
-            return Finding("time", *unit)
         # Trackers send the same point 21 times where they lost the hand: that is no mistake of
         # units or order, and has rules of its own.
         is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
-        if not is_hand.all():
-            landmarks = landmarks[is_hand]
-            wrists = None if wrists is None else wrists[is_hand]
-            if not len(landmarks):
-                return None
+        landmarks = landmarks[is_hand]
+        wrists = None if wrists is None else wrists[is_hand]
+        if not len(landmarks):
+            return None
         distances, evidence = own_distances(landmarks), palmar_evidence(landmarks)
-        misfit = own_misfit(distances)
+        own = float(misfit(distances))
         total = median(self._sign * evidence.total)
-        is_known = misfit < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
-        guess = None if is_known else find_order(landmarks, self._sign, total)
-        if unit := find_length_unit(landmarks, distances, is_hand=guess is None):
-            return Finding("unit", *unit)
-        if guess is not None:
-            return self._order_finding(guess.name)
+        is_known = own < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
+        order = None if is_known else find_order(landmarks, self._sign, total)
+        if unit := find_length_unit(landmarks, distances, is_hand=order is None):
+            return unit
+        if order is not None:
+            return _other_order(order)
         fingers = median(self._sign * evidence.fingers)
         if fingers <= _BACKWARDS and total - fingers > _OTHERWISE_RIGHT:
             return _BENT_BACK
         if total < -_SURE_SIDE:
             return self._other_side(landmarks, wrists)
         if not is_known:
-            self._misfit = misfit
-        return self._stuck(landmarks) or self._changed(distances, landmarks, wrists)
+            self._misfit = own
+        stuck = self._stuck(landmarks) or self._resized(log_size(distances))
+        if stuck is None and wrists is not None:
+            return self._wrist.examine(landmarks, wrists)
+        return stuck
 
     def _stuck(self, landmarks: np.ndarray) -> Finding | None:
         """Tell whether a finger repeats, by this batch or by the last ones together."""
@@ -212,62 +215,50 @@ class InputCheck:
             return None
         finger = FINGERS[is_stuck.argmax()]
         problem = f"the {finger} finger repeats exactly while the others do not"
-        return Finding(
-            "frozen", problem, "check the tracker's sensor or model of that finger"
-        )
+        advice = "check the tracker's sensor or model of that finger"
+        return Finding("frozen", problem, advice)
 
-    def _changed(
-        self, distances: Distances, landmarks: np.ndarray, wrists: np.ndarray | None
-    ) -> Finding | None:
-        """Compare the hand's size with that of the first batches, and its palm with the wrist."""
-        size = log_size(distances)
+    def _resized(self, size: float) -> Finding | None:
+        """Compare the logarithm of the hand's size with that of the first batches."""
         if len(self._sizes) < _FIRST_SIZES:
             self._sizes.append(size)
         ratio = math.exp(size - median(np.array(self._sizes)))
-        if not 1.0 / _RESIZED < ratio < _RESIZED:
-            problem = f"the hand is {ratio:.3g} times as large as it was at first"
-            advice = "measure the person again, and open a session for each person"
-            return Finding("size", problem, advice)
-        if wrists is not None and (mistake := self._wrist.examine(landmarks, wrists)):
-            return Finding("wrist", *mistake)
-        return None
-
-    def _order_finding(self, name: str) -> Finding:
-        found = (
-            f"their order is {name}"
-            if name
-            else "they are no hand in any order known here"
-        )
-        return Finding(
-            "order",
-            f"the landmarks are not in the order wrist, thumb, ..., little finger; {found}",
-            "name the layout of the data (handmap layouts), or reorder them",
-        )
+        if 1.0 / _RESIZED < ratio < _RESIZED:
+            return None
+        problem = f"the hand is {ratio:.3g} times as large as it was at first"
+        advice = "measure the person again, and open a session for each person"
+        return Finding("size", problem, advice)
 
     def _other_side(self, landmarks: np.ndarray, wrists: np.ndarray | None) -> Finding:
         """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
         other = "left" if self.side == "right" else "right"
-        what, advice = (
-            f"a {other} hand, or of a mirrored world",
-            f"{_SAY.format(other)}, or {_NEGATE}",
-        )
-        if wrists is not None:
-            if WristCheck(-self._sign).examine(landmarks, wrists) is None:
-                what, advice = (
-                    f"a {other} hand, and so is the wrist's pose",
-                    _SAY.format(other),
-                )
-            else:
-                what, advice = (
-                    f"a mirrored {self.side} hand; the wrist's pose is not",
-                    _NEGATE,
-                )
+        say = f"say that the hand is the {other} one"
+        negate = "negate one axis of the data if its coordinates are left-handed"
+        if wrists is None:
+            what, advice = (
+                f"a {other} hand, or of a mirrored world",
+                f"{say}, or {negate}",
+            )
+        elif WristCheck(-self._sign).examine(landmarks, wrists) is None:
+            what, advice = f"a {other} hand, and so is the wrist's pose", say
+        else:
+            what = f"a mirrored {self.side} hand; the wrist's pose is not"
+            advice = negate
         problem = f"the landmarks are said to be of a {self.side} hand, and are those of {what}"
         return Finding("side", problem, advice)
 
 
-_SAY = "say that the hand is the {} one"
-_NEGATE = "negate one axis of the data if its coordinates are left-handed"
+def _other_order(name: str) -> Finding:
+    found = (
+        f"their order is {name}" if name else "they are no hand in any order known here"
+    )
+    return Finding(
+        "order",
+        f"the landmarks are not in the order wrist, thumb, ..., little finger; {found}",
+        "name the layout of the data (handmap layouts), or reorder them",
+    )
+
+
 _BENT_BACK = Finding(
     "flexion",
     "the fingers bend backwards, to the back of the hand",
@@ -305,17 +296,11 @@ def examine_recording(recording: Recording) -> Finding | None:
         that confuses the hand for a moment is left to the guard (`stream.guard`).
     """
     check = InputCheck(recording.side)
-    indices = np.flatnonzero(recording.valid)
-    landmarks, wrists, times = (
-        recording.landmarks,
-        recording.wrist,
-        recording.time.tolist(),
-    )
+    indices, times = np.flatnonzero(recording.valid), recording.time.tolist()
+    wrists = [None] * len(times) if recording.wrist is None else recording.wrist
     found = 0
     for i in indices.tolist():
-        finding = check.update(
-            times[i], landmarks[i], None if wrists is None else wrists[i]
-        )
+        finding = check.update(times[i], recording.landmarks[i], wrists[i])
         if finding is not None:
             found += 1
             if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 
+from handmap_qp.human.verdict import Finding
 from handmap_qp.se3 import lengths, nearest_rotation
-from handmap_qp.trackers.hand_geometry import cross, median
+from handmap_qp.trackers.hand_geometry import median
 
 _X, _Y, _Z = np.eye(3)
 
@@ -22,7 +21,7 @@ def axes_convention(distal: np.ndarray, dorsal: np.ndarray) -> np.ndarray:
     Returns:
         Rotation from the wrist's axes to ours, shape (3, 3).
     """
-    return np.stack([cross(distal, dorsal), distal, dorsal])
+    return np.stack([np.cross(distal, dorsal), distal, dorsal])
 
 
 CONVENTIONS = np.array(
@@ -60,11 +59,11 @@ def palm_axes(landmarks: np.ndarray, sign: float) -> np.ndarray:
         Rotations, shape (T, 3, 3).
     """
     offsets = landmarks - landmarks[:, :1]
-    dorsal = -sign * cross(offsets[:, 5], offsets[:, 17])
+    dorsal = -sign * np.cross(offsets[:, 5], offsets[:, 17])
     dorsal /= lengths(dorsal)[:, None]
-    lateral = cross(offsets[:, 9], dorsal)
+    lateral = np.cross(offsets[:, 9], dorsal)
     lateral /= lengths(lateral)[:, None]
-    return np.stack([lateral, cross(dorsal, lateral), dorsal], axis=2)
+    return np.stack([lateral, np.cross(dorsal, lateral), dorsal], axis=2)
 
 
 class WristCheck:
@@ -84,9 +83,7 @@ class WristCheck:
         self._start: tuple[np.ndarray, np.ndarray] | None = None
         self.is_proven = False
 
-    def examine(
-        self, landmarks: np.ndarray, wrists: np.ndarray
-    ) -> tuple[str, str] | None:
+    def examine(self, landmarks: np.ndarray, wrists: np.ndarray) -> Finding | None:
         """Compare wrist poses with the palm that the landmarks show.
 
         The rotation from one to the other must be that of a known tracker, or at least be the same
@@ -97,15 +94,16 @@ class WristCheck:
             wrists: The tracker's wrist poses, shape (T, 3, 4).
 
         Returns:
-            Problem and advice; None if they belong together.
+            What is wrong; None if they belong together.
         """
         mistake = self._mistake(landmarks, wrists)
         self.is_proven &= mistake is None
-        return mistake
+        return mistake and Finding("wrist", *mistake)
 
     def _mistake(
         self, landmarks: np.ndarray, wrists: np.ndarray
     ) -> tuple[str, str] | None:
+        """Return problem and advice."""
         apart = median(lengths(wrists[:, :, 3] - landmarks[:, 0]))
         if apart > _FARTHEST_APART:
             problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
@@ -115,27 +113,23 @@ class WristCheck:
         palm = nearest_rotation(palms.sum(axis=0))
         start = self._start or (palm, mean)
         is_steady = min(steadiness, _cosine(mean, start[1])) > _STEADY
-        if is_steady and _is_known(mean):
-            self._start = start
-            is_ours = _cosine(mean, CONVENTIONS[0]) > _FARTHEST
-            turn, change = np.arccos([_cosine(palm, start[0]), _cosine(mean, start[1])])
-            self.is_proven |= bool(is_ours and turn > _TURNED and change < _KEPT * turn)
-            return None
-        for name, others in _reinterpreted(rotations):
-            other, steadiness = _mean_relative(palms, others)
-            if steadiness > _STEADY and _is_known(other):
-                problem = f"the wrist's orientation does not follow the palm, but {name} would"
+        if not (is_steady and _is_known(mean)):
+            name = _usual_mistake(palms, rotations)
+            if name:
                 return (
-                    problem,
+                    f"the wrist's orientation does not follow the palm, but {name} would",
                     "check the order of the quaternion and the direction of the pose",
                 )
-        if is_steady:
-            self._start = start
-            return None
-        return (
-            "the wrist's orientation does not follow the palm that the landmarks show",
-            "check the order of its quaternion, and that its world is that of the landmarks",
-        )
+        if not is_steady:
+            return (
+                "the wrist's orientation does not follow the palm that the landmarks show",
+                "check the order of its quaternion, and that its world is that of the landmarks",
+            )
+        self._start = start
+        is_ours = _cosine(mean, CONVENTIONS[0]) > _FARTHEST
+        turn, change = np.arccos([_cosine(palm, start[0]), _cosine(mean, start[1])])
+        self.is_proven |= bool(is_ours and turn > _TURNED and change < _KEPT * turn)
+        return None
 
 
 def _mean_relative(
@@ -146,9 +140,9 @@ def _mean_relative(
     Steady means that the means of both halves of the samples agree: the cosine of the angle between
     them. Noise of the landmarks cancels in the means.
     """
+    relative = palms.swapaxes(1, 2) @ rotations
     half = len(palms) // 2
-    first = np.einsum("tji,tjk->ik", palms[:half], rotations[:half])
-    second = np.einsum("tji,tjk->ik", palms[half:], rotations[half:])
+    first, second = relative[:half].sum(axis=0), relative[half:].sum(axis=0)
     mean = nearest_rotation(first + second)
     if half == 0:
         return mean, 1.0
@@ -164,21 +158,27 @@ def _is_known(relative: np.ndarray) -> bool:
     return float((traces.max() - 1.0) / 2.0) > _FARTHEST
 
 
-def _reinterpreted(rotations: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the rotations as they would be if a reader had made a usual mistake.
+_ROLLS = {
+    "a quaternion w, x, y, z that was read as x, y, z, w": -1,
+    "a quaternion x, y, z, w that was read as w, x, y, z": 1,
+}
+
+
+def _usual_mistake(palms: np.ndarray, rotations: np.ndarray) -> str:
+    """Return the usual mistake of a reader that explains the rotations; empty if none does.
 
     A layout may have turned the wrist's axes to ours afterwards, so undo that for every convention.
     """
     from scipy.spatial.transform import Rotation
 
+    tried = []
     for convention in CONVENTIONS:
         xyzw = Rotation.from_matrix(rotations @ convention).as_quat()
-        for name, roll in _ROLLS:
-            yield name, Rotation.from_quat(np.roll(xyzw, roll, axis=1)).as_matrix()
-    yield "its inverse", rotations.transpose(0, 2, 1)
-
-
-_ROLLS = (
-    ("a quaternion w, x, y, z that was read as x, y, z, w", -1),
-    ("a quaternion x, y, z, w that was read as w, x, y, z", 1),
-)
+        for name, roll in _ROLLS.items():
+            rolled = Rotation.from_quat(np.roll(xyzw, roll, axis=1))
+            tried.append((name, rolled.as_matrix()))
+    for name, others in (*tried, ("its inverse", rotations.swapaxes(1, 2))):
+        mean, steadiness = _mean_relative(palms, others)
+        if steadiness > _STEADY and _is_known(mean):
+            return name
+    return ""
