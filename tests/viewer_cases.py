@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from copy import copy
 from functools import cache
 from pathlib import Path
@@ -75,6 +76,18 @@ def _mapped(robot: str, preset: str, changes: tuple[tuple[str, Any], ...]) -> Re
 
 
 _robot = cache(load_hand)
+
+
+def plotted(html: str, colour: str) -> np.ndarray:
+    """Return times and values of a line of a plot, shape (2, n), to a tenth of a pixel."""
+    top = max(map(float, re.findall(r'text-anchor="end">([^<]*)<', html)))
+    times = [float(t) for t in re.findall(r'text-anchor="middle">([^<]*)<', html)]
+    path = re.search(rf'd="([^"]*)" fill="none" stroke="{colour}"', html)
+    assert path is not None
+    pixels = re.findall(r"[ML]([-\d.]+) ([-\d.]+)", path[1])
+    x, y = np.array(pixels, dtype=float).T
+    start, end = min(times), max(times)
+    return np.array([start + (end - start) * x / 228.0, top * (1.0 - y / 86.0)])
 
 
 def press(button: Any) -> None:

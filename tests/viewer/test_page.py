@@ -25,7 +25,7 @@ pytest.importorskip(
 
 from browser import DRAWING, Browser, find_chromium
 from patience import PATIENCE, wait_until
-from viewer_cases import make_replay, write_recording
+from viewer_cases import COUNT, make_replay, plotted, write_recording
 from viser import ViserServer
 
 from handmap_qp import (
@@ -37,6 +37,7 @@ from handmap_qp import (
 )
 from handmap_qp.apps.arguments import MappingArguments, MethodFlags
 from handmap_qp.apps.viewer.cli import View
+from handmap_qp.apps.viewer.gauges import FIRST
 from handmap_qp.apps.viewer.replay import ReplayViewer
 from handmap_qp.apps.viewer.serving import serving
 
@@ -67,7 +68,7 @@ def test_the_command_writes_one_page_that_needs_no_network(
     gauges = json.loads(gzip.decompress(base64.b64decode(packed[1])))
     assert gauges["time"][0] == 0.0
     assert len(gauges["table"]) == len(gauges["bars"]) == len(gauges["time"])
-    assert max(gauges["plot"]["lines"][1][1]) <= gauges["plot"]["top"]
+    assert len(plotted(text, FIRST)[0]) == COUNT
     assert "pinch gaps" in gauges["table"][-1]
     assert "position limit" in gauges["bars"][-1]
     for attribute in ('src="http', "src='http", '<link rel="stylesheet" href="http'):

@@ -6,10 +6,9 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
@@ -31,27 +30,23 @@ ROBOTS = (FIRST, SECOND, "#a83e9b", "#8a5a00")
 GREY, RED, ORANGE = "#9aa0a8", "#d62929", "#f08c00"
 # Gaps longer than this fill the whole bar [m].
 _LONGEST_GAP = 0.15
-# Bins per plot; more than a plot has pixels.
-_MOST_BINS = 600
-_AXIS = {"stroke": "#666", "font": "11px sans-serif", "grid": {"stroke": "#eee"}}
+# Points of a line of a plot: two for each pixel.
+_MOST_POINTS = 456
+# Width and height of a plot, without its labels [px].
+_PLOT = np.array([228.0, 86.0])
+_STEPS = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 _CELL = "padding:0 0 0 8px;text-align:right;white-space:nowrap"
 _BAR = "position:absolute;left:0;height"
 
 
 def legend(entries: Sequence[tuple[str, str]]) -> str:
     """Return a legend of coloured dots, of names and colours, as HTML."""
-    return small_text(
-        " ".join(
-            f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {escape(name)}'
-            "&ensp;</span>"
-            for name, colour in entries
-        )
+    dots = " ".join(
+        f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {escape(name)}'
+        "&ensp;</span>"
+        for name, colour in entries
     )
-
-
-def small_text(html: str) -> str:
-    """Return a small line of text as HTML."""
-    return f'<div style="font-size:11px;line-height:15px;padding:0 14px;color:#666">{html}</div>'
+    return f'<div style="font-size:11px;line-height:15px;padding:0 14px;color:#666">{dots}</div>'
 
 
 SCENE_LEGEND = legend(
@@ -66,6 +61,10 @@ SCENE_LEGEND = legend(
     ]
 )
 """What the colours in the scene mean, as HTML."""
+
+
+Row = tuple[float, float, float, float]
+"""Time [s], mean and largest point error [mm], and duration of the step [µs] of a sample."""
 
 
 class Readings(NamedTuple):
@@ -96,7 +95,7 @@ class InstantGauges:
     """
 
     def __init__(self, variants: Sequence[Variant], human: Hand | None) -> None:
-        self._labels = [variant.label for variant in variants]
+        self.labels = [variant.label for variant in variants]
         self._robot = robot = variants[0].robot
         self._groups = joints_by_finger(robot)
         self._contact_gap = CONTACT_GAP if human is None else human.contact_gap
@@ -138,7 +137,7 @@ class InstantGauges:
         readings = [self.read(sample) for sample in samples]
         heads = "".join(
             f'<th style="{_CELL};color:{colour};font-weight:600">{escape(label)}</th>'
-            for label, colour in zip(self._labels, cycle(ROBOTS), strict=False)
+            for label, colour in zip(self.labels, cycle(ROBOTS), strict=False)
         )
         rows = "".join(
             f'<tr><td style="color:#666">{name}</td>'
@@ -272,33 +271,120 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
     return groups
 
 
-def gauge_row(sample: ViewSample) -> tuple[float, float, float, float]:
-    """Return the plotted values of a sample.
-
-    These are time [s], mean and largest point error [mm], and duration of the step [µs].
-    """
+def gauge_row(sample: ViewSample) -> Row:
+    """Return the plotted values of a sample."""
     error = 1e3 * sample.point_error
     return sample.time, float(error.mean()), float(error.max()), 1e6 * sample.duration
 
 
-def bin_starts(count: int, most: int) -> np.ndarray:
-    """Return the first sample of each bin, at most `most` of them."""
-    return np.linspace(0, count, min(count, most), endpoint=False).astype(int)
+class Plot(NamedTuple):
+    """Lines over time as HTML, with a mark at one instant.
+
+    Attributes:
+        html: The plot; empty if there is nothing to show.
+        start: Time at its left end [s].
+        end: Time at its right end [s].
+    """
+
+    html: str
+    start: float
+    end: float
+
+    def at(self, time: float) -> str:
+        """Return the plot with its mark at a time [s]."""
+        share = (time - self.start) / (self.end - self.start)
+        return self.html.replace("_NOW_", f"{_PLOT[0] * share:.1f}")
 
 
-def round_up(value: float, steps: Sequence[float]) -> float:
-    """Return the next round number above a value, of these steps in a decade and 10."""
-    decade = 10.0 ** np.floor(np.log10(value))
-    return float(
-        next(s for s in (*steps, 10.0) if s * decade >= value * (1.0 - 1e-9)) * decade
+def draw_plot(
+    title: str,
+    time: np.ndarray,
+    lines: Sequence[tuple[str, str, np.ndarray]],
+    *,
+    latest: float | None = None,
+    limit: float = np.inf,
+) -> Plot:
+    """Draw lines from zero to a round number, with gaps where there are no values.
+
+    Args:
+        title: What is plotted.
+        time: Times [s], shape (n,).
+        lines: Name, colour and values of each, shape (n,).
+        latest: Length of the time axis, which then ends with the last sample at zero [s]; all
+            samples if omitted.
+        limit: Larger values are cut off.
+    """
+    time = time - time[0 if latest is None else -1]
+    start, end = (0.0, max(time[-1], 1e-3)) if latest is None else (-latest, 0.0)
+    values = np.minimum([line for _, _, line in lines], limit)
+    if not np.isfinite(values).any():
+        return Plot("", start, end)
+    # Decimate: plot the maximum of each bin, at the time of its first sample.
+    count = min(len(time), _MOST_POINTS)
+    bins = np.linspace(0, len(time), count, endpoint=False).astype(int)
+    binned = np.fmax.reduceat(values, bins, axis=1)
+    largest = max(float(np.nanmax(binned)), 1e-3)
+    decade = 10.0 ** np.floor(np.log10(largest))
+    top = decade * next(
+        step for step in _STEPS if step * decade >= largest * (1 - 1e-9)
     )
+    width, height = _PLOT
+    x = width * (time[bins] - start) / (end - start)
+    y = height * (1.0 - binned / top)
+    parts = [
+        f'<path d="M0 {height * (1 - share)}h{width}" stroke="#e6e8eb"/><text x="-4" '
+        f'y="{height * (1 - share)}" dy="3.5" text-anchor="end">{share * top:g}</text>'
+        f'<text x="{share * width}" y="99" text-anchor="middle">'
+        f"{start + share * (end - start):.1f}</text>"
+        for share in (0.0, 0.5, 1.0)
+    ]
+    # The first line is drawn last, over the others.
+    for (_, colour, _), row in reversed(list(zip(lines, y, strict=True))):
+        parts.append(f'<path d="{_path(x, row)}" fill="none" stroke="{colour}"/>')
+    svg = "".join(parts)
+    html = (
+        '<div style="padding:4px 14px 0;font-size:11px"><b style="font-weight:600">'
+        f'{title}</b><svg viewBox="0 0 272 112" style="display:block;width:100%;'
+        f'font-size:10px;fill:#666"><g transform="translate(30 8)">{svg}<path class="now" '
+        f'd="M0 0v{height}" transform="translate(_NOW_ 0)" stroke="{ORANGE}" '
+        f'stroke-width="2"/></g></svg></div>'
+    )
+    entries = [(name, colour) for name, colour, _ in lines]
+    return Plot(html + legend(entries), start, end)
+
+
+def _path(x: np.ndarray, y: np.ndarray) -> str:
+    """Return a line through points (n,) as SVG, interrupted where y is NaN."""
+    is_known = np.isfinite(y)
+    is_joined = is_known & np.append(False, is_known[:-1])
+    return "".join(
+        f"{'L' if joined else 'M'}{a:.1f} {b:.1f}"
+        for a, b, joined in zip(*(v[is_known] for v in (x, y, is_joined)), strict=True)
+    )
+
+
+def error_plot(
+    labels: Sequence[str], rows: np.ndarray, *, latest: float | None = None
+) -> Plot:
+    """Plot the mean point error of each robot, and the largest of the first one [mm].
+
+    Args:
+        labels: Names of the robots.
+        rows: `gauge_row` of each robot's samples, shape (robots, n, 4).
+        latest: As of `draw_plot`.
+    """
+    name = labels[0] if len(labels) > 1 else "mean"
+    (time, mean, largest, _), others = rows[0].T, rows[1:, :, 1]
+    lines = [(name, FIRST, mean), ("largest", GREY, largest)]
+    lines += zip(labels[1:], cycle(ROBOTS[1:]), others, strict=False)
+    return draw_plot("point error [mm]", time, lines, latest=latest)
 
 
 class Gauges:
     """Numbers, plots and joint bars, where viser adds controls.
 
     Args:
-        variants: The robots, one or two.
+        variants: The robots.
         human: The human hand.
     """
 
@@ -310,64 +396,39 @@ class Gauges:
     ) -> None:
         gui = server.gui
         gui.add_html(SCENE_LEGEND)
-        self.table = gui.add_html("")
-        names = (("mean", FIRST), ("largest", GREY), ("other", SECOND))
-        self.error = _add_plot(server, "point error [mm]", names)
-        self.error_note = gui.add_html("")
-        self.joints = gui.add_html("")
+        self.table, self.error, self.joints = (gui.add_html("") for _ in range(3))
         with gui.add_folder("time per step", expand_by_default=False):
-            self.timing = _add_plot(server, "time per step [µs]", (("step", FIRST),))
+            self.timing = gui.add_html("")
         self.timing_note = gui.add_html("")
         self._human = human
-        self._rows = self._plotted = np.empty((0, 5))
-        self._starts = np.empty(0, dtype=int)
         self.set_variants(variants)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
         """Show other methods' values, after which `set_rows` gives theirs over time."""
         self._instant = InstantGauges(variants, self._human)
-        self.error_note.content = legend([*error_entries(variants), ("now", ORANGE)])
 
     def set_rows(
-        self,
-        rows: npt.ArrayLike,
-        other: npt.ArrayLike | None = None,
-        *,
-        latest: float | None = None,
+        self, rows: Sequence[Sequence[Row]], *, latest: float | None = None
     ) -> None:
         """Replace the plotted samples.
 
         Args:
-            rows: `gauge_row` of each sample, shape (n, 4), n > 0.
-            other: The same of the robot that it is compared with.
-            latest: Length of the time axis, which then ends with the last sample at zero [s]; all
-                samples if omitted.
+            rows: `gauge_row` of each robot's samples, at least one.
+            latest: As of `draw_plot`.
         """
-        rows = np.array(rows, dtype=float)
-        mean = np.full(len(rows), np.nan) if other is None else np.asarray(other)[:, 1]
-        self._rows = np.column_stack([rows, mean])
-        time, _, largest, step, _ = self._rows.T
-        # Changing the range rebuilds the plot: keep it fixed and shift the data.
-        span = (float(time[0]), float(max(time[-1], time[0] + 0.1)))
-        if latest is not None:
-            time -= time[-1]
-            span = (-latest, 0.0)
-        # Decimate: plot each bin's maximum, at its last sample's time.
-        self._starts = bin_starts(len(rows), _MOST_BINS)
-        self._plotted = np.fmax.reduceat(self._rows, self._starts, axis=0)
+        table = np.array(rows)
+        time, _, _, step = table[0].T
+        self._error = error_plot(self._instant.labels, table, latest=latest)
         median, p99 = np.percentile(step, (50, 99))
         # Outliers (the process was preempted) would flatten all other steps, so cut them off.
-        for plot, values in (
-            (self.error, np.fmax(largest, mean)),
-            (self.timing, np.minimum(step, 3.0 * median)),
-        ):
-            # The browser rebuilds the plot if its ranges are set.
-            if plot.scales != (scales := _scales(span, values)):
-                plot.scales = scales
-        cut = " (cut off)" if step.max() > self.timing.scales["y"]["range"][1] else ""
-        self.timing_note.content = small_text(
-            f"step [µs]: median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}"
+        cut = " (cut off)" if step.max() > 3.0 * median else ""
+        lines = [("step", FIRST, step)]
+        self._timing = draw_plot(
+            "time per step [µs]", time, lines, latest=latest, limit=3.0 * median
         )
+        note = f"median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}"
+        self.timing_note.content = legend([(f"step [µs]: {note}", FIRST)])
+        self._time = time - time[0 if latest is None else -1]
 
     def draw(self, samples: Sequence[ViewSample], index: int) -> None:
         """Mark an instant in the plots and show its numbers and joints.
@@ -376,62 +437,7 @@ class Gauges:
             samples: One sample for each robot.
             index: Its index among those given to `set_rows`.
         """
-        time, mean, largest, step, other = self._plotted.T
-        now = np.full((2, len(time)), np.nan)
-        place = int(np.searchsorted(self._starts, index, side="right")) - 1
-        now[:, place] = self._rows[index, [1, 3]]
-        self.error.data = (time, mean, largest, other, now[0])
-        self.timing.data = (time, step, now[1])
+        self.error.content = self._error.at(self._time[index])
+        self.timing.content = self._timing.at(self._time[index])
         self.table.content = self._instant.table(samples)
         self.joints.content = self._instant.bars(samples)
-
-
-def error_entries(variants: Sequence[Variant]) -> list[tuple[str, str]]:
-    """Return names and colours of the plotted errors of one robot or two."""
-    first = variants[0].label if len(variants) > 1 else "mean"
-    return [
-        (first, FIRST),
-        ("largest", GREY),
-        *zip((v.label for v in variants[1:]), cycle(ROBOTS[1:]), strict=False),
-    ]
-
-
-def _add_plot(
-    server: viser.ViserServer, title: str, names: Sequence[tuple[str, str]]
-) -> Any:
-    """Add a plot of series over time, with a dot on the first of them at the current sample."""
-    from viser import uplot
-
-    dot = uplot.Series_Points(show=True, size=9, fill=ORANGE)
-    series = (
-        uplot.Series(label="s"),
-        *(uplot.Series(label=name, stroke=colour, width=1.5) for name, colour in names),
-        uplot.Series(label="now", stroke=ORANGE, width=0, points=dot),
-    )
-    label = {
-        "label": "time [s]",
-        "labelFont": "11px sans-serif",
-        "labelSize": 16,
-        "size": 30,
-    }
-    return server.gui.add_uplot(
-        (np.arange(2.0), *np.zeros((len(series) - 1, 2))),
-        series,
-        title=title,
-        height=150,
-        scales=_scales((0.0, 1.0), np.ones(2)),
-        axes=(uplot.Axis(**_AXIS, **label), uplot.Axis(**_AXIS, size=50)),
-        legend=uplot.Legend(show=False),
-    )
-
-
-def _scales(span: tuple[float, float], values: np.ndarray) -> dict[str, Any]:
-    """Return the ranges of both axes: `span`, and zero to just above the next round number."""
-    from viser import uplot
-
-    largest = max(float(np.nanmax(values)) if np.isfinite(values).any() else 1.0, 1e-6)
-    top = round_up(largest, (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0))
-    return {
-        "x": uplot.Scale(time=False, auto=False, range=span),
-        "y": uplot.Scale(auto=False, range=(0.0, 1.08 * top)),
-    }

@@ -14,7 +14,7 @@ from handmap_qp.apps.viewer.controls import (
     SteeringControls,
     add_panels,
 )
-from handmap_qp.apps.viewer.gauges import Gauges, gauge_row
+from handmap_qp.apps.viewer.gauges import Gauges, Row, gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import HandScene
@@ -68,7 +68,7 @@ class LiveViewer:
         patience: float = 10.0,
     ) -> None:
         self._source = source
-        self.recent: deque[tuple[ViewSample, tuple[float, ...]]] = deque()
+        self.recent: deque[tuple[ViewSample, Row]] = deque()
         self.sample: ViewSample
         self._has_sample, self._has_ended = threading.Event(), threading.Event()
         self._error: HandmapError | None = None
@@ -141,7 +141,7 @@ class LiveViewer:
         self.scene.cameras.update()
         if (now := time.monotonic()) >= self._gauges_due:
             self._gauges_due = now + GAUGES_PERIOD
-            self.gauges.set_rows(rows, latest=_SPAN)
+            self.gauges.set_rows([rows], latest=_SPAN)
             self.gauges.draw([sample], len(rows) - 1)
         if self._has_ended.is_set():
             self.status_text.content = "**The source has ended.**"

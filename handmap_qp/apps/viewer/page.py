@@ -15,11 +15,8 @@ import numpy as np
 from handmap_qp.apps.viewer.gauges import (
     SCENE_LEGEND,
     InstantGauges,
-    bin_starts,
-    error_entries,
+    error_plot,
     gauge_row,
-    legend,
-    round_up,
 )
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Follow, HandScene
@@ -28,8 +25,6 @@ from handmap_qp.hands.hand import Hand
 
 # Most samples per second in a page, and most gauges [1/s].
 _RATE, _GAUGES_RATE = 30.0, 10.0
-# Points of a line of the plot: two for each pixel.
-_MOST_POINTS = 456
 
 
 def make_page(
@@ -83,20 +78,20 @@ def _body(
 ) -> str:
     """Return title, gauges and options."""
     gauges = InstantGauges(variants, human)
-    start, end = instants[0][0].time, instants[-1][0].time
+    rows = np.array([[gauge_row(sample) for sample in v.samples] for v in variants])
+    start, end = rows[0, [0, -1], 0]
     count = len(variants[0].samples)
     rate = f", {(count - 1) / (end - start):.0f} per second" if end > start else ""
     shown = {
         "time": [round(samples[0].time - start, 3) for samples in instants],
         "table": [gauges.table(samples) for samples in instants],
         "bars": [gauges.bars(samples) for samples in instants],
-        "plot": _error_plot(variants),
     }
     parts = {
         "__TITLE__": escape(title),
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": SCENE_LEGEND,
-        "__ERRORS__": legend(error_entries(variants)),
+        "__ERRORS__": error_plot(gauges.labels, rows).at(0.0),
         "__OPTIONS__": "".join(map(_option_table, variants)),
         # Instants are much alike, so they are small when compressed.
         "__GAUGES__": base64.b64encode(
@@ -130,39 +125,6 @@ def _text(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     return f"{value:g}" if isinstance(value, float) else str(value or "none")
-
-
-def _error_plot(variants: Sequence[Variant]) -> dict[str, Any]:
-    """Return the mean point error of each robot over time, and the first one's largest [mm].
-
-    Each bin of samples gives its largest. `top` is the end of the axis; 0 without any error.
-    """
-    rows = [
-        np.array([gauge_row(sample) for sample in variant.samples]).T
-        for variant in variants
-    ]
-    time, errors = (
-        rows[0][0] - rows[0][0][0],
-        [*rows[0][1:3], *(row[1] for row in rows[1:])],
-    )
-    starts = bin_starts(len(time), _MOST_POINTS)
-    binned = np.fmax.reduceat(errors, starts, axis=1)
-    top = np.nanmax(binned) if np.isfinite(binned).any() else 0.0
-    return {
-        "time": time[starts].tolist(),
-        "span": max(float(time[-1]), 1e-3),
-        "top": top and round_up(max(top, 1e-3), (1.0, 2.0, 4.0, 6.0, 8.0)),
-        "lines": [
-            [
-                colour,
-                [
-                    None if np.isnan(value) else value
-                    for value in error.round(3).tolist()
-                ],
-            ]
-            for error, (_, colour) in zip(binned, error_entries(variants), strict=True)
-        ],
-    }
 
 
 def _at_rate(

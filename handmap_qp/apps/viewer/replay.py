@@ -363,7 +363,6 @@ class ReplayViewer:
         self._plot()
 
     def _plot(self) -> None:
-        rows = (
-            [gauge_row(s) for s in variant.samples] for variant in self.replay.variants
+        self.gauges.set_rows(
+            [[gauge_row(s) for s in v.samples] for v in self.replay.variants]
         )
-        self.gauges.set_rows(*rows)
