@@ -47,8 +47,6 @@ class PhysicalModel:
         joint_q: Index in `qpos` of every joint of the hand, in the order of `hand.joint_names`.
         joint_v: Index in `qvel` of the same joints.
         all_q: Index in `qpos` of every joint in the order of `hand.all_joint_names`; -1 if locked.
-        object_q: Index of the object's first coordinate in `qpos`.
-        base_q: Index of the base's first coordinate in `qpos`; -1 on a fixed hand.
     """
 
     model: Any
@@ -59,8 +57,6 @@ class PhysicalModel:
     joint_q: np.ndarray
     joint_v: np.ndarray
     all_q: np.ndarray
-    object_q: int
-    base_q: int
 
     def controls(
         self, command: np.ndarray, q: np.ndarray, velocity: np.ndarray
@@ -121,7 +117,8 @@ def build_model(
         actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
         actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     model = spec.compile()
-    joints = [model.joint(name) for name in hand.joint_names]
+    found = {model.joint(i).name: model.joint(i) for i in range(model.njnt)}
+    joints = [found[name] for name in hand.joint_names]
     joint_v = np.array([joint.dofadr[0] for joint in joints])
     return PhysicalModel(
         model,
@@ -129,16 +126,13 @@ def build_model(
         object=model.body(OBJECT).id,
         joint_q=np.array([joint.qposadr[0] for joint in joints]),
         joint_v=joint_v,
-        all_q=np.array([_address(model, name) for name in hand.all_joint_names]),
-        object_q=_address(model, OBJECT),
-        base_q=_address(model, BASE),
+        all_q=np.array(
+            [
+                found[name].qposadr[0] if name in found else -1
+                for name in hand.all_joint_names
+            ]
+        ),
     )
-
-
-def _address(model: Any, name: str) -> int:
-    """Return where a joint is in `qpos`; -1 if there is none of this name."""
-    joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name)
-    return int(model.jnt_qposadr[joint]) if joint >= 0 else -1
 
 
 def _empty_spec(physics: Physics) -> Any:
@@ -271,16 +265,15 @@ def _set_hull(spec: Any, geom: Any, shape: Any) -> None:
 
 def _couple_followers(spec: Any, hand: Hand) -> None:
     """Hold every mimic joint at the position that the hand's rules give it."""
-    n = len(hand.joint_names)
-    zero, *units = hand.all_joints(np.vstack([np.zeros(n), np.eye(n)]))
-    for row, (name, role) in enumerate(
-        zip(hand.all_joint_names, hand.all_joint_roles, strict=True)
-    ):
+    # A row each: all joints at zero, and with one joint of the hand at 1.
+    positions = hand.all_joints(np.eye(len(hand.joint_names) + 1)[:, 1:]).T
+    rules = zip(hand.all_joint_names, hand.all_joint_roles, positions, strict=True)
+    for name, role, (zero, *others) in rules:
         if role == "follower" and hand.model.existJointName(name):
-            factors = np.array([unit[row] - zero[row] for unit in units])
+            factors = np.array(others) - zero
             leader = int(np.argmax(np.abs(factors)))
             rule = _add_equality(spec, "JOINT", "JOINT", name, hand.joint_names[leader])
-            rule.data[:2] = [zero[row], factors[leader]]
+            rule.data[:2] = [zero, factors[leader]]
 
 
 def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
@@ -315,32 +308,26 @@ def _install_actuators(
                 got=f"shape {compliance.shape}",
             )
         stiffness = np.linalg.inv(np.linalg.inv(stiffness) + compliance)
-    damping = _critical(stiffness, _felt_inertia(model, joint_v))
+    damping = _critical(stiffness, model.dof_M0[joint_v])
     is_torque = ~is_arm & (physics.actuators == "torque")
-    for i, name in enumerate(hand.joint_names):
-        joint, gain = model.joint(name).id, stiffness[i, i]
-        model.actuator_gainprm[i, 0] = 1.0 if is_torque[i] else gain
-        # The torque that carries the hand's own weight is a motor's, beside a servo a passive one.
-        model.jnt_actgravcomp[joint] = is_torque[i]
-        if not is_torque[i]:
-            model.actuator_biasprm[i, :3] = 0.0, -gain, -damping[i, i]
-        if np.isfinite(physics.effort_limit) and not is_arm[i]:
-            model.jnt_actfrclimited[joint] = 1
-            model.jnt_actfrcrange[joint] = -physics.effort_limit, physics.effort_limit
+    gains, joints = np.diag(stiffness), model.dof_jntid[joint_v]
+    bias = np.column_stack([np.zeros_like(gains), -gains, -np.diag(damping)])
+    model.actuator_gainprm[:, 0] = np.where(is_torque, 1.0, gains)
+    model.actuator_biasprm[:, :3] = np.where(is_torque[:, None], 0.0, bias)
+    # The torque that carries the hand's own weight is a motor's, beside a servo a passive one.
+    model.jnt_actgravcomp[joints] = is_torque
+    if np.isfinite(physics.effort_limit):
+        limited = joints[~is_arm]
+        model.jnt_actfrclimited[limited] = 1
+        model.jnt_actfrcrange[limited] = -physics.effort_limit, physics.effort_limit
     return stiffness, damping, is_torque
 
 
-def _felt_inertia(model: Any, addresses: np.ndarray) -> np.ndarray:
-    """Return the inertia felt at joints in the model's own posture [kg m^2], shape (n,)."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    return np.diag(inertia)[addresses]
-
-
 def _critical(stiffness: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Return `2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2`: critical damping of each mode."""
+    """Return `2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2`: critical damping of each mode.
+
+    M is diagonal: the inertia felt at each joint in the model's own posture [kg m^2], shape (n,).
+    """
     root = np.sqrt(np.outer(inertia, inertia))
     squares, modes = np.linalg.eigh(stiffness / root)
     return 2.0 * root * ((modes * np.sqrt(squares)) @ modes.T)

@@ -197,11 +197,18 @@ def surface(shape: Shape | MeshShape) -> Any:
     return trimesh.Trimesh(shape.points).convex_hull
 
 
-def turn_up(up: np.ndarray) -> np.ndarray:
-    """Return the rotation that turns a direction to +z, for pictures, shape (3, 3)."""
-    z = np.asarray(up, dtype=float) / np.linalg.norm(up)
+def turn_up(up: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
+    """Return the rotation that turns a direction to +z, shape (3, 3).
+
+    Args:
+        up: The direction, shape (3,).
+        along: Direction that it turns to +x as far as it is horizontal, shape (3,).
+    """
+    z = up / np.linalg.norm(up)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    x /= np.linalg.norm(x)
+    if along is not None and np.linalg.norm(level := along - (along @ z) * z) > 1e-6:
+        x = level
+    x = x / np.linalg.norm(x)
     return np.array([x, np.cross(z, x), z])
 
 

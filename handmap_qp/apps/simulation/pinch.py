@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp.apps.grasp.checks import positive_number
 from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow
-from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
+from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics, turn_up
 from handmap_qp.apps.simulation.simulator import (
     Episode,
     Instant,
@@ -339,16 +339,11 @@ class PinchScene:
 
     def _upright(self, met: Meeting, yaw: float) -> np.ndarray:
         """Return axes with z up and x along the pinch, turned by `yaw` about the vertical."""
-        up = -np.array(self.physics.gravity)
-        up = up / np.linalg.norm(up) if up.any() else np.array([0.0, 0.0, 1.0])
+        gravity = np.array(self.physics.gravity)
+        up = -gravity if gravity.any() else np.array([0.0, 0.0, 1.0])
         thumb, finger = self.pads.places(met.q, met.wrist)
-        across = finger - thumb
-        across -= (across @ up) * up
-        if np.linalg.norm(across) < 1e-6:
-            across = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
-        x = across / np.linalg.norm(across)
-        axes = np.column_stack([x, np.cross(up, x), up])
-        return Rotation.from_rotvec(yaw * up).as_matrix() @ axes
+        turn = Rotation.from_euler("z", yaw).as_matrix()
+        return turn_up(up, finger - thumb).T @ turn
 
 
 def _outcome(

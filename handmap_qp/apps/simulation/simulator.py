@@ -13,15 +13,15 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.grasp.checks import finite_array
-from handmap_qp.apps.simulation.model import MOCAP, OBJECT, build_model
+from handmap_qp.apps.simulation.model import BASE, OBJECT, build_model
 from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import affine, check_pose, inverse_pose
 
-# Friction of the stand against turning the object acts at this lever [m]: 2/3 of the radius of a
-# disc of 30 mm under even pressure.
-_STAND_LEVER = 0.01
+# Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
+# a disc of 30 mm under even pressure.
+_STAND_LEVERS = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
 
 
 class Contacts(NamedTuple):
@@ -151,12 +151,12 @@ class Simulator:
         """Pose of the wrist in the world, shape (4, 4)."""
         if not self.hand.is_floating:
             return self.hand.frame_pose("wrist", self.q)
-        return self._pose_at(self.parts.base_q) @ self._base_to_wrist
+        return self._pose_of(BASE) @ self._base_to_wrist
 
     @property
     def object_pose(self) -> np.ndarray:
         """Pose of the object in the world, shape (4, 4)."""
-        return self._pose_at(self.parts.object_q)
+        return self._pose_of(OBJECT)
 
     @property
     def target(self) -> tuple[np.ndarray, np.ndarray | None]:
@@ -211,10 +211,10 @@ class Simulator:
         self.set_stand(holds=False)
         is_there = parts.all_q >= 0
         data.qpos[parts.all_q[is_there]] = self.hand.all_joints(angles)[is_there]
-        data.qpos[parts.object_q : parts.object_q + 7] = _sevens(pose[None])[0]
+        data.joint(OBJECT).qpos = _sevens(pose[None])[0]
         if place is not None:
             (base,) = _sevens(place[None] @ inverse_pose(self._base_to_wrist))
-            data.qpos[parts.base_q : parts.base_q + 7] = base
+            data.joint(BASE).qpos = base
             self._lead_base(base)
         self._control(angles)
         self._target = (angles, place)
@@ -227,12 +227,10 @@ class Simulator:
         world, moves the object, as on a table.
         """
         model, held = self.parts.model, self.parts.object
-        first = model.body_dofadr[held]
-        weight = float(model.body_mass[held] * np.linalg.norm(self.physics.gravity))
+        weight = model.body_mass[held] * np.linalg.norm(self.physics.gravity)
         friction = self.physics.friction * weight if holds else 0.0
-        model.body_gravcomp[held] = float(holds)
-        model.dof_frictionloss[first : first + 3] = friction
-        model.dof_frictionloss[first + 3 : first + 6] = _STAND_LEVER * friction
+        model.body_gravcomp[held] = holds
+        model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
     def follow(
         self, q: npt.ArrayLike, wrist: np.ndarray | None, duration: float
@@ -271,8 +269,7 @@ class Simulator:
         model, rows = self.parts.model, []
         held = model.geom(OBJECT).id
         wrench = np.zeros(6)
-        for index in range(self.data.ncon):
-            contact = self.data.contact[index]
+        for index, contact in enumerate(self.data.contact):
             if held not in contact.geom or contact.efc_address < 0:
                 continue
             # The frame's x axis points from the first geom to the second, on which the force acts.
@@ -298,8 +295,8 @@ class Simulator:
 
     def _lead_base(self, base: np.ndarray) -> None:
         """Move the body that leads the floating base."""
-        mocap = self.parts.model.body(MOCAP).mocapid[0]
-        self.data.mocap_pos[mocap], self.data.mocap_quat[mocap] = base[:3], base[3:]
+        # The only one.
+        self.data.mocap_pos[0], self.data.mocap_quat[0] = base[:3], base[3:]
 
     @cached_property
     def _base_to_wrist(self) -> np.ndarray:
@@ -307,9 +304,10 @@ class Simulator:
         base = self.hand.configuration_vector(self.hand.rest, np.eye(4))[:7]
         return inverse_pose(affine(Rotation.from_quat(base[3:]).as_matrix(), base[:3]))
 
-    def _pose_at(self, address: int) -> np.ndarray:
-        values = self.data.qpos[address : address + 7].copy()
-        return affine(Rotation.from_quat(values[[4, 5, 6, 3]]).as_matrix(), values[:3])
+    def _pose_of(self, name: str) -> np.ndarray:
+        """Return the pose of a body in the world, shape (4, 4)."""
+        body = self.data.body(name)
+        return affine(body.xmat.reshape(3, 3), body.xpos)
 
 
 def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
+from scipy.stats import binomtest
 
 from handmap_qp.apps.grasp.checks import whole_number
 from handmap_qp.apps.simulation.physics import KINDS, named_shape
@@ -67,14 +68,9 @@ def success_rate(held: int, count: int) -> tuple[float, float, float]:
     Returns:
         Rate, lower and upper end.
     """
-    z, rate = 1.959964, held / count
-    centre = (rate + z * z / (2 * count)) / (1 + z * z / count)
-    half = (
-        z
-        * math.sqrt(rate * (1 - rate) / count + z * z / (4 * count**2))
-        / (1 + z * z / count)
-    )
-    return rate, max(0.0, centre - half), min(1.0, centre + half)
+    found = binomtest(held, count)
+    interval = found.proportion_ci(method="wilson")
+    return found.statistic, interval.low, interval.high
 
 
 def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
