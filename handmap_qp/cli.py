@@ -20,6 +20,7 @@ from functools import reduce
 from operator import or_
 from typing import Annotated, Any, NamedTuple, NoReturn, Protocol, TextIO
 
+import handmap_qp
 from handmap_qp.errors import (
     DiskFullError,
     HandmapError,
@@ -333,9 +334,7 @@ def _answer_without_command(words: list[str]) -> NoReturn:
     """
     match words:
         case ["--version"]:
-            from importlib.metadata import version
-
-            print(f"handmap {version('handmap-qp')}")
+            print(f"handmap {handmap_qp.__version__}")
         case ["--help" | "-h"]:
             print(
                 f"usage: handmap [-h] COMMAND ...\n\n{_ABOUT}\n{_list_of('')}", end=""

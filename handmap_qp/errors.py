@@ -8,6 +8,7 @@ one leaves its object as it was.
 from __future__ import annotations
 
 import copyreg
+import difflib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -213,9 +214,6 @@ class RefusedError(HandmapError):
 
 def did_you_mean(name: str, names: Iterable[str]) -> str:
     """Return `did you mean X?` for the name that is nearest to a mistyped one; else nothing."""
-    # Imported here, because errors are rare and the import takes a millisecond.
-    import difflib
-
     nearest = difflib.get_close_matches(name, sorted(names), n=1)
     return f"did you mean {nearest[0]}?" if nearest else ""
 
