@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import csv
+import io
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 _PAIR = ("what", "value")
@@ -70,3 +72,24 @@ def print_rows(title: str, rows: list[dict[str, Any]]) -> None:
         console.width = _PIPE_WIDTH
     console.print(Text(title), style="bold")
     console.print(table)
+
+
+def markdown_table(rows: Sequence[dict[str, Any]]) -> str:
+    """Format rows as a Markdown table; numbers have four significant digits."""
+    rule = ["---:" if isinstance(v, int | float) else "---" for v in rows[0].values()]
+    lines = [rows[0], rule, *(map(_cell, row.values()) for row in rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _cell(value: Any) -> str:
+    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return text.replace("|", "\\|")
+
+
+def csv_text(rows: Sequence[dict[str, Any]]) -> str:
+    """Format rows with the same columns as CSV with a header."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

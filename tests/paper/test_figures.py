@@ -17,7 +17,6 @@ from handmap_qp.apps.experiments.paper import (
     FIGURES,
     FigureRecord,
     FiguresResult,
-    markdown_table,
     run_figures,
 )
 from handmap_qp.apps.experiments.paper_drawings import box_triangles
@@ -27,6 +26,7 @@ from handmap_qp.apps.experiments.section_four import (
     paper_scene,
     run_experiment,
 )
+from handmap_qp.apps.tables import markdown_table
 from handmap_qp.errors import InvalidInputError
 
 pytest.importorskip("matplotlib")
@@ -216,7 +216,7 @@ def test_the_command_prints_the_claims(
 
 def test_a_markdown_table_is_one() -> None:
     text = markdown_table([{"what": "a|b", "mm": 1.23456}, {"what": "c", "mm": 2}])
-    assert text == "| what | mm |\n| --- | ---: |\n| a/b | 1.235 |\n| c | 2 |"
+    assert text == "| what | mm |\n| --- | ---: |\n| a\\|b | 1.235 |\n| c | 2 |"
 
 
 def test_a_box_is_closed_and_looks_outwards() -> None:

@@ -31,6 +31,7 @@ from handmap_qp.trackers.formats.lerobot import Feature, LeRobotWriter
 
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
 """Names of the wrist's position [m] and quaternion in the state."""
+_NO_WRIST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _STATE, _ACTION, _VALID = "observation.state", "action", "observation.valid"
 
 
@@ -99,10 +100,7 @@ def state_names(hands: Mapping[Side, Hand]) -> tuple[str, ...]:
 def _write_lerobot(
     episodes: Iterator[Episode], root: Path, fps: float, hands: Mapping[Side, Hand]
 ) -> Path:
-    names, robot = (
-        state_names(hands),
-        " and ".join(hand.name for hand in hands.values()),
-    )
+    names = state_names(hands)
     features = {
         _STATE: Feature("float32", names),
         _ACTION: Feature("float32", names),
@@ -111,14 +109,15 @@ def _write_lerobot(
     fresh = root.with_name(f"{root.name}.new")
     shutil.rmtree(fresh, ignore_errors=True)
     with LeRobotWriter(
-        fresh, fps=fps, features=features, robot_type=robot, argument="--out"
+        fresh,
+        fps=fps,
+        features=features,
+        robot_type=_robot_names(hands),
+        argument="--out",
     ) as writer:
         for episode in episodes:
-            columns = {
-                _STATE: episode.state,
-                _ACTION: episode.action,
-                _VALID: episode.valid,
-            }
+            values = (episode.state, episode.action, episode.valid)
+            columns = dict(zip(features, values, strict=True))
             writer.add(columns, episode.task, {"source": episode.sources})
     shutil.rmtree(root, ignore_errors=True)
     with writing(root, "--out"):
@@ -130,15 +129,14 @@ def _write_lerobot(
 def _write_robomimic(
     episodes: Iterator[Episode], path: Path, hands: Mapping[Side, Hand]
 ) -> Path:
-    names, total = state_names(hands), 0
-    robot = " and ".join(hand.name for hand in hands.values())
+    env = {
+        "env_name": _robot_names(hands),
+        "env_type": 2,
+        "env_kwargs": {"state_names": state_names(hands)},
+    }
+    total = 0
     with created(path, "--out") as file:
         data = file.create_group("data")
-        env = {
-            "env_name": robot,
-            "env_type": 2,
-            "env_kwargs": {"state_names": list(names)},
-        }
         data.attrs["env_args"] = json.dumps(env)
         for i, episode in enumerate(episodes):
             check_room(file, 5 * episode.state.nbytes)
@@ -148,36 +146,43 @@ def _write_robomimic(
     return path
 
 
+def _robot_names(hands: Mapping[Side, Hand]) -> str:
+    return " and ".join(hand.name for hand in hands.values())
+
+
 def _write_demo(demo: Any, episode: Episode) -> None:
     count = len(episode.state)
-    demo.attrs["num_samples"] = count
-    demo.attrs["source"] = episode.sources
-    demo.attrs["task"] = episode.task
-    demo["actions"] = episode.action
-    demo["states"] = episode.state
-    demo["rewards"] = np.zeros(count)
-    demo["dones"] = (np.arange(count) == count - 1).astype(np.int64)
-    demo["obs/state"] = episode.state
-    demo["obs/valid"] = episode.valid
-    demo["next_obs/state"] = episode.action
+    demo.attrs.update(num_samples=count, source=episode.sources, task=episode.task)
+    dones = np.zeros(count, dtype=np.int64)
+    dones[-1] = 1
+    columns = {
+        "actions": episode.action,
+        "states": episode.state,
+        "rewards": np.zeros(count),
+        "dones": dones,
+        "obs/state": episode.state,
+        "obs/valid": episode.valid,
+        "next_obs/state": episode.action,
+    }
+    for name, column in columns.items():
+        demo[name] = column
+
+
+def _file_of(line: Line) -> str:
+    """Return the file of a recording, from its key."""
+    return line.key.rpartition(SEPARATOR)[0]
 
 
 def _episodes(
     lines: Sequence[Line], folder: Path, fps: float, hands: Mapping[Side, Hand]
 ) -> Iterator[Episode]:
     """Read the episodes one after the other, by the names of their files."""
-    ordered = sorted(
-        (line for line in lines if line.side in hands), key=lambda line: line.key
-    )
-    for _, group in groupby(
-        ordered, key=lambda line: line.key.rpartition(SEPARATOR)[0]
-    ):
+    known = [line for line in lines if line.side in hands]
+    for _, group in groupby(sorted(known, key=lambda line: line.key), key=_file_of):
         pairs = [(line, read_episode(folder, line)) for line in group]
-        times, sides = (
-            [columns["time"] for _, columns in pairs],
-            {line.side for line, _ in pairs},
-        )
-        if len(pairs) == len(sides) == 2 and np.array_equal(times[0], times[1]):
+        sides = {line.side for line, _ in pairs}
+        first, last = pairs[0][1]["time"], pairs[-1][1]["time"]
+        if len(pairs) == len(sides) == 2 and np.array_equal(first, last):
             yield _episode(pairs, fps, hands)
         else:
             yield from (_episode([pair], fps, hands) for pair in pairs)
@@ -196,14 +201,14 @@ def _episode(
     instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
     states, valid = [], []
     for side, hand in hands.items():
-        state = np.tile([*hand.rest, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0], (count, 1))
+        state = np.tile([*hand.rest, *_NO_WRIST], (count, 1))
         seen = np.zeros(count, dtype=bool)
         if side in by_side:
             state, seen = _resampled(by_side[side], instants)
         states.append(_as_float32(state, hand))
         valid.append(seen)
-    folder = Path(line.key.rpartition(SEPARATOR)[0]).parent.name
     whole = np.hstack(states)
+    folder = Path(_file_of(line)).parent.name
     return Episode(
         sources=", ".join(line.key for line, _ in pairs),
         task=folder.replace("_", " ") or "human hand motion",
@@ -222,26 +227,23 @@ def _resampled(
     rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
     state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
     state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
-    before = np.clip(
-        np.searchsorted(time, instants, side="right") - 1, 0, len(time) - 1
-    )
-    after = np.clip(np.searchsorted(time, instants, side="left"), 0, len(time) - 1)
+    before = np.maximum(np.searchsorted(time, instants, side="right") - 1, 0)
+    after = np.minimum(np.searchsorted(time, instants), len(time) - 1)
     return state, columns["valid"][before] & columns["valid"][after]
 
 
 def _as_float32(state: np.ndarray, hand: Hand) -> np.ndarray:
     """Round a state to float32 without leaving the joints' limits."""
     rounded = state.astype(np.float32)
-    lower, upper = (
-        hand.lower_limits.astype(np.float32),
-        hand.upper_limits.astype(np.float32),
-    )
-    lower = np.where(
-        lower < hand.lower_limits, np.nextafter(lower, np.float32(np.inf)), lower
-    )
-    upper = np.where(
-        upper > hand.upper_limits, np.nextafter(upper, np.float32(-np.inf)), upper
-    )
-    count = len(hand.joint_names)
-    rounded[:, :count] = np.clip(rounded[:, :count], lower, upper)
+    lower = _rounded_up(hand.lower_limits)
+    upper = -_rounded_up(-hand.upper_limits)
+    joints = slice(len(hand.joint_names))
+    rounded[:, joints] = np.clip(rounded[:, joints], lower, upper)
     return rounded
+
+
+def _rounded_up(values: np.ndarray) -> np.ndarray:
+    """Return the next float32 that is not smaller."""
+    rounded = values.astype(np.float32)
+    above = np.nextafter(rounded, np.float32(np.inf))
+    return np.where(rounded < values, above, rounded)

@@ -149,20 +149,22 @@ def read_manifests(folder: Path) -> dict[str, Line]:
     """
     state: dict[str, Line] = {}
     for file in sorted(folder.glob("manifest*.jsonl")):
-        own: dict[str, Line] = {}
-        try:
-            with file.open("rb") as stream:
-                for text in stream:
-                    # Without a line break, it was being written when the process was killed.
-                    with suppress(msgspec.DecodeError, UnicodeDecodeError):
-                        line = _DECODER.decode(text if text.endswith(b"\n") else b"")
-                        own[line.key] = line
-        except OSError as error:
-            problem = f"{file}: cannot be read: {error.strerror or error}"
-            raise InvalidInputError(argument="DIR", problem=problem) from error
-        known = {key for key in own if key in state and state[key].status == "done"}
-        state |= {key: line for key, line in own.items() if key not in known}
+        done = {key: line for key, line in state.items() if line.status == "done"}
+        state |= {line.key: line for line in _lines_of(file)} | done
     return state
+
+
+def _lines_of(file: Path) -> Iterator[Line]:
+    """Read the lines of one manifest."""
+    try:
+        with file.open("rb") as stream:
+            for text in stream:
+                # Without a line break, it was being written when the process was killed.
+                with suppress(msgspec.DecodeError, UnicodeDecodeError):
+                    yield _DECODER.decode(text if text.endswith(b"\n") else b"")
+    except OSError as error:
+        problem = f"{file}: cannot be read: {error.strerror or error}"
+        raise InvalidInputError(argument="DIR", problem=problem) from error
 
 
 def _cut_torn_line(stream: FileIO) -> None:

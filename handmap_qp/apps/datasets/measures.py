@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.human.landmarks import TIPS
 from handmap_qp.human.recording import Recording
+from handmap_qp.se3 import lengths
 
 MOST_SURFACES = 60
 """Surfaces are measured in at most this many samples, evenly spread."""
@@ -107,52 +108,46 @@ def measure_episode(
     """
     seen = trajectory.valid
     errors = 1e3 * trajectory.point_error[seen]
-    values: dict[str, float | None] = {
-        "valid": float(recording.valid.mean()),
+    values: dict[str, Any] = {
+        "valid": recording.valid.mean(),
         "longest_gap_s": _longest_gap(recording),
         "bone_variation": _bone_variation(recording.landmarks[recording.valid]),
-        "reach_mm": float(errors.mean()),
-        "reach_p95_mm": float(np.percentile(errors, 95)),
-        "saturation": float(trajectory.at_limit[seen].mean()),
-        "speed_limited": float(trajectory.at_speed_limit[seen].any(axis=1).mean()),
+        "reach_mm": errors.mean(),
+        "reach_p95_mm": np.percentile(errors, 95),
+        "saturation": trajectory.at_limit[seen].mean(),
+        "speed_limited": trajectory.at_speed_limit[seen].any(axis=1).mean(),
         "jerk": rms_derivative(trajectory.q, trajectory.time, seen, order=3),
-        "pinch_closed": None,
-        "self_penetration": None,
     }
     if meter is not None:
         values |= _surfaces(recording, trajectory, contact_gap, meter)
+    known = {key: value for key, value in values.items() if np.isfinite(value)}
     return {
-        key: None if value is None or not np.isfinite(value) else float(f"{value:.6g}")
-        for key, value in values.items()
+        measure.key: float(f"{known[measure.key]:.6g}")
+        if measure.key in known
+        else None
+        for measure in MEASURES
     }
 
 
 def _longest_gap(recording: Recording) -> float:
     """Return the longest time between valid samples beyond the usual step [s]."""
-    times = recording.time[recording.valid]
-    inside = float(np.diff(times).max()) if len(times) > 1 else 0.0
-    ends = max(times[0] - recording.time[0], recording.time[-1] - times[-1])
-    usual = float(np.median(recording.steps))
-    return max(0.0, inside - usual, float(ends))
+    times, whole = recording.time[recording.valid], recording.time
+    inside = np.diff(times).max(initial=0.0) - np.median(recording.steps)
+    return max(0.0, inside, times[0] - whole[0], whole[-1] - times[-1])
 
 
 def _bone_variation(landmarks: np.ndarray) -> float:
-    bones = np.linalg.norm(
-        np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3
-    )
-    return float((bones.std(axis=0) / bones.mean(axis=0)).mean())
+    bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
+    return (bones.std(axis=0) / bones.mean(axis=0)).mean()
 
 
 def _surfaces(
     recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
-) -> dict[str, float | None]:
+) -> dict[str, float]:
     """Measure pinches and self-penetration in some of the samples."""
-    tips = recording.landmarks[:, TIPS]
-    gaps = np.linalg.norm(tips[:, 1:] - tips[:, :1], axis=2)
-    pinching = trajectory.valid[:, None] & (gaps < contact_gap + _PINCHING)
-    spread = np.linspace(
-        0, len(recording) - 1, min(MOST_SURFACES, len(recording))
-    ).astype(int)
+    tips, count = recording.landmarks[:, TIPS], len(recording)
+    pinching = lengths(tips[:, 1:] - tips[:, :1]) < contact_gap + _PINCHING
+    pinching &= trajectory.valid[:, None]
     pinches = np.flatnonzero(pinching.any(axis=1))
     chosen = pinches[:: max(1, -(-len(pinches) // MOST_SURFACES))]
     gaps = meter.pinches(trajectory.q[chosen]) if len(chosen) else {}
@@ -161,10 +156,10 @@ def _surfaces(
         for i, finger in enumerate(FINGERS[1:])
         if finger in gaps
     ]
+    spread = np.linspace(0, count - 1, min(MOST_SURFACES, count)).astype(int)
     # Deeper overlaps than this are counted, and how deep they are is not asked.
     nearest = meter.nearest(trajectory.q[spread], most=-_DEEP)
-    answers = np.concatenate(closed) if closed else np.zeros(0, dtype=bool)
-    return {
-        "self_penetration": float((nearest < -_DEEP).mean()),
-        "pinch_closed": float(answers.mean()) if len(answers) else None,
-    }
+    found = {"self_penetration": (nearest < -_DEEP).mean()}
+    if any(map(len, closed)):
+        found["pinch_closed"] = np.concatenate(closed).mean()
+    return found

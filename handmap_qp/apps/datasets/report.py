@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ from scipy.stats import rankdata
 
 from handmap_qp.apps.datasets.manifest import Line, read_manifests
 from handmap_qp.apps.datasets.measures import MEASURES
+from handmap_qp.apps.tables import csv_text, markdown_table
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import make_folder, replaced_file
 
@@ -104,17 +103,11 @@ def summary_rows(quality: Quality) -> list[dict[str, str]]:
     for measure, column in zip(MEASURES, quality.values.T, strict=True):
         known = column[np.isfinite(column)]
         bad, worst = (95, 100) if measure.worse == "high" else (5, 0)
+        shares = {"median": 50, "worst 5 %": bad, "worst": worst}
         if len(known):
-            middle, most, end = (
-                _text(x) for x in np.percentile(known, (50, bad, worst))
-            )
-            row = {
-                "measure": measure.title,
-                "median": middle,
-                "worst 5 %": most,
-                "worst": end,
-            }
-            rows.append({**row, "episodes": str(len(known))})
+            row = {key: _text(np.percentile(known, k)) for key, k in shares.items()}
+            counted = {"episodes": str(len(known))}
+            rows.append({"measure": measure.title} | row | counted)
     return rows
 
 
@@ -174,42 +167,43 @@ def write_report(
 
 def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
     samples = sum(line.frames for line in quality.lines)
+    about = [f"- {m.title}: {m.about}; {m.worse} values are worse" for m in MEASURES]
     parts = [
-        "# Quality of the episodes\n",
+        "# Quality of the episodes",
         f"{_counted(len(quality.lines), 'episode')}, {samples} samples; "
         f"{_counted(len(quality.failed), 'recording')} failed. "
-        f"The filter keeps {_counted(int(quality.is_kept.sum()), 'episode')}: `keep.txt`.\n",
-        "## Measures\n",
-        _table(summary_rows(quality)),
-        "\n".join(
-            f"- {m.title}: {m.about}; {m.worse} values are worse" for m in MEASURES
-        )
-        + "\n",
-        "## Worst episodes\n",
-        _table(worst_rows(quality, count)),
+        f"The filter keeps {_counted(int(quality.is_kept.sum()), 'episode')}: `keep.txt`.",
+        "## Measures",
+        markdown_table(summary_rows(quality)),
+        "\n".join(about),
+        "## Worst episodes",
+        markdown_table(worst_rows(quality, count)),
     ]
     if quality.failed:
         failed = quality.failed[:_MOST_FAILED]
         rows = [{"recording": line.name, "error": line.error} for line in failed]
-        parts += ["## Failed recordings\n", _table(rows)]
-    parts += [f"![{name}]({name})\n" for name in pictures]
-    return "\n".join(parts)
+        parts += ["## Failed recordings", markdown_table(rows)]
+    parts += [f"![{name}]({name})" for name in pictures]
+    return "\n\n".join(parts) + "\n"
 
 
 def _csv(quality: Quality) -> str:
     """Return all numbers as CSV, the worst episode first."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(
-        ["episode", "file", "kept", "badness", "frames", *(m.key for m in MEASURES)]
+    return csv_text(
+        [
+            {
+                "episode": line.key,
+                "file": line.out,
+                "kept": int(kept),
+                "badness": f"{badness:.4f}",
+                "frames": line.frames,
+                **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
+            }
+            for line, kept, badness in zip(
+                quality.lines, quality.is_kept, quality.badness, strict=True
+            )
+        ]
     )
-    rows = zip(quality.lines, quality.is_kept, quality.badness, strict=True)
-    for line, kept, badness in rows:
-        values = [line.metrics.get(measure.key) for measure in MEASURES]
-        writer.writerow(
-            [line.key, line.out, int(kept), f"{badness:.4f}", line.frames, *values]
-        )
-    return text.getvalue()
 
 
 def _filter(quality: Quality) -> str:
@@ -220,12 +214,6 @@ def _filter(quality: Quality) -> str:
 
 def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
-
-
-def _table(rows: Sequence[dict[str, str]]) -> str:
-    cells = [list(rows[0]), ["---"] * len(rows[0]), *(row.values() for row in rows)]
-    lines = [" | ".join(cell.replace("|", "\\|") for cell in row) for row in cells]
-    return "".join(f"| {line} |\n" for line in lines)
 
 
 def _text(value: float) -> str:

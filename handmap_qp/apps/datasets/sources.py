@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -104,19 +104,10 @@ def find_files(
     files: dict[str, InputFile] = {}
     repeated: list[Path] = []
     own = None if out is None else _identity(out)
-    seen = {own}
-
-    def is_new(path: Path) -> bool:
-        key = _identity(path)
-        if key in seen:
-            repeated.extend([path] if key != own else [])
-            return False
-        seen.add(key)
-        return True
-
+    seen: set[object] = set()
     for given in inputs:
         before = len(files) + len(repeated)
-        for path in _paths_of(given, is_new):
+        for path in _paths_of(given, own, seen, repeated):
             name = given.name if path is given else path.relative_to(given).as_posix()
             if name in files:
                 raise InvalidInputError(
@@ -170,8 +161,17 @@ def _listing(path: Path) -> tuple[Source, ...] | str:
         return " ".join(str(error).split())
 
 
-def _paths_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[Path]:
-    """Yield the path itself, or the files and data sets below it."""
+def _paths_of(
+    given: Path, own: object, seen: set[object], repeated: list[Path]
+) -> Iterator[Path]:
+    """Yield the path itself, or the files and data sets below it.
+
+    Args:
+        given: The path.
+        own: Identity of a folder to leave out.
+        seen: Identities of the paths found, which are added to.
+        repeated: Paths whose identity was seen before, which are added to.
+    """
     if not given.exists():
         raise InvalidInputError(
             argument="INPUT", problem=f"{given}: no such file or folder"
@@ -182,14 +182,17 @@ def _paths_of(given: Path, is_new: Callable[[Path], bool]) -> Iterator[Path]:
     while waiting or links:
         path = (waiting or links).popleft()
         is_known = path is given or path.is_dir() or path.suffix.lower() in suffixes
-        if not is_known or not is_new(path):
+        if not is_known or _identity(path) == own:
             continue
-        if not path.is_dir() or _is_set(path):
+        identity = _identity(path)
+        if identity in seen:
+            repeated.append(path)
+        elif not path.is_dir() or _is_set(path):
             yield path
-            continue
-        for inside in sorted(path.iterdir()):
-            if not inside.name.startswith("."):
+        else:
+            for inside in sorted(path.glob("[!.]*")):
                 (links if inside.is_symlink() else waiting).append(inside)
+        seen.add(identity)
 
 
 def _identity(path: Path) -> object:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterable, Sequence
 from itertools import product
 from pathlib import Path
@@ -36,6 +35,7 @@ from handmap_qp.apps.experiments.section_four import (
     run_experiment,
 )
 from handmap_qp.apps.experiments.style import STYLE
+from handmap_qp.apps.tables import csv_text, markdown_table
 from handmap_qp.mapping.estimation import estimate_motion
 
 if TYPE_CHECKING:
@@ -454,36 +454,13 @@ def listed(values: Iterable[float], digits: int = 1) -> str:
     return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
 
 
-def markdown_table(rows: Sequence[Row]) -> str:
-    """Format rows as a Markdown table; numbers have four significant digits."""
-    lines = [
-        [
-            f"{v:.4g}" if isinstance(v, float) else str(v).replace("|", "/")
-            for v in row.values()
-        ]
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows with the same columns to a CSV file; numbers have nine significant digits."""
+    rounded = [
+        {key: f"{v:.9g}" if isinstance(v, float) else v for key, v in row.items()}
         for row in rows
     ]
-    rule = [
-        "---:" if isinstance(value, int | float) else "---"
-        for value in rows[0].values()
-    ]
-    return "\n".join(
-        "| " + " | ".join(line) + " |" for line in [list(rows[0]), rule, *lines]
-    )
-
-
-def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows with the same columns to a CSV file."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        for row in rows:
-            writer.writerow(
-                {
-                    key: f"{v:.9g}" if isinstance(v, float) else v
-                    for key, v in row.items()
-                }
-            )
+    path.write_text(csv_text(rounded), encoding="utf-8")
 
 
 def _xyz(vector: np.ndarray, prefix: str = "", suffix: str = "") -> Row:
