@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 import yaml
+from msgspec import Meta
 
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.robot import Robot
@@ -20,6 +21,8 @@ from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.human.sample import LANDMARK_NAMES
 
+_Kind = Literal["dexpilot", "vector", "position"]
+_Index = Annotated[int, Meta(ge=0, lt=len(LANDMARK_NAMES))]
 _TIPS = (4, 8, 12, 16, 20)
 # Settings without a counterpart, and what takes their place.
 _ELSEWHERE = {
@@ -63,61 +66,58 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         HandError: If the file cannot be read, or is not a configuration of dex-retargeting.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:  # ValueError: not UTF-8
+        document = yaml.safe_load(path.read_bytes())
+    except OSError as error:
         raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
-    except yaml.YAMLError as error:
-        raise HandError(
-            f"is not YAML: {' '.join(str(error).split())}", file=path
-        ) from error
+    except (yaml.YAMLError, ValueError) as error:
+        problem = f"is not YAML: {' '.join(str(error).split())}"
+        raise HandError(problem, file=path) from error
     table = document.get("retargeting") if isinstance(document, dict) else None
     if not isinstance(table, dict):
         raise HandError(
             "expected a table `retargeting`, as in dex-retargeting's files", file=path
         )
-    kind, urdf = str(table.get("type", "")).lower(), table.get("urdf_path")
-    field = _LINKS.get(kind, "")
-    links: Any = table.get(field)
-    indices: Any = table.get("target_link_human_indices")
-    if kind == "vector":
+    kind = str(table.get("type")).lower()
+    field, key = _LINKS.get(kind, ""), "target_link_human_indices"
+    links, indices = table.get(field), table.get(key)
+    count = len(links) if isinstance(links, list) else 0
+    if kind == "vector" and isinstance(indices, list) and len(indices) == 2:
         # It has two rows of indices: where vectors begin, and where they end.
-        indices = (
-            indices[1] if isinstance(indices, list) and len(indices) == 2 else None
-        )
-    names = links if isinstance(links, list) else []
-    if kind == "dexpilot":
-        indices = [*_TIPS[: len(names)]]
-    is_index = isinstance(indices, list) and all(i in range(21) for i in indices)
-    for key, value, is_right, expected in (
-        ("urdf_path", urdf, isinstance(urdf, str), "a path"),
-        ("type", table.get("type"), bool(field), "vector, position or DexPilot"),
+        indices = indices[1]
+    elif kind == "dexpilot":
+        indices = [*_TIPS[:count]]
+    expected = f"{count} indices of landmarks from 0 to 20 for {field}, of DexPilot at most five"
+    for name, value, wanted, what in (
+        ("urdf_path", table.get("urdf_path"), str, "a path"),
+        ("type", kind, _Kind, "vector, position or DexPilot"),
         (
             field,
             links,
-            bool(names) and {*map(type, names)} == {str},
+            Annotated[list[str], Meta(min_length=1)],
             "a list of link names",
         ),
         (
-            "target_link_human_indices",
-            table.get("target_link_human_indices"),
-            is_index and len(indices) == len(names),
-            f"{len(names)} indices of landmarks from 0 to 20 for {field}, of DexPilot at most five",
+            key,
+            indices,
+            Annotated[list[_Index], Meta(min_length=count, max_length=count)],
+            expected,
         ),
     ):
-        if not is_right:
-            raise HandError(f"expected {expected}", file=path, key=key, value=value)
-    named: Any = zip(indices or (), names, strict=True)
-    return DexConfiguration(
-        path,
-        urdf,
-        # The wrist's own landmark is not a reference point.
-        {LANDMARK_NAMES[i]: link for i, link in named if i != 0},
-        tuple(
-            f"{name} is not used: {text}"
-            for name, text in _ELSEWHERE.items()
-            if name in table
-        ),
+        try:
+            msgspec.convert(value, wanted)
+        except msgspec.ValidationError as error:
+            problem, given = f"expected {what}", table.get(name)
+            raise HandError(problem, file=path, key=name, value=given) from error
+    # The wrist's own landmark is not a reference point.
+    named = {
+        LANDMARK_NAMES[i]: link for i, link in zip(indices, links, strict=True) if i
+    }
+    notes = (
+        f"{name} is not used: {_ELSEWHERE[name]}"
+        for name in _ELSEWHERE
+        if name in table
     )
+    return DexConfiguration(path, table["urdf_path"], named, tuple(notes))
 
 
 def migrate(
@@ -140,23 +140,19 @@ def migrate(
     links = configuration.links
     carriers = {landmark: _carrier(robot, link) for landmark, link in links.items()}
     found = detect(urdf, thumb=carriers.get("thumb_tip"), name=name)
-    points = {point.name: point for point in _renamed(found, carriers)} | {
-        landmark: PointSpec(landmark, link, finger=landmark.partition("_")[0])
-        for landmark, link in links.items()
-    }
+    points = {point.name: point for point in _renamed(found, carriers)}
+    for landmark, link in links.items():
+        points[landmark] = PointSpec(landmark, link, finger=landmark.partition("_")[0])
     tips = tuple(name for name in points if name.endswith("_tip"))
-    others = tuple(name for name in points if name not in tips)
+    every = tips + tuple(name for name in points if name not in tips)
+    sets = {"fingertips": tips} | (
+        {} if every == tips else {"fingertips_middle": every}
+    )
     spec = msgspec.structs.replace(
-        found.spec,
-        points=tuple(points[name] for name in (*tips, *others)),
-        sets={"fingertips": tips}
-        | ({"fingertips_middle": (*tips, *others)} if others else {}),
+        found.spec, points=tuple(points[name] for name in every), sets=sets
     )
-    notes = (
-        f"reference points are those of {configuration.file.name}",
-        *configuration.notes,
-    )
-    return replace(found, spec=spec, notes=(*notes, *found.notes))
+    intro = f"reference points are those of {configuration.file.name}"
+    return replace(found, spec=spec, notes=(intro, *configuration.notes, *found.notes))
 
 
 def _carrier(robot: Robot, link: str) -> str:
@@ -166,14 +162,11 @@ def _carrier(robot: Robot, link: str) -> str:
         HandError: If there is no such link, or no joint moves it.
     """
     if link not in robot.frames:
-        raise HandError(
-            f"has no link {link!r} of the configuration", file=robot.file, value=link
-        )
-    body = robot.body(link)
-    if not body:
-        raise HandError(
-            f"no joint moves the link {link!r}", file=robot.file, value=link
-        )
+        problem = f"has no link {link!r} of the configuration"
+        raise HandError(problem, file=robot.file, value=link)
+    if not (body := robot.body(link)):
+        problem = f"no joint moves the link {link!r}"
+        raise HandError(problem, file=robot.file, value=link)
     return robot.model.names[body]
 
 

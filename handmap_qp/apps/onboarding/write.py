@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,14 +18,17 @@ from handmap_qp.hands.spec import is_named_source
 from handmap_qp.output_files import make_folder, writing
 
 _WIDTH = 120
-# Keys whose values are written on several lines.
-_BLOCKS = (
-    *("palm", "wrist", "joints", "rest", "locked", "limits", "mimic", "points", "sets"),
-    *("collision", "collision.pairs"),
+# Keys in their order, and those whose values are written on several lines.
+_KEYS = (
+    *("name", "urdf", "root", "side", "palm", "wrist", "joints", "rest", "locked"),
+    *("limits", "mimic", "points", "sets", "reference", "collision"),
 )
+_BLOCKS = {*_KEYS[4:-2], "collision", "collision.pairs"}
 # Comments above keys: fixed ones, and evidence by the name of its clue and what it is of.
 _ABOVE = {
     "root": "The hand starts at this link; the rest of the robot is ignored.",
+    "wrist": "It floats, with six free coordinates of at most 3 m/s and 12 rad/s, or its mount is "
+    "`fixed`: to the world, or to an arm among the joints.",
     "joints": "Active joints, in the order of every q; mimic joints are not among them.",
     "locked": "Locked joints and their positions [rad or m].",
     "limits": "Assumed limits that the URDF lacks; give the true values [rad or m, and per s].",
@@ -41,11 +44,6 @@ _FOUND = {
     "palm.distal": ("distal", "distal, the direction of the straight fingers: "),
     "palm.dorsal": ("dorsal", "dorsal, out of the back of the hand: "),
     "rest": ("rest", "rest posture [rad or m]: "),
-}
-_BESIDE = {
-    "wrist.max_linear_speed": "m/s",
-    "wrist.max_angular_speed": "rad/s",
-    "collision.margin": "m",
 }
 
 
@@ -92,58 +90,32 @@ def check_free(path: Path, *, overwrite: bool) -> None:
 def hand_text(detection: Detection, folder: Path) -> str:
     """Return the text of a `hand.yaml`; the URDF's path is relative to `folder`."""
     spec, clues = detection.spec, {clue.what: clue for clue in detection.clues}
-    palm = {key: getattr(spec.palm, key) for key in ("link", "xyz", "distal", "dorsal")}
-    is_floating = spec.wrist.mount == "floating"
-    document: dict[str, Any] = {
-        "name": spec.name,
-        "urdf": _urdf_reference(spec.urdf, folder),
-        "root": spec.root,
-        "side": spec.side,
-        "palm": palm,
-        "wrist": msgspec.to_builtins(spec.wrist)
-        if is_floating
-        else {"link": spec.wrist.link, "mount": "fixed"},
-        "joints": spec.joints,
-        "rest": {joint: spec.rest[joint] for joint in spec.joints},
-        "locked": spec.locked,
-        "limits": {joint: _given(limit) for joint, limit in spec.limits.items()},
-        "mimic": spec.mimic,
-        "points": [_given(point) for point in spec.points],
-        "sets": spec.sets,
-        "reference": spec.reference,
-        "collision": None
-        if spec.collision is None
-        else {"margin": spec.collision.margin, "pairs": spec.collision.pairs},
-    }
+    document = {key: getattr(spec, key) for key in _KEYS}
+    document["urdf"] = _urdf_reference(spec.urdf, folder)
+    document["palm"] = msgspec.structs.asdict(spec.palm)
     above = dict(_ABOVE)
     for key, (name, what) in _FOUND.items():
         above[key] = f"{what}{clues[name].how} ({clues[name].certainty})"
     for i, point in enumerate(spec.points):
         if clue := clues.get(point.name):
             above[f"points.{i}"] = f"{clue.how} ({clue.certainty})"
-    how = (
-        "six free coordinates"
-        if is_floating
-        else "to the world, or to an arm among the joints"
-    )
-    beside = {"wrist.mount": how} | _BESIDE | _owners(detection)
+    for finger, chain in detection.chains.items():
+        first = next(i for i, joint in enumerate(spec.joints) if joint in chain)
+        moved = above.get(f"joints.{first}")
+        above[f"joints.{first}"] = f"{moved} and {finger}" if moved else finger
     intro = (
         f"{spec.name}: written by `handmap hands init`. Comments say how each value was found and "
         "how certain it is. Correct what is wrong, then run `handmap hands check`.",
         *(f"Note: {note}" for note in detection.notes),
     )
     lines = [line for note in intro for line in _comment(note, "")]
-    return "\n".join([*lines, *_lines(document, "", above, beside)]) + "\n"
+    return "\n".join([*lines, *_lines(document, "", above)]) + "\n"
 
 
-def _lines(
-    values: Mapping[str, Any] | Sequence[Any],
-    path: str,
-    above: Mapping[str, str],
-    beside: Mapping[str, str],
-) -> Iterator[str]:
-    """Yield the lines of a mapping or a list, with comments by the paths of keys."""
-    is_list = not isinstance(values, Mapping)
+def _lines(values: Any, path: str, above: Mapping[str, str]) -> Iterator[str]:
+    """Yield the lines of a mapping, struct or list, with comments by the paths of keys."""
+    values = _given(values)
+    is_list = isinstance(values, tuple)
     indent = "  " * path.count(".")
     for key, value in enumerate(values) if is_list else values.items():
         at = f"{path}{key}"
@@ -153,13 +125,10 @@ def _lines(
         start = f"{indent}-" if is_list else f"{indent}{_flow(key)}:"
         if at in _BLOCKS:
             yield start
-            yield from _lines(value, f"{at}.", above, beside)
+            yield from _lines(value, f"{at}.", above)
         else:
-            end = f"  # {beside[at]}" if at in beside else ""
             # YAML reads a line break inside a value as a space.
-            yield from _wrapped(
-                f"{start} {_flow(value)}{end}", subsequent_indent=f"{indent}    "
-            )
+            yield from _wrapped(f"{start} {_flow(value)}", f"{indent}    ")
 
 
 def _comment(text: str, indent: str) -> list[str]:
@@ -176,25 +145,13 @@ def _wrapped(text: str, subsequent_indent: str = "") -> list[str]:
     )
 
 
-def _given(value: msgspec.Struct) -> dict[str, Any]:
-    """Return the fields of a struct that differ from their defaults."""
-    fields = (
-        (field, getattr(value, field.name)) for field in msgspec.structs.fields(value)
-    )
-    return {field.name: given for field, given in fields if given != field.default}
-
-
-def _owners(detection: Detection) -> dict[str, str]:
-    """Return the finger of each joint that is the first of its finger, by the joint's path."""
-    owners, before = {}, ""
-    for i, joint in enumerate(detection.spec.joints):
-        moved = [finger for finger, chain in detection.chains.items() if joint in chain]
-        is_common = len(moved) == len(detection.chains) > 1
-        owner = "all fingers" if is_common else " and ".join(moved) or "arm"
-        if owner != before:
-            owners[f"joints.{i}"] = owner
-        before = owner
-    return owners
+def _given(value: Any) -> Any:
+    """Return the fields of a struct that differ from their defaults; any other value as it is."""
+    if not isinstance(value, msgspec.Struct):
+        return value
+    defaults = {field.name: field.default for field in msgspec.structs.fields(value)}
+    fields = msgspec.structs.asdict(value)
+    return {key: given for key, given in fields.items() if given != defaults[key]}
 
 
 def _urdf_reference(urdf: str, folder: Path) -> str:
@@ -216,7 +173,7 @@ def _urdf_reference(urdf: str, folder: Path) -> str:
 
 def _flow(value: object) -> str:
     """Return a value as YAML on one line."""
-    plain = msgspec.to_builtins(value)
+    plain = msgspec.to_builtins(_given(value))
     text = yaml.safe_dump(
         plain, default_flow_style=True, sort_keys=False, allow_unicode=True, width=10**6
     )
