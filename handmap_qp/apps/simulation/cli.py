@@ -26,17 +26,16 @@ from handmap_qp.apps.simulation.trials import (
     trial_row,
 )
 from handmap_qp.apps.tables import print_rows, progress
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers.formats import read_recording
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
-_FRICTION = 0.8
-_NOT_GIVEN = (None, None, _FRICTION)
+_OBJECT, _MASS, _FRICTION = "box:0.03", 0.05, 0.8
 
 
-def _optional(metavar: str, default: str) -> Any:
+def _optional(metavar: str, default: str = "none") -> Any:
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
@@ -84,14 +83,14 @@ class Simulate:
         json: Print one JSON object instead of a table.
     """
 
-    recording: tyro.conf.Positional[
-        Annotated[Path | None, _optional("RECORDING", "none")]
-    ] = None
+    recording: tyro.conf.Positional[Annotated[Path | None, _optional("RECORDING")]] = (
+        None
+    )
     robot: HandName = "three_finger"
     methods: Annotated[tuple[str, ...], _optional("METHOD...", "the first preset")] = ()
-    peers: Annotated[Path | None, _optional("FOLDER", "none")] = None
-    object: Annotated[str | None, _optional("OBJECT", "box:0.03")] = None
-    mass: Annotated[float | None, _optional("KG", "0.05")] = None
+    peers: Annotated[Path | None, _optional("FOLDER")] = None
+    object: Annotated[str, tyro.conf.arg(metavar="OBJECT")] = _OBJECT
+    mass: Annotated[float, tyro.conf.arg(metavar="KG")] = _MASS
     friction: float = _FRICTION
     stiffness: float = 3.0
     actuators: Literal["position", "torque"] = "position"
@@ -100,11 +99,11 @@ class Simulate:
     objects: Literal["nominal", "varied"] = "varied"
     seed: int = 0
     grip: Annotated[float | None, _optional("N", "position control alone")] = None
-    out: Annotated[Path | None, _optional("FILE.npz", "none")] = None
-    picture: Annotated[Path | None, _optional("FILE.png", "none")] = None
-    film: Annotated[Path | None, _optional("FILE.gif", "none")] = None
-    html: Annotated[Path | None, _optional("PAGE.html", "none")] = None
-    serve: Annotated[str | None, _optional("SESSION", "none")] = None
+    out: Annotated[Path | None, _optional("FILE.npz")] = None
+    picture: Annotated[Path | None, _optional("FILE.png")] = None
+    film: Annotated[Path | None, _optional("FILE.gif")] = None
+    html: Annotated[Path | None, _optional("PAGE.html")] = None
+    serve: Annotated[str | None, _optional("SESSION")] = None
     server: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "tcp://127.0.0.1:5570"
     duration: Annotated[float, _optional("SECONDS", "until Ctrl-C")] = math.inf
     json: bool = False
@@ -156,13 +155,11 @@ class Simulate:
             self._check_trials(writes=bool(named))
 
     def _check_trials(self, *, writes: bool) -> None:
-        problem, advice = "", ""
+        given = (self.object, self.mass, self.friction)
+        problem = advice = ""
         if writes or self.serve:
             problem = "needs a recording, and writes no file"
-        elif (
-            self.objects == "varied"
-            and (self.object, self.mass, self.friction) != _NOT_GIVEN
-        ):
+        elif self.objects == "varied" and given != (_OBJECT, _MASS, _FRICTION):
             problem = "draws object, mass and friction"
             advice = "add --objects nominal to draw places alone"
         if problem:
@@ -180,16 +177,14 @@ class Simulate:
             gravity=(x, y, z),
         )
 
-    def _body(self) -> Body:
-        return Body(
-            parse_object(self.object or "box:0.03"),
-            0.05 if self.mass is None else self.mass,
-        )
-
     def _simulate(self) -> tuple[dict[str, list[PinchOutcome]], list[PinchTrial]]:
         """Pinch every object by every mapping."""
         assert self.recording is not None
-        body, physics, robot = self._body(), self._physics(), load_hand(self.robot)
+        body, physics, robot = (
+            Body(parse_object(self.object), self.mass),
+            self._physics(),
+            load_hand(self.robot),
+        )
         nominal = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
         trials = [nominal]
         if self.trials:
@@ -209,11 +204,8 @@ class Simulate:
 
     def _stand_in(self, session: str) -> None:
         """Follow a session of the mapping service."""
-        try:
-            from handmap_qp.apps.simulation.stand_in import Report, StandIn
-            from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
-        except ImportError as missing:
-            raise MissingExtraError(str(missing.name), "service") from missing
+        from handmap_qp.apps.live.service import connected
+        from handmap_qp.apps.simulation.stand_in import Report, StandIn
 
         def show(report: Report) -> None:
             print(
@@ -223,33 +215,25 @@ class Simulate:
                 flush=True,
             )
 
-        simulator = Simulator(load_hand(self.robot), self._body(), self._physics())
-        try:
-            with Client(self.server) as client:
-                StandIn(simulator, client, session).run(self.duration, show)
-        except InvalidInputError:
-            raise
-        except (ServiceError, ServiceTimeoutError, ValueError) as error:
-            raise InvalidInputError(
-                argument="--serve", problem=str(error), value=session
-            ) from error
+        body = Body(parse_object(self.object), self.mass)
+        simulator = Simulator(load_hand(self.robot), body, self._physics())
+        with (
+            connected("--serve", self.server, None, refused="--serve") as (client, _),
+            client,
+        ):
+            StandIn(simulator, client, session).run(self.duration, show)
 
     def _write(self, episodes: dict[str, Episode]) -> None:
         """Write the files: of the first mapping; the page shows all."""
-        written, episode = [], next(iter(episodes.values()))
-        up = -np.array(self._physics().gravity)
-        if self.out is not None:
-            save_npz(self.out, episode.columns)
-            written.append(self.out)
-        if self.picture is not None:
-            picture(Stage(episode, up), self.picture)
-            written.append(self.picture)
-        if self.film is not None:
-            with progress("rendering") as advance:
-                film(Stage(episode, up), self.film, progress=advance)
-            written.append(self.film)
-        if self.html is not None:
-            write_page(self.html, episodes, up, f"{self.robot}, simulated")
-            written.append(self.html)
-        for path in () if self.json else written:
-            print(f"wrote {path}")
+        up, episode = -np.array(self._physics().gravity), next(iter(episodes.values()))
+        title = f"{self.robot}, simulated"
+        for path, write in (
+            (self.out, lambda path: save_npz(path, episode.columns)),
+            (self.picture, lambda path: picture(Stage(episode, up), path)),
+            (self.film, lambda path: film(Stage(episode, up), path)),
+            (self.html, lambda path: write_page(path, episodes, up, title)),
+        ):
+            if path is not None:
+                write(path)
+                if not self.json:
+                    print(f"wrote {path}")

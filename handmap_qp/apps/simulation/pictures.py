@@ -5,7 +5,7 @@ The page plays in a browser without a server, as that of `handmap view` does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from handmap_qp.apps.drawing.hands import load_shape, solid
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.apps.simulation.physics import surface, turn_up
 from handmap_qp.apps.simulation.simulator import Episode, Instant
+from handmap_qp.apps.tables import progress
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Solid, Variant, ViewSample
 from handmap_qp.errors import MissingExtraError
@@ -69,30 +70,24 @@ class Stage:
         return self._object.moved(self.episode.at.object_pose[i])
 
 
-def film(
-    stage: Stage,
-    path: Path,
-    *,
-    rate: float = 15.0,
-    progress: Callable[[int], None] = lambda _: None,
-) -> None:
+def film(stage: Stage, path: Path, *, rate: float = 15.0) -> None:
     """Write a simulation as a moving picture, in real time.
 
     Args:
         stage: What the camera sees.
         path: The file: `.gif`, `.webp` or `.png` (an animated PNG).
         rate: Pictures of each second.
-        progress: Called after each picture with the number done.
 
     Raises:
         MissingExtraError: If Pillow is not installed.
         InvalidInputError: If the file cannot be written.
     """
     pillow, time, pictures = _pillow(), stage.episode.at.time, []
-    for instant in np.arange(time[0], time[-1], 1.0 / rate):
-        i = int(np.argmin(np.abs(time - instant)))
-        pictures.append(pillow.fromarray(stage.frame(i, supersampling=1)))
-        progress(len(pictures))
+    with progress("rendering") as advance:
+        for instant in np.arange(time[0], time[-1], 1.0 / rate):
+            i = int(np.argmin(np.abs(time - instant)))
+            pictures.append(pillow.fromarray(stage.frame(i, supersampling=1)))
+            advance(len(pictures))
     first, *others = pictures
     kind = path.suffix.removeprefix(".").upper()
     about = {"append_images": others, "duration": 1e3 / rate, "loop": 0}

@@ -354,9 +354,7 @@ def _outcome(
     last = int(lost[0]) if len(lost) else len(distances) - 1
     first = len(episode.at.time) - len(distances)
     kept = Instant(*(column[first : first + last + 1] for column in episode.at))
-    poses = np.array(
-        [inverse_pose(w) @ o for w, o in zip(kept.wrist, kept.object_pose, strict=True)]
-    )
+    poses = inverse_pose(kept.wrist) @ kept.object_pose
     turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
     return PinchOutcome(
         is_held=not len(lost) and bool(episode.at.links_touching[-1] >= 2),
