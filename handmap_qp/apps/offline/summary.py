@@ -77,7 +77,7 @@ def find_holds(trajectory: Trajectory) -> list[dict[str, Any]]:
             "rule": str(trajectory.rule[hold.start]),
             "start": float(time[hold.start]),
             "duration": float(time[min(hold.stop, len(time) - 1)] - time[hold.start]),
-            "samples": hold.stop - hold.start,
+            "samples": int(hold.stop - hold.start),
         }
         for hold in stretches(~trajectory.valid)
     ]
