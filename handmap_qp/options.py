@@ -235,20 +235,17 @@ def _in_words(kind: Any) -> str:
     bare, meta = _bare(kind), _meta(kind)
     if words := _words(kind):
         return f"one of {', '.join(words)}"
-    if get_origin(bare) is tuple:
-        row = get_args(_bare(get_args(bare)[0]))
-        count = len(get_args(bare))
-        return (
-            f"a matrix of shape ({count}, {len(row)})"
-            if row
-            else f"{count} finite numbers"
-        )
+    if parts := get_args(bare):  # a tuple
+        row = get_args(_bare(parts[0]))
+        shape = f"({len(parts)}, {len(row)})"
+        return f"a matrix of shape {shape}" if row else f"{len(parts)} finite numbers"
     if bare not in (int, float):
         return {bool: "true or false", str: "a name"}.get(bare, "none")
     noun = "an integer" if bare is int else "a number"
-    low, sign = (meta.gt, ">") if meta.ge is None else (meta.ge, ">=")
+    bracket, sign, low = (
+        ("(", ">", meta.gt) if meta.ge is None else ("[", ">=", meta.ge)
+    )
     if meta.le is not None and meta.le < LARGEST:
-        return f"{noun} in {'[' if meta.gt is None else '('}{low:g}, {meta.le:g}]"
-    if meta.le == LARGEST:
-        noun = "a finite number"
+        return f"{noun} in {bracket}{low:g}, {meta.le:g}]"
+    noun = "a finite number" if meta.le == LARGEST else noun
     return noun if low is None else f"{noun} {sign} {low:g}"

@@ -119,16 +119,22 @@ class HandPair:
         self, human: Hand, robot: Hand, matched: np.ndarray | None = None
     ) -> None:
         self.human, self._measured = human, _robot_fingers(robot)
-        names = point_indices(human)
         self.chains, self.pads = self._measured.chains, self._measured.pads
         self.contacts: ShapePairs = self._measured.contacts
         self.fingers, self.has_jaws = self._measured.names, self._measured.has_jaws
-        self._check()
+        if not self.fingers:
+            raise InvalidOptionsError(
+                option="method",
+                problem="this method needs fingers, and no point of the robot names one",
+                advice="add `finger` to the points of its hand.yaml, or take the preset object",
+            )
+        needed = finger_landmarks(self.fingers)
+        points = require_points(human, needed, "this method").reshape(-1, 3)
+        self.tips, self.knuckles = points[:, 0], points[:, 2]
         self.robot = copy(self._measured.with_points)
+        names = point_indices(human)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
-        self.tips = np.array([names[TIPS[finger]] for finger in self.fingers])
-        self.knuckles = np.array([names[KNUCKLES[finger]] for finger in self.fingers])
         shape = [table[finger] for finger in FINGERS for table in (TIPS, MIDDLES)]
         self.shape_points = np.array([names[name] for name in shape if name in names])
         self.human_rest = frozen(_points_in_palm(human, resting_posture(human)))
@@ -137,8 +143,11 @@ class HandPair:
             [self.chains[finger].reach for finger in self.fingers]
         )
         self.reach_ratios = self.robot_reach / self.human_reach
-        others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
-        self.finger_ratio = float(self.reach_ratios[others or [0]].mean())
+        # All fingers but the thumb; a thumb alone stands for them.
+        self._others = np.flatnonzero(np.array(self.fingers) != THUMB)
+        if not len(self._others):
+            self._others = np.array([0])
+        self.finger_ratio = float(self.reach_ratios[self._others].mean())
         self.matched = frozen(self._given_or_solved(matched))
         self._measure_robot()
 
@@ -147,13 +156,11 @@ class HandPair:
         placed = _placed(self.robot, self.matched)
         to_palm = inverse_pose(_palm_pose(self.robot, placed))
         self.robot_rest = frozen(transform_points(to_palm, placed.points))
-        others = [i for i, finger in enumerate(self.fingers) if finger != THUMB] or [0]
-        chains = [self.chains[finger] for finger in self.fingers]
-        places = [
-            place
-            for chain in chains
-            for place in (chain.knuckle, chain.tip, chain.middle)
-        ]
+        others = self._others
+        places: list[tuple[int, np.ndarray]] = []
+        for finger in self.fingers:
+            chain = self.chains[finger]
+            places += [chain.knuckle, chain.tip, chain.middle]
         points = AttachedPoints(self.robot, places).positions(placed)
         points = transform_points(to_palm, points).reshape(-1, 3, 3)
         self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
@@ -163,15 +170,6 @@ class HandPair:
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
         spans = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
         self.robot_extension = frozen(spans / self.robot_reach)
-
-    def _check(self) -> None:
-        if not self.fingers:
-            raise InvalidOptionsError(
-                option="method",
-                problem="this method needs fingers, and no point of the robot names one",
-                advice="add `finger` to the points of its hand.yaml, or take the preset object",
-            )
-        require_points(self.human, finger_landmarks(self.fingers), "this method")
 
     def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
         given = self.robot.matched if matched is None else matched
@@ -233,9 +231,8 @@ class HandPair:
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
         """Place the thumb between where it pinches and where it is above the knuckles."""
-        others = [i for i, finger in enumerate(self.fingers) if finger != THUMB]
-        gain = _THUMB_GAIN * self.finger_ratio
-        if not others:
+        others, gain = self._others, _THUMB_GAIN * self.finger_ratio
+        if self.fingers == (THUMB,):
             return knuckles[0] + gain * (tip - self.human_rest[self.knuckles[0]])
         middle = knuckles[others].mean(axis=0)
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
