@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib.metadata import version
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
+import msgspec
 
 import handmap_qp
 from handmap_qp.apps.drawing.hands import require_matplotlib
@@ -31,7 +31,6 @@ from handmap_qp.apps.offline.metrics import GROUPS, METRICS, SUMMARY, Metric
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.person import Person, read_person
 from handmap_qp.output_files import make_folder, writing
@@ -42,6 +41,7 @@ if TYPE_CHECKING:
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""
 _PACKAGES = ("handmap-qp", "pin", "daqp", "numpy")
+_SHOWN = ("key", "title", "unit", "better", "about")
 _LEGEND = (
     "Mean over the recordings in which a question arises; `-` where it arises in none or the "
     "method has no answer. The best values are bold."
@@ -73,54 +73,42 @@ def run_comparison(request: Compare) -> None:
         comparison = compare_methods(takes, robot, methods, say)
         written = [] if request.out is None else _write(request.out, comparison, say)
     if request.json:
-        print(json.dumps(as_json(comparison), allow_nan=False))
+        print(msgspec.json.encode(results_of(comparison)).decode())
         return
-    for group in GROUPS:
-        _print_overall(f"{group}, {robot.name}", overall_rows(comparison, group))
+    _print_tables(comparison)
     for note in notes_of(comparison):
         print(f"- {note}")
     for file in written:
         print(f"wrote {file}")
 
 
-def overall_rows(comparison: Comparison, group: str) -> list[dict[str, str]]:
-    """Return the rows of one table: a method each, with the metrics of a key of `GROUPS`."""
-    return [
-        {
-            "method": method,
-            **{
-                _heading(m): m.text(comparison.overall(method)[m.key])
-                for m in GROUPS[group]
-            },
-        }
-        for method in comparison.methods
-    ]
-
-
 def markdown(comparison: Comparison) -> str:
     """Return all tables as Markdown: overall, then every recording."""
     overall = {method: comparison.overall(method) for method in comparison.methods}
-    short = [next(m for m in METRICS if m.key == key) for key in SUMMARY]
-    parts = [f"# Methods on {comparison.robot.name}", "", _LEGEND, ""]
-    parts += ["## In short", "", *_table("method", short, overall)]
-    parts += [
+    short = [metric for metric in METRICS if metric.key in SUMMARY]
+    short.sort(key=lambda metric: SUMMARY.index(metric.key))
+    parts = [
+        f"# Methods on {comparison.robot.name}",
+        _LEGEND,
+        "## In short",
+        _table("method", short, overall),
         "## Overall",
-        "",
         f"{len(comparison.takes)} recordings.",
-        "",
         *_tables(overall),
+        "## What the columns say",
+        "\n".join(f"- **{m.label}**: {m.about}; {_better(m)}." for m in METRICS),
     ]
-    parts += ["## What the columns say", ""]
-    parts += [f"- **{m.label}**: {m.about}; {_better(m)}." for m in METRICS]
     if notes := notes_of(comparison):
-        parts += ["", "## Notes", "", *(f"- {note}." for note in notes)]
+        parts += ["## Notes", "\n".join(f"- {note}." for note in notes)]
     for take in comparison.takes:
         values = {run.method: run.values for run in comparison.runs if run.take is take}
-        about = f"{len(take.recording)} samples, {_palm(take)}"
-        about += f", contact gap {1e3 * take.human.contact_gap:.0f} mm"
-        about += ", mirrored" if take.is_mirrored else ""
-        parts += ["", f"## {take.name}", "", f"{about}.", "", *_tables(values)]
-    return "\n".join(parts).rstrip() + "\n"
+        mirrored = ", mirrored" if take.is_mirrored else ""
+        about = (
+            f"{len(take.recording)} samples, {_palm(take)}, "
+            f"contact gap {1e3 * take.human.contact_gap:.0f} mm{mirrored}."
+        )
+        parts += [f"## {take.name}", about, *_tables(values)]
+    return "\n\n".join(parts) + "\n"
 
 
 def notes_of(comparison: Comparison) -> list[str]:
@@ -143,8 +131,8 @@ def notes_of(comparison: Comparison) -> list[str]:
     return notes
 
 
-def as_json(comparison: Comparison) -> dict[str, Any]:
-    """Return everything that was measured as plain values; NaN is None.
+def results_of(comparison: Comparison) -> dict[str, Any]:
+    """Return everything that was measured as plain values; JSON has null for NaN.
 
     Returns:
         `robot`, `versions`, `metrics`, `recordings`, `methods` (each with `about`), `overall`
@@ -152,34 +140,20 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
         `notes`.
     """
     pinches = _pinch_samples(comparison)
-    abouts = {
-        method: next(
-            (one.motion.about for one in comparison.of_method(method) if one.motion), ""
-        )
-        for method in comparison.methods
-    }
+    methods = {method: {"about": ""} for method in comparison.methods}
     runs: dict[str, dict[str, Any]] = {take.name: {} for take in comparison.takes}
     for run in comparison.runs:
-        fingers = run.fidelity.fingers
+        if run.motion is not None:
+            methods[run.method] = {"about": run.motion.about}
         runs[run.take.name][run.method] = {
-            "values": _plain(run.values),
-            "fingers": {
-                name: _plain(fingers[name]) for name in FINGERS if name in fingers
-            }
-            if run.motion
-            else None,
+            "values": run.values,
+            "fingers": run.fidelity.fingers if run.motion else None,
             "problem": run.problem,
         }
     return {
         "robot": comparison.robot.name,
         "versions": {package: version(package) for package in _PACKAGES},
-        "metrics": [
-            {
-                key: getattr(m, key)
-                for key in ("key", "title", "unit", "better", "about")
-            }
-            for m in METRICS
-        ],
+        "metrics": [{key: getattr(m, key) for key in _SHOWN} for m in METRICS],
         "recordings": [
             {
                 "name": take.name,
@@ -192,10 +166,8 @@ def as_json(comparison: Comparison) -> dict[str, Any]:
             }
             for take in comparison.takes
         ],
-        "methods": {method: {"about": about} for method, about in abouts.items()},
-        "overall": {
-            method: _plain(comparison.overall(method)) for method in comparison.methods
-        },
+        "methods": methods,
+        "overall": {name: comparison.overall(name) for name in methods},
         "runs": runs,
         "notes": notes_of(comparison),
     }
@@ -205,29 +177,26 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     """Return the methods by their names, peers last unless they are named."""
     outside = {}
     if request.peers:
-        folder = (
-            request.peers_from
-            or Path(handmap_qp.__file__).parents[1] / "benchmarks" / "peers"
-        )
-        outside = {
-            method.name: method for method in outside_methods(folder, request.robot)
-        }
-    own = [
-        name + ending for name in own_methods() for ending in ("", SMOOTH, LOOK_AHEAD)
-    ]
+        checkout = Path(handmap_qp.__file__).parents[1]
+        folder = request.peers_from or checkout / "benchmarks" / "peers"
+        found = outside_methods(folder, request.robot)
+        outside = {method.name: method for method in found}
+    endings = product(own_methods(), ("", SMOOTH, LOOK_AHEAD))
+    known = {name: own_method(name) for name in map("".join, endings)} | outside
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
-    unknown = [name for name in names if name not in outside and name not in own]
-    if unknown:
-        known = ", ".join([*own_methods(), *outside])
-        raise InvalidInputError(
-            argument="--methods",
-            expected=f"some of {known}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
-            got=unknown[0],
-            advice="" if request.peers else "peers need --peers",
-        )
-    chosen = [outside[n] if n in outside else own_method(n) for n in names]
-    return chosen if outside.keys() & set(names) else [*chosen, *outside.values()]
+    for name in names:
+        if name not in known:
+            some = ", ".join([*own_methods(), *outside])
+            raise InvalidInputError(
+                argument="--methods",
+                expected=f"some of {some}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
+                got=name,
+                advice="" if request.peers else "peers need --peers",
+            )
+    if outside.keys() & set(names):
+        outside = {}
+    return [*map(known.__getitem__, names), *outside.values()]
 
 
 def _takes(
@@ -253,23 +222,24 @@ def _takes(
     return takes
 
 
-def _print_overall(title: str, rows: list[dict[str, str]]) -> None:
-    """Print a table of methods, whose names are not broken."""
+def _print_tables(comparison: Comparison) -> None:
+    """Print a table of methods for each group, without breaking names of methods."""
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(box=None, header_style="bold")
-    for name in rows[0]:
-        is_method = name == "method"
-        table.add_column(
-            name, justify="left" if is_method else "right", no_wrap=is_method
-        )
-    for row in rows:
-        table.add_row(*row.values())
     console = Console()
-    console.print(title, style="bold")
-    console.print(table)
-    console.print()
+    for group, metrics in GROUPS.items():
+        table = Table(box=None, header_style="bold")
+        table.add_column("method", no_wrap=True)
+        for metric in metrics:
+            heading = [*metric.title.split(), metric.unit]
+            table.add_column("\n".join(filter(None, heading)), justify="right")
+        for method in comparison.methods:
+            overall = comparison.overall(method)
+            table.add_row(method, *(m.text(overall[m.key]) for m in metrics))
+        console.print(f"{group}, {comparison.robot.name}", style="bold")
+        console.print(table)
+        console.print()
 
 
 def _write(
@@ -279,8 +249,8 @@ def _write(
     table, results, metrics, poses = (out / name for name in FILES)
     with writing(out, "--out"):
         table.write_text(markdown(comparison), encoding="utf-8")
-        text = json.dumps(as_json(comparison), indent=1, allow_nan=False)
-        results.write_text(text + "\n", encoding="utf-8")
+        text = msgspec.json.encode(results_of(comparison))
+        results.write_bytes(msgspec.json.format(text, indent=1) + b"\n")
         say("drawing metrics", 0, 2)
         comparison_pictures.draw_metrics(metrics, comparison)
         say("drawing poses", 1, 2)
@@ -305,31 +275,25 @@ def _pinch_samples(comparison: Comparison) -> dict[str, int]:
 
 
 def _tables(values: dict[str, dict[str, float]]) -> list[str]:
-    """Return the lines of a table for every group, with a row for every method."""
-    return [
-        line for group in GROUPS for line in _table(group, list(GROUPS[group]), values)
-    ]
+    """Return a table for every group, with a row for every method."""
+    return [_table(group, metrics, values) for group, metrics in GROUPS.items()]
 
 
 def _table(
-    title: str, metrics: list[Metric], values: dict[str, dict[str, float]]
-) -> list[str]:
-    """Return the lines of a table with a row for every method, and an empty line."""
-    best = {m.key: m.best([row[m.key] for row in values.values()]) for m in metrics}
-    lines = [f"| {title} | {' | '.join(m.label for m in metrics)} |"]
-    lines += ["|---|" + "---:|" * len(metrics)]
-    for i, (method, row) in enumerate(values.items()):
-        cells = [
-            f"**{m.text(row[m.key])}**" if i in best[m.key] else m.text(row[m.key])
-            for m in metrics
-        ]
-        lines.append(f"| {method} | {' | '.join(cells)} |")
-    return [*lines, ""]
-
-
-def _heading(metric: Metric) -> str:
-    """Return the title and the unit, a word a line."""
-    return "\n".join([*metric.title.split(), *([metric.unit] if metric.unit else [])])
+    title: str, metrics: Sequence[Metric], values: dict[str, dict[str, float]]
+) -> str:
+    """Return a table with a row for every method."""
+    columns = []
+    for metric in metrics:
+        numbers = [row[metric.key] for row in values.values()]
+        best = metric.best(numbers)
+        texts = map(metric.text, numbers)
+        columns.append([f"**{t}**" if i in best else t for i, t in enumerate(texts)])
+    heading = [title, *(metric.label for metric in metrics)]
+    lines = [heading, *zip(values, *columns, strict=True)]
+    rows = [f"| {' | '.join(line)} |" for line in lines]
+    rows.insert(1, "|---|" + "---:|" * len(metrics))
+    return "\n".join(rows)
 
 
 def _better(metric: Metric) -> str:
@@ -345,7 +309,3 @@ def _better(metric: Metric) -> str:
 
 def _palm(take: Take) -> str:
     return "palm of the tracker" if take.has_wrist else "palm fitted to its landmarks"
-
-
-def _plain(values: dict[str, float]) -> dict[str, float | None]:
-    return {key: float(v) if np.isfinite(v) else None for key, v in values.items()}

@@ -11,7 +11,12 @@ import numpy as np
 
 from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
 from handmap_qp.apps.drawing.hands import require_matplotlib
-from handmap_qp.apps.offline.comparison import Comparison, base_name, own_methods
+from handmap_qp.apps.offline.comparison import (
+    Comparison,
+    RobotMotion,
+    base_name,
+    own_methods,
+)
 from handmap_qp.apps.offline.metrics import METRICS, Metric
 from handmap_qp.apps.offline.poses import POSES, rank_poses
 
@@ -86,29 +91,19 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     shown = _clearest(comparison)
-    used = {k for k, _ in shown.values()}
-    methods = [
-        method
-        for method in comparison.methods
-        if all(
-            run.motion
-            for k, run in enumerate(comparison.of_method(method))
-            if k in used
-        )
-    ]
+    motions = _motions(comparison, {k for k, _ in shown.values()})
     missing = [pose for pose in POSES if pose not in shown]
-    missing += [method for method in comparison.methods if method not in methods]
-    if not used or not methods:
+    missing += [method for method in comparison.methods if method not in motions]
+    if not shown or not motions:
         return None, missing
-    rows = [
-        _sheet_row(comparison, methods, pose, *place) for pose, place in shown.items()
-    ]
+    rows = _rows(comparison, shown, motions)
+    columns = [(method, comparison.robot) for method in motions]
     footnote = f"Not shown: {', '.join(missing)}." if missing else ""
     bands = []
-    for first in range(0, len(methods), _BAND):
+    for first in range(0, len(columns), _BAND):
         band = slice(first, first + _BAND)
         figure = contact_sheet(
-            [(method, comparison.robot) for method in methods[band]],
+            columns[band],
             [replace(row, q=row.q[band]) for row in rows],
             side=comparison.robot.spec.side,
             title=comparison.robot.name,
@@ -123,6 +118,35 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     ]
     require_matplotlib().image.imsave(file, np.concatenate(padded))
     return file, missing
+
+
+def _motions(
+    comparison: Comparison, used: set[int]
+) -> dict[str, dict[int, RobotMotion]]:
+    """Return motions by method and take, of the methods that did not fail on the takes used."""
+    motions = {}
+    for method in comparison.methods:
+        runs = enumerate(comparison.of_method(method))
+        found = {k: run.motion for k, run in runs if run.motion is not None}
+        if used <= found.keys():
+            motions[method] = found
+    return motions
+
+
+def _rows(
+    comparison: Comparison,
+    shown: dict[str, tuple[int, int]],
+    motions: dict[str, dict[int, RobotMotion]],
+) -> list[SheetRow]:
+    """Return the rows of poses, each of which a sample of a take shows."""
+    rows = []
+    for pose, (k, index) in shown.items():
+        recording = comparison.takes[k].recording
+        angles = [found[k].q for found in motions.values()]
+        (row,) = sheet_rows(recording, {pose: index}, angles)
+        name = recording.name.replace("_", " ").removesuffix(f" {recording.side}")
+        rows.append(replace(row, note=f"{name}\n{row.note}"))
+    return rows
 
 
 def _pixels(figure: Figure) -> np.ndarray:
@@ -144,21 +168,6 @@ def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:
             (index, _), k = max(shown, key=lambda place: place[0][1])
             places[pose] = (k, index)
     return places
-
-
-def _sheet_row(
-    comparison: Comparison, methods: list[str], pose: str, k: int, index: int
-) -> SheetRow:
-    """Return the row of a pose: sample `index` of take `k`."""
-    take = comparison.takes[k]
-    motions = []
-    for method in methods:
-        motion = comparison.of_method(method)[k].motion
-        assert motion is not None  # Methods that failed are not among these.
-        motions.append(motion.q)
-    (row,) = sheet_rows(take.recording, {pose: index}, motions)
-    name = take.name.replace("_", " ").removesuffix(f" {take.recording.side}")
-    return replace(row, note=f"{name}\n{row.note}")
 
 
 def _draw_panel(
@@ -215,10 +224,10 @@ def _range(metric: Metric, means: list[float]) -> tuple[float, float]:
     finite = np.array([v for v in means if np.isfinite(v)])
     if not len(finite):
         return 0.0, 1.0
-    low, high = min(0.0, float(finite.min())), float(finite.max())
-    middle = float(np.median(np.abs(finite)))
-    if metric.better != "high" and middle > 0.0:
-        high = min(high, _WIDEST * middle)
+    low, high = min(0.0, finite.min()), finite.max()
+    middle = np.median(np.abs(finite))
     if metric.better == "high":
-        high = max(high, 1.0 if finite.max() > 0.5 else high)
+        high = max(high, 1.0) if high > 0.5 else high
+    elif middle > 0.0:
+        high = min(high, _WIDEST * middle)
     return low, high * 1.03 if high > low else low + 1.0

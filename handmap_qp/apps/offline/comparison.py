@@ -187,14 +187,15 @@ class Comparison(NamedTuple):
         lines, still = [], []
         for method in self.methods:
             runs = self.of_method(method)
-            failed = {run.take.name: run.problem for run in runs if run.problem}
-            if len(failed) == len(runs) and len(set(failed.values())) == 1:
+            problems = {run.problem for run in runs}
+            if len(problems) == 1 and all(problems):
                 lines.append(f"{method}: {runs[0].problem}")
             else:
+                failed = [run for run in runs if run.problem]
                 lines += [
-                    f"{method} on {take}: {problem}" for take, problem in failed.items()
+                    f"{method} on {run.take.name}: {run.problem}" for run in failed
                 ]
-            if any(run.motion is not None and run.motion.wrist is None for run in runs):
+            if any(run.motion and run.motion.wrist is None for run in runs):
                 still.append(method)
         if still:
             lines.append(
@@ -420,20 +421,18 @@ def _map_outside(
         _call(folder, "run", listed.name, hand, str(given), str(made))
         try:
             values = read_archive(made)
-            shapes = {"q": (count, len(robot.joint_names)), "step_time": (count,)}
-            if "wrist" in values:
-                shapes["wrist"] = (count, 4, 4)
-            q, step_time, *wrist = (
-                as_floats(
-                    values[name], name, shape=shape, is_finite=name != "step_time"
-                )
-                for name, shape in shapes.items()
-            )
+            shape = (count, len(robot.joint_names))
+            q = as_floats(values["q"], "q", shape=shape, is_finite=True)
+            step_time = as_floats(values["step_time"], "step_time", shape=(count,))
+            wrist = values.get("wrist")
+            if wrist is not None:
+                shape = (count, 4, 4)
+                wrist = as_floats(wrist, "wrist", shape=shape, is_finite=True)
         except (KeyError, ValueError) as error:
             raise OutsideError(
                 f"{folder / PROGRAM}: {listed.name}: bad result: {error}"
             ) from error
-    return RobotMotion(q, wrist[0] if wrist else None, step_time, listed.about)
+    return RobotMotion(q, wrist, step_time, listed.about)
 
 
 def _call(folder: Path, *words: str) -> str:
