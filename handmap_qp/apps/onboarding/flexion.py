@@ -8,7 +8,6 @@ base joints flex if they move the tip in the same direction.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -16,9 +15,9 @@ from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.hands.fingers import (
     PARALLEL,
     Finger,
+    Flexion,
     PalmKinematics,
     ends_of,
-    joint_motion,
     nearing,
 )
 
@@ -67,50 +66,42 @@ class HandFlexion:
     ) -> None:
         self._robot, self._fingers, self._view = robot, fingers, PalmKinematics(robot)
         self._tips = [finger.tip for finger in fingers]
-        self.roots = np.array(
-            [self._view.axes(robot.zero, finger.joints[:1])[1][0] for finger in fingers]
-        )
+        roots = [(finger.joints[0], np.zeros(3)) for finger in fingers]
+        self.roots = self._view.points(robot.zero, roots)
         self.moves = np.zeros((len(fingers), len(robot.zero)), dtype=bool)
         straight = np.ma.masked_all(self.moves.shape)
-        found = {}
-        for i, finger in enumerate(fingers):
-            self.moves[i, finger.columns] = True
-            if finger.flexion is not None and finger.flexion.curls:
-                found[i] = finger.flexion
-                straight[i, finger.flexion.columns] = finger.flexion.straight
-        # A joint that moves several fingers takes the mean of their straight positions.
-        mean = straight.mean(axis=0)
-        self.q_open = mean.filled(robot.zero)
         self.sign, self.certainty = np.zeros(len(robot.zero)), np.zeros(len(fingers))
         self.ways, self.axes = np.zeros((2, len(fingers), 3))
-        motions = [self._view.motion(self.q_open, tip)[:3] for tip in self._tips]
-        self._motions = np.array(motions)
-        self._groups = {}
-        for i, group in found.items():
-            axis, knuckle, signs = fingers[i].flexion_at(self.q_open)
-            self._groups[i] = replace(group, axis=axis, knuckle=knuckle, signs=signs)
-            self.sign[group.columns] += group.certainty * group.sense * signs
-        self.sign = np.sign(self.sign)
+        self._groups, self.bases = dict[int, Flexion](), self.roots.copy()
+        for i, finger in enumerate(fingers):
+            self.moves[i, finger.columns] = True
+            if (group := finger.flexion) is not None and group.curls:
+                self._groups[i], self.bases[i] = group, group.knuckle
+                straight[i, group.columns] = group.straight
+                self.sign[group.columns] += group.certainty * group.sense * group.signs
+        # A joint that moves several fingers takes the mean of their straight positions.
+        mean, self.sign = straight.mean(axis=0), np.sign(self.sign)
+        self.q_open = mean.filled(robot.zero)
+        self._motions = np.array(
+            [self._view.motion(self.q_open, tip)[:3] for tip in self._tips]
+        )
         for i, group in self._groups.items():
             if group.certainty > 0.0:
                 self._settle(i, group.certainty)
-        self._settle_even(palmar)
+        self._settle_even(np.zeros(3) if palmar is None else palmar)
         self._close_jaws()
         self._sign_base_joints()
         ends = ends_of(robot, self.q_open, np.arange(len(self.sign)), self.sign)
         self.q_closed = np.where(self.sign == 0.0, self.q_open, ends[1])
         # A jaw is open at one end of its range, which need not be zero.
         jaws = (self.sign != 0.0) & np.ma.getmaskarray(mean) & robot.slides
-        straight_q, self.q_open = self.q_open, np.where(jaws, ends[0], self.q_open)
+        self.q_open = np.where(jaws, ends[0], self.q_open)
         postures = np.array([self.q_open, self.q_closed])
         self.tips_open, self.tips_closed = self._view.points(postures, self._tips)
-        self.bases = self.roots.copy()
-        for i, group in self._groups.items():
-            self.bases[i] = group.knuckle
         lines = self.tips_open - self.bases
         self.reach = np.linalg.norm(lines, axis=1)
         for i in self._groups:
-            lines[i] = self._line(i, straight_q)
+            lines[i] = self._line(i)
         self.directions = _unit(lines)
 
     def _settle(self, i: int, certainty: float) -> None:
@@ -121,7 +112,7 @@ class HandFlexion:
         self.axes[i] = np.sign(sign @ group.signs) * group.axis
         self.certainty[i] = certainty
 
-    def _settle_even(self, palmar: np.ndarray | None) -> None:
+    def _settle_even(self, palmar: np.ndarray) -> None:
         """Choose the direction of groups that curl equally far both ways.
 
         Follow the palm if it is known, else the other fingers, else towards the other tips, else
@@ -135,25 +126,28 @@ class HandFlexion:
         }
         for alike in _alike(slopes):
             senses = {i: np.sign(slopes[i] @ slopes[alike[0]]) or 1.0 for i in alike}
+            signs = {i: senses[i] * self._groups[i].signs for i in alike}
             slope = sum(senses[i] * slopes[i] for i in alike)
-            groups = {i: self._groups[i] for i in alike}
-            nearer = sum(
-                self._nearing(i, group.columns, senses[i] * group.signs)
-                for i, group in groups.items()
-            )
             votes = (
-                (0.0 if palmar is None else slope @ palmar, 0.7),
+                (slope @ palmar, 0.7),
                 (0.5 * slope @ known, 0.6),
                 (self._side_of_others(alike, slope), 0.5),
-                (nearer, 0.4),
+                (
+                    sum(
+                        self._nearing(i, self._groups[i].columns, signs[i])
+                        for i in alike
+                    ),
+                    0.4,
+                ),
                 (1.0, 0.1),
             )
             clear = min(0.1 * float(np.linalg.norm(slope)), 0.5)
             vote, confidence = next(pair for pair in votes if abs(pair[0]) > clear)
-            for i, group in groups.items():
-                given = self.sign[group.columns]
-                own = np.sign(vote) * senses[i] * group.signs
-                self.sign[group.columns] = np.where(given == 0.0, own, given)
+            for i in alike:
+                columns = self._groups[i].columns
+                given = self.sign[columns]
+                own = np.sign(vote) * signs[i]
+                self.sign[columns] = np.where(given == 0.0, own, given)
                 self._settle(i, confidence)
 
     def _close_jaws(self) -> None:
@@ -177,20 +171,15 @@ class HandFlexion:
         flexes = (self.sign == 0.0) & (np.abs(cosines.filled(0.0)) > _FLEXING)
         self.sign[flexes] = np.sign(cosines[flexes])
 
-    def _line(self, i: int, q: np.ndarray) -> np.ndarray:
+    def _line(self, i: int) -> np.ndarray:
         """Return a straight finger's line; that of its first phalanx if it stays bent."""
-        line, group = self.tips_open[i] - self.bases[i], self._groups[i]
-        model, joints = self._robot.model, self._fingers[i].joints
-        rows = joint_motion(self._robot)[[model.joints[j].idx_v for j in joints]]
-        turns, points = self._view.axes(q, joints)
-        mine = rows[:, group.columns].any(axis=1) & turns.any(axis=1)
-        points = points[mine] - self.bases[i]
-        flat = points - np.outer(points @ group.axis, group.axis)
-        order = np.argsort(np.linalg.norm(flat, axis=1), kind="stable")[1:]
-        parts = np.diff([np.zeros(3), *flat[order], line], axis=0)
+        finger, tip = self._fingers[i], self.tips_open[i]
+        _, points = self._view.axes(self.q_open, finger.bending, finger.tip)
+        parts = np.diff([*points, tip], axis=0)
         lengths = np.linalg.norm(parts, axis=1)
-        is_bent = np.linalg.norm(line) < _STRETCHED * lengths.sum()
-        return parts[0] if is_bent and lengths[0] > _PHALANX * lengths.sum() else line
+        is_bent = np.linalg.norm(tip - points[0]) < _STRETCHED * lengths.sum()
+        is_long = lengths[0] > _PHALANX * lengths.sum()
+        return parts[0] if is_bent and is_long else tip - self.bases[i]
 
     def _side_of_others(self, mine: list[int], slope: np.ndarray) -> float:
         """Return whether the other fingers are in the direction `slope` of two or more alike ones.

@@ -17,6 +17,7 @@ import pinocchio as pin
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Finger
+from handmap_qp.se3 import lengths, transform_points
 
 LONGEST_FINGER = 0.3
 """A longer branch is a leg or an arm [m]."""
@@ -110,25 +111,23 @@ def find_structure(robot: Robot) -> Structure:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
     """
     found = {body: _fingerlike(robot, body) for body in range(robot.model.njoints)}
-    candidates = {
-        body: fingers
-        for body, fingers in found.items()
-        if len({one.joints[0] for one in fingers}) > 1
-    }
+    roots = {body: {one.joints[0] for one in found[body]} for body in found}
+    # Bodies inside the fingers of another palm are none.
     inside = {
-        body
-        for fingers in candidates.values()
-        for finger in fingers
-        for body in robot.model.subtrees[finger.joints[0]]
+        part
+        for starts in roots.values()
+        if len(starts) > 1
+        for start in starts
+        for part in robot.model.subtrees[start]
     }
-    palms = [body for body in candidates if body not in inside]
+    palms = [body for body in found if len(roots[body]) > 1 and body not in inside]
     if len(palms) > 1:
-        links = ", ".join(_palm_link(robot, candidates[body]) for body in palms[:8])
+        links = ", ".join(_palm_link(robot, found[body]) for body in palms[:8])
         problem = (
             f"there are {len(palms)} possible palms: {links}; choose one with --root"
         )
         raise HandError(problem, file=robot.file, value=palms)
-    structure = _hand(robot, candidates[palms[0]]) if palms else _one_finger(robot)
+    structure = _hand(robot, found[palms[0]]) if palms else _one_finger(robot)
     robot.palm_frame_id = robot.frames[structure.palm]
     return structure
 
@@ -136,14 +135,20 @@ def find_structure(robot: Robot) -> Structure:
 def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
     """Return the hand of all chains that are fingers."""
     notes: list[str] = []
-    kept = _drop_idle(robot, fingers, notes)
-    kept = _drop_linkages(robot, _drop_forks(kept, notes), notes)
-    if not kept:
+    for fault_of in (_idleness, _second_end, _linkage):
+        faults = [fault_of(robot, finger, fingers) for finger in fingers]
+        notes += [
+            f"{', '.join(finger.joint_names)}: {fault}"
+            for finger, fault in zip(fingers, faults, strict=True)
+            if fault
+        ]
+        fingers = [one for one, fault in zip(fingers, faults, strict=True) if not fault]
+    if not fingers:
         raise HandError("no branch of the palm moves its end", file=robot.file)
-    _check_one_hand(robot, kept)
-    how = f"the only link from which {len(kept)} chains of at most {LONGEST_FINGER:g} m branch"
-    sure = 0.95 if len(kept) > 2 else 0.85
-    return Structure(_palm_link(robot, kept), kept, how, sure, notes)
+    _check_one_hand(robot, fingers)
+    how = f"the only link from which {len(fingers)} chains of at most {LONGEST_FINGER:g} m branch"
+    sure = 0.95 if len(fingers) > 2 else 0.85
+    return Structure(_palm_link(robot, fingers), fingers, how, sure, notes)
 
 
 def _one_finger(robot: Robot) -> Structure:
@@ -220,31 +225,32 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
     """
     leaf, link = joints[-1], robot.links[joints[-1]][0]
     cloud = robot.surface(leaf)
-    size = float(np.linalg.norm(cloud, axis=1).max(initial=0.0))
+    sizes = lengths(cloud)
+    size = float(sizes.max(initial=0.0))
     ends = {end: robot.pose_in(end, link)[:3, 3] for end in robot.ends(leaf)}
-    far = max(ends, key=lambda end: float(np.linalg.norm(ends[end])), default="")
-    distance = float(np.linalg.norm(ends.get(far, 0.0)))
+    distance, far = max(
+        ((float(np.linalg.norm(place)), end) for end, place in ends.items()),
+        default=(0.0, ""),
+    )
     if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, ends[far]):
         how = f"the link {far} ends the chain, {1e3 * distance:.0f} mm beyond the last joint"
         return Tip(far, np.zeros(3), how, 0.95)
     if size > _LEAST_TIP:
         # The centre of the outermost slice lies on the finger's axis, not on its skin.
-        middle = cloud[np.linalg.norm(cloud, axis=1) > 0.95 * size].mean(axis=0)
+        middle = cloud[sizes > 0.95 * size].mean(axis=0)
         for _ in range(2):
             along = cloud @ middle
             outermost = cloud[along > 0.85 * along.max()]
             middle = 0.5 * (outermost.min(axis=0) + outermost.max(axis=0))
-        way = middle / np.linalg.norm(middle)
-        middle = (cloud @ way).max() * way
+        middle *= (cloud @ middle).max() / (middle @ middle)
         how = f"the far end of the surface of {link}, {1e3 * size:.0f} mm from the last joint"
         return Tip(link, middle, how, 0.8)
-    how = f"{link} has no surface and no end frame"
+    how, before = f"{link} has no surface and no end frame", np.zeros(3)
     if len(joints) > 1:
         before = robot.pose_in(robot.links[joints[-2]][0], link)[:3, 3]
-        if np.linalg.norm(before) > _LEAST_TIP:
-            return Tip(
-                link, -0.8 * before, f"{how}: 0.8 of the previous link's length", 0.3
-            )
+    if np.linalg.norm(before) > _LEAST_TIP:
+        how = f"{how}: 0.8 of the previous link's length"
+        return Tip(link, -0.8 * before, how, 0.3)
     return Tip(link, np.zeros(3), f"{how}: its origin", 0.1)
 
 
@@ -265,107 +271,70 @@ def _is_at_end(robot: Robot, body: int, place: np.ndarray) -> bool:
     )
 
 
-def _sweep(robot: Robot, finger: RobotFinger) -> np.ndarray:
-    """Return postures in which a finger's joints cross their ranges together, shape (5, n)."""
-    postures, columns = np.tile(robot.zero, (5, 1)), finger.columns
-    lower, upper = robot.lower_limits[columns], robot.upper_limits[columns]
-    postures[:, columns] = np.linspace(lower, upper, len(postures))
-    return postures
-
-
-def _travel(robot: Robot, finger: RobotFinger, other: int) -> float:
-    """Return how far a tip moves on another body along an axis while its joints cross [m]."""
-    poses = _poses(robot, finger, other)
-    return float(
-        np.ptp(poses[:, :3, :3] @ finger.tip[1] + poses[:, :3, 3], axis=0).max()
-    )
-
-
 def _poses(robot: Robot, finger: RobotFinger, other: int) -> np.ndarray:
-    """Return poses of a finger's last body on another body while its joints cross, (5, 4, 4)."""
+    """Return poses of a finger's last body on another body, shape (5, 4, 4).
+
+    The finger's joints cross their ranges together.
+    """
     data, poses = robot.model.createData(), []
-    for q in _sweep(robot, finger):
+    for share in np.linspace(0.0, 1.0, 5):
+        q, columns = robot.zero.copy(), finger.columns
+        low, high = robot.lower_limits[columns], robot.upper_limits[columns]
+        q[columns] = low + share * (high - low)
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
         poses.append(data.oMi[other].actInv(data.oMi[finger.joints[-1]]).homogeneous)
     return np.array(poses)
 
 
-def _drop_idle(
-    robot: Robot, fingers: list[RobotFinger], notes: list[str]
-) -> list[RobotFinger]:
-    """Keep the chains that move their own ends."""
-    kept = []
-    for finger in fingers:
-        if (
-            _travel(robot, finger, robot.model.parents[finger.joints[0]])
-            >= _LEAST_TRAVEL
+def _travel(finger: RobotFinger, poses: np.ndarray) -> float:
+    """Return how far a fingertip moves along an axis in poses of its body [m]."""
+    tips = transform_points(poses, finger.tip[1][None])
+    return float(np.ptp(tips, axis=0).max())
+
+
+def _idleness(robot: Robot, finger: RobotFinger, _: list[RobotFinger]) -> str:
+    """Return what is wrong with a chain that does not move its own end."""
+    poses = _poses(robot, finger, robot.model.parents[finger.joints[0]])
+    is_idle = _travel(finger, poses) < _LEAST_TRAVEL
+    return "does not move the end of its chain, so not a finger" if is_idle else ""
+
+
+def _second_end(_: Robot, finger: RobotFinger, fingers: list[RobotFinger]) -> str:
+    """Return what is wrong with a chain that shares most joints with a longer one."""
+    for other in sorted(fingers, key=lambda one: -len(one.joints)):
+        if other is finger:
+            break
+        if len({*finger.joints} & {*other.joints}) > 0.5 * len(finger.joints):
+            return f"a second end of the finger that ends at {other.links[-1]}"
+    return ""
+
+
+def _linkage(robot: Robot, bar: RobotFinger, fingers: list[RobotFinger]) -> str:
+    """Return what is wrong with a bar: hinged to a finger that the same joint drives."""
+    for host in fingers:
+        is_driven_alike = {*host.columns} == {*bar.columns}
+        bodies = host.joints if len(host.joints) > len(bar.joints) else ()
+        if is_driven_alike and any(
+            _is_hinged(bar, _poses(robot, bar, body)) for body in bodies
         ):
-            kept.append(finger)
-        else:
-            joints = ", ".join(finger.joint_names)
-            notes.append(
-                f"{joints}: does not move the end of its chain, so not a finger"
-            )
-    return kept
+            return f"a bar of the linkage of the finger that ends at {host.links[-1]}"
+    return ""
 
 
-def _drop_forks(fingers: list[RobotFinger], notes: list[str]) -> list[RobotFinger]:
-    """Keep the longest of chains that share most joints: one finger with two ends."""
-    kept: list[RobotFinger] = []
-    for finger in sorted(fingers, key=lambda one: -len(one.joints)):
-        for other in kept:
-            if len({*finger.joints} & {*other.joints}) > 0.5 * len(finger.joints):
-                what = f"a second end of the finger that ends at {other.links[-1]}"
-                notes.append(f"{finger.links[-1]}: {what}")
-                break
-        else:
-            kept.append(finger)
-    return [finger for finger in fingers if finger in kept]
-
-
-def _drop_linkages(
-    robot: Robot, fingers: list[RobotFinger], notes: list[str]
-) -> list[RobotFinger]:
-    """Drop bars of linkages: driven by another finger's joint, and hinged to that finger."""
-    kept = []
-    for finger in fingers:
-        hosts = [
-            other
-            for other in fingers
-            if len(other.joints) > len(finger.joints)
-            and {*other.columns} == {*finger.columns}
-            and any(_is_hinged(robot, finger, body) for body in other.joints)
-        ]
-        if hosts:
-            what = (
-                f"a bar of the linkage of the finger that ends at {hosts[0].links[-1]}"
-            )
-            notes.append(f"{', '.join(finger.joint_names)}: {what}")
-        else:
-            kept.append(finger)
-    return kept
-
-
-def _is_hinged(robot: Robot, bar: RobotFinger, body: int) -> bool:
+def _is_hinged(bar: RobotFinger, poses: np.ndarray) -> bool:
     """Return whether the last body of a bar stays at rest on a body, or turns about a point of it.
 
     The pivot p in the bar and c in the body solve `R p + t = c` for the bar's poses (R, t).
     """
-    poses = _poses(robot, bar, body)
     rotations, shifts = poses[:, :3, :3], -poses[:, :3, 3].ravel()
-    turned = rotations[0].T @ rotations[-1]
     if np.linalg.norm(rotations - rotations[0], axis=(1, 2)).max() < _LEAST_PIVOT:
-        return _travel(robot, bar, body) < _LINKAGE_SLACK
+        return _travel(bar, poses) < _LINKAGE_SLACK
     matrix = np.hstack([rotations.reshape(-1, 3), np.tile(-np.eye(3), (len(poses), 1))])
     # All points on the pivot's axis fit: the shortest solution is the one nearest to both origins.
     solution = np.linalg.lstsq(matrix, shifts, rcond=1e-6)[0]
-    residual = np.linalg.norm((matrix @ solution - shifts).reshape(-1, 3), axis=1)
-    axis = pin.log3(turned)
-    off_axis = float(
-        np.linalg.norm(np.cross(axis / np.linalg.norm(axis), solution[:3]))
-    )
+    residuals = lengths((matrix @ solution - shifts).reshape(-1, 3))
+    axis = pin.log3(rotations[0].T @ rotations[-1])
+    off_axis = np.linalg.norm(np.cross(axis, solution[:3])) / np.linalg.norm(axis)
     length = float(np.linalg.norm(bar.tip[1]))
-    return bool(
-        residual.max() < _LINKAGE_SLACK
-        and _PIVOT_SHARE * length < off_axis < length + _LINKAGE_SLACK
-    )
+    is_off = _PIVOT_SHARE * length < off_axis < length + _LINKAGE_SLACK
+    return bool(residuals.max() < _LINKAGE_SLACK and is_off)
