@@ -13,6 +13,7 @@ import asyncio
 import itertools
 from collections import Counter
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import msgspec
@@ -103,9 +104,26 @@ class World:
         supervisors = ("b",) if self.setting.has_supervisor else ()
         caps = Settings(rate=1e9, opens=1e9, idle=1e9, supervisor=supervisors)
         self.dispatcher = Dispatcher(
-            caps, CACHE, Metrics(), store=self.store, clock=lambda: self.now
+            caps, CACHE, Metrics(), store=self.store, clock=self._clock
         )
         self.dispatcher.sessions._submit = run_now
+        # No limit of rates, which a copy would share.
+        vars(self.dispatcher)["_rates"] = self.dispatcher._new_rates
+
+    def _clock(self) -> float:
+        return self.now
+
+    def fork(self) -> World:
+        """Return a copy that goes on by itself. What does not change is shared."""
+        there, session = self.dispatcher.sessions, self.session
+        shared: list[Any] = [self._loop, CACHE, self.dispatcher._metrics]
+        shared += there._executor, there._works, there._settings
+        if session is not None:
+            hands, mapper = session._hands, session._hands.mapper
+            shared += hands.robot, hands.pair, hands.follower, hands.choice
+            shared += mapper.human, mapper.robot, mapper._plan.bound, mapper._human
+            shared += mapper.method, session._commanded._workspace, session.request
+        return deepcopy(self, {id(thing): thing for thing in shared})
 
     @property
     def session(self) -> Session | None:
@@ -318,35 +336,29 @@ def explore(monkeypatch: pytest.MonkeyPatch) -> Iterator[Search]:
     )
     loop = asyncio.new_event_loop()
 
-    def replay(setting: Setting, path: Path) -> World:
-        world = World(setting, loop)
-        for event in path:
-            world.act(event)
-        return world
-
     def search(setting: Setting) -> Counter[str]:
-        seen, known = Counter[str](), {World(setting, loop).state()}
-        paths: list[Path] = [()]
+        start = World(setting, loop)
+        seen, known = Counter[str](), {start.state()}
+        worlds: list[tuple[Path, World]] = [((), start)]
         for _ in range(setting.depth):
-            longer: list[Path] = []
-            for path in paths:
-                world = replay(setting, path)
-                state = world.state()
+            longer: list[tuple[Path, World]] = []
+            for path, world in worlds:
+                state, here = world.state(), world.fork()
                 for event in EVENTS:
                     try:
-                        world.act(event)
+                        here.act(event)
                     except AssertionError as error:
                         raise AssertionError(f"{error}: {(*path, event)}") from error
-                    seen += world.seen
-                    world.seen.clear()
-                    if (after := world.state()) != state:
+                    seen += here.seen
+                    here.seen.clear()
+                    if (after := here.state()) != state:
                         if after not in known:
                             known.add(after)
-                            longer.append((*path, event))
-                        world = replay(setting, path)
-                        world.seen.clear()
-            paths = longer
-        return seen + Counter(states=len(known), left=len(paths))
+                            # Sessions that are opened share one mapper, and copies do not.
+                            longer.append(((*path, event), here.fork()))
+                        here = world.fork()
+            worlds = longer
+        return seen + Counter(states=len(known), left=len(worlds))
 
     yield search
     loop.close()
