@@ -76,6 +76,22 @@ class InvalidInputError(_DescribedError):
     """A value given to a public function cannot be used; `argument` names it."""
 
 
+def expect(is_right: Any, argument: str, expected: str, **evidence: Any) -> None:
+    """Reject a value that is not as expected.
+
+    Args:
+        is_right: Whether it is.
+        argument: As of `InvalidInputError`.
+        expected: As of `InvalidInputError`.
+        evidence: `value`, `got` and `advice`, as of `InvalidInputError`.
+
+    Raises:
+        InvalidInputError: If it is not.
+    """
+    if not is_right:
+        raise InvalidInputError(argument=argument, expected=expected, **evidence)
+
+
 class DiskFullError(InvalidInputError):
     """A file cannot be written, because its disk is full or the user's quota is used up."""
 

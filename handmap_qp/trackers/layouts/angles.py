@@ -11,10 +11,11 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import InvalidInputError, did_you_mean
+from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
 from handmap_qp.hands.spec import Side
+from handmap_qp.se3 import transform_points
 from handmap_qp.trackers.layouts.base import (
     UNITS,
     Hands,
@@ -79,49 +80,36 @@ class AngleLayout(Layout[AngleTable]):
     def __init__(self, table: AngleTable) -> None:
         super().__init__(table)
         joints = [entry.joint for entry in table.angles]
-        for joint in joints:
-            if joint not in HUMAN_JOINTS or joints.count(joint) > 1:
-                raise InvalidInputError(
-                    argument="angles",
-                    expected="joints of the human hand, each once",
-                    value=joint,
-                    advice=did_you_mean(joint, HUMAN_JOINTS),
-                )
-            if table.angles[joints.index(joint)].scale == 0.0:
-                raise InvalidInputError(
-                    argument=f"{joint}.scale", expected="not 0", value=0.0
-                )
-        if table.unit not in ("deg", "rad"):
-            raise InvalidInputError(
-                argument="unit", expected="deg or rad", value=table.unit
+        for entry in table.angles:
+            expect(
+                entry.joint in HUMAN_JOINTS and joints.count(entry.joint) == 1,
+                "angles",
+                "joints of the human hand, each once",
+                value=entry.joint,
+                advice=did_you_mean(entry.joint, HUMAN_JOINTS),
             )
+            expect(entry.scale != 0.0, f"{entry.joint}.scale", "not 0", value=0.0)
+        expect(table.unit in _WORDS, "unit", "deg or rad", value=table.unit)
         self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
         self._scales = np.array([entry.scale for entry in table.angles])
         self._offsets = np.array([entry.offset for entry in table.angles])
         self.shapes = ((len(joints),),)
         self.columns = tuple(entry.name for entry in table.angles)
-
-    def aliases(self, index: int) -> tuple[str, ...]:
-        """Return further names of an angle."""
-        return self.table.angles[index].aliases
-
-    def default(self, index: int) -> float | None:
-        """Return the angle that stands for a missing one."""
-        return self.table.angles[index].default
+        for entry in table.angles:
+            self.aliases[entry.name] = entry.aliases
+            if entry.default is not None:
+                self.defaults[entry.name] = entry.default
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every angle."""
-        unit = self.table.unit
-        return [
-            {
-                "index": i,
-                "angle": entry.name,
-                "joint of the human model": entry.joint,
-                f"joint [{unit}]": f"{entry.scale:+g} x angle"
-                + (f" {entry.offset:+g}" if entry.offset else ""),
-            }
-            for i, entry in enumerate(self.table.angles)
-        ]
+        meaning, rows = f"joint [{self.table.unit}]", []
+        for i, entry in enumerate(self.table.angles):
+            offset = f" {entry.offset:+g}" if entry.offset else ""
+            row = {"index": i, "angle": entry.name}
+            row["joint of the human model"] = entry.joint
+            row[meaning] = f"{entry.scale:+g} x angle{offset}"
+            rows.append(row)
+        return rows
 
     def postures(self, values: np.ndarray) -> np.ndarray:
         """Turn angles into those of the human model.
@@ -137,9 +125,8 @@ class AngleLayout(Layout[AngleTable]):
             InvalidInputError: If they are in another unit, or fingers bend backwards.
         """
         q = np.zeros((len(values), len(HUMAN_JOINTS)))
-        q[:, self._joints] = UNITS[self.table.unit] * (
-            self._scales * values + self._offsets
-        )
+        angles = self._scales * values + self._offsets
+        q[:, self._joints] = UNITS[self.table.unit] * angles
         self._check(values, q)
         return q
 
@@ -152,19 +139,18 @@ class AngleLayout(Layout[AngleTable]):
     ) -> Hands:
         """Turn angles into landmarks by the human model; see `Layout.hands`."""
         human = sized_human(side, lengths)
-        postures = np.clip(
-            self.postures(values), human.lower_limits, human.upper_limits
-        )
+        postures = self.postures(values)
+        postures = np.clip(postures, human.lower_limits, human.upper_limits)
         landmarks = np.array([human.points(q) for q in postures])
         if wrists is not None:
-            landmarks = (
-                landmarks @ wrists[:, :3, :3].transpose(0, 2, 1)
-                + wrists[:, None, :3, 3]
-            )
+            landmarks = transform_points(wrists, landmarks)
         return Hands(landmarks, wrists)
 
     def write_posture(
-        self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray
+        self,
+        human: Hand,
+        q: npt.ArrayLike,
+        wrist: np.ndarray,
     ) -> np.ndarray:
         """Return the angles of a posture; see `Layout.write_posture`."""
         own = np.asarray(q, dtype=float)[self._joints] / UNITS[self.table.unit]
@@ -172,30 +158,29 @@ class AngleLayout(Layout[AngleTable]):
 
     def _check(self, values: np.ndarray, q: np.ndarray) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
-        largest = float(np.abs(values).max(initial=0.0))
-        unit, other, got = self.table.unit, "", f"{largest:.4g}"
-        if unit == "rad" and largest > 2.0 * _LARGEST_ANGLE:
-            other = "deg"
-        if unit == "deg" and len(values) > 1 and 0.0 < largest < _STRAIGHTEST:
-            other, got = "rad", f"none above {largest:.3g}"
-        if other:
-            raise InvalidInputError(
-                argument="values",
-                expected=f"angles in {_WORDS[unit]}",
-                got=got,
-                advice=f"these are {_WORDS[other]}: convert them, or set `unit: {other}` in a "
-                "table of your own",
-            )
-        bends = [
-            i for i, name in enumerate(HUMAN_JOINTS) if name.endswith("PIP_flexion")
-        ]
-        backwards = q[:, bends].mean(axis=1) < _BACKWARDS
-        if backwards.any():
-            sample = int(np.argmax(backwards))
-            degrees = float(np.degrees(q[sample, bends].mean()))
-            raise InvalidInputError(
-                argument="values",
-                expected="flexion with a positive sign",
-                got=f"middle joints bent backwards by {-degrees:.0f} deg in sample {sample}",
-                advice="turn the sign of the flexion angles",
-            )
+        largest, unit = float(np.abs(values).max(initial=0.0)), self.table.unit
+        if unit == "rad":
+            is_other, got = largest > 2.0 * _LARGEST_ANGLE, f"{largest:.4g}"
+        else:
+            is_other = len(values) > 1 and 0.0 < largest < _STRAIGHTEST
+            got = f"none above {largest:.3g}"
+        (other,) = set(_WORDS) - {unit}
+        expect(
+            not is_other,
+            "values",
+            f"angles in {_WORDS[unit]}",
+            got=got,
+            advice=f"these are {_WORDS[other]}: convert them, or set `unit: {other}` in a "
+            "table of your own",
+        )
+        is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]
+        bends = q[:, is_middle].mean(axis=1)
+        sample = int(np.argmax(bends < _BACKWARDS)) if len(bends) else 0
+        back = -float(np.degrees(bends[sample]))
+        expect(
+            not bends[sample] < _BACKWARDS,
+            "values",
+            "flexion with a positive sign",
+            got=f"middle joints bent backwards by {back:.0f} deg in sample {sample}",
+            advice="turn the sign of the flexion angles",
+        )

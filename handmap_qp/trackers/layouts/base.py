@@ -8,7 +8,7 @@ how the wrist's pose is obtained, and what the tracker does not give.
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
@@ -16,8 +16,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import InvalidInputError, did_you_mean
-from handmap_qp.hands.hand import Hand
+from handmap_qp.errors import InvalidInputError, did_you_mean, expect
+from handmap_qp.hands.hand import Hand, Points
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
@@ -25,13 +25,12 @@ from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.se3 import check_poses, poses_from_quats
+from handmap_qp.se3 import QuatOrder, affine, check_poses, pose_from_xyz_quat
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import axes_convention
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
 Axis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
-QuatOrder = Literal["xyzw", "wxyz"]
 UNITS: dict[str, float] = {
     "m": 1.0,
     "cm": 0.01,
@@ -149,6 +148,8 @@ class Layout(abc.ABC, Generic[Table]):
         table: All that the table says.
         shapes: Shapes that one sample may have, the usual one first.
         columns: Names of the numbers of one sample in a table of columns.
+        aliases: Further names of columns.
+        defaults: What stands for columns that may be missing.
         has_wrist: Whether the values hold a wrist pose.
     """
 
@@ -156,6 +157,8 @@ class Layout(abc.ABC, Generic[Table]):
         self.table = table
         self.shapes: tuple[tuple[int, ...], ...] = ()
         self.columns: tuple[str, ...] = ()
+        self.aliases: dict[str, tuple[str, ...]] = {}
+        self.defaults: dict[str, float] = {}
         self.has_wrist = False
 
     @property
@@ -203,7 +206,10 @@ class Layout(abc.ABC, Generic[Table]):
 
     @abc.abstractmethod
     def write_posture(
-        self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray
+        self,
+        human: Hand,
+        q: npt.ArrayLike,
+        wrist: np.ndarray,
     ) -> np.ndarray:
         """Return values of the human hand in a posture.
 
@@ -222,10 +228,7 @@ class Layout(abc.ABC, Generic[Table]):
         Raises:
             InvalidInputError: If the sample is not valid, or no hand.
         """
-        if not sample.valid:
-            raise InvalidInputError(
-                argument="sample", expected="a valid sample", got="another"
-            )
+        expect(sample.valid, "sample", "a valid sample", got="another")
         fitter = LandmarkFitter(sample.side)
         q, wrist, _ = fitter.fit(sample.landmarks)
         return self.write_posture(fitter.human, q, wrist)
@@ -259,9 +262,8 @@ class Layout(abc.ABC, Generic[Table]):
         """
         if isinstance(values, Mapping):
             found = self.find_columns(tuple(values), side)
-            values = np.array(
-                [self.default(i) if n is None else values[n] for i, n in found]
-            )
+            given = {column: values[name] for column, name in found.items()}
+            values = [(self.defaults | given)[column] for column in self.columns]
         landmarks, wrists, seen = self._convert(
             np.asarray(values)[None] if np.ndim(values) else values,
             side,
@@ -314,26 +316,22 @@ class Layout(abc.ABC, Generic[Table]):
         """Return landmarks, wrist poses if there are any, and which samples are seen."""
         check_side(side)
         array = self._checked(values)
-        seen = np.asarray(np.isfinite(array.reshape(len(array), -1)).all(axis=1))
+        count = len(array)
+        seen = np.asarray(np.isfinite(array.reshape(count, -1)).all(axis=1))
         if valid is not None:
             seen = np.logical_and(seen, valid)
-        beside = (
-            None if wrists is None else self._own_wrists(np.asarray(wrists), side, seen)
-        )
-        landmarks, poses = np.full((len(array), 21, 3), np.nan), None
+        beside = None
+        if wrists is not None:
+            beside = self._own_wrists(np.asarray(wrists), side, seen)[seen]
+        landmarks, poses = np.full((count, 21, 3), np.nan), None
         if seen.any():
-            found = self.hands(
-                array[seen], side, None if beside is None else beside[seen], lengths
-            )
-            landmarks[seen] = found.landmarks
-            if found.wrists is not None:
-                poses = np.tile(np.eye(4), (len(array), 1, 1))
-                poses[seen] = found.wrists
+            landmarks[seen], found = self.hands(array[seen], side, beside, lengths)
+            if found is not None:
+                poses = np.tile(np.eye(4), (count, 1, 1))
+                poses[seen] = found
         return landmarks, poses, seen
 
-    def find_columns(
-        self, names: tuple[str, ...], side: Side
-    ) -> tuple[tuple[int, str | None], ...]:
+    def find_columns(self, names: Sequence[str], side: Side) -> dict[str, str]:
         """Find the numbers of one sample among named ones.
 
         A name may have more before it, such as `RightFinger`, where it names no other side.
@@ -343,36 +341,29 @@ class Layout(abc.ABC, Generic[Table]):
             side: Which hand.
 
         Returns:
-            Index in `columns` and name at hand; None where `default` stands for it.
+            Name at hand of each of `columns`; those for which a default stands are left out.
 
         Raises:
             InvalidInputError: If one is missing.
         """
-        other = "left" if side == "right" else "right"
+        other = {"left": "right", "right": "left"}[side]
         own = [name for name in names if other not in name.lower()]
-        found: list[tuple[int, str | None]] = []
-        for i, column in enumerate(self.columns):
-            wanted = (column, *self.aliases(i))
-            name = next((name for name in wanted if name in names), None)
-            if name is None:
-                name = next(
-                    (n for n in own if n.lower().endswith(column.lower())), None
-                )
-            if name is None and self.default(i) is None:
+        found = {}
+        for column in self.columns:
+            exact = [n for n in (column, *self.aliases.get(column, ())) if n in names]
+            longer = [n for n in own if n.lower().endswith(column.lower())]
+            fitting = [*exact, *longer]
+            if fitting:
+                found[column] = fitting[0]
+            elif column not in self.defaults:
                 got = f"none; {did_you_mean(column, own)}".rstrip("; ")
-                raise InvalidInputError(
-                    argument="values", expected=f"a column {column}", got=got
-                )
-            found.append((i, name))
-        return tuple(found)
+                expect(False, "values", f"a column {column}", got=got)
+        return found
 
-    def aliases(self, index: int) -> tuple[str, ...]:
-        """Return further names of a column."""
-        return ()
-
-    def default(self, index: int) -> float | None:
-        """Return what stands for a column that is missing; None where it is needed."""
-        return None
+    def own_shape(self, shape: tuple[int, ...]) -> tuple[int, ...] | None:
+        """Return which of `shapes` a sample has that may be flat; None if it has another one."""
+        flat = {(int(np.prod(own)),): own for own in self.shapes}
+        return shape if shape in self.shapes else flat.get(shape)
 
     @property
     def _length(self) -> float:
@@ -385,14 +376,14 @@ class Layout(abc.ABC, Generic[Table]):
             array = np.asarray(values, dtype=float)
         except (TypeError, ValueError) as error:
             raise InvalidInputError(
-                argument="values", expected="numbers", value=values
+                argument="values",
+                expected="numbers",
+                value=values,
             ) from error
         shape = array.shape[1:]
-        if shape in self.shapes:
-            return array
-        for own in self.shapes:
-            if shape == (int(np.prod(own)),):
-                return array.reshape(len(array), *own)
+        own = self.own_shape(shape)
+        if own is not None:
+            return array.reshape(-1, *own)
         others = layouts_of_shape(shape)
         raise InvalidInputError(
             argument="values",
@@ -402,22 +393,22 @@ class Layout(abc.ABC, Generic[Table]):
         )
 
     def _own_wrists(
-        self, values: np.ndarray, side: Side, seen: np.ndarray
+        self,
+        values: np.ndarray,
+        side: Side,
+        seen: np.ndarray,
     ) -> np.ndarray:
         """Return poses that came beside the values, with our axes, shape (T, 4, 4)."""
         table = self.wrist_table
         if table is None:
-            raise InvalidInputError(
-                argument="wrist",
-                expected=f"none: {self.name} says nothing about its axes",
-            )
+            expected = f"none: {self.name} says nothing about its axes"
+            raise InvalidInputError(argument="wrist", expected=expected)
         if values.shape[1:] == (7,):
-            values = poses_of_sevens(values, table.quaternion, "wrist")
+            poses = pose_from_xyz_quat(values, table.quaternion, "wrist")
         else:
-            values = check_poses(values, "wrist", seen)
-        return to_own_axes(
-            values, table.axes(side), self.table.reflection, self._length
-        )
+            poses = check_poses(values, "wrist", seen)
+        reflection = self.table.reflection
+        return to_own_axes(poses, table.axes(side), reflection, self._length)
 
 
 def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:
@@ -425,14 +416,11 @@ def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:
     return [name for name, layout in LAYOUTS.items() if shape in layout.shapes]
 
 
-def poses_of_sevens(values: np.ndarray, order: QuatOrder, name: str) -> np.ndarray:
-    """Return the poses of positions and quaternions, shape (T, 7), as matrices, (T, 4, 4)."""
-    columns = [3, 4, 5, 6] if order == "wxyz" else [6, 3, 4, 5]
-    return poses_from_quats(values[:, :3], values[:, columns], name)
-
-
 def to_own_axes(
-    poses: np.ndarray, axes: AxesTable, reflection: np.ndarray, scale: float
+    poses: np.ndarray,
+    axes: AxesTable,
+    reflection: np.ndarray,
+    scale: float,
 ) -> np.ndarray:
     """Turn a tracker's wrist poses into poses with our axes (+y distal, +z dorsal).
 
@@ -445,31 +433,36 @@ def to_own_axes(
     Returns:
         Poses [m], shape (T, 4, 4).
     """
-    own = np.array(poses, dtype=float)
-    own[:, :3, :3] = reflection[:, None] * own[:, :3, :3] * reflection
-    own[:, :3, :3] = own[:, :3, :3] @ axes.rotation(reflection).T
-    own[:, :3, 3] *= scale * reflection
+    own = poses.copy()
+    rotations = reflection[:, None] * poses[..., :3, :3] * reflection
+    own[..., :3, :3] = rotations @ axes.rotation(reflection).T
+    own[..., :3, 3] *= scale * reflection
     return own
 
 
 def from_own_axes(
-    poses: np.ndarray, axes: AxesTable, reflection: np.ndarray, scale: float
+    poses: np.ndarray,
+    axes: AxesTable,
+    reflection: np.ndarray,
+    scale: float,
 ) -> np.ndarray:
     """Undo `to_own_axes`."""
-    theirs = np.array(poses, dtype=float)
-    theirs[:, :3, :3] = theirs[:, :3, :3] @ axes.rotation(reflection)
-    theirs[:, :3, :3] = reflection[:, None] * theirs[:, :3, :3] * reflection
-    theirs[:, :3, 3] *= reflection / scale
-    return theirs
+    rotations = poses[..., :3, :3] @ axes.rotation(reflection)
+    theirs = reflection[:, None] * rotations * reflection
+    return affine(theirs, poses[..., :3, 3] * (reflection / scale))
 
 
-@lru_cache(maxsize=4)  # lengths hash by identity
-def sized_human(side: Side, lengths: HumanLengths | None = None) -> Hand:
+@lru_cache(maxsize=8)  # lengths hash by identity
+def sized_human(
+    side: Side,
+    lengths: HumanLengths | None = None,
+    points: Points = "landmarks",
+) -> Hand:
     """Return the human hand of a person, or a typical one, its points the landmarks."""
-    size: Any = (
-        {"hand_length": TYPICAL_LENGTH} if lengths is None else {"lengths": lengths}
-    )
-    return load_hand(human_name(side), points="landmarks", **size)
+    name = human_name(side)
+    if lengths is None:
+        return load_hand(name, points=points, hand_length=TYPICAL_LENGTH)
+    return load_hand(name, points=points, lengths=lengths)
 
 
 def _direction(axis: Axis) -> np.ndarray:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +23,7 @@ from handmap_qp.trackers.formats.archive import damages, read_archive
 from handmap_qp.trackers.formats.base import SIDES, side_of
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout, layouts_of_shape
-from handmap_qp.trackers.plausibility import Finding, examine_recording
+from handmap_qp.trackers.plausibility import examine_recording
 
 _TIMES = {
     "time": 1.0,
@@ -60,20 +62,19 @@ def read_with_layout(
             shape than expected. The message names layouts that fit better.
     """
     file = Path(path)
-    readers = {".npz": _read_npz, ".csv": _read_csv}
-    if file.suffix.lower() not in readers:
+    suffix = file.suffix.lower()
+    if suffix not in _READERS:
         problem = (
             f"has the suffix {file.suffix!r}; with a layout, .npz and .csv are read"
         )
         raise RecordingError(problem, file=file)
-    found = readers[file.suffix.lower()](file, layout, side)
-    if side is not None and found.side is not None and side != found.side:
-        raise RecordingError(
-            f"is of a {found.side} hand, not of a {side} one", file=file
-        )
+    found = _READERS[suffix](file, layout, side)
     hand = side or found.side
     if hand is None:
         raise RecordingError("does not say which hand it is of: give --side", file=file)
+    if found.side not in (None, hand):
+        problem = f"is of a {found.side} hand, not of a {hand} one"
+        raise RecordingError(problem, file=file)
     try:
         recording = layout.record(
             file.stem,
@@ -88,9 +89,16 @@ def read_with_layout(
         text = f"{error.what}: {error.advice}" if error.advice else error.what
         raise RecordingError(text, file=file, array=error.argument) from error
     finding = examine_recording(recording)
-    if finding is not None:
-        raise _better(file, layout, recording, found.values, finding)
-    return recording
+    if finding is None:
+        return recording
+    names = (
+        [] if finding.kind in ("time", "wrist") else _better(recording, found.values)
+    )
+    advice = (
+        f"read them with --layout {' or '.join(names)}" if names else finding.advice
+    )
+    problem = f"as the layout {layout.name}, {finding.problem}: {advice}"
+    raise RecordingError(problem, file=file)
 
 
 def layout_hint(path: Path) -> str:
@@ -112,47 +120,29 @@ def layout_hint(path: Path) -> str:
 
 
 def _shaped_like(
-    arrays: Mapping[str, np.ndarray], option: str = "", between: str = ", "
+    arrays: Mapping[str, np.ndarray],
+    option: str = "",
+    between: str = ", ",
 ) -> str:
     """Say which layouts have the shape of an array that is not plain landmarks."""
     for name, array in arrays.items():
         shape = array.shape[1:]
-        names = (
-            layouts_of_shape(shape) if shape and shape != (LANDMARK_COUNT, 3) else []
-        )
+        is_plain = shape in ((), (LANDMARK_COUNT, 3))
+        names = between.join([] if is_plain else layouts_of_shape(shape))
         if names:
-            return (
-                f"{name} {array.shape} has the shape of {option}{between.join(names)}"
-            )
+            return f"{name} {array.shape} has the shape of {option}{names}"
     return ""
 
 
-def _better(
-    file: Path,
-    layout: Layout,
-    recording: Recording,
-    values: np.ndarray,
-    finding: Finding,
-) -> RecordingError:
-    """Name the layouts of the same shape that explain the values without a mistake."""
+def _better(recording: Recording, values: np.ndarray) -> list[str]:
+    """Return the layouts of the same shape that explain the values without a mistake."""
     names = []
-    if finding.kind not in ("time", "wrist"):
-        for name in layouts_of_shape(values.shape[1:]):
-            if name == layout.name:
-                continue
-            try:
-                read = LAYOUTS[name].record(
-                    recording.name, recording.time, values, recording.side
-                )
-            except InvalidInputError:
-                continue
+    for name in layouts_of_shape(values.shape[1:]):
+        with suppress(InvalidInputError):
+            read = LAYOUTS[name].record(name, recording.time, values, recording.side)
             if examine_recording(read) is None:
                 names.append(name)
-    advice = (
-        f"read them with --layout {' or '.join(names)}" if names else finding.advice
-    )
-    problem = f"as the layout {layout.name}, {finding.problem}: {advice}"
-    return RecordingError(problem, file=file)
+    return names
 
 
 class _Columns(NamedTuple):
@@ -165,18 +155,20 @@ class _Columns(NamedTuple):
     side: Side | None
 
 
-def _read_npz(file: Path, layout: Layout, side: Side | None) -> _Columns:
+def _read_npz(
+    file: Path,
+    layout: Layout,
+    side: Side | None,
+) -> _Columns:
     arrays = read_archive(file)
     time = _time(file, arrays, layout)
-    valid = arrays.get("valid")
+    valid, hand = arrays.get("valid"), arrays.get("handedness")
     return _Columns(
         time,
         arrays[_values_name(file, arrays, layout, side, len(time))].astype(float),
         None if valid is None else as_flags(valid, "valid", len(time)),
         _wrists_beside(arrays, layout, side, len(time)),
-        side_of(arrays["handedness"], file, "handedness")
-        if "handedness" in arrays
-        else None,
+        None if hand is None else side_of(hand, file, "handedness"),
     )
 
 
@@ -188,31 +180,34 @@ def _values_name(
     count: int,
 ) -> str:
     """Return the name of the array whose rows are samples of the layout."""
-    accepted = {*layout.shapes, *((int(np.prod(shape)),) for shape in layout.shapes)}
-    long = {
-        name: array for name, array in arrays.items() if array.shape[:1] == (count,)
-    }
-    fitting = [
-        n for n, a in long.items() if a.dtype.kind in "fiu" and a.shape[1:] in accepted
-    ]
+    long = {name: a for name, a in arrays.items() if a.shape[:1] == (count,)}
     known = (*layout.table.arrays, layout.name, *_VALUES)
-    chosen = [name for name in fitting if name in known] or fitting
     chosen = [
-        name for name in chosen if side is None or name.startswith(side)
-    ] or chosen
+        name
+        for name, array in long.items()
+        if array.dtype.kind in "fiu" and layout.own_shape(array.shape[1:])
+    ]
+    for is_better in (known.__contains__, lambda name: name.startswith(side or "")):
+        chosen = list(filter(is_better, chosen)) or chosen
     if len(chosen) == 1:
         return chosen[0]
-    shapes = " or ".join(f"({count}, {', '.join(map(str, s))})" for s in layout.shapes)
-    problem = f"has {'no' if not chosen else 'more than one'} array of shape {shapes}"
+    how = "more than one" if chosen else "no"
     hint = "" if chosen else _shaped_like(long)
-    have = ", ".join(
-        f"{name} {array.shape}" for name, array in arrays.items() if array.ndim
-    )
-    raise RecordingError(f"{problem}; {hint or f'it has {have}'}", file=file)
+    shapes = [", ".join(map(str, (count, *shape))) for shape in layout.shapes]
+    problem = f"has {how} array of shape ({') or ('.join(shapes)})"
+    raise RecordingError(f"{problem}; {hint or _listing(arrays)}", file=file)
+
+
+def _listing(arrays: Mapping[str, np.ndarray]) -> str:
+    have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
+    return f"it has {', '.join(have)}"
 
 
 def _wrists_beside(
-    arrays: Mapping[str, np.ndarray], layout: Layout, side: Side | None, count: int
+    arrays: Mapping[str, np.ndarray],
+    layout: Layout,
+    side: Side | None,
+    count: int,
 ) -> np.ndarray | None:
     """Return wrist poses beside the values, where the layout takes them."""
     if layout.wrist_table is None or layout.has_wrist:
@@ -225,40 +220,55 @@ def _wrists_beside(
     return given.reshape(count, *given.shape[-2:]) if given.ndim > 2 else given
 
 
-def _read_csv(file: Path, layout: Layout, side: Side | None) -> _Columns:
+def _read_csv(
+    file: Path,
+    layout: Layout,
+    side: Side | None,
+) -> _Columns:
     with (
         damages(file, "cannot be read"),
         file.open(newline="", encoding="utf-8-sig") as stream,
     ):
-        rows = [row for row in csv.reader(stream) if any(cell.strip() for cell in row)]
-    if len(rows) < 2:
+        table = [row for row in csv.reader(stream) if any(map(str.strip, row))]
+    if len(table) < 2:
         raise RecordingError("has no rows below its header", file=file)
-    header = tuple(cell.strip() for cell in rows[0])
-    named = {side for side in SIDES for name in header if side in name.lower()}
-    hand = side or (named.pop() if len(named) == 1 else None)
+    header = [cell.strip() for cell in table[0]]
+    columns: dict[str, list[str]] = {}
+    for name, *cells in zip_longest(*table, fillvalue=""):
+        columns.setdefault(name.strip(), cells)
+    named = [s for s in SIDES if s in "\n".join(header).lower()]
+    hand = side or (named[0] if len(named) == 1 else None)
     try:
-        columns = layout.find_columns(header, hand or "right")
+        found = layout.find_columns(header, hand or "right")
     except InvalidInputError as error:
-        raise RecordingError(
-            f"{error.what}; it has {', '.join(header)}", file=file
-        ) from error
+        problem = f"{error.what}; it has {', '.join(header)}"
+        raise RecordingError(problem, file=file) from error
+    times = {name: _numbers(file, name, columns) for name in _times_of(header, layout)}
+    given = layout.defaults | {
+        column: _numbers(file, name, columns) for column, name in found.items()
+    }
+    values = np.broadcast_arrays(*(given[column] for column in layout.columns))
+    time = _time(file, times, layout)
+    return _Columns(time, np.stack(values, axis=1), None, None, hand)
 
-    def numbers(name: str) -> np.ndarray:
-        place, found = header.index(name), np.full(len(rows) - 1, np.nan)
-        for i, row in enumerate(rows[1:]):
-            cell = row[place].strip() if place < len(row) else ""
-            try:
-                found[i] = float(cell or "nan")
-            except ValueError as error:
-                problem = f"expected a number in row {i + 2}, got {cell[:40]!r}"
-                raise RecordingError(problem, file=file, array=name) from error
-        return found
 
-    values = np.empty((len(rows) - 1, len(columns)))
-    for i, name in columns:
-        values[:, i] = layout.default(i) if name is None else numbers(name)
-    times = {name: numbers(name) for name in _times_of(header, layout)}
-    return _Columns(_time(file, times, layout), values, None, None, hand)
+_READERS = {".npz": _read_npz, ".csv": _read_csv}
+
+
+def _numbers(
+    file: Path,
+    name: str,
+    columns: Mapping[str, list[str]],
+) -> np.ndarray:
+    """Return a column; cells that are empty or missing are NaN."""
+    found = []
+    for i, cell in enumerate(map(str.strip, columns[name])):
+        try:
+            found.append(float(cell or "nan"))
+        except ValueError as error:
+            problem = f"expected a number in row {i + 2}, got {cell[:40]!r}"
+            raise RecordingError(problem, file=file, array=name) from error
+    return np.array(found)
 
 
 def _times_of(names: Iterable[str], layout: Layout) -> dict[str, float]:
@@ -268,7 +278,11 @@ def _times_of(names: Iterable[str], layout: Layout) -> dict[str, float]:
     return {name: units[name] for name in found[:1]}
 
 
-def _time(file: Path, arrays: Mapping[str, np.ndarray], layout: Layout) -> np.ndarray:
+def _time(
+    file: Path,
+    arrays: Mapping[str, np.ndarray],
+    layout: Layout,
+) -> np.ndarray:
     for name, unit in _times_of(arrays, layout).items():
         values = np.asarray(arrays[name])
         if values.ndim == 1 and values.dtype.kind in "fiu":

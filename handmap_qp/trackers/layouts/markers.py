@@ -8,21 +8,20 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import PointSpec, Side, Vector
 from handmap_qp.hands.urdf import mirrored_urdf
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
-from handmap_qp.se3 import rigid_fit, transform_points
+from handmap_qp.se3 import FARTHEST, rigid_fit, transform_points
 from handmap_qp.trackers.layouts.base import (
-    TYPICAL_LENGTH,
     UNITS,
     Hands,
     Layout,
     LayoutTable,
+    sized_human,
 )
 
 # A left hand is fitted as its mirror image: places on links are those of a right hand.
@@ -77,38 +76,31 @@ class MarkerLayout(Layout[MarkerTable]):
     def __init__(self, table: MarkerTable) -> None:
         super().__init__(table)
         names = [entry.name for entry in table.markers]
-        if len(set(names)) < len(names):
-            raise InvalidInputError(
-                argument="markers", expected="different names", value=names
-            )
+        is_each_once = len(set(names)) == len(names)
+        expect(is_each_once, "markers", "different names", value=names)
         self._points = tuple(
             PointSpec(f"marker {entry.name}", entry.link, entry.xyz)
             for entry in table.markers
         )
-        self._on_palm = np.flatnonzero(
-            [entry.link == "palm" for entry in table.markers]
-        )
+        links = np.array([entry.link for entry in table.markers])
+        self._on_palm = np.flatnonzero(links == "palm")
+        count = len(self._on_palm)
+        expect(count >= 3, "markers", "three markers on the palm", got=f"{count}")
         self._last: tuple[HumanLengths | None, tuple[Hand, Hand, PointIk]] | None = None
-        if len(self._on_palm) < 3:
-            expected, got = "three markers on the palm", f"{len(self._on_palm)}"
-            raise InvalidInputError(argument="markers", expected=expected, got=got)
         self.shapes = ((len(names), 3),)
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
         self.has_wrist = True
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every marker."""
-        return [
-            {
-                "index": i,
-                "marker": entry.name,
-                "link of the human model": entry.link,
-                "place on it [mm]": ", ".join(
-                    f"{1e3 * value:g}" for value in entry.xyz
-                ),
-            }
-            for i, entry in enumerate(self.table.markers)
-        ]
+        rows = []
+        for i, entry in enumerate(self.table.markers):
+            place = ", ".join(f"{1e3 * value:g}" for value in entry.xyz)
+            row = {"index": i, "marker": entry.name}
+            row["link of the human model"] = entry.link
+            row["place on it [mm]"] = place
+            rows.append(row)
+        return rows
 
     def hands(
         self,
@@ -122,6 +114,9 @@ class MarkerLayout(Layout[MarkerTable]):
         human, landmarks, ik = self._model(lengths)
         palm = human.points(human.rest)[self._on_palm]
         markers = values * (UNITS[self.table.unit] * self.table.reflection * mirror)
+        is_near = np.abs(markers).max() <= FARTHEST
+        expected = f"coordinates within {FARTHEST:g} m"
+        expect(is_near, "values", expected, got=f"{np.abs(markers).max():.3g} m")
         found, poses = [], []
         for i, sample in enumerate(markers):
             if i == 0:
@@ -136,35 +131,28 @@ class MarkerLayout(Layout[MarkerTable]):
         return Hands(np.array(found), reflection @ np.array(poses) @ reflection)
 
     def write_posture(
-        self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray
+        self,
+        human: Hand,
+        q: npt.ArrayLike,
+        wrist: np.ndarray,
     ) -> np.ndarray:
         """Return the markers on the human hand; see `Layout.write_posture`.
 
         Those of a left hand are the mirror image of those of the right one in the same posture.
         """
         mirror = np.ones(3) if human.spec.side == "right" else _MIRROR
-        points = self._human(_lengths_of(human)).points(q) * mirror
+        text = human.urdf_text
+        own = HumanLengths.from_urdf(
+            text if human.spec.side == "right" else mirrored_urdf(text)
+        )
+        points = sized_human("right", own, self._points).points(q) * mirror
         world = transform_points(wrist, points)
         return world * self.table.reflection / UNITS[self.table.unit]
 
     def _model(self, lengths: HumanLengths | None) -> tuple[Hand, Hand, PointIk]:
         """Return the hand with markers, the same with landmarks, and its IK; those of last time."""
         if self._last is None or self._last[0] is not lengths:
-            human = self._human(lengths)
-            made = (human, human.with_points("landmarks"), PointIk(human, _FIT))
-            self._last = (lengths, made)
+            human = sized_human("right", lengths, self._points)
+            made = human, human.with_points("landmarks"), PointIk(human, _FIT)
+            self._last = lengths, made
         return self._last[1]
-
-    def _human(self, lengths: HumanLengths | None) -> Hand:
-        """Return the right human hand with the markers as its reference points."""
-        if lengths is None:
-            return load_hand("human", points=self._points, hand_length=TYPICAL_LENGTH)
-        return load_hand("human", points=self._points, lengths=lengths)
-
-
-def _lengths_of(human: Hand) -> HumanLengths:
-    """Return the lengths of a human hand, as a right one."""
-    text = human.urdf_text
-    return HumanLengths.from_urdf(
-        text if human.spec.side == "right" else mirrored_urdf(text)
-    )

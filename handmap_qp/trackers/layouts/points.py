@@ -8,23 +8,29 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.landmarks import PALM
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, HumanSample
-from handmap_qp.se3 import affine, inverse_pose, quat_wxyz_from_rotation, rigid_fit
+from handmap_qp.se3 import (
+    QuatOrder,
+    affine,
+    inverse_pose,
+    pose_from_xyz_quat,
+    quat_wxyz_from_rotation,
+    rigid_fit,
+    transform_points,
+)
 from handmap_qp.trackers.layouts.base import (
     UNITS,
     AxesTable,
     Hands,
     Layout,
     LayoutTable,
-    QuatOrder,
     WristTable,
     from_own_axes,
-    poses_of_sevens,
     sized_human,
     to_own_axes,
 )
@@ -89,41 +95,23 @@ class PointLayout(Layout[PointTable]):
 
     def __init__(self, table: PointTable) -> None:
         super().__init__(table)
-        self._indices = {
-            "right": np.array(table.landmarks, dtype=int),
-            "left": np.array(table.left_landmarks or table.landmarks, dtype=int),
+        self._indices: dict[Side, np.ndarray] = {
+            "right": _indices(table.landmarks, "landmarks", table.count),
+            "left": _indices(
+                table.left_landmarks or table.landmarks, "left_landmarks", table.count
+            ),
         }
-        for name, indices in self._indices.items():
-            if (
-                len(indices) != LANDMARK_COUNT
-                or len(set(indices.tolist())) != LANDMARK_COUNT
-            ):
-                expected = f"{LANDMARK_COUNT} different indices"
-                key = "landmarks" if name == "right" else "left_landmarks"
-                raise InvalidInputError(
-                    argument=key, expected=expected, got=f"{len(indices)}"
-                )
-            if indices.min() < 0 or indices.max() >= table.count:
-                expected = f"indices below count, {table.count}"
-                raise InvalidInputError(
-                    argument="landmarks", expected=expected, value=indices
-                )
-        if not table.poses or not set(table.poses) <= set(_FORMS):
-            raise InvalidInputError(
-                argument="poses", expected="some of 3, 7 and 16", value=table.poses
-            )
+        is_known = table.poses and set(table.poses) <= set(_FORMS)
+        expect(is_known, "poses", "some of 3, 7 and 16", value=table.poses)
         self._scale = UNITS[table.unit]
         joint = None if table.wrist is None else table.wrist.joint
         names = {name: index for index, name in table.names.items()}
-        if joint is not None and joint not in names:
-            raise InvalidInputError(
-                argument="wrist.joint", expected="one of the names", value=joint
-            )
-        self._wrist_index = None if joint is None else names[joint]
+        is_named = joint is None or joint in names
+        expect(is_named, "wrist.joint", "one of the names", value=joint)
+        self._wrist_index = names.get(joint)
         self.shapes = tuple((table.count, *_FORMS[size]) for size in table.poses)
-        self.columns = tuple(
-            f"{self.joint_name(i)}_{a}" for i in range(table.count) for a in "xyz"
-        )
+        joints = map(self.joint_name, range(table.count))
+        self.columns = tuple(f"{name}_{a}" for name in joints for a in "xyz")
         self.has_wrist = joint is not None and table.poses != (3,)
 
     def joint_name(self, index: int) -> str:
@@ -136,18 +124,15 @@ class PointLayout(Layout[PointTable]):
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every joint."""
-        ours = {
-            side: {
-                int(i): name for i, name in zip(indices, LANDMARK_NAMES, strict=True)
-            }
-            for side, indices in self._indices.items()
-        }
-        is_one = self.table.left_landmarks is None
+        titles: dict[Side, str] = {"right": "landmark"}
+        if self.table.left_landmarks is not None:
+            titles["left"] = "landmark of a left hand"
         rows: list[dict[str, Any]] = []
         for index in range(self.table.count):
-            found = {"landmark": ours["right"].get(index, "")}
-            if not is_one:
-                found["landmark of a left hand"] = ours["left"].get(index, "")
+            found = {
+                title: "".join(np.array(LANDMARK_NAMES)[self.order(side) == index])
+                for side, title in titles.items()
+            }
             if index in self.table.names or any(found.values()):
                 rows.append({"index": index, "joint": self.joint_name(index), **found})
         return rows
@@ -160,33 +145,25 @@ class PointLayout(Layout[PointTable]):
         lengths: HumanLengths | None = None,
     ) -> Hands:
         """Turn joints into landmarks and wrist poses; see `Layout.hands`."""
-        reflection = self.table.reflection
-        positions = (
-            values[..., :3, 3] if values.shape[2:] == (4, 4) else values[..., :3]
-        )
+        reflection, form = self.table.reflection, values.shape[2:]
+        positions = values[..., :3, 3] if form == (4, 4) else values[..., :3]
         landmarks = positions[:, self.order(side)] * (self._scale * reflection)
         if self.table.is_relative:
             # Joints are in the tracker's wrist frame; without its pose, that is the world.
             if wrists is not None:
                 frames = wrists @ self._axes_in_own_frame(side)
-                landmarks = landmarks @ frames[:, :3, :3].transpose(0, 2, 1)
-                landmarks = landmarks + frames[:, None, :3, 3]
+                landmarks = transform_points(frames, landmarks)
             return Hands(landmarks, wrists)
-        if self._wrist_index is not None and values.shape[2:] != (3,):
-            assert self.table.wrist is not None  # it names the joint
+        if self._wrist_index is not None and form != (3,):
             poses = values[:, self._wrist_index]
-            if poses.shape[1:] == (7,):
-                poses = poses_of_sevens(poses, self.table.quaternion, "values")
-            axes = self.table.wrist.axes(side)
-            wrists = to_own_axes(poses, axes, reflection, self._scale)
+            if form == (7,):
+                poses = pose_from_xyz_quat(poses, self.table.quaternion)
+            wrists = to_own_axes(poses, self._axes(side), reflection, self._scale)
         return Hands(landmarks, wrists)
 
     def write(self, sample: HumanSample) -> np.ndarray:
         """Return the joints of a sample; those between landmarks are placed on lines."""
-        if not sample.valid:
-            raise InvalidInputError(
-                argument="sample", expected="a valid sample", got="another"
-            )
+        expect(sample.valid, "sample", "a valid sample", got="another")
         wrist = sample.wrist
         if wrist is None:
             model = sized_human(sample.side)
@@ -194,17 +171,22 @@ class PointLayout(Layout[PointTable]):
         return self._write(sample.landmarks, wrist, sample.side)
 
     def write_posture(
-        self, human: Hand, q: npt.ArrayLike, wrist: np.ndarray
+        self,
+        human: Hand,
+        q: npt.ArrayLike,
+        wrist: np.ndarray,
     ) -> np.ndarray:
         """Return the joints of the human hand; see `Layout.write_posture`."""
         names = tuple(point.name for point in human.reference_points)
         model = human if names == LANDMARK_NAMES else human.with_points("landmarks")
-        landmarks = model.points(q)
-        side = human.spec.side
-        return self._write(landmarks @ wrist[:3, :3].T + wrist[:3, 3], wrist, side)
+        landmarks = transform_points(wrist, model.points(q))
+        return self._write(landmarks, wrist, human.spec.side)
 
     def _write(
-        self, landmarks: np.ndarray, wrist: np.ndarray, side: Side
+        self,
+        landmarks: np.ndarray,
+        wrist: np.ndarray,
+        side: Side,
     ) -> np.ndarray:
         joints = np.tile(landmarks[0], (self.table.count, 1))
         joints[self.order(side)] = landmarks
@@ -215,24 +197,42 @@ class PointLayout(Layout[PointTable]):
         size = self.table.poses[0]
         if self.table.is_relative:
             frame = inverse_pose(wrist @ self._axes_in_own_frame(side))
-            joints = joints @ frame[:3, :3].T + frame[:3, 3]
+            joints = transform_points(frame, joints)
             wrist = inverse_pose(self._axes_in_own_frame(side))
+        reflection = self.table.reflection
         if size == 3:
-            return joints * self.table.reflection / self._scale
+            return joints * reflection / self._scale
         # Every joint has the orientation of the wrist: only that one is read.
-        poses = np.array([affine(wrist[:3, :3], joint) for joint in joints])
-        axes = _OUR_AXES if self.table.wrist is None else self.table.wrist.axes(side)
-        theirs = from_own_axes(poses, axes, self.table.reflection, self._scale)
-        return theirs if size == 16 else self._as_sevens(theirs)
-
-    def _as_sevens(self, poses: np.ndarray) -> np.ndarray:
-        quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in poses])
+        poses = np.tile(wrist, (len(joints), 1, 1))
+        poses[:, :3, 3] = joints
+        theirs = from_own_axes(poses, self._axes(side), reflection, self._scale)
+        if size == 16:
+            return theirs
+        quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in theirs])
         order = [0, 1, 2, 3] if self.table.quaternion == "wxyz" else [1, 2, 3, 0]
-        return np.concatenate([poses[:, :3, 3], quats[:, order]], axis=1)
+        return np.concatenate([theirs[:, :3, 3], quats[:, order]], axis=1)
+
+    def _axes(self, side: Side) -> AxesTable:
+        """Return the wrist's axes; ours if the table names none."""
+        return _OUR_AXES if self.table.wrist is None else self.table.wrist.axes(side)
 
     def _axes_in_own_frame(self, side: Side) -> np.ndarray:
         """Return the pose of the tracker's wrist axes in our wrist frame, shape (4, 4)."""
         if self.table.wrist is None:
             return np.eye(4)
-        rotation = self.table.wrist.axes(side).rotation(self.table.reflection)
-        return affine(rotation, np.zeros(3))
+        return affine(self._axes(side).rotation(self.table.reflection), np.zeros(3))
+
+
+def _indices(
+    given: tuple[int, ...],
+    key: str,
+    count: int,
+) -> np.ndarray:
+    """Return the indices of our landmarks among `count` joints, which must all differ."""
+    indices = np.array(given, dtype=int)
+    is_right = len(indices) == len(set(given)) == LANDMARK_COUNT
+    expected = f"{LANDMARK_COUNT} different indices"
+    expect(is_right, key, expected, got=f"{len(indices)}")
+    is_right = indices.min() >= 0 and indices.max() < count
+    expect(is_right, "landmarks", f"indices below count, {count}", value=indices)
+    return indices

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
-from handmap_qp.errors import InvalidInputError, did_you_mean, without_errno
+from handmap_qp.errors import InvalidInputError, did_you_mean, expect, without_errno
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.angles import AngleLayout, AngleTable
-from handmap_qp.trackers.layouts.base import Layout
+from handmap_qp.trackers.layouts.base import Layout, LayoutTable
 from handmap_qp.trackers.layouts.markers import MarkerLayout, MarkerTable
 from handmap_qp.trackers.layouts.points import PointLayout, PointTable
 
@@ -45,43 +47,41 @@ def load_layout(layout: str | Path | Layout) -> Layout:
     """
     if isinstance(layout, Layout):
         return layout
-    if not isinstance(layout, str | Path):
-        raise InvalidInputError(
-            argument="layout", expected="a name or a path", value=layout
-        )
+    expect(isinstance(layout, str | Path), "layout", "a name or a path", value=layout)
     name = str(layout)
     if Path(name).suffix in (".yaml", ".yml"):
         return _load(Path(name))
-    if name in LAYOUTS:
-        # Each caller gets one of its own, because a layout of markers keeps its last model.
-        file = _FOLDER / f"{name}.yaml"
-        return _load(file) if file.is_file() else LAYOUTS[name]
-    raise InvalidInputError(
-        argument="layout",
-        expected=f"one of {', '.join(LAYOUTS)}, or the path of a table (.yaml)",
+    expect(
+        name in LAYOUTS,
+        "layout",
+        f"one of {', '.join(LAYOUTS)}, or the path of a table (.yaml)",
         value=name,
-        advice=did_you_mean(name, LAYOUTS).strip(),
+        advice=did_you_mean(name, LAYOUTS),
     )
+    # Each caller gets one of its own, because a layout of markers keeps its last model.
+    file = _FOLDER / f"{name}.yaml"
+    return _load(file) if file.is_file() else LAYOUTS[name]
+
+
+_KINDS: dict[type[LayoutTable], Callable[[Any], Layout]] = {
+    PointTable: PointLayout,
+    AngleTable: AngleLayout,
+    MarkerTable: MarkerLayout,
+}
 
 
 def _load(file: Path) -> Layout:
     try:
-        table = msgspec.yaml.decode(
-            file.read_bytes(), type=PointTable | AngleTable | MarkerTable
-        )
-        if isinstance(table, PointTable):
-            return PointLayout(table)
-        return (
-            AngleLayout(table) if isinstance(table, AngleTable) else MarkerLayout(table)
-        )
+        kinds = PointTable | AngleTable | MarkerTable
+        table = msgspec.yaml.decode(file.read_bytes(), type=kinds)
+        return _KINDS[type(table)](table)
     # ValueError and TypeError: also those of yaml and msgspec.
     except (OSError, ValueError, TypeError) as error:
-        words = (
-            f"cannot be read: {without_errno(error)}"
-            if isinstance(error, OSError)
-            else error
-        )
-        problem = f"{file}: {' '.join(str(words).split())}"
+        text = without_errno(error)
+        text = f"cannot be read: {text}" if isinstance(error, OSError) else text
+        problem = f"{file}: {' '.join(text.split())}"
         raise InvalidInputError(
-            argument="layout", problem=problem, value=str(file)
+            argument="layout",
+            problem=problem,
+            value=str(file),
         ) from error
