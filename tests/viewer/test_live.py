@@ -129,7 +129,7 @@ def test_the_end_of_the_source_is_reported_and_its_last_sample_stays(
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     source.given.put(None)
-    wait_until(lambda: not viewer._thread.is_alive())
+    wait_until(viewer._reading.done)
     viewer.tick()
     assert "has ended" in viewer.status_text.content
 
@@ -138,7 +138,7 @@ def test_what_the_source_raises_reaches_the_user(server: Any, source: Any) -> No
     source.given.put(source.samples[0])
     viewer = LiveViewer(server, source)
     source.given.put(InvalidInputError("the service has gone"))
-    wait_until(lambda: not viewer._thread.is_alive())
+    wait_until(viewer._reading.done)
     with pytest.raises(InvalidInputError, match="the service has gone"):
         viewer.tick()
 

@@ -30,26 +30,8 @@ LEFT_OUT = ("step_tolerance", "point_tolerance", "tasks")
 _GIVEN = "as given"
 # Largest value of a slider without a bound, in units of its default; and where that is 0 or none.
 _SPAN, _UNKNOWN, _OPTIONAL = 4.0, 20.0, 200.0
-_PANEL_WIDTH = 300
 # How long a browser may take to draw a picture [s].
 _PATIENCE = 60.0
-
-
-def add_panels(server: viser.ViserServer) -> tuple[Any, Any, Any]:
-    """Put the gauges on the left, and return the tabs on the right: control, show, save.
-
-    The gauges are in viser's main panel, because only that one can be folded away for one browser
-    (`BrowserCameras`). Controls that are added outside the tabs go there.
-    """
-    gui = server.gui
-    gui.set_panel_label("handmap view: gauges")
-    gui.main_panel.dock_left()
-    gui.main_panel.set_width(_PANEL_WIDTH)
-    panel = gui.add_panel()
-    tabs = panel.add_tab("Control"), panel.add_tab("Show"), panel.add_tab("Save")
-    panel.dock_right()
-    panel.set_width(_PANEL_WIDTH)
-    return tabs
 
 
 class _Control:

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from handmap_qp.apps.viewer.controls import (
-    DisplayControls,
-    ExportControls,
-    SteeringControls,
-    add_panels,
-)
-from handmap_qp.apps.viewer.gauges import Gauges, Row, gauge_row
+from handmap_qp.apps.viewer.controls import SteeringControls
+from handmap_qp.apps.viewer.gauges import Row, gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.scene import HandScene
-from handmap_qp.apps.viewer.serving import GAUGES_PERIOD, run_frames
-from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.apps.viewer.serving import run_frames
+from handmap_qp.apps.viewer.window import Window
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.presets import options_text, possible_presets
 
 if TYPE_CHECKING:
@@ -35,7 +30,7 @@ _SILENCE = 1.0
 _RATE_SAMPLES = 60
 
 
-class LiveViewer:
+class LiveViewer(Window):
     """Show a mapping that runs elsewhere.
 
     Args:
@@ -43,17 +38,12 @@ class LiveViewer:
         patience: How long to wait for the first sample [s].
 
     Attributes:
-        scene: The hands.
-        gauges: Numbers, plots and joint bars.
-        sample: The newest one.
         recent: The samples of the last 10 s, each with its `gauge_row`.
         status_text: The sample rate, or that no sample arrives.
         stop: Button of the emergency stop.
         clear: Button that ends the stop in force; shown while there is one, for a source that can
             be steered.
         steering: Clutch and options; None if the source cannot be steered.
-        display: What the scene shows.
-        exports: Buttons that download files; the page is of the last 10 s.
 
     Raises:
         InvalidInputError: If no sample arrives within `patience`.
@@ -69,26 +59,24 @@ class LiveViewer:
     ) -> None:
         self._source = source
         self.recent: deque[tuple[ViewSample, Row]] = deque()
-        self.sample: ViewSample
-        self._has_sample, self._has_ended = threading.Event(), threading.Event()
-        self._error: HandmapError | None = None
         self._last_arrival = 0.0
-        self._thread = threading.Thread(
-            target=self._read, name="handmap view: live source", daemon=True
-        )
-        self._thread.start()
+        reader = ThreadPoolExecutor(1, thread_name_prefix="handmap view: live source")
+        self._reading = reader.submit(self._read)
+        reader.shutdown(wait=False)
         try:
             self._wait(patience)
         except BaseException:
             self.close()
             raise
-        self._start = source.choice
-        variant = self._variant()
-        self._shown = self._start
-        self.scene = HandScene(server, source.human, [variant])
-        control, show, save = add_panels(server)
-        self.gauges = Gauges(server, [variant], source.human)
-        with control:
+        self._start = self._shown = source.choice
+        super().__init__(
+            server,
+            source.human,
+            [self._variant()],
+            lambda: options_text(source.choice),
+            self._page,
+        )
+        with self.control:
             self.status_text = server.gui.add_markdown("")
             self.stop = server.gui.add_button(
                 "Stop the robot",
@@ -108,13 +96,11 @@ class LiveViewer:
             if source.is_shared:
                 presets = possible_presets(source.human, source.robot)
                 self.steering = SteeringControls(server, self._start, presets)
-        with show:
-            self.display = DisplayControls(server)
-        with save:
-            self.exports = ExportControls(
-                server, lambda: options_text(source.choice), self._page
-            )
-        self._gauges_due = 0.0
+
+    @property
+    def sample(self) -> ViewSample:
+        """The newest sample."""
+        return self.recent[-1][0]
 
     def tick(self) -> None:
         """Pass on the user's requests, and draw the newest sample.
@@ -122,34 +108,32 @@ class LiveViewer:
         Raises:
             HandmapError: Any error of the source.
         """
-        if self._error is not None:
-            raise self._error
+        source = self._source
+        if has_ended := self._reading.done():
+            self._reading.result()
         if self.steering is not None:
             self._steer(self.steering)
-        # The copy is one operation, so the thread that reads needs no lock.
-        sample, rows = self.sample, [row for _, row in tuple(self.recent)]
-        if self._source.choice != self._shown:
+        if source.choice != self._shown:
             # Another preset or options, whichever client chose them.
-            self._shown = self._source.choice
-            self.scene.set_variants([self._variant()])
-            self.gauges.set_variants([self._variant()])
-        self._stop_number = self._source.stop_number
-        self.clear.visible = self._stop_number != 0 and self._source.is_shared
-        self.display.apply_to(self.scene)
+            self._shown = source.choice
+            self.set_variants([self._variant()])
+        self._stop_number = source.stop_number
+        self.clear.visible = self._stop_number != 0 and source.is_shared
+        # The copy is one operation, so the thread that reads needs no lock.
+        recent = tuple(self.recent)
+        sample, rows = recent[-1][0], [row for _, row in recent]
         self.scene.make_room([sample])
-        self.scene.draw([sample])
-        self.scene.cameras.update()
-        if (now := time.monotonic()) >= self._gauges_due:
-            self._gauges_due = now + GAUGES_PERIOD
+        self.draw([sample])
+        if self.is_time_for_gauges():
             self.gauges.set_rows([rows], latest=_SPAN)
             self.gauges.draw([sample], len(rows) - 1)
-        if self._has_ended.is_set():
+        if has_ended:
             self.status_text.content = "**The source has ended.**"
-        elif now - self._last_arrival > _SILENCE:
+        elif time.monotonic() - self._last_arrival > _SILENCE:
             self.status_text.content = "**No sample arrives.**"
         else:
-            span = rows[-1][0] - rows[-_RATE_SAMPLES:][0][0]
-            rate = min(len(rows) - 1, _RATE_SAMPLES - 1) / max(span, 1e-6)
+            latest = rows[-_RATE_SAMPLES:]
+            rate = (len(latest) - 1) / max(latest[-1][0] - latest[0][0], 1e-6)
             self.status_text.content = f"{rate:.0f} samples per second"
 
     def run(self) -> None:
@@ -159,7 +143,7 @@ class LiveViewer:
     def close(self) -> None:
         """Stop reading the source."""
         self._source.close()
-        self._thread.join(timeout=2.0)
+        wait([self._reading], timeout=2.0)
 
     def _steer(self, steering: SteeringControls) -> None:
         source = self._source
@@ -198,27 +182,22 @@ class LiveViewer:
         return make_page(title, source.human, [replace(variant, samples=samples)])
 
     def _read(self) -> None:
-        try:
-            for sample in self._source:
-                self.sample = sample
-                self.recent.append((sample, gauge_row(sample)))
-                while not 0.0 <= sample.time - self.recent[0][0].time <= _SPAN:
-                    self.recent.popleft()
-                self._last_arrival = time.monotonic()
-                self._has_sample.set()
-        except HandmapError as error:
-            self._error = error
-        finally:
-            self._has_ended.set()
+        for sample in self._source:
+            self.recent.append((sample, gauge_row(sample)))
+            while not 0.0 <= sample.time - self.recent[0][0].time <= _SPAN:
+                self.recent.popleft()
+            self._last_arrival = time.monotonic()
 
     def _wait(self, patience: float) -> None:
         """Wait for the first sample, an error, or the end of the source."""
         end = time.monotonic() + patience
-        while not self._has_sample.wait(0.02):
-            if self._error is not None:
-                raise self._error
-            if self._has_ended.is_set() or time.monotonic() > end:
+        while not self.recent:
+            has_ended = self._reading.done()
+            if has_ended:
+                self._reading.result()
+            if has_ended or time.monotonic() > end:
                 raise InvalidInputError(
                     f"no sample arrived within {patience:g} s",
                     advice="check that a client sends samples to this session",
                 )
+            time.sleep(0.02)

@@ -2,27 +2,17 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handmap_qp.apps.viewer.controls import (
-    KEPT,
-    NOTHING,
-    DisplayControls,
-    ExportControls,
-    PlayBar,
-    SteeringControls,
-    add_panels,
-)
-from handmap_qp.apps.viewer.gauges import Gauges, gauge_row
+from handmap_qp.apps.viewer.controls import KEPT, NOTHING, PlayBar, SteeringControls
+from handmap_qp.apps.viewer.gauges import gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.scene import HandScene
-from handmap_qp.apps.viewer.serving import GAUGES_PERIOD
+from handmap_qp.apps.viewer.window import Window
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
@@ -223,7 +213,7 @@ class Replay:
         )
 
 
-class ReplayViewer:
+class ReplayViewer(Window):
     """Show a recording, and map it again whenever the preset or an option changes.
 
     Args:
@@ -231,51 +221,35 @@ class ReplayViewer:
 
     Attributes:
         replay: The recording.
-        scene: The hands.
-        gauges: Numbers, plots and joint bars.
         play_bar: Play, pause, scrub.
         steering: Preset, comparison, clutch and options.
-        display: What the scene shows.
-        exports: Buttons that download files.
     """
 
     def __init__(self, server: viser.ViserServer, replay: Replay) -> None:
         self.server, self.replay = server, replay
-        self.scene = HandScene(server, replay.human, replay.variants)
-        control, show, save = add_panels(server)
-        self.gauges = Gauges(server, replay.variants, replay.human)
+        super().__init__(
+            server, replay.human, replay.variants, replay.options_text, replay.page
+        )
         # Options count from `_base`: the initial ones, or those of a preset chosen later.
         self._start = self._base = replay.choice
         self._changes: dict[str, Any] = {}
         self._compared = NOTHING if replay.other is None else replay.other.label
         self._pending: list[Callable[[], None]] = []
-        with control:
+        with self.control:
             self.play_bar = PlayBar(server, float(replay.time[-1]))
             self.steering = SteeringControls(
                 server, self._start, replay.presets, self._compared
             )
-        with show:
-            self.display = DisplayControls(server)
-        with save:
-            self.exports = ExportControls(server, replay.options_text, replay.page)
-        self._drawn: tuple[object, ...] = ()
         self._gauges_drawn: tuple[object, ...] = ()
-        self._gauges_due = 0.0
         self._plot()
         self.tick(0.0)
 
     @property
     def index(self) -> int:
         """Index of the sample that is shown."""
-        last = (
-            int(
-                np.searchsorted(
-                    self.replay.time, self.play_bar.time + 0.005, side="right"
-                )
-            )
-            - 1
-        )
-        return min(max(last, 0), len(self.replay.samples) - 1)
+        now = self.play_bar.time + 0.005
+        after = int(np.searchsorted(self.replay.time, now, side="right"))
+        return max(after - 1, 0)
 
     @property
     def sample(self) -> ViewSample:
@@ -291,20 +265,15 @@ class ReplayViewer:
         self.play_bar.advance(elapsed)
         self._take_requests()
         self._map_pending()
-        self.display.apply_to(self.scene)
-        self.scene.cameras.update()
-        samples = tuple(variant.samples[self.index] for variant in self.replay.variants)
-        state = (samples, self.display.state)
-        if state != self._drawn:
-            self.scene.draw(samples)
-            self.steering.show_released(self.replay.is_released(self.index))
-            self._drawn = state
-        now = time.monotonic()
+        index = self.index
+        samples = tuple(variant.samples[index] for variant in self.replay.variants)
+        self.draw(samples)
+        self.steering.show_released(self.replay.is_released(index))
         if samples != self._gauges_drawn and (
-            elapsed == 0.0 or now >= self._gauges_due
+            elapsed == 0.0 or self.is_time_for_gauges()
         ):
-            self.gauges.draw(samples, self.index)
-            self._gauges_drawn, self._gauges_due = samples, now + GAUGES_PERIOD
+            self.gauges.draw(samples, index)
+            self._gauges_drawn = samples
 
     def _take_requests(self) -> None:
         """Note what the user has requested; a preset or Reset overrides changed options.
@@ -358,8 +327,7 @@ class ReplayViewer:
         self._compared = name
 
     def _show_variants(self) -> None:
-        self.scene.set_variants(self.replay.variants)
-        self.gauges.set_variants(self.replay.variants)
+        self.set_variants(self.replay.variants)
         self._plot()
 
     def _plot(self) -> None:

@@ -19,8 +19,6 @@ if TYPE_CHECKING:
 
 FRAME_PERIOD = 1.0 / 30.0
 """Least time between two frames [s]."""
-GAUGES_PERIOD = 0.1
-"""Least time between two updates of plots and joint bars [s]; they cost more than poses."""
 # Largest time step passed to a frame [s]: playback pauses while a long recording is mapped.
 _LONGEST_STEP = 0.2
 
