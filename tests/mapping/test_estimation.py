@@ -269,6 +269,18 @@ def test_residuals_are_the_distances_to_where_the_motion_takes_the_points(
     )
 
 
+@given(st.sampled_from([1e-3, 0.1, 1.0, 30.0]), rotations, st.floats(0.01, 10.0))
+def test_a_ridge_weighs_the_prior_against_points_that_spread_alike(
+    ridge: float, prior: np.ndarray, size: float
+) -> None:
+    # A regular octahedron: the misfit of A is s^2 |A - B|^2, the ridge's ridge s^2 |A - R0|^2.
+    before = size * np.vstack([np.eye(3), -np.eye(3)])
+    linear = np.array([[1.2, 0.3, 0.0], [-0.1, 0.7, 0.2], [0.4, 0.0, 1.5]])
+    found = estimate_motion(before, before @ linear.T, ridge=ridge, prior=prior)
+    wanted = (linear + ridge * prior) / (1.0 + ridge)
+    np.testing.assert_allclose(found.linear, wanted, rtol=0.0, atol=1e-12)
+
+
 @given(st.data(), ridges)
 def test_the_weighted_misfit_has_no_mean(data: st.DataObject, ridge: float) -> None:
     before, after = noisy_pair(data)
