@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.se3 import affine, as_floats, mirror_sign, quat_wxyz_from_rotation, svd3
 
 
@@ -91,11 +91,7 @@ def decompose(
         InvalidInputError: If `motion` is not an affine 4x4 matrix or `pivot` not a point.
     """
     matrix = _check_motion(motion)
-    point = as_floats(pivot, "pivot")
-    if point.shape != (3,) or not np.isfinite(point).all():
-        raise InvalidInputError(
-            argument="pivot", expected="a finite point of shape (3,)", value=pivot
-        )
+    point = as_floats(pivot, "pivot", shape=(3,), is_finite=True)
     factors = polar(matrix[:3, :3])
     stretch = factors.stretch()
     image = matrix[:3, :3] @ point + matrix[:3, 3]
@@ -195,15 +191,9 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
 
 
 def _check_motion(motion: npt.ArrayLike) -> np.ndarray:
-    matrix = as_floats(motion, "motion")
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InvalidInputError(
-            argument="motion", expected="a finite matrix of shape (4, 4)", value=motion
-        )
-    if np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-12:
-        raise InvalidInputError(
-            argument="motion",
-            expected="a last row of 0, 0, 0, 1 (no perspective)",
-            value=matrix[3].tolist(),
-        )
+    matrix = as_floats(motion, "motion", shape=(4, 4), is_finite=True)
+    is_affine = np.abs(matrix[3] - (0.0, 0.0, 0.0, 1.0)).max() <= 1e-12
+    expect(
+        is_affine, "motion", "a last row of 0, 0, 0, 1 (no perspective)", value=motion
+    )
     return matrix

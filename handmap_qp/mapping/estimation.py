@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import DegeneratePointsError, InvalidInputError
+from handmap_qp.errors import DegeneratePointsError, InvalidInputError, expect
 from handmap_qp.se3 import FARTHEST, affine, as_floats, frozen, nearest_rotation
 
 # Below this ratio of smallest to largest singular value, rounding hides whether the points span
@@ -209,15 +209,12 @@ def estimate_motion(
     """
     before = _check_points(points_before, "points_before")
     after = _check_points(points_after, "points_after")
-    if len(after) != len(before):
-        expected = f"{len(before)} points as in points_before"
-        raise InvalidInputError(
-            argument="points_after", expected=expected, got=f"{len(after)}"
-        )
+    expected = f"{len(before)} points as in points_before"
+    is_same = len(after) == len(before)
+    expect(is_same, "points_after", expected, got=f"{len(after)}")
     shares = None if weights is None else _check_weights(weights, len(before))
     pull = float(as_floats(ridge, "ridge", shape=(), is_finite=True))
-    if pull < 0.0:
-        raise InvalidInputError(argument="ridge", expected="a number >= 0", value=ridge)
+    expect(pull >= 0.0, "ridge", "a number >= 0", value=ridge)
     estimator = MotionEstimator(
         before, weights=shares, ridge=pull, has_prior=prior is not None
     )
@@ -225,8 +222,8 @@ def estimate_motion(
         return estimator.estimate(after)
     rotation = as_floats(prior, "prior", shape=(3, 3))
     is_orthogonal = np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-6
-    if not (is_orthogonal and np.linalg.det(rotation) > 0.0):
-        raise InvalidInputError(argument="prior", expected="a rotation", value=prior)
+    is_rotation = is_orthogonal and np.linalg.det(rotation) > 0.0
+    expect(is_rotation, "prior", "a rotation", value=prior)
     return estimator.estimate(after, rotation)
 
 
@@ -241,7 +238,6 @@ def _check_points(points: npt.ArrayLike, name: str) -> np.ndarray:
 
 def _check_weights(weights: npt.ArrayLike, count: int) -> np.ndarray:
     array = as_floats(weights, "weights", shape=(count,), is_finite=True)
-    if not (array.min() >= 0.0 and array.max() > 0.0):
-        expected = f"{count} numbers >= 0, not all zero"
-        raise InvalidInputError(argument="weights", expected=expected, value=weights)
+    expected = f"{count} numbers >= 0, not all zero"
+    expect(array.min() >= 0.0 and array.max() > 0.0, "weights", expected, value=weights)
     return array

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import structs
 
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.sample import LANDMARK_COUNT
@@ -104,12 +104,8 @@ class HandMapper:
                 problem=f"{human.name} has a fixed wrist, and its pose comes with each sample",
                 advice="load it with mount='floating'",
             )
-        if not (isinstance(joint_tolerance, int | float) and joint_tolerance >= 0.0):
-            raise InvalidInputError(
-                argument="joint_tolerance",
-                expected="an angle >= 0 rad",
-                value=joint_tolerance,
-            )
+        is_angle = isinstance(joint_tolerance, int | float) and joint_tolerance >= 0.0
+        expect(is_angle, "joint_tolerance", "an angle >= 0 rad", value=joint_tolerance)
         self.human = human
         self.dt = check_dt(dt)
         self.joint_tolerance = joint_tolerance
@@ -635,6 +631,6 @@ def check_dt(dt: float) -> float:
     Raises:
         InvalidInputError: With the argument `dt`.
     """
-    if not (isinstance(dt, (int, float)) and 0.0 < dt < np.inf):
-        raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
+    is_time = isinstance(dt, (int, float)) and 0.0 < dt < np.inf
+    expect(is_time, "dt", "a time > 0 s", value=dt)
     return dt
