@@ -8,6 +8,7 @@ occlusion in creases. The picture is supersampled and averaged, which smooths al
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +20,8 @@ _NEAR = 1e-3
 # The z-buffer's key: nearness in the high bits, triangle index in the low bits.
 _NEARNESS_STEPS = 2**31 - 1
 _INDEX_BITS = 32
-# Pixels per chunk; bounds the memory of a picture to about 200 MB.
-_CHUNK = 1_500_000
+# Rows of triangles per chunk; bounds the memory of a picture.
+_CHUNK = 100_000
 
 # Directions towards the lights in camera axes (x right, y down, z forward): key light from the
 # upper left, fill light from the right.
@@ -136,13 +137,12 @@ class Camera:
 
     def magnified(self, factor: int) -> Camera:
         """Return the same view with `factor` times as many pixels along each side."""
-        x, y = self.centre
-        size = (factor * self.size[0], factor * self.size[1])
+        (x, y), (width, height) = self.centre, self.size
         return Camera(
             self.world_to_camera,
             factor * self.focal_length,
             (factor * x, factor * y),
-            size,
+            (factor * width, factor * height),
         )
 
 
@@ -192,13 +192,10 @@ def render(
     picture = _shaded(triangles, solid, fine, has_creases=True)
     if marks is not None and len(marks.vertices):
         surface = _rasterise(marks.vertices, fine)
-        rows, columns = np.divmod(surface.pixels, fine.size[0])
-        shaded = _shaded(marks, surface, fine, has_creases=False)[rows, columns]
-        is_hidden = (surface.depth > solid.depth)[rows, columns]
-        opacity = np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0)[:, None]
-        picture[rows, columns] = shaded * opacity + picture[rows, columns] * (
-            1.0 - opacity
-        )
+        shaded = _shaded(marks, surface, fine, has_creases=False)
+        is_hidden = surface.depth > solid.depth
+        opacity = np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0) * shaded[..., 3]
+        picture += opacity[..., None] * (shaded - picture)
     picture = _averaged(picture, supersampling)
     if ground is not None:
         shadow = _shadow(triangles.vertices, camera, ground)
@@ -215,49 +212,32 @@ def _rasterise(
     """Find the triangle in front at every pixel's centre; cull those seen from behind."""
     width, height = camera.size
     corners = camera.project(vertices)
+    depths = corners[..., 2]
     planes, area = _planes(corners)
-    nearness = np.einsum("nc,ncj->nj", 1.0 / np.maximum(corners[..., 2], _NEAR), planes)
-    is_seen = (corners[..., 2] > _NEAR).all(axis=1) & np.isfinite(planes).all(
-        axis=(1, 2)
-    )
+    nearness = np.einsum("nc,ncj->nj", 1.0 / np.maximum(depths, _NEAR), planes)
+    is_seen = (depths > _NEAR).all(axis=1)
+    is_seen &= np.isfinite(planes).all(axis=(1, 2))
     is_seen &= is_two_sided | (area > 0.0)
     # Nearness and triangle index share one integer, so that one maximum updates both.
-    nearest, farthest = (
-        1.0 / max(corners[..., 2].min(initial=1.0), _NEAR),
-        1.0 / max(corners[..., 2].max(initial=1.0), _NEAR),
-    )
+    nearest = 1.0 / max(depths.min(initial=1.0), _NEAR)
+    farthest = 1.0 / max(depths.max(initial=1.0), _NEAR)
     scale = _NEARNESS_STEPS / max(nearest - farthest, 1e-9)
     keys = np.full(width * height, -1, dtype=np.int64)
     triangle, row, first, count = _spans(corners, planes, is_seen, camera.size)
-    ends = np.cumsum(count)
-    pieces = (
-        np.searchsorted(ends, np.arange(_CHUNK, int(ends[-1]), _CHUNK))
-        if len(ends)
-        else []
-    )
-    for part in np.split(np.arange(len(count)), pieces):
-        lengths = count[part]
-        column = np.arange(lengths.sum()) + np.repeat(
-            first[part] - np.cumsum(lengths) + lengths, lengths
-        )
-        plane = scale * nearness[triangle[part]]
-        start = (
-            plane[:, 0] * 0.5
-            + plane[:, 1] * (row[part] + 0.5)
-            + plane[:, 2]
-            - scale * farthest
-        )
-        rank = np.repeat(start, lengths) + np.repeat(plane[:, 0], lengths) * column
-        key = (
-            np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64) << _INDEX_BITS
-        ) | np.repeat(triangle[part], lengths)
-        np.maximum.at(keys, np.repeat(row[part] * width, lengths) + column, key)
+    for start in range(0, len(count), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        span = start + np.repeat(np.arange(len(count[part])), count[part])
+        column = first[span] + _ramps(count[part])
+        owner = triangle[span]
+        rank = scale * (_at(nearness[owner], column, row[span]) - farthest)
+        steps = np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64)
+        pixel = row[span] * width + column
+        np.maximum.at(keys, pixel, (steps << _INDEX_BITS) | owner)
     pixels = np.flatnonzero(keys >= 0)
     triangle = keys[pixels] & (2**_INDEX_BITS - 1)
     depth = np.full(width * height, np.inf)
-    depth[pixels] = 1.0 / np.maximum(
-        _at(nearness[triangle], pixels % width, pixels // width), 1e-9
-    )
+    found = _at(nearness[triangle], pixels % width, pixels // width)
+    depth[pixels] = 1.0 / np.maximum(found, 1e-9)
     return _Surface(pixels, triangle, depth.reshape(height, width), planes)
 
 
@@ -285,27 +265,31 @@ def _spans(
     width, height = size
     seen = np.flatnonzero(is_seen)
     y = corners[seen, :, 1]
-    top = np.clip(np.ceil(y.min(axis=1) - 0.5), 0, height).astype(np.int64)
-    rows = np.maximum(
-        np.clip(np.floor(y.max(axis=1) - 0.5) + 1, 0, height).astype(np.int64) - top, 0
-    )
+    low, high = y.min(axis=1), y.max(axis=1)
+    top = np.clip(np.ceil(low - 0.5), 0, height).astype(np.int64)
+    bottom = np.clip(np.floor(high - 0.5) + 1, 0, height).astype(np.int64)
+    rows = np.maximum(bottom - top, 0)
     triangle = np.repeat(seen, rows)
-    row = np.arange(len(triangle)) + np.repeat(top - np.cumsum(rows) + rows, rows)
+    row = np.repeat(top, rows) + _ramps(rows)
     low, high = np.full(len(row), 0.5), np.full(len(row), width - 0.5)
     for corner in range(3):
         slope, across, constant = planes[triangle, corner].T
+        level = across * (row + 0.5) + constant
         with np.errstate(divide="ignore", invalid="ignore"):
-            edge = -(across * (row + 0.5) + constant) / slope
+            edge = -level / slope
         low = np.where(slope > 0.0, np.maximum(low, edge), low)
         high = np.where(slope < 0.0, np.minimum(high, edge), high)
-        high = np.where(
-            (slope == 0.0) & (across * (row + 0.5) + constant < 0.0), -1.0, high
-        )
+        high = np.where((slope == 0.0) & (level < 0.0), -1.0, high)
     # The tolerance assigns a pixel on a shared edge to at least one of its triangles: no holes.
     first = np.ceil(low - 0.5 - 1e-6).astype(np.int64)
     count = np.floor(high - 0.5 + 1e-6).astype(np.int64) - first + 1
     keep = count > 0
     return triangle[keep], row[keep], first[keep], count[keep]
+
+
+def _ramps(counts: np.ndarray) -> np.ndarray:
+    """Return 0, 1, ... up to below each count, one after the other."""
+    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _at(planes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -322,44 +306,33 @@ def _shaded(
     pixels, triangle = surface.pixels, surface.triangle
     rotation = camera.world_to_camera[:3, :3]
     x, y = pixels % width, pixels // width
-    corner_normals = triangles.normals @ rotation.T
-    normals = sum(
-        _at(surface.planes[triangle, corner], x, y)[:, None]
-        * corner_normals[triangle, corner]
-        for corner in range(3)
-    )
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    rays = np.column_stack(
-        [
-            (x + 0.5 - camera.centre[0]),
-            (y + 0.5 - camera.centre[1]),
-            np.full(len(x), camera.focal_length),
-        ]
-    )
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    key, fill = (
-        direction / np.linalg.norm(direction)
-        for direction in (_KEY_DIRECTION, _FILL_DIRECTION)
-    )
-    up = normals @ rotation[:, 2]
-    light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + up)
+    corners = triangles.normals[triangle] @ rotation.T
+    shares = [_at(surface.planes[triangle, corner], x, y) for corner in range(3)]
+    normals = unit(np.einsum("ck,kcj->kj", shares, corners))
+    rays = np.full((len(x), 3), camera.focal_length)
+    rays[:, 0] = x + 0.5 - camera.centre[0]
+    rays[:, 1] = y + 0.5 - camera.centre[1]
+    key, fill = unit(_KEY_DIRECTION), unit(_FILL_DIRECTION)
+    light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
-    light += _KEY * np.maximum((normals @ key + 0.2) / 1.2, 0.0) + _FILL * np.maximum(
-        normals @ fill, 0.0
-    )
-    halfway = key - rays
-    halfway /= np.linalg.norm(halfway, axis=1, keepdims=True)
-    highlight = (
-        _HIGHLIGHT * np.maximum(np.einsum("kj,kj->k", normals, halfway), 0.0) ** 40
-    )
+    light += _KEY * np.maximum((normals @ key + 0.2) / 1.2, 0.0)
+    light += _FILL * np.maximum(normals @ fill, 0.0)
+    halfway = unit(key - unit(rays))
+    shine = np.maximum((normals * halfway).sum(axis=1), 0.0)
+    highlight = _HIGHLIGHT * shine**40
     if has_creases:
         shade = 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x]
         light, highlight = light * shade, highlight * shade
-    picture[pixels, :3] = (
-        _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
-    ) * light[:, None] + highlight[:, None]
+    albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
+    picture[pixels, :3] = albedo * light[:, None] + highlight[:, None]
     picture[pixels, 3] = 1.0
     return picture.reshape(height, width, 4)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors of length 1 along others of shape (..., 3); zero where they are zero."""
+    sizes = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.maximum(sizes, 1e-15)
 
 
 def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
@@ -371,14 +344,8 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     is_solid = np.isfinite(depth)
     if not is_solid.any():
         return np.zeros_like(depth)
-    reach = max(
-        2.0, _CREASE_RADIUS * camera.focal_length / float(np.median(depth[is_solid]))
-    )
-    offsets = [
-        (radius, angle)
-        for radius in (0.3, 0.65, 1.0)
-        for angle in np.arange(4) * np.pi / 4 + radius
-    ]
+    scale = camera.focal_length / float(np.median(depth[is_solid]))
+    reach = max(2.0, _CREASE_RADIUS * scale)
     # Repeat the border of the picture, and look at solid pixels only.
     room = int(np.ceil(reach)) + 1
     padded = np.pad(depth, room, mode="edge")
@@ -386,19 +353,28 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     rows, columns = np.nonzero(is_solid)
     places = (rows + room) * stride + columns + room
     solid, total = depth[is_solid], np.zeros(len(rows))
-    for radius, angle in offsets:
-        dx, dy = (
-            round(radius * reach * np.cos(angle)),
-            round(radius * reach * np.sin(angle)),
-        )
+    for radius, turn in product((0.3, 0.65, 1.0), range(4)):
+        angle = turn * np.pi / 4 + radius
+        dx, dy = (round(radius * reach * turned(angle)) for turned in (np.cos, np.sin))
         step = dy * stride + dx
         bump = solid - 0.5 * (padded[places + step] + padded[places - step])
         bump /= radius * _CREASE_RADIUS
         # Ignore large steps: they are outlines of parts in front, not hollows.
         total += np.clip(bump, 0.0, 1.0) * np.clip(3.0 - bump / 2.0, 0.0, 1.0)
     hollow = np.zeros_like(depth)
-    hollow[is_solid] = np.clip(1.8 * total / len(offsets), 0.0, 1.0)
+    hollow[is_solid] = np.clip(0.15 * total, 0.0, 1.0)
     return gaussian_filter(hollow, 0.15 * reach)
+
+
+def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
+    """Return the opacity of a soft shadow on a floor, light from above, shape (height, width)."""
+    fallen = vertices.copy()
+    fallen[..., 2] = ground
+    surface = _rasterise(fallen, camera, is_two_sided=True)
+    shadow = np.isfinite(surface.depth).astype(float)
+    distance = camera.project(fallen.mean(axis=(0, 1)))[2]
+    blur = 0.012 * camera.focal_length / distance
+    return _SHADOW_OPACITY * gaussian_filter(shadow, blur)
 
 
 def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
@@ -422,6 +398,5 @@ def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
 def _averaged(picture: np.ndarray, factor: int) -> np.ndarray:
     """Average blocks of `factor` x `factor` pixels."""
     height, width, channels = picture.shape
-    return picture.reshape(
-        height // factor, factor, width // factor, factor, channels
-    ).mean(axis=(1, 3))
+    blocks = (height // factor, factor, width // factor, factor, channels)
+    return picture.reshape(blocks).mean(axis=(1, 3))
