@@ -25,7 +25,7 @@ from handmap_qp.apps.drawing.hands import (
     spheres,
     tube,
 )
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render, unit
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
@@ -140,16 +140,9 @@ def sheet_rows(
                 value=i,
             )
         landmarks = recording.landmarks[i]
-        to_palm = rigid_fit(landmarks[PALM], palm)
+        own = transform_points(rigid_fit(landmarks[PALM], palm), landmarks)
         note = f"{recording.time[i] - recording.time[0]:.2f} s"
-        rows.append(
-            SheetRow(
-                label,
-                note,
-                transform_points(to_palm, landmarks),
-                tuple(q[i] for q in motions),
-            )
-        )
+        rows.append(SheetRow(label, note, own, tuple(q[i] for q in motions)))
     return rows
 
 
@@ -214,21 +207,17 @@ def pose_pictures(
         MissingExtraError: If trimesh is not installed.
     """
     _check(columns, rows)
-    human = _pictures(
-        [_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND
-    )
-    pictures = np.empty((len(rows), 1 + len(columns), *human.shape[1:]))
-    pictures[:, 0] = human
+    humans = [_human_triangles(row.landmarks) for row in rows]
+    pictures = [_pictures(humans, side, _HUMAN_BACKGROUND)] * (1 + len(columns))
     # Columns of the same hand have the same scale.
     for hand in {id(hand): hand for _, hand in columns}.values():
         shape = _coloured(load_shape(hand))
         own = [i for i, (_, other) in enumerate(columns) if other is hand]
         solids = [_robot_triangles(shape, row.q[i]) for i in own for row in rows]
-        drawn = _pictures(solids, hand.spec.side, 1.0)
-        pictures[:, [1 + i for i in own]] = drawn.reshape(
-            len(own), *human.shape
-        ).swapaxes(0, 1)
-    return pictures
+        drawn = np.split(_pictures(solids, hand.spec.side, 1.0), len(own))
+        for i, column in zip(own, drawn, strict=True):
+            pictures[1 + i] = column
+    return np.stack(pictures, axis=1)
 
 
 def save_contact_sheet(
@@ -298,16 +287,14 @@ def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> Non
 def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
     points = merged(list(solids)).vertices.reshape(-1, 3)
-    cameras = [
-        Camera.framing(
-            points,
-            CELL,
-            azimuth=azimuth if side == "right" else 180.0 - azimuth,
-            elevation=elevation,
-            margin=_MARGIN,
+    cameras = []
+    for azimuth, elevation in VIEWS:
+        turn = azimuth if side == "right" else 180.0 - azimuth
+        cameras.append(
+            Camera.framing(
+                points, CELL, azimuth=turn, elevation=elevation, margin=_MARGIN
+            )
         )
-        for azimuth, elevation in VIEWS
-    ]
     images = np.array(
         [[render(solid, camera) for camera in cameras] for solid in solids]
     )
@@ -319,35 +306,28 @@ def _human_triangles(landmarks: np.ndarray) -> Triangles:
     """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
     points = transform_points(_UPRIGHT, landmarks)
     parts = [_faces(points), spheres(points[[0, 5, 9, 13, 17]], _JOINT, _PALM_COLOUR)]
-    parts += [_bone(points[[a, b]], _PALM_BONE, _PALM_COLOUR) for a, b in _PALM_BONES]
+    bones = [(pair, _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
     for i, finger in enumerate(FINGERS):
-        chain = points[1 + 4 * i : 5 + 4 * i]
+        base, middle, last, tip = range(1 + 4 * i, 5 + 4 * i)
         colour = FINGER_COLOURS[finger]
-        parts += [_bone(chain[k : k + 2], _BONE, colour) for k in range(3)]
-        parts += [spheres(chain[1:3], _JOINT, colour), spheres(chain[3:], _TIP, colour)]
+        chain = ((base, middle), (middle, last), (last, tip))
+        bones += [(pair, _BONE, colour) for pair in chain]
+        parts.append(spheres(points[[middle, last]], _JOINT, colour))
+        parts.append(spheres(points[[tip]], _TIP, colour))
+    for (one, other), radius, colour in bones:
+        # Landmarks that coincide have no bone between them.
+        if np.linalg.norm(points[one] - points[other]) > 1e-5:
+            parts.append(tube(points[[one, other]], radius, colour))
     return merged(parts)
-
-
-def _bone(
-    ends: np.ndarray, radius: float, colour: tuple[float, float, float]
-) -> Triangles:
-    """A tube between two points (2, 3); nothing where they coincide."""
-    if np.linalg.norm(ends[1] - ends[0]) < 1e-5:
-        return merged([])
-    return tube(ends, radius, colour)
 
 
 def _faces(points: np.ndarray) -> Triangles:
     """The palm as flat triangles, seen from both sides."""
     corners = points[np.array(_PALM_FACES)]
     corners = np.concatenate([corners, corners[:, ::-1]])
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Triangles(
-        corners,
-        np.tile(_PALM_COLOUR, (len(corners), 1)),
-        np.repeat(normals[:, None], 3, axis=1),
-    )
+    a, b, c = np.moveaxis(corners, 1, 0)
+    normals = np.repeat(unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
+    return Triangles(corners, np.tile(_PALM_COLOUR, (len(corners), 1)), normals)
 
 
 def _coloured(shape: HandShape) -> HandShape:
@@ -355,13 +335,12 @@ def _coloured(shape: HandShape) -> HandShape:
     hand = shape.hand
     wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
     links = []
-    for link in shape.links:
-        if wrist and wrist not in hand.model.supports[_carrier(hand, link.link)]:
+    for link, triangles in shape.links:
+        if wrist and wrist not in hand.model.supports[_carrier(hand, link)]:
             continue
-        finger = _finger_of(hand, link.link)
-        colour = _ROBOT_COLOUR if finger is None else FINGER_COLOURS[finger]
-        colours = np.broadcast_to(colour, link.triangles.colours.shape)
-        links.append(LinkShape(link.link, link.triangles._replace(colours=colours)))
+        colour = FINGER_COLOURS.get(_finger_of(hand, link) or "", _ROBOT_COLOUR)
+        colours = np.broadcast_to(colour, triangles.colours.shape)
+        links.append(LinkShape(link, triangles._replace(colours=colours)))
     return HandShape(hand, tuple(links), shape.missing)
 
 
@@ -373,11 +352,7 @@ def _finger_of(hand: Hand, link: str) -> str | None:
         for point in hand.spec.points
         if joint in hand.model.supports[_carrier(hand, point.link)]
     }
-    return (
-        next(iter(beyond))
-        if len(beyond) == 1 and beyond <= FINGER_COLOURS.keys()
-        else None
-    )
+    return beyond.pop() if len(beyond) == 1 else None
 
 
 def _carrier(hand: Hand, link: str) -> int:

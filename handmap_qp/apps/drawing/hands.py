@@ -12,13 +12,12 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_array
 
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render, unit
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import find_mesh, urdf_path
@@ -38,10 +37,11 @@ _GREY = (0.62, 0.64, 0.67)
 _MAX_MESH_TRIANGLES = 4000
 # Faces that meet at a smaller angle than this are shaded as one smooth surface.
 _SMOOTH_ANGLE = np.radians(40.0)
+# Rows and columns of the corners of both triangles of a rectangle.
+_TWO_TRIANGLES = np.array([[(0, 0), (0, 1), (1, 0)], [(0, 1), (1, 1), (1, 0)]])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LinkShape:
+class LinkShape(NamedTuple):
     """The visual shapes of one link.
 
     Attributes:
@@ -83,13 +83,10 @@ class HandShape:
         Raises:
             InvalidInputError: On a wrong shape, or a wrist pose for a fixed hand.
         """
-        poses = self.hand.link_poses(
-            [shape.link for shape in self.links], q, wrist_pose
-        )
-        placed = []
-        for shape, pose in zip(self.links, poses, strict=True):
-            placed.append(shape.triangles.moved(pose))
-        return merged(placed)
+        names = [link for link, _ in self.links]
+        poses = self.hand.link_poses(names, q, wrist_pose)
+        links = zip(self.links, poses, strict=True)
+        return merged([triangles.moved(pose) for (_, triangles), pose in links])
 
 
 def load_shape(
@@ -116,29 +113,21 @@ def load_shape(
     robot = URDF.load(
         io.BytesIO(hand.urdf_text.encode()), build_scene_graph=False, load_meshes=False
     ).robot
-    # A material defined inside a visual may be referred to by name elsewhere.
-    inside = [
-        v.material
-        for link in robot.links
-        for v in link.visuals
-        if v.material is not None
-    ]
-    palette = {
-        each.name: each.color for each in (*robot.materials, *inside) if each.color
-    }
+    palette = _palette(robot)
     has_visuals = any(link.visuals for link in robot.links)
     links, missing = [], []
     for link in robot.links:
         parts = []
-        for visual in link.visuals if has_visuals else link.collisions:
-            found = _solid(trimesh, visual.geometry, hand.spec)
+        for shape in link.visuals if has_visuals else link.collisions:
+            found = _geometry(trimesh, shape.geometry, hand.spec)
             if found is None:
-                mesh = visual.geometry.mesh if visual.geometry else None
+                mesh = shape.geometry and shape.geometry.mesh
                 missing.append(mesh.filename if mesh else link.name)
-                continue
-            tint = colour or _colour(getattr(visual, "material", None), palette)
-            part = solid(*found, tint)
-            parts.append(part if visual.origin is None else part.moved(visual.origin))
+            else:
+                tint = _colour(getattr(shape, "material", None), palette)
+                part = _triangles(found, colour or tint)
+                origin = np.eye(4) if shape.origin is None else shape.origin
+                parts.append(part.moved(origin))
         if parts:
             links.append(LinkShape(link.name, merged(parts)))
     return HandShape(hand, tuple(links), tuple(missing))
@@ -153,10 +142,11 @@ def solid(
         vertices: Its vertices [m], shape (v, 3).
         faces: Indices of the corners of each triangle, shape (n, 3).
         colour: Red, green and blue in 0..1.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
     """
-    corners = np.asarray(vertices)[faces]
-    normals = _corner_normals(corners, np.asarray(faces))
-    return Triangles(corners, np.tile(colour, (len(corners), 1)), normals)
+    return _triangles(_trimesh().Trimesh(vertices, faces, process=False), colour)
 
 
 def spheres(
@@ -214,23 +204,18 @@ def tube(
         raise InvalidInputError(
             argument="path", expected="at least two different points", value=path
         )
-    tangents = np.gradient(points, axis=0)
-    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True) + 1e-12
+    tangents = unit(np.gradient(points, axis=0))
     # Propagate the first normal and project it at right angles to each tangent: no twist.
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
     rings = np.empty((len(points), sides, 3))
     angles = 2.0 * np.pi * np.arange(sides) / sides
     for ring, tangent in zip(rings, tangents, strict=True):
-        normal -= (normal @ tangent) * tangent
-        normal /= np.linalg.norm(normal)
+        normal = unit(normal - (normal @ tangent) * tangent)
         ring[:] = np.outer(np.cos(angles), normal)
         ring += np.outer(np.sin(angles), np.cross(tangent, normal))
-    # Corners of two triangles for each side of each piece.
-    row, side = np.mgrid[: len(points) - 1, :sides].reshape(2, -1)
-    after = (side + 1) % sides
-    a, b, c, d = ((row, side), (row, after), (row + 1, side), (row + 1, after))
-    order = [np.stack(pair, axis=-1) for pair in zip(a, b, c, b, d, c, strict=True)]
-    rows, columns = (index.reshape(-1, 3) for index in order)
+    pieces = np.moveaxis(np.mgrid[: len(points) - 1, :sides], 0, -1)
+    rows, columns = np.moveaxis(pieces.reshape(-1, 1, 1, 2) + _TWO_TRIANGLES, -1, 0)
+    rows, columns = rows.reshape(-1, 3), columns.reshape(-1, 3) % sides
     surface = points[:, None] + radius * rings
     vertices = surface[rows, columns]
     return Triangles(
@@ -326,29 +311,24 @@ def _trimesh() -> Any:
     return trimesh
 
 
-def _solid(
-    trimesh: Any, geometry: Any, spec: HandSpec
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return vertices (v, 3) and faces (f, 3) of a URDF geometry; None for an unreadable one."""
+def _geometry(trimesh: Any, geometry: Any, spec: HandSpec) -> Any:
+    """Return a URDF geometry as a mesh of trimesh; None for an unreadable one."""
     made = trimesh.creation
     match geometry:
         case None:
             return None
         case _ if geometry.box is not None:
-            found = made.box(extents=geometry.box.size)
+            return made.box(extents=geometry.box.size)
         case _ if geometry.sphere is not None:
-            found = made.icosphere(subdivisions=3, radius=geometry.sphere.radius)
+            return made.icosphere(subdivisions=3, radius=geometry.sphere.radius)
         case _ if geometry.cylinder is not None:
             size = geometry.cylinder
-            found = made.cylinder(size.radius, size.length, sections=40)
-        case _:
-            return _mesh(trimesh, geometry.mesh, spec)
-    return np.asarray(found.vertices), np.asarray(found.faces)
+            return made.cylinder(size.radius, size.length, sections=40)
+    return _mesh(trimesh, geometry.mesh, spec)
 
 
-def _mesh(
-    trimesh: Any, mesh: Any, spec: HandSpec
-) -> tuple[np.ndarray, np.ndarray] | None:
+def _mesh(trimesh: Any, mesh: Any, spec: HandSpec) -> Any:
+    """Read a mesh with outward faces only, or with both sides if it is not closed."""
     try:
         found = trimesh.load_mesh(mesh_file(mesh.filename, spec))
     # Mesh readers raise many types; draw the hand without this part.
@@ -357,21 +337,16 @@ def _mesh(
     if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:
         return None
     found.merge_vertices(merge_norm=True, merge_tex=True)
-    return _one_sided(
-        found, np.ones(3) if mesh.scale is None else np.asarray(mesh.scale, float)
-    )
-
-
-def _one_sided(mesh: Any, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and faces of a mesh, outward faces only; both sides if it is not closed."""
-    vertices, faces = _simplified(np.asarray(mesh.vertices), np.asarray(mesh.faces))
-    vertices = vertices * scale
-    if not (mesh.is_watertight and mesh.is_winding_consistent):
-        return np.concatenate([vertices, vertices]), np.concatenate(
-            [faces, faces[:, ::-1] + len(vertices)]
-        )
-    is_inside_out = (mesh.volume < 0.0) != (np.prod(scale) < 0.0)
-    return vertices, faces[:, ::-1] if is_inside_out else faces
+    coarse = trimesh.Trimesh(*_simplified(found.vertices, found.faces), process=False)
+    is_closed = found.is_watertight and found.is_winding_consistent
+    if not is_closed or found.volume < 0.0:
+        inverse = coarse.copy()
+        inverse.invert()
+        coarse = inverse if is_closed else trimesh.util.concatenate(coarse, inverse)
+    if mesh.scale is not None:
+        # Faces of a mirrored mesh are turned over.
+        coarse.apply_scale(mesh.scale)
+    return coarse
 
 
 def mesh_file(name: str, spec: HandSpec) -> Path:
@@ -403,41 +378,20 @@ def _simplified(
     return means, coarse
 
 
-def _corner_normals(corners: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return at each corner the mean normal of adjacent faces of the smooth surface, (n, 3, 3)."""
-    crossed = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = crossed / np.maximum(np.linalg.norm(crossed, axis=1, keepdims=True), 1e-15)
-    # Weights by the corner's angle make the mean independent of the triangulation.
-    sides = corners[:, [1, 2, 0]] - corners
-    sides /= np.maximum(np.linalg.norm(sides, axis=2, keepdims=True), 1e-15)
-    angles = np.arccos(
-        np.clip(-np.einsum("fcj,fcj->fc", sides, sides[:, [2, 0, 1]]), -1.0, 1.0)
-    ).reshape(-1)
-    count = 3 * len(faces)
-    at_vertex = csr_array(
-        (np.ones(count), (np.arange(count), faces.reshape(-1))),
-        shape=(count, int(faces.max()) + 1),
-    )
-    pairs = (at_vertex @ at_vertex.T).tocoo()
-    one, other = pairs.coords
-    is_smooth = np.einsum("kj,kj->k", flat[one // 3], flat[other // 3]) > np.cos(
-        _SMOOTH_ANGLE
-    )
-    one, other = one[is_smooth], other[is_smooth]
-    weighted = flat[other // 3] * angles[other, None]
-    normals = np.column_stack(
-        [
-            np.bincount(one, weights=weighted[:, axis], minlength=count)
-            for axis in range(3)
-        ]
-    )
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.where(
-        lengths > 1e-12,
-        normals / np.maximum(lengths, 1e-12),
-        np.repeat(flat, 3, axis=0),
-    )
-    return normals.reshape(-1, 3, 3)
+def _triangles(mesh: Any, colour: tuple[float, float, float]) -> Triangles:
+    """Return the triangles of a mesh of trimesh; its surface breaks at edges."""
+    shade = _trimesh().graph.smooth_shade
+    smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
+    corners = smooth.vertices[smooth.faces]
+    normals = unit(smooth.vertex_normals[smooth.faces])
+    return Triangles(corners, np.tile(colour, (len(corners), 1)), normals)
+
+
+def _palette(robot: Any) -> dict[str | None, Any]:
+    """Return the colours of a URDF's materials by name, those inside visuals too."""
+    shapes = [shape for link in robot.links for shape in link.visuals]
+    inside = [shape.material for shape in shapes if shape.material is not None]
+    return {each.name: each.color for each in (*robot.materials, *inside) if each.color}
 
 
 def _colour(
@@ -447,5 +401,5 @@ def _colour(
     own = material and (material.color or palette.get(material.name))
     if not own:
         return _GREY
-    red, green, blue = (float(value) for value in own.rgba[:3])
+    red, green, blue, *_ = map(float, own.rgba)
     return red, green, blue

@@ -16,7 +16,7 @@ from handmap_qp.apps.drawing.hands import (
 from handmap_qp.apps.drawing.raster import Camera
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
+from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.layouts.angles import AngleLayout
@@ -33,6 +33,14 @@ _AXIS_LENGTH = 0.045  # m
 # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
 _UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 _TO_PICTURE = affine(_UPRIGHT, np.zeros(3))
+# Abduction of the fingers in the picture [rad].
+_SPREADS = {
+    "thumb": 0.75,
+    "index": 0.16,
+    "middle": 0.02,
+    "ring": -0.12,
+    "little": -0.28,
+}
 _FARTHEST = (
     0.12  # m; joints of the forearm that lie farther from the wrist are left out
 )
@@ -100,19 +108,13 @@ def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
     _draw_axes(axes, camera, ends, directions)
     # Landmarks have room at their right. Joints between wrist and knuckles stand close together,
     # so their labels are turned and go below.
-    for place, label, is_own in zip(shown, labels, is_used, strict=True):
-        style = {"fontsize": 8, "color": "0.1", "zorder": 5, **_halo()}
+    for (x, y), label, is_own in zip(shown, labels, is_used, strict=True):
+        style = {"zorder": 5, **_halo()}
         if is_own:
-            axes.text(place[0] + 6, place[1] - 6, label, **style)
+            axes.text(x + 6, y - 6, label, fontsize=8, color="0.1", **style)
         else:
-            style |= {
-                "rotation": 90,
-                "ha": "center",
-                "va": "top",
-                "color": "0.35",
-                "fontsize": 7,
-            }
-            axes.text(place[0] + 1, place[1] + 6, label, **style)
+            style |= {"rotation": 90, "ha": "center", "va": "top"}
+            axes.text(x + 1, y + 6, label, fontsize=7, color="0.35", **style)
 
 
 def _draw_axes(
@@ -156,19 +158,9 @@ def _halo() -> dict[str, Any]:
 def _open_posture(human: Hand) -> np.ndarray:
     """Return an open hand with spread fingers, so that indices do not cover one another."""
     q = 0.25 * human.rest
-    spread = {
-        "thumb": 0.75,
-        "index": 0.16,
-        "middle": 0.02,
-        "ring": -0.12,
-        "little": -0.28,
-    }
-    for finger in FINGERS:
-        q[
-            HUMAN_JOINTS.index(
-                f"{finger}_{'TM' if finger == 'thumb' else 'MCP'}_abduction"
-            )
-        ] = spread[finger]
+    for finger, spread in _SPREADS.items():
+        joint = "TM" if finger == "thumb" else "MCP"
+        q[HUMAN_JOINTS.index(f"{finger}_{joint}_abduction")] = spread
     return np.clip(q, human.lower_limits, human.upper_limits)
 
 
@@ -185,16 +177,17 @@ def _entries(
     # Rows are points, poses, or a position and a quaternion.
     read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
     places = read * table.reflection * UNITS[table.unit]
-    shown = used = range(len(places))
+    is_used = is_shown = np.ones(len(places), dtype=bool)
     if isinstance(layout, PointLayout):
+        side = human.spec.side
         if table.is_relative and table.wrist is not None:
-            places = (
-                places @ table.wrist.axes(human.spec.side).rotation(table.reflection).T
-            )
-        used = set(layout.order(human.spec.side).tolist())
+            places = places @ table.wrist.axes(side).rotation(table.reflection).T
+        index = np.arange(len(places))
+        is_used = np.isin(index, layout.order(side))
         is_near = np.linalg.norm(places, axis=1) < _FARTHEST
-        shown = [i for i in shown if i in used or (i in table.between and is_near[i])]
-    return places[shown], [str(i) for i in shown], np.array([i in used for i in shown])
+        is_shown = is_used | (np.isin(index, list(table.between)) & is_near)
+    shown = np.flatnonzero(is_shown)
+    return places[shown], list(map(str, shown)), is_used[shown]
 
 
 def _angle_entries(
