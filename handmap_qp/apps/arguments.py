@@ -37,27 +37,27 @@ from handmap_qp.trackers.layouts.files import layout_hint, read_with_layout
 from handmap_qp.trackers.layouts.tables import load_layout
 from handmap_qp.trackers.plausibility import check_recording
 
+
+def hinted(metavar: str, hint: str = "(default: none)") -> Any:
+    """Return how the help shows an option: what its value is, and what is used without it."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=hint)
+
+
 HandName = Annotated[str, tyro.conf.arg(metavar="HAND")]
 """Name of a hand of the package, or path of a hand.yaml."""
 PersonFile = Annotated[
     Path | None,
-    tyro.conf.arg(
-        metavar="PERSON.yaml", help_behavior_hint="(default: measured in the recording)"
-    ),
+    hinted("PERSON.yaml", "(default: measured in the recording)"),
 ]
 """File of a person's hand, of `handmap calibrate`."""
 OpenSession = Annotated[
     str | None,
-    tyro.conf.arg(
-        metavar="NAME", help_behavior_hint="(default: the only open session)"
-    ),
+    hinted("NAME", "(default: the only open session)"),
 ]
 """Name of a session of the service that another client has opened."""
 KeyFiles = Annotated[
     tuple[Path, Path] | None,
-    tyro.conf.arg(
-        metavar="SECRET SERVER", help_behavior_hint="(default: not encrypted)"
-    ),
+    hinted("SECRET SERVER", "(default: not encrypted)"),
 ]
 """A client's secret key and the server's key, of `handmap keys`."""
 _HANDED = (
@@ -65,7 +65,7 @@ _HANDED = (
 )
 PointSet = Annotated[
     str | None,
-    tyro.conf.arg(metavar="SET", help_behavior_hint="(default: the hand's own)"),
+    hinted("SET", "(default: the hand's own)"),
 ]
 """Name of a set of reference points."""
 
@@ -82,7 +82,7 @@ class InputArguments:
 
     layout: Annotated[
         str | None,
-        tyro.conf.arg(metavar="LAYOUT", help_behavior_hint="(default: the file's own)"),
+        hinted("LAYOUT", "(default: the file's own)"),
     ] = None
     side: Annotated[
         Side | None, tyro.conf.arg(help_behavior_hint="(default: what the file says)")
@@ -268,7 +268,7 @@ class MappingArguments:
 
     preset: Annotated[
         str | None,
-        tyro.conf.arg(metavar="PRESET", help_behavior_hint=f"({', '.join(PRESETS)})"),
+        hinted("PRESET", f"({', '.join(PRESETS)})"),
     ] = None
     human_points: PointSet = None
     robot_points: PointSet = None
@@ -280,7 +280,7 @@ class MappingArguments:
     )
     options: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="OPTIONS.yaml", help_behavior_hint="(default: none)"),
+        hinted("OPTIONS.yaml"),
     ] = None
     smooth: bool = False
 

@@ -38,7 +38,7 @@ from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls
 from handmap_qp.apps.viewer.figure import HandFigure, Seen, link_meshes, state_text
 from handmap_qp.apps.viewer.gauges import FIRST, InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
-from handmap_qp.apps.viewer.scene import HandScene
+from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.apps.viewer.serving import skip_wakeup_race
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.mapping.presets import PRESETS, Choice, preset_choice
@@ -219,7 +219,7 @@ def test_cube_has_the_corners_that_the_deformation_makes(server: Any) -> None:
     replay = make_replay(rigid_from="wrist")
     sample = replay.samples[-1]
     scene = HandScene(server, replay.human, replay.variants)
-    scene.deformation_shape = "cube"
+    scene.display = Display(shape="cube")
     scene.draw([sample])
     cube = server.scene.get_handle_by_name("/human/cube")
     assert cube.visible
@@ -238,7 +238,7 @@ def test_hands_stay_in_place_or_travel_as_asked(
 ) -> None:
     replay = make_replay()
     scene = HandScene(server, replay.human, replay.variants)
-    scene.follow = follow
+    scene.display = Display(follow)
     human, places = HandFigure(server, "other", replay.human), []
     for sample in (replay.samples[0], replay.samples[-1]):
         scene.draw([sample])
@@ -257,7 +257,7 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
 ) -> None:
     replay = make_replay()
     scene = HandScene(server, replay.human, replay.variants)
-    scene.follow = follow
+    scene.display = Display(follow)
     for sample in replay.samples[::7]:
         scene.draw([sample])
         camera = server.initial_camera

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
-from handmap_qp.apps.arguments import KeyFiles, OpenSession
+from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
 from handmap_qp.apps.live.mediapipe_source import MediapipeSource, install_environment
 from handmap_qp.apps.live.source import Recorder, Replay, Sink, Source, run
 from handmap_qp.apps.tables import print_table
@@ -51,31 +51,24 @@ class Target:
 
     to: Annotated[
         str | None,
-        tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
+        hinted("HOST[:PORT]", "(port: 5570)"),
     ] = None
-    robot: Annotated[
-        str | None, tyro.conf.arg(metavar="HAND", help_behavior_hint="")
-    ] = None
+    robot: Annotated[str | None, hinted("HAND", "")] = None
     record: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: no file)"),
+        hinted("FILE", "(default: no file)"),
     ] = None
     session: Annotated[
         str | None,
-        tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: made up)"),
+        hinted("NAME", "(default: made up)"),
     ] = None
     preset: Annotated[
         str | None,
-        tyro.conf.arg(
-            metavar="PRESET", help_behavior_hint="(default: the service decides)"
-        ),
+        hinted("PRESET", "(default: the service decides)"),
     ] = None
     person: Annotated[
         Path | None,
-        tyro.conf.arg(
-            metavar="PERSON.yaml",
-            help_behavior_hint="(default: measured in the first samples)",
-        ),
+        hinted("PERSON.yaml", "(default: measured in the first samples)"),
     ] = None
     keys: KeyFiles = None
     json: bool = False
@@ -164,7 +157,7 @@ class TrackReplay:
     loop: bool = False
     faults: Annotated[
         str | None,
-        tyro.conf.arg(metavar="FAULTS", help_behavior_hint="(default: none)"),
+        hinted("FAULTS"),
     ] = None
     seed: int = 0
     target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
@@ -208,7 +201,7 @@ class TrackMediapipe:
     camera: int = 0
     video: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: the camera)"),
+        hinted("FILE", "(default: the camera)"),
     ] = None
     side: Side = "right"
     mirrored: bool = False

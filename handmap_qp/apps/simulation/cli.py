@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from handmap_qp.apps.arguments import HandName
+from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_commands
@@ -33,10 +33,6 @@ from handmap_qp.trackers.formats import read_recording
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 _OBJECT, _MASS, _FRICTION = "box:0.03", 0.05, 0.8
-
-
-def _optional(metavar: str, default: str = "none") -> Any:
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
 @dataclass(frozen=True)
@@ -83,12 +79,12 @@ class Simulate:
         json: Print one JSON object instead of a table.
     """
 
-    recording: tyro.conf.Positional[Annotated[Path | None, _optional("RECORDING")]] = (
-        None
-    )
+    recording: tyro.conf.Positional[Annotated[Path | None, hinted("RECORDING")]] = None
     robot: HandName = "three_finger"
-    methods: Annotated[tuple[str, ...], _optional("METHOD...", "the first preset")] = ()
-    peers: Annotated[Path | None, _optional("FOLDER")] = None
+    methods: Annotated[
+        tuple[str, ...], hinted("METHOD...", "(default: the first preset)")
+    ] = ()
+    peers: Annotated[Path | None, hinted("FOLDER")] = None
     object: Annotated[str, tyro.conf.arg(metavar="OBJECT")] = _OBJECT
     mass: Annotated[float, tyro.conf.arg(metavar="KG")] = _MASS
     friction: float = _FRICTION
@@ -98,14 +94,16 @@ class Simulate:
     trials: int = 0
     objects: Literal["nominal", "varied"] = "varied"
     seed: int = 0
-    grip: Annotated[float | None, _optional("N", "position control alone")] = None
-    out: Annotated[Path | None, _optional("FILE.npz")] = None
-    picture: Annotated[Path | None, _optional("FILE.png")] = None
-    film: Annotated[Path | None, _optional("FILE.gif")] = None
-    html: Annotated[Path | None, _optional("PAGE.html")] = None
-    serve: Annotated[str | None, _optional("SESSION")] = None
+    grip: Annotated[float | None, hinted("N", "(default: position control alone)")] = (
+        None
+    )
+    out: Annotated[Path | None, hinted("FILE.npz")] = None
+    picture: Annotated[Path | None, hinted("FILE.png")] = None
+    film: Annotated[Path | None, hinted("FILE.gif")] = None
+    html: Annotated[Path | None, hinted("PAGE.html")] = None
+    serve: Annotated[str | None, hinted("SESSION")] = None
     server: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "tcp://127.0.0.1:5570"
-    duration: Annotated[float, _optional("SECONDS", "until Ctrl-C")] = math.inf
+    duration: Annotated[float, hinted("SECONDS", "(default: until Ctrl-C)")] = math.inf
     json: bool = False
 
     def run(self) -> None:

@@ -18,6 +18,7 @@ from handmap_qp.apps.simulation.simulator import Episode, Instant
 from handmap_qp.apps.tables import progress
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Solid, Variant, ViewSample
+from handmap_qp.apps.viewer.scene import Display
 from handmap_qp.errors import MissingExtraError
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import affine
@@ -139,7 +140,7 @@ def write_page(
             for row in zip(*episode.at, strict=True)
         ]
         variants.append(Variant(name, episode.hand, None, samples, solid, axes))
-    page = make_page(title, None, variants, follow="world")
+    page = make_page(title, None, variants, display=Display("world"))
     with replaced_file(path, "--html") as file:
         file.write(page)
 

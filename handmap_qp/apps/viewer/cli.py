@@ -20,6 +20,7 @@ from handmap_qp.apps.arguments import (
     OpenSession,
     PersonFile,
     fit_side,
+    hinted,
 )
 from handmap_qp.apps.viewer.live import LiveViewer
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
@@ -74,16 +75,16 @@ class View:
     recording: tyro.conf.Positional[
         Annotated[
             Path | None,
-            tyro.conf.arg(metavar="[RECORDING]", help_behavior_hint="(or give --live)"),
+            hinted("[RECORDING]", "(or give --live)"),
         ]
     ] = None
     robot: Annotated[
         str | None,
-        tyro.conf.arg(metavar="HAND", help_behavior_hint="(default: the service's)"),
+        hinted("HAND", "(default: the service's)"),
     ] = None
     live: Annotated[
         str | None,
-        tyro.conf.arg(metavar="HOST[:PORT]", help_behavior_hint="(port: 5570)"),
+        hinted("HOST[:PORT]", "(port: 5570)"),
     ] = None
     session: OpenSession = None
     keys: KeyFiles = None
@@ -91,11 +92,11 @@ class View:
     person: PersonFile = None
     compare: Annotated[
         str | None,
-        tyro.conf.arg(metavar="METHOD", help_behavior_hint="(default: none)"),
+        hinted("METHOD"),
     ] = None
     html: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="PAGE.html", help_behavior_hint="(default: serve)"),
+        hinted("PAGE.html", "(default: serve)"),
     ] = None
     host: str = "127.0.0.1"
     port: int = 8080
@@ -131,14 +132,10 @@ class View:
 
     def _refuse_unused_options(self) -> None:
         """Refuse options that would have no effect."""
-        given = {
-            name
-            for name in vars(self)
-            if getattr(self, name) != getattr(View, name, None)
-        }
-        given |= {
-            name for name, value in vars(self.inputs).items() if value is not None
-        }
+        changed, usual = self.arguments.changed(), vars(View())
+        given = {name for name, value in vars(self).items() if value != usual[name]}
+        given.update(name for name, value in vars(self.inputs).items() if value)
+        given.update(changed)
         problems = dict.fromkeys(("session", "keys"), "needs --live")
         if self.html is not None:
             problems |= dict.fromkeys(
@@ -150,8 +147,7 @@ class View:
             )
             problems["html"] = "needs a recording: a running session has no end"
             chosen = "needs a recording: the service's client chooses it"
-            problems |= dict.fromkeys(("person", *self.arguments.changed()), chosen)
-            given.update(self.arguments.changed())
+            problems |= dict.fromkeys(("person", *changed), chosen)
         for name, problem in problems.items():
             if name in given:
                 option = f"--{name.removeprefix('--')}"
@@ -160,14 +156,15 @@ class View:
     def _show_recording(self, file: Path, robot: str) -> None:
         if self.html is not None:
             check_output("--html", self.html, (".html", ".htm"))
-            page = self.replay(file, robot).page()
-            with replaced_file(self.html, "--html") as stream:
-                stream.write(page)
-            print(f"wrote {self.html}")
-            return
         replay = self.replay(file, robot)
-        with self._serving() as server:
-            run_frames(ReplayViewer(server, replay).tick)
+        if self.html is None:
+            with self._serving() as server:
+                run_frames(ReplayViewer(server, replay).tick)
+            return
+        page = replay.page()
+        with replaced_file(self.html, "--html") as stream:
+            stream.write(page)
+        print(f"wrote {self.html}")
 
     def _show_live(self, live: str) -> None:
         from handmap_qp.apps.viewer.remote import ServiceSession

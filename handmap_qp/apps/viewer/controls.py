@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 
 from handmap_qp.apps.viewer.figure import TRAIL_LENGTH
-from handmap_qp.apps.viewer.scene import HandScene
+from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.errors import HandmapError
 from handmap_qp.mapping.presets import PRESETS, Choice
 from handmap_qp.options import Option, Options, options_of
@@ -100,23 +100,15 @@ class DisplayControls:
         self._is_to_clear = False
         self.clear.on_click(self._request_clear)
 
-    @property
-    def state(self) -> tuple[object, ...]:
-        """The settings; the scene has to be drawn again if they change."""
-        return (
-            self.follow.value,
-            self.shape.value,
-            self.landmarks.value,
-            self.trails.value,
-        )
-
     def apply_to(self, scene: HandScene) -> None:
         """Copy the settings to the scene; its next drawing shows them."""
-        if self._is_to_clear or (scene.has_trails and not self.trails.value):
+        display = Display(
+            self.follow.value, self.shape.value, self.landmarks.value, self.trails.value
+        )
+        if self._is_to_clear or (scene.display.has_trails and not display.has_trails):
             self._is_to_clear = False
             scene.clear_trails()
-        scene.follow, scene.deformation_shape = self.follow.value, self.shape.value
-        scene.has_landmarks, scene.has_trails = self.landmarks.value, self.trails.value
+        scene.display = display
 
     def _request_clear(self, _: object) -> None:
         self._is_to_clear = True

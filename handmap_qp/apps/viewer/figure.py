@@ -535,7 +535,8 @@ def state_text(sample: ViewSample) -> str:
         return sample.note
     if sample.is_seen:
         return sample.status if sample.status in ("released", "gliding") else ""
-    return sample.status if ":" in sample.status else "hand not seen, robot held"
+    missed = f"{sample.status}: {sample.rule}"
+    return missed if sample.rule else "hand not seen, robot held"
 
 
 def link_meshes(hand: Hand) -> dict[str, list[Any]]:

@@ -19,7 +19,7 @@ from handmap_qp.apps.viewer.gauges import (
     gauge_row,
 )
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.scene import Follow, HandScene
+from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.apps.viewer.serving import serving
 from handmap_qp.hands.hand import Hand
 
@@ -32,7 +32,7 @@ def make_page(
     human: Hand | None,
     variants: Sequence[Variant],
     *,
-    follow: Follow = "hands",
+    display: Display | None = None,
 ) -> bytes:
     """Return one HTML file that plays samples in real time, without a server or the network.
 
@@ -43,7 +43,7 @@ def make_page(
         human: The human hand; None for robots alone.
         variants: The robots, with as many samples as each other at the same times; at most 30
             samples of each second are written.
-        follow: As of `HandScene`.
+        display: What the page shows, and how; as of a new `HandScene` if omitted.
 
     Returns:
         The file's content.
@@ -51,7 +51,7 @@ def make_page(
     instants = list(zip(*(variant.samples for variant in variants), strict=True))
     with serving() as server:
         scene = HandScene(server, human, variants)
-        scene.follow = follow
+        scene.display = display or scene.display
         scene.draw(instants[0])
         serializer = server.get_scene_serializer()
         shown = instants[0][0].time

@@ -121,9 +121,8 @@ class ServiceSession:
             self.choice = _choice(about)
             lengths = None
             if about["lengths"] is not None:
-                measured = about["lengths"]
-                rows = (np.array(measured[k]) for k in ("bases", "segments", "rolls"))
-                bases, segments, rolls = rows
+                names = ("bases", "segments", "rolls")
+                bases, segments, rolls = (np.array(about["lengths"][k]) for k in names)
                 lengths = HumanLengths(bases, segments, rolls)
             self.human = load_hand(
                 human_name(about["side"]), points=about["human_points"], lengths=lengths
@@ -244,10 +243,8 @@ class ServiceSession:
                     f"choose one with --session: {', '.join(names)}",
                 )
             self.name = session or "".join(names)
-            problem, advice = (
-                "no session is open there",
-                "start a client that opens one",
-            )
+            problem = "no session is open there"
+            advice = "start a client that opens one"
             if self.name:
                 state = self._try(self._client.watch, self.name)
                 self.is_released = state.is_released
@@ -292,8 +289,7 @@ class ServiceSession:
         self._detail = detail = command.detail or self._detail
         if not detail or command.wrist is None:
             return None
-        if self._start is None:
-            self._start = command.server_time
+        self._start = self._start or command.server_time
         q, wrist = np.array(command.q), command.wrist.matrix
         targets, landmarks = np.array(detail["targets"]), detail["landmarks"]
         human_q, human_wrist = self._human_posture(detail)
@@ -316,9 +312,8 @@ class ServiceSession:
             deformation=np.array(detail["motion_deformation"])[:3, :3],
             pivot=np.array(detail["pivot"]),
             is_limited=np.isin(self.robot.joint_names, command.at_limit),
-            status=f"{command.status}: {command.rule}"
-            if command.rule
-            else command.status,
+            status=command.status,
+            rule=command.rule,
             duration=command.solve_time,
             is_seen=command.detail is not None,
         )

@@ -207,7 +207,8 @@ class Replay:
             deformation=results["motion_deformation"][:3, :3] if has_motion else None,
             pivot=results["pivot_image"] if has_motion else None,
             is_limited=step.at_bound,
-            status=f"{step.status}: {step.rule}" if step.rule else step.status,
+            status=step.status,
+            rule=step.rule,
             duration=step.duration,
             is_seen=is_seen,
         )

@@ -32,7 +32,8 @@ class ViewSample:
         object_pose: Pose in V of the variant's object, shape (4, 4); None if there is none.
         is_limited: Whether a position or speed limit held each robot joint in this step, shape
             (n,); None if the source does not report it.
-        status: How the step ended, and the rule that the sample broke, as in `held: jump`.
+        status: How the step ended.
+        rule: The rule that the sample broke, such as `jump`; empty if it broke none.
         duration: Wall time of the mapping step [s]; NaN if there was none.
         is_seen: Whether the robot followed the sample; if not, the previous one is held.
         note: Line below the robot's name; if empty, why the robot does not follow.
@@ -53,6 +54,7 @@ class ViewSample:
     object_pose: np.ndarray | None = None
     is_limited: np.ndarray | None = None
     status: str = ""
+    rule: str = ""
     duration: float = float("nan")
     is_seen: bool = True
     note: str = ""

@@ -7,7 +7,7 @@ dorsal. Each robot's world is rotated by its mapping's alignment, so that equal 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -24,8 +24,6 @@ from handmap_qp.hands.hand import Hand
 if TYPE_CHECKING:
     import viser
 
-Follow = Literal["hands", "world"]
-
 # Between two figures [m].
 _GAP = 0.035
 # Samples for which room is reserved; a hand hardly moves between them.
@@ -41,6 +39,22 @@ _NAMES, _MARGIN = 64, 14
 _NARROW = 480
 
 
+class Display(NamedTuple):
+    """What a scene shows.
+
+    Attributes:
+        follow: `hands` keeps each hand in place; `world` shows how it travels.
+        shape: How T_def is shown.
+        has_landmarks: Whether the landmarks stand beside the human hand.
+        has_trails: Whether the fingertips leave trails.
+    """
+
+    follow: Literal["hands", "world"] = "hands"
+    shape: Shape = "ellipsoid"
+    has_landmarks: bool = False
+    has_trails: bool = False
+
+
 class HandScene:
     """A row of figures: landmarks, human hand, robot hands.
 
@@ -50,10 +64,7 @@ class HandScene:
             gives the scene's axes.
 
     Attributes:
-        follow: `hands` keeps each hand in place; `world` shows how it travels.
-        deformation_shape: How T_def is shown.
-        has_landmarks: Whether the landmarks stand beside the human hand.
-        has_trails: Whether the fingertips leave trails.
+        display: What is drawn, and how.
         cameras: The browsers' cameras; call `cameras.update()` at every frame.
     """
 
@@ -64,9 +75,7 @@ class HandScene:
         variants: Sequence[Variant],
     ) -> None:
         self.server = server
-        self.follow: Follow = "hands"
-        self.deformation_shape: Shape = "ellipsoid"
-        self.has_landmarks = self.has_trails = False
+        self.display = Display()
         set_up_stage(server, floor=-0.22)
         self.cameras = BrowserCameras(server)
         self._landmarks = self._human = None
@@ -121,8 +130,8 @@ class HandScene:
             samples: One sample for each variant; the human hand is that of the first.
         """
         if self._human is not None and self._landmarks is not None:
-            self._landmarks.is_shown = self.has_landmarks
-            self._human.shape = self.deformation_shape
+            self._landmarks.is_shown = self.display.has_landmarks
+            self._human.shape = self.display.shape
         row = [
             figure for figure in self._figures if figure.is_shown and len(figure.extent)
         ]
@@ -136,11 +145,11 @@ class HandScene:
         figure.draw(sample)
         if (centre := figure.centre(figure.seen(sample))) is None:
             return
-        is_pinned = self.follow == "hands"
+        is_pinned = self.display.follow == "hands"
         figure.place(
             figure.axes @ centre if is_pinned else figure.travel.mean(axis=0), low
         )
-        tips = figure.tips(sample) if self.has_trails else None
+        tips = figure.tips(sample) if self.display.has_trails else None
         if tips is not None:
             figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
 
@@ -158,7 +167,7 @@ class HandScene:
 
     def _lay_out(self, row: Sequence[Figure]) -> float:
         """Place the figures side by side, fit the cameras, and return the height of the names."""
-        is_travelling = self.follow == "world"
+        is_travelling = self.display.follow == "world"
         sizes = [
             np.ptp(figure.extent, axis=0)
             + is_travelling * np.ptp(figure.travel, axis=0)

@@ -76,7 +76,7 @@ class Window:
     def draw(self, samples: Sequence[ViewSample]) -> None:
         """Draw one sample of each robot, unless it is drawn as the display controls ask for."""
         self.display.apply_to(self.scene)
-        state = (tuple(samples), self.display.state)
+        state = (tuple(samples), self.scene.display)
         if state != self._drawn:
             self.scene.draw(samples)
             self._drawn = state
