@@ -22,7 +22,6 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.human import CONTACT_GAP
 from handmap_qp.hands.mimic import (
     Expansion,
-    MimicRule,
     expansion_matrix,
     tighten_model,
 )
@@ -38,7 +37,14 @@ from handmap_qp.hands.model import (
     with_frames,
 )
 from handmap_qp.hands.sources import read_urdf
-from handmap_qp.hands.spec import HandSpec, Mount, PointSpec, check_point, check_unique
+from handmap_qp.hands.spec import (
+    HandSpec,
+    MimicSpec,
+    Mount,
+    PointSpec,
+    check_point,
+    check_unique,
+)
 from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose, frozen
 
 Points = str | Sequence[str | PointSpec]
@@ -47,7 +53,8 @@ Points = str | Sequence[str | PointSpec]
 LONGEST_STOP = 0.5
 """Longest time in which a robot stops, whatever its acceleration limit is [s]."""
 
-_LINK, _JOINT = pin.FrameType.BODY, pin.FrameType.JOINT
+_LINK = pin.FrameType.BODY
+_JOINT = pin.FrameType.JOINT
 # Made when first read, and again by a copy.
 _CACHED = ("urdf_text", "_placed_model", "_scratch")
 
@@ -116,7 +123,8 @@ class Hand:
     ) -> None:
         _check_type("spec", spec, HandSpec, "a HandSpec")
         _check_type("urdf_text", urdf_text, str | None, "the text of a URDF")
-        self.spec, self.contact_gap = spec, CONTACT_GAP
+        self.spec = spec
+        self.contact_gap = CONTACT_GAP
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
@@ -133,12 +141,12 @@ class Hand:
         self.upper_limits = _frozen(model.upperPositionLimit[self.q_indices])
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
         # An arm is at rest in every posture of the description.
-        posture = spec.rest if spec.arm is None else spec.arm.rest | spec.rest
-        self.rest = _frozen([posture[name] for name in self.joint_names])
+        arm = {} if spec.arm is None else spec.arm.rest
+        self.rest = _frozen([(arm | spec.rest)[name] for name in self.joint_names])
         self.matched = None
         if spec.matched is not None:
-            posture = posture | spec.matched
-            self.matched = _frozen([posture[name] for name in self.joint_names])
+            matched = arm | spec.matched
+            self.matched = _frozen([matched[name] for name in self.joint_names])
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
         check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()
@@ -311,8 +319,12 @@ class Hand:
         count = len(self.joint_names)
         angles = as_floats(q, "q", is_finite=True)
         if angles.ndim not in (1, 2) or angles.shape[-1] != count:
-            expected, got = f"shape ({count},) or (T, {count})", f"shape {angles.shape}"
-            raise InvalidInputError(argument="q", expected=expected, value=q, got=got)
+            raise InvalidInputError(
+                argument="q",
+                expected=f"shape ({count},) or (T, {count})",
+                value=q,
+                got=f"shape {angles.shape}",
+            )
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
         return np.concatenate([self._moving.all_joints(angles), locked], axis=-1)
 
@@ -323,8 +335,7 @@ class Hand:
 
         Args and errors are those of `configuration_vector`.
         """
-        self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        return self._scratch.points.copy()
+        return self._placed(q, wrist_pose).points.copy()
 
     def point_jacobian(
         self, q: npt.ArrayLike, wrist_pose: PoseLike | None = None
@@ -360,8 +371,7 @@ class Hand:
         own["palm"] = self.model.frames[self.palm_frame_id]
         own["wrist"] = self.model.frames[self.wrist_frame_id]
         found = own.get(frame) or self._find(frame, "frame", _LINK, _JOINT)
-        self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        return self._scratch.frame_pose(found)
+        return self._placed(q, wrist_pose).frame_pose(found)
 
     def link_poses(
         self, links: Sequence[str], q: npt.ArrayLike, wrist_pose: PoseLike | None = None
@@ -381,18 +391,21 @@ class Hand:
         frames = [
             self._find(link, f"links[{i}]", _LINK) for i, link in enumerate(links)
         ]
-        self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
-        poses = [self._scratch.frame_pose(frame) for frame in frames]
+        placed = self._placed(q, wrist_pose)
+        poses = [placed.frame_pose(frame) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
 
     def _index_joints(
-        self, rules: Sequence[MimicRule], locked: Mapping[str, float]
+        self, rules: Mapping[str, MimicSpec], locked: Mapping[str, float]
     ) -> None:
         """Name all joints, find them in Pinocchio's vectors, and map the active ones to all."""
-        model, names = self.model, self.spec.all_joints
-        moving, count = (*names, *(rule.follower for rule in rules)), len(names)
+        model = self.model
+        names = self.spec.all_joints
+        moving = (*names, *rules)
+        count = len(names)
         roles = {"active": names, "follower": rules, "locked": locked}
-        self.joint_names, self._locked = names, np.array(list(locked.values()))
+        self.joint_names = names
+        self._locked = np.array(list(locked.values()))
         self.all_joint_names = (*moving, *locked)
         self.all_joint_roles = tuple(role for role, of in roles.items() for _ in of)
         joints = [model.getJointId(name) for name in moving]
@@ -407,14 +420,16 @@ class Hand:
         self._moving = expansion_matrix(moving, names, rules)
         self.expansion = None
         if rules:
-            to_all, shift = np.eye(model.nv)[:, self.active_columns], np.zeros(model.nv)
+            to_all = np.eye(model.nv)[:, self.active_columns]
+            shift = np.zeros(model.nv)
             to_all[np.ix_(at_v, self.joint_columns)] = self._moving.matrix
             shift[at_v] = self._moving.offset
             self.expansion = Expansion(frozen(to_all), frozen(shift))
 
     def _add_wrist_and_palm(self) -> None:
         """Add frames of wrist and palm to the model."""
-        model, spec = self.model, self.spec
+        model = self.model
+        spec = self.spec
         # A slash before the name keeps them apart from links.
         palm = link_frame(
             model, spec, "/palm", spec.palm.link, palm_in_link(spec), "palm.link"
@@ -456,14 +471,19 @@ class Hand:
         """Workspace of the methods that place the hand; most hands with other points need none."""
         return self.configuration()
 
+    def _placed(self, q: npt.ArrayLike, wrist_pose: PoseLike | None) -> Configuration:
+        self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
+        return self._scratch
+
     def _find(self, name: str, argument: str, *kinds: pin.FrameType) -> pin.Frame:
         """Return the frame of a link or joint; by kind, as many joints are named as their link."""
         _check_type(argument, name, str, "a name")
         for kind in kinds:
             if self.model.existFrame(name, kind):
                 return self.model.frames[self.model.getFrameId(name, kind)]
-        problem = f"{self.name} has no link {name!r}"
-        raise InvalidInputError(problem, argument=argument, value=name)
+        raise InvalidInputError(
+            f"{self.name} has no link {name!r}", argument=argument, value=name
+        )
 
 
 def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ...]:
@@ -471,8 +491,11 @@ def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ..
     if points is None or isinstance(points, str):
         set_name = points or spec.reference
         if set_name not in spec.sets:
-            message = f"no set {set_name!r}; there are {', '.join(spec.sets)}"
-            raise spec.error(message, key="sets", value=set_name)
+            raise spec.error(
+                f"no set {set_name!r}; there are {', '.join(spec.sets)}",
+                key="sets",
+                value=set_name,
+            )
         points = spec.sets[set_name]
     _check_type(
         "points", points, tuple | list, "the name of a set, or names and points"
@@ -492,8 +515,11 @@ def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> Poin
     if isinstance(point, str):
         named = {each.name: each for each in spec.points}
         if point not in named:
-            message = f"no point {point!r}; there are {', '.join(named)}"
-            raise spec.error(message, key="points", value=point)
+            raise spec.error(
+                f"no point {point!r}; there are {', '.join(named)}",
+                key="points",
+                value=point,
+            )
         return named[point]
     try:
         return check_point(point)

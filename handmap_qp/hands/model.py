@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import get_args
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError
-from handmap_qp.hands.mimic import MimicRule, read_mimic_rules
+from handmap_qp.hands.mimic import read_mimic_rules
 from handmap_qp.hands.sources import read_urdf
-from handmap_qp.hands.spec import HandSpec, Mount
+from handmap_qp.hands.spec import HandSpec, MimicSpec, Mount
 from handmap_qp.hands.urdf import (
     NO_LIMIT,
     check_tree,
@@ -42,14 +42,17 @@ def choose_mount(spec: HandSpec, mount: Mount | None) -> Mount:
     if spec.arm is None:
         return mount or spec.wrist.mount
     if mount == "floating":
-        message = f"{spec.name} is mounted on {spec.arm.name}, and cannot float"
-        raise spec.error(message, key="arm", value=mount)
+        raise spec.error(
+            f"{spec.name} is mounted on {spec.arm.name}, and cannot float",
+            key="arm",
+            value=mount,
+        )
     return "fixed"
 
 
 def compose_urdf(
     spec: HandSpec, text: str | bytes
-) -> tuple[str, dict[str, float], tuple[MimicRule, ...]]:
+) -> tuple[str, dict[str, float], dict[str, MimicSpec]]:
     """Compose the URDF that a hand's model is built from.
 
     The steps: keep only the part from `root` outwards; write `mimic`, `locked` and `limits` into
@@ -68,7 +71,8 @@ def compose_urdf(
         check_tree(robot)
         locked = prepare_urdf(robot, spec.root, spec.mimic, spec.locked, spec.limits)
         if (arm := spec.arm) is not None:
-            hand, robot = robot, parse_urdf(read_urdf(arm))
+            hand = robot
+            robot = parse_urdf(read_urdf(arm))
             check_tree(robot)
             remove_subtrees(robot, arm.without)
             locked = prepare_urdf(robot, arm.root, {}, arm.locked, arm.limits) | locked
@@ -81,7 +85,7 @@ def compose_urdf(
 
 
 def build_model(
-    spec: HandSpec, urdf_text: str, mount: Mount, rules: Sequence[MimicRule]
+    spec: HandSpec, urdf_text: str, mount: Mount, rules: Mapping[str, MimicSpec]
 ) -> pin.Model:
     """Build the Pinocchio model of a composed URDF: every movable joint is a variable.
 
@@ -95,21 +99,25 @@ def build_model(
     try:
         model = pin.buildModelFromXML(urdf_text, *root)
     except (RuntimeError, ValueError) as error:
-        message = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
-        raise spec.error(message, key="urdf") from error
-    leaders = {rule.follower: rule.leader for rule in rules}
-    own, movable = set(spec.all_joints), {*model.names} - {"universe", FLOATING_JOINT}
+        raise spec.error(
+            f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}",
+            key="urdf",
+        ) from error
+    own = set(spec.all_joints)
+    movable = {*model.names} - {"universe", FLOATING_JOINT}
     for message, names in (
         (
-            "mimics {!r}: leave it out, or give its rule in `mimic`",
-            own & leaders.keys(),
+            "mimics {}: leave it out, or give its rule in `mimic`",
+            own & rules.keys(),
         ),
-        ("is missing: name it here or in `locked`", movable - own - leaders.keys()),
+        ("is missing: name it here or in `locked`", movable - own - rules.keys()),
         ("is not a movable joint of the URDF", own - movable),
     ):
         for name in sorted(names):
-            problem = f"{name!r} {message.format(leaders.get(name))}"
-            raise spec.error(problem, key="joints", value=name)
+            leader = repr(rules[name].joint) if name in rules else ""
+            raise spec.error(
+                f"{name!r} {message.format(leader)}", key="joints", value=name
+            )
     return model
 
 
@@ -133,7 +141,8 @@ def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> 
         if roll != 0.0:
             placement.rotation = placement.rotation @ pin.utils.rotate("x", roll)
         return
-    before, moved = frame.placement.translation.copy(), {index}
+    before = frame.placement.translation.copy()
+    moved = {index}
     for i in range(index, len(model.frames)):
         each = model.frames[i]
         if i in moved or each.parentFrame in moved:
@@ -179,7 +188,8 @@ def with_frames(model: pin.Model, frames: Iterable[pin.Frame]) -> pin.Model:
 
 def palm_in_link(spec: HandSpec) -> np.ndarray:
     """Return the pose of the palm frame in its link, shape (4, 4)."""
-    distal, dorsal = np.array(spec.palm.distal), np.array(spec.palm.dorsal)
+    distal = np.array(spec.palm.distal)
+    dorsal = np.array(spec.palm.dorsal)
     axes = np.column_stack([np.cross(distal, dorsal), distal, dorsal])
     return affine(axes, np.array(spec.palm.xyz))
 
@@ -200,22 +210,29 @@ def check_limits(
     """
     for i, (name, *numbers) in enumerate(zip(spec.all_joints, *limits, strict=True)):
         lower, upper, speed = numbers
-        interval, key = f"[{lower:.6g}, {upper:.6g}]", f"limits.{name}"
+        interval = f"[{lower:.6g}, {upper:.6g}]"
+        key = f"limits.{name}"
         if not max(-lower, upper) < NO_LIMIT:
-            message = (
-                f"{name!r} has no limits in the URDF: give lower, upper and velocity"
+            raise spec.error(
+                f"{name!r} has no limits in the URDF: give lower, upper and velocity",
+                key=key,
+                value=name,
             )
-            raise spec.error(message, key=key, value=name)
         if not lower < upper:
-            message = f"{name!r} needs limits with lower < upper, got {interval}"
-            raise spec.error(message, key=key)
+            raise spec.error(
+                f"{name!r} needs limits with lower < upper, got {interval}", key=key
+            )
         if not (np.isfinite(speed) and speed > 0.0):
-            message = f"{name!r} needs a velocity limit > 0, got {speed:.6g}"
-            raise spec.error(message, key=key)
+            raise spec.error(
+                f"{name!r} needs a velocity limit > 0, got {speed:.6g}", key=key
+            )
         for key, posture in postures.items():
             if posture is not None and not lower <= posture[i] <= upper:
-                message = f"{posture[i]:.6g} is outside the joint's limits {interval}"
-                raise spec.error(message, key=f"{key}.{name}", value=float(posture[i]))
+                raise spec.error(
+                    f"{posture[i]:.6g} is outside the joint's limits {interval}",
+                    key=f"{key}.{name}",
+                    value=float(posture[i]),
+                )
 
 
 def check_wrist(
@@ -231,16 +248,17 @@ def check_wrist(
     joints = [model.frames[frame].parentJoint for frame in (wrist, palm)]
     links = (("wrist.link", spec.wrist.link), ("palm.link", spec.palm.link))
     for (key, link), joint in zip(links, joints, strict=True):
-        above = model.supports[joint]
-        beside = (i for i in range(model.njoints) if i not in above)
-        is_floating_part = mount == "floating" and joint != 1
-        if is_floating_part or any(joint not in model.supports[i] for i in beside):
+        below = [i for i in range(model.njoints) if joint in model.supports[i]]
+        # All other joints hang from it or carry it.
+        is_trunk = len(below) + len(model.supports[joint]) - 1 == model.njoints
+        if not is_trunk or (mount == "floating" and joint != 1):
             message = (
                 f"{link!r} moves with joints of the hand; it must be fixed to the root"
             )
             raise spec.error(f"{message}, or to an arm", key=key, value=link)
     if joints[0] != joints[1]:
-        message = (
-            f"{spec.palm.link!r} moves against the wrist's link {spec.wrist.link!r}"
+        raise spec.error(
+            f"{spec.palm.link!r} moves against the wrist's link {spec.wrist.link!r}",
+            key="palm.link",
+            value=spec.palm.link,
         )
-        raise spec.error(message, key="palm.link", value=spec.palm.link)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from xml.parsers import expat
 
@@ -24,6 +25,8 @@ from handmap_qp.se3 import affine, rotation_from_rpy, rpy_from_rotation
 MOVABLE = ("revolute", "continuous", "prismatic")
 """Types of joints with one coordinate."""
 _FREE = ("planar", "floating")
+_KINDS = (*MOVABLE, "fixed", *_FREE)
+_DEFAULT_AXIS = "1 0 0"
 # Pinocchio reads a chain by recursion, and crashes at about 4,000 links.
 _DEEPEST = 2000
 NO_LIMIT = 1e6
@@ -56,7 +59,8 @@ def parse_urdf(text: str | bytes) -> ET.Element:
     Raises:
         HandError: If the text is not XML, is xacro, or its root is another element.
     """
-    builder, parser = ET.TreeBuilder(), expat.ParserCreate()
+    builder = ET.TreeBuilder()
+    parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
@@ -72,11 +76,11 @@ def parse_urdf(text: str | bytes) -> ET.Element:
             message = "the file is xacro, not URDF: convert it with `xacro FILE.xacro > FILE.urdf`"
             raise HandError(message)
         element.tag = element.tag.replace(":", "_")
-        for key in [key for key in element.keys() if ":" in key]:  # noqa: SIM118
-            del element.attrib[key]
+        element.attrib = {k: v for k, v in element.attrib.items() if ":" not in k}
     if robot.tag != "robot":
-        message = f"expected a URDF with the root <robot>, got <{robot.tag}>"
-        raise HandError(message, value=robot.tag)
+        raise HandError(
+            f"expected a URDF with the root <robot>, got <{robot.tag}>", value=robot.tag
+        )
     return robot
 
 
@@ -86,10 +90,11 @@ def parse_urdf(text: str | bytes) -> ET.Element:
 def get_numbers(
     element: ET.Element, key: str, count: int, default: str | None = None
 ) -> list[float]:
-    """Read `count` numbers in an attribute; NaN and infinity are passed on.
+    """Read `count` numbers in an attribute.
 
     Raises:
-        HandError: If it is missing without a default, or does not hold `count` numbers.
+        HandError: If it is missing without a default, or does not hold `count` finite numbers; an
+            infinite limit means that there is none.
     """
     text = element.get(key, default)
     try:
@@ -97,8 +102,16 @@ def get_numbers(
     except ValueError:
         numbers = []
     if len(numbers) != count:
-        message = f"expected {count} number(s), got {text!r}"
-        raise HandError(message, key=f"<{element.tag} {key}>", value=text)
+        raise HandError(
+            f"expected {count} number(s), got {text!r}",
+            key=f"<{element.tag} {key}>",
+            value=text,
+        )
+    may_be_infinite = element.tag == "limit"
+    if np.isnan(numbers).any() or not (may_be_infinite or np.isfinite(numbers).all()):
+        raise HandError(
+            f"<{element.tag} {key}={text!r}> is not a finite number", value=text
+        )
     return numbers
 
 
@@ -124,14 +137,7 @@ def origin_of(element: ET.Element) -> np.ndarray:
     origin = element.find("origin")
     if origin is None:
         return np.eye(4)
-    xyz, rpy = (
-        np.array(get_numbers(origin, key, 3, "0 0 0")) for key in ("xyz", "rpy")
-    )
-    if not np.isfinite([xyz, rpy]).all():
-        message = (
-            f"expected finite numbers, got xyz {xyz.tolist()} and rpy {rpy.tolist()}"
-        )
-        raise HandError(message, key=f"<{element.tag} origin>")
+    xyz, rpy = (get_numbers(origin, key, 3, "0 0 0") for key in ("xyz", "rpy"))
     return affine(rotation_from_rpy(rpy), xyz)
 
 
@@ -142,21 +148,24 @@ def set_origin(element: ET.Element, pose: np.ndarray) -> None:
     set_numbers(origin, "rpy", rpy_from_rotation(pose[:3, :3]))
 
 
-def axis_of(joint: ET.Element) -> np.ndarray:
-    """Read a joint's axis, a unit vector of shape (3,); x where none is given, as URDF says.
+def mimics_of(robot: ET.Element) -> dict[str, MimicSpec]:
+    """Read the mimic rules of a URDF as they are, by follower.
 
     Raises:
-        HandError: If it is zero or not finite.
+        HandError: If one does not hold finite numbers.
     """
-    element = joint.find("axis")
-    axis = np.array(
-        [1.0, 0.0, 0.0] if element is None else get_numbers(element, "xyz", 3, "1 0 0")
-    )
-    length = np.linalg.norm(axis)
-    if not (np.isfinite(axis).all() and length > 1e-9):
-        message = f"expected an axis longer than zero, got {axis.tolist()}"
-        raise HandError(message, key=joint.get("name"), value=axis.tolist())
-    return axis / length
+    rules: dict[str, MimicSpec] = {}
+    for name, joint in joints_by_name(robot).items():
+        for mimic in joint.findall("mimic")[:1]:
+            try:
+                (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
+                (offset,) = get_numbers(mimic, "offset", 1, "0")
+            except HandError as error:
+                raise HandError(
+                    str(error), key=f"mimic.{name}", value=error.value
+                ) from error
+            rules[name] = MimicSpec(mimic.get("joint", ""), multiplier, offset)
+    return rules
 
 
 # -- the tree of links and joints
@@ -169,7 +178,8 @@ def edges(robot: ET.Element) -> Iterator[tuple[ET.Element, str, str]]:
         HandError: If a joint lacks one of them.
     """
     for joint in robot.iterfind("joint"):
-        above, below = joint.find("parent"), joint.find("child")
+        above = joint.find("parent")
+        below = joint.find("child")
         if above is None or below is None:
             name = joint.get("name")
             raise HandError(
@@ -255,67 +265,58 @@ def check_tree(robot: ET.Element) -> None:
             the stack of URDF readers, attributes that are not numbers, unknown joint types, or a
             URDF without a movable joint.
     """
-    links, joints = link_names(robot), list(robot.iterfind("joint"))
-    known = set(links)
-    names = [joint.get("name", "") for joint in joints]
+    links = link_names(robot)
+    joints = [*robot.iterfind("joint")]
     ends = [(parent, child) for _, parent, child in edges(robot)]
-    below = [child for _, child in ends]
-    for message, culprits in (
-        ("has two links {!r}", _repeated(links)),
-        ("has two joints {!r}", _repeated(names)),
-        (
-            "has a joint with the link {!r}, which it does not have",
-            [link for pair in ends for link in pair if link not in known],
-        ),
-        ("is not a tree: the link {!r} is the child of two joints", _repeated(below)),
-    ):
-        if culprits:
-            raise HandError(f"the URDF {message.format(culprits[0])}", value=culprits)
+    unknown = [link for link in chain(*ends) if link not in links]
+    _reject("has two links {!r}", _repeated(links))
+    _reject("has two joints {!r}", _repeated([j.get("name", "") for j in joints]))
+    _reject("has a joint with the link {!r}, which it does not have", unknown)
+    children = _repeated([child for _, child in ends])
+    _reject("is not a tree: the link {!r} is the child of two joints", children)
     roots = root_links(robot)
     if len(roots) != 1:
         message = f"{len(roots)} roots, expected one: {', '.join(roots[:6])}"
         raise HandError(f"the URDF has {message}", value=roots)
-    levels = list(_levels(robot, roots))
+    levels = [*_levels(robot, roots)]
     if len(levels) > _DEEPEST:
         message = f"a chain of {len(levels)} links ends at {levels[-1][0]!r}"
         raise HandError(f"{message}; expected at most {_DEEPEST}", value=levels[-1])
-    if apart := sorted(known.difference(*levels)):
-        message = (
-            f"the URDF is not a tree: loops contain or carry {', '.join(apart[:6])}"
-        )
-        raise HandError(message, value=apart)
-    for joint in joints:
-        _check_joint(joint)
-    if not any(joint.get("type") in MOVABLE for joint in joints):
-        raise HandError("the URDF has no joint that moves")
+    apart = sorted(set(links).difference(*levels))
+    names = ", ".join(apart[:6])
+    _reject(f"is not a tree: loops contain or carry {names}", apart)
+    kinds = {_checked_kind(joint) for joint in joints}
+    _reject("has no joint that moves", [] if kinds & {*MOVABLE} else [robot])
+
+
+def _reject(message: str, culprits: Sequence[object]) -> None:
+    """Raise an error about a URDF and the first of its culprits, if there are any."""
+    if culprits:
+        raise HandError(f"the URDF {message.format(culprits[0])}", value=culprits)
 
 
 def _repeated(names: Sequence[str]) -> list[str]:
     return [name for name, count in Counter(names).items() if count > 1]
 
 
-def _check_joint(joint: ET.Element) -> None:
-    """Reject an unknown joint type, and attributes that are not numbers."""
-    name, kind = joint.get("name", ""), joint.get("type", "")
-    if kind not in (*MOVABLE, "fixed", *_FREE):
-        expected = ", ".join((*MOVABLE, "fixed", *_FREE))
-        message = f"the joint {name!r} is of type {kind!r}; expected one of {expected}"
-        raise HandError(message, value=kind)
-    for element in joint:
-        for key in _NUMBERS.get(element.tag, {}).keys() & element.keys():
-            try:
-                values = get_numbers(element, key, _NUMBERS[element.tag][key])
-            except HandError as error:
-                message = f"the joint {name!r}: {error}"
-                raise HandError(message, value=error.value) from error
-            # An infinite limit means none; an infinite origin or axis means nothing.
-            is_limit = element.tag == "limit"
-            if np.isnan(values).any() or not (is_limit or np.isfinite(values).all()):
-                fault = f"<{element.tag} {key}={element.get(key)!r}>"
-                message = (
-                    f"the joint {name!r} has {fault}, which is not a finite number"
-                )
-                raise HandError(message, value=values)
+def _checked_kind(joint: ET.Element) -> str:
+    """Return a joint's type; reject an unknown one, and attributes that are not numbers."""
+    name = joint.get("name", "")
+    kind = joint.get("type", "")
+    if kind not in _KINDS:
+        expected = ", ".join(_KINDS)
+        raise HandError(
+            f"the joint {name!r} is of type {kind!r}; expected one of {expected}",
+            value=kind,
+        )
+    try:
+        for element in joint:
+            counts = _NUMBERS.get(element.tag, {})
+            for key in counts.keys() & element.keys():
+                get_numbers(element, key, counts[key])
+    except HandError as error:
+        raise HandError(f"the joint {name!r}: {error}", value=error.value) from error
+    return kind
 
 
 # -- edits of joints
@@ -350,36 +351,37 @@ def prepare_urdf(
         for old in joint.findall("mimic"):
             joint.remove(old)
         if rule is not None:
-            numbers = {"multiplier": repr(rule.multiplier), "offset": repr(rule.offset)}
-            ET.SubElement(joint, "mimic", {"joint": rule.joint, **numbers})
+            element = ET.SubElement(joint, "mimic", joint=rule.joint)
+            set_numbers(element, "multiplier", [rule.multiplier])
+            set_numbers(element, "offset", [rule.offset])
     positions = lock_joints(robot, locked)
     fix_free_joints(robot)
-    _write_limits(robot, limits)
+    for name in limits:
+        _movable_joint(robot, name, "limits")
+    for name, joint in joints_by_name(robot).items():
+        if joint.get("type") in MOVABLE:
+            _complete_limits(joint, limits.get(name, LimitSpec()))
     return positions
 
 
-def _write_limits(robot: ET.Element, limits: Mapping[str, LimitSpec]) -> None:
-    """Write limits, and give every movable joint all that URDF readers require.
+def _complete_limits(joint: ET.Element, limits: LimitSpec) -> None:
+    """Write limits, and give a movable joint all that URDF readers require.
 
     A continuous joint becomes a revolute one. Without position limits, a joint gets `NO_LIMIT`.
     """
-    movable = [j for j in robot.iterfind("joint") if j.get("type") in MOVABLE]
-    for joint in movable:
-        if joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            for key in ("lower", "upper"):
-                child_of(joint, "limit").attrib.pop(key, None)
-    for name, limit in limits.items():
-        element = child_of(_movable_joint(robot, name, "limits"), "limit")
-        for key, value in msgspec.structs.asdict(limit).items():
-            if value is not None:
-                set_numbers(element, key, [value])
-    for joint in movable:
-        limit = child_of(joint, "limit").attrib
-        if not {"lower", "upper"} & limit.keys():
-            limit |= {"lower": repr(-NO_LIMIT), "upper": repr(NO_LIMIT)}
-        for key in ("velocity", "effort"):
-            limit.setdefault(key, "0")
+    element = child_of(joint, "limit")
+    if joint.get("type") == "continuous":
+        joint.set("type", "revolute")
+        element.attrib.pop("lower", None)
+        element.attrib.pop("upper", None)
+    for key, value in msgspec.structs.asdict(limits).items():
+        if value is not None:
+            set_numbers(element, key, [value])
+    if not {"lower", "upper"} & element.attrib.keys():
+        set_numbers(element, "lower", [-NO_LIMIT])
+        set_numbers(element, "upper", [NO_LIMIT])
+    for key in ("velocity", "effort"):
+        element.attrib.setdefault(key, "0")
 
 
 def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, float]:
@@ -392,34 +394,47 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
         HandError: If there is no such joint, or it has more than one coordinate.
     """
     joints = joints_by_name(robot)
-    pending, locked = list(positions.items()), {}
+    rules = mimics_of(robot)
+    pending = [*positions.items()]
+    locked = dict[str, float]()
     for name, position in pending:
         if name not in joints:
             raise HandError(f"the URDF has no joint {name!r}", key="locked", value=name)
-        if joints[name].get("type") == "fixed":
-            continue
-        _lock(joints[name], position)
-        locked[name] = position
-        for follower, joint in joints.items():
-            mimic = joint.find("mimic")
-            follows = mimic is not None and mimic.get("joint") == name
-            if mimic is not None and follows and follower not in positions:
-                (multiplier,) = get_numbers(mimic, "multiplier", 1, "1")
-                (offset,) = get_numbers(mimic, "offset", 1, "0")
-                pending.append((follower, multiplier * position + offset))
+        if joints[name].get("type") != "fixed":
+            _lock(joints[name], position)
+            locked[name] = position
+            pending += [
+                (follower, rule.multiplier * position + rule.offset)
+                for follower, rule in rules.items()
+                if rule.joint == name and follower not in positions
+            ]
     return {name: locked[name] for name in joints if name in locked}
 
 
 def _lock(joint: ET.Element, position: float) -> None:
     """Make one joint a fixed one, its position in its origin."""
-    kind, motion = joint.get("type"), pin.SE3.Identity()
+    kind = joint.get("type")
+    name = joint.get("name")
+    motion = pin.SE3.Identity()
     if kind not in MOVABLE:
-        message = f"a {kind} joint cannot be locked at one number"
-        raise HandError(message, key=f"locked.{joint.get('name')}", value=position)
+        raise HandError(
+            f"a {kind} joint cannot be locked at one number",
+            key=f"locked.{name}",
+            value=position,
+        )
+    axis = np.array(get_numbers(child_of(joint, "axis"), "xyz", 3, _DEFAULT_AXIS))
+    length = np.linalg.norm(axis)
+    if not length > 1e-9:
+        raise HandError(
+            f"expected an axis longer than zero, got {axis.tolist()}",
+            key=name,
+            value=axis.tolist(),
+        )
+    axis = axis / length
     if kind == "prismatic":
-        motion.translation = position * axis_of(joint)
+        motion.translation = position * axis
     else:
-        motion.rotation = pin.exp3(position * axis_of(joint))
+        motion.rotation = pin.exp3(position * axis)
     set_origin(joint, origin_of(joint) @ motion.homogeneous)
     _fix(joint)
 
@@ -429,12 +444,11 @@ def fix_free_joints(robot: ET.Element) -> list[str]:
 
     No single number moves them; an object or a whole robot hangs from them, not a finger.
     """
-    free = {
-        name: j for name, j in joints_by_name(robot).items() if j.get("type") in _FREE
-    }
-    for joint in free.values():
-        _fix(joint)
-    return list(free)
+    joints = joints_by_name(robot)
+    free = [name for name, joint in joints.items() if joint.get("type") in _FREE]
+    for name in free:
+        _fix(joints[name])
+    return free
 
 
 def _fix(joint: ET.Element) -> None:
@@ -447,8 +461,11 @@ def _fix(joint: ET.Element) -> None:
 def _movable_joint(robot: ET.Element, name: str, section: str) -> ET.Element:
     joint = joints_by_name(robot).get(name)
     if joint is None or joint.get("type") not in MOVABLE:
-        message = f"the URDF has no movable joint {name!r}"
-        raise HandError(message, key=f"{section}.{name}", value=name)
+        raise HandError(
+            f"the URDF has no movable joint {name!r}",
+            key=f"{section}.{name}",
+            value=name,
+        )
     return joint
 
 
@@ -486,7 +503,8 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
         HandError: If the arm has no such link.
     """
     _check_link(arm, spec.tip, "arm.tip")
-    (root,), tip = root_links(hand), spec.tip
+    (root,) = root_links(hand)
+    tip = spec.tip
     if tip in link_names(hand):
         tip = f"{spec.name}_{tip}"
     tags = ("link", "joint", "material")
@@ -511,7 +529,6 @@ _MIRRORED = {
     "origin": {"xyz": (-1.0, 1.0, 1.0), "rpy": (1.0, -1.0, -1.0)},
     "inertia": {"ixy": (-1.0,), "ixz": (-1.0,)},
 }
-_AXIS = (-1.0, 1.0, 1.0)
 
 
 def mirrored_urdf(text: str) -> str:
@@ -540,15 +557,27 @@ def mirror(robot: ET.Element) -> None:
     for element in robot.iter():
         for key, signs in _MIRRORED.get(element.tag, {}).items():
             if key in element.attrib:
-                numbers = get_numbers(element, key, len(signs))
-                set_numbers(element, key, np.multiply(signs, numbers))
+                _flip(element, key, signs)
     for joint in robot.iterfind("joint"):
-        kind = joint.get("type", "")
-        if kind in MOVABLE:
-            axis = child_of(joint, "axis")
-            signs = _AXIS if kind == "prismatic" else np.negative(_AXIS)
-            numbers = get_numbers(axis, "xyz", 3, "1 0 0")
-            set_numbers(axis, "xyz", np.multiply(signs, numbers))
-        elif kind != "fixed":
-            message = f"a {kind or 'nameless'} joint cannot be mirrored"
-            raise HandError(message, key=joint.get("name"), value=kind)
+        _mirror_axis(joint)
+
+
+def _mirror_axis(joint: ET.Element) -> None:
+    """Mirror the axis of a joint that has one."""
+    kind = joint.get("type")
+    if kind not in (*MOVABLE, "fixed"):
+        raise HandError(
+            f"a {kind or 'nameless'} joint cannot be mirrored",
+            key=joint.get("name"),
+            value=kind,
+        )
+    if kind != "fixed":
+        signs = _MIRRORED["origin"]["xyz" if kind == "prismatic" else "rpy"]
+        _flip(child_of(joint, "axis"), "xyz", signs, _DEFAULT_AXIS)
+
+
+def _flip(
+    element: ET.Element, key: str, signs: Sequence[float], default: str | None = None
+) -> None:
+    numbers = get_numbers(element, key, len(signs), default)
+    set_numbers(element, key, np.multiply(signs, numbers))

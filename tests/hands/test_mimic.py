@@ -18,7 +18,6 @@ from strategies import generators
 
 from handmap_qp import Hand, HandError, HandSpec, PointSpec
 from handmap_qp.hands.mimic import (
-    MimicRule,
     expansion_matrix,
     read_mimic_rules,
     tighten_model,
@@ -229,7 +228,7 @@ def test_tightened_limits_map_into_the_followers(
     for name, lower, upper, speed in (("l", low, low + 1.5, 2.0), ("f", *ends, 3.0)):
         limits = [np.array([number]) for number in (1.0, speed, lower, upper)]
         model.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), name, *limits)
-    dropped = tighten_model(model, [MimicRule("f", "l", multiplier, offset)])
+    dropped = tighten_model(model, {"f": MimicSpec("l", multiplier, offset)})
     lower, upper = model.lowerPositionLimit[0], model.upperPositionLimit[0]
     assert low <= lower < upper <= low + 1.5
     assert model.velocityLimit[0] == pytest.approx(min(2.0, 3.0 / abs(multiplier)))

@@ -239,7 +239,7 @@ def test_a_rest_posture_is_inside_the_limits_and_closes_the_hand(
     ("loop", "'coupler' is the child of two joints"),
     ("two_roots", "2 roots, expected one: palm, loose"),
     ("malformed", "not valid XML"),
-    ("nan_limits", "'j1' has <limit lower='nan'>"),
+    ("nan_limits", "'j1': <limit lower='nan'>"),
 ])  # fmt: skip
 def test_a_urdf_that_cannot_be_used_gets_one_clear_line(
     name: str, message: str

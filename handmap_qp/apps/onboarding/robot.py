@@ -115,7 +115,7 @@ class Robot:
         self.assumed, equal = self._assume_limits(joints)
         self.locked = prepare_urdf(robot, None, {}, equal, self.assumed)
         rules = read_mimic_rules(robot)
-        self._leaders = {rule.follower: rule.leader for rule in rules}
+        self._leaders = {name: rule.joint for name, rule in rules.items()}
         try:
             self.model = pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
         except (RuntimeError, ValueError) as error:
