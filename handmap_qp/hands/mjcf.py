@@ -13,22 +13,28 @@ import math
 import os
 import tempfile
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.mjcf_couplings import read_couplings
-from handmap_qp.hands.mjcf_shapes import ShapeWriter, binary_stl, file_name, unique
+from handmap_qp.hands.mjcf_shapes import (
+    ShapeWriter,
+    binary_stl,
+    file_name,
+    pose_of,
+    unique,
+)
 from handmap_qp.hands.sources import root_tag
 from handmap_qp.hands.urdf import set_numbers, set_origin
 from handmap_qp.se3 import affine, inverse_pose
 
-_FREE, _BALL = int(mujoco.mjtJoint.mjJNT_FREE), int(mujoco.mjtJoint.mjJNT_BALL)
+_FREE = int(mujoco.mjtJoint.mjJNT_FREE)
+_BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 # Effort [N or N m] of a joint whose actuators have no limit.
 _NO_EFFORT_LIMIT = 1e6
@@ -88,7 +94,8 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
         spec = mujoco.MjSpec.from_file(str(file))
         # Keep bodies without joints, and shapes that only show.
         spec.compiler.fusestatic = spec.compiler.discardvisual = False
-        model, notes = spec.compile(), []
+        model = spec.compile()
+        notes = []
         is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
         low, high = model.jnt_range[is_hinge & (model.jnt_limited != 0)].T
         widest = float((high - low).max(initial=0.0))
@@ -138,8 +145,8 @@ def cached_urdf(file: Path) -> Path:
     Raises:
         HandError: If MuJoCo cannot compile the file, or the cache cannot be written.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    cache = home / "handmap_qp/mjcf"
+    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    cache = Path(home) / "handmap_qp/mjcf"
     versions = [importlib.metadata.version(name) for name in ("handmap-qp", "mujoco")]
     parts = [str(file.resolve()), *versions, str(_CONVERSION)]
     for other in sorted(file.parent.glob("*.xml")):
@@ -165,35 +172,15 @@ def cached_urdf(file: Path) -> Path:
     return urdf
 
 
-class _Axis(NamedTuple):
-    """One hinge or slide of the URDF.
-
-    Attributes:
-        name: Its name.
-        joint: Index of MuJoCo's joint.
-        kind: `revolute`, `continuous` or `prismatic`.
-        anchor: Point on the axis in the world [m], shape (3,).
-        direction: Unit vector in the body's frame, shape (3,).
-        is_elsewhere: Whether the anchor is not the origin of the body's frame.
-        limits: Lower and upper limit [rad or m]; empty if there is none.
-    """
-
-    name: str
-    joint: int
-    kind: str
-    anchor: np.ndarray
-    direction: np.ndarray
-    is_elsewhere: bool
-    limits: tuple[float, ...]
-
-
 class _Converter:
     """Writes the links and joints of one model."""
 
     def __init__(self, model: mujoco.MjModel, meshes: str, notes: list[str]) -> None:
-        self.model, self.notes = model, notes
+        self.model = model
+        self.notes = notes
         self.shapes = ShapeWriter(model, meshes)
-        self._link_names, self._joint_names = set[str](), set[str]()
+        self._link_names = set[str]()
+        self._joint_names = set[str]()
         self.links = {
             body: unique(model.body(body).name or f"body{body}", self._link_names)
             for body in self._kept()
@@ -256,21 +243,22 @@ class _Converter:
     def _add_body(self, robot: ET.Element, body: int, name: str) -> None:
         """Add a body's link, the joints that move it, and the links between these."""
         above = int(self.model.body_parentid[body])
-        parent, placed, pose = self.links[above], self._pose(above), self._pose(body)
-        axes = list(self._axes(body))
-        is_moved = bool(axes) and not axes[-1].is_elsewhere
-        steps = axes if is_moved else [*axes, None]
-        for number, axis in enumerate(steps):
+        pose = self._pose(body)
+        parent = self.links[above]
+        placed = self._pose(above)
+        steps = self._steps(body)
+        for number, step in enumerate(steps):
             is_last = number == len(steps) - 1
             child = name if is_last else unique(f"{name}_{number}", self._link_names)
             joint = ET.SubElement(robot, "joint")
-            if axis is None:
-                frame = pose
+            frame = pose
+            if step is None:
                 joint.set("name", unique(f"{name}_fixed", self._joint_names))
                 joint.set("type", "fixed")
             else:
-                frame = affine(pose[:3, :3], axis.anchor)
-                self._describe(joint, axis)
+                self._describe(joint, *step)
+                if not self._slides(step[0]):
+                    frame = affine(pose[:3, :3], self.data.xanchor[step[0]])
             set_origin(joint, inverse_pose(placed) @ frame)
             ET.SubElement(joint, "parent", link=parent)
             ET.SubElement(joint, "child", link=child)
@@ -278,52 +266,59 @@ class _Converter:
             if is_last:
                 self._add_inertial(link, body)
                 self.shapes.add_shapes(link, body)
-            parent, placed = child, frame
+            parent = child
+            placed = frame
 
-    def _axes(self, body: int) -> Iterator[_Axis]:
-        """Iterate over the joints of a body; a ball joint is three hinges, `q = q_x q_y q_z`."""
-        model, data = self.model, self.data
-        to_body = data.xmat[body].reshape(3, 3).T
-        first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
-        for joint in range(first, first + count):
-            kind, anchor = model.jnt_type[joint], np.array(data.xanchor[joint])
-            is_elsewhere = bool(model.jnt_pos[joint].any())
-            limits = tuple(model.jnt_range[joint].tolist())
-            if not model.jnt_limited[joint]:
-                limits = ()
-            turns = "revolute" if limits else "continuous"
-            if kind == _BALL:
-                name = self._joint_name(joint)
-                letters = [f"{name}_{letter}" for letter in "xyz"]
-                self.notes.append(
-                    f"the ball joint {name} is three hinges: {', '.join(letters)}"
-                )
-                # MuJoCo's range of a ball is [0, largest angle].
-                limits = tuple(sign * limits[1] for sign in (-1.0, 1.0) if limits)
-                for name, axis in zip(letters, np.eye(3), strict=True):
-                    name = unique(name, self._joint_names)
-                    yield _Axis(name, joint, turns, anchor, axis, is_elsewhere, limits)
-            elif kind != _FREE:
-                name, direction = self.joints[joint], to_body @ data.xaxis[joint]
-                if kind == _SLIDE:
-                    turns, anchor, is_elsewhere = "prismatic", data.xpos[body], False
-                yield _Axis(name, joint, turns, anchor, direction, is_elsewhere, limits)
+    def _steps(self, body: int) -> Sequence[tuple[int, str, np.ndarray] | None]:
+        """Return the axes that move a body; None for a last step to a frame beside its last one."""
+        model = self.model
+        first = int(model.body_jntadr[body])
+        count = int(model.body_jntnum[body])
+        joints = [j for j in range(first, first + count) if model.jnt_type[j] != _FREE]
+        steps = [(joint, *axis) for joint in joints for axis in self._axes(joint)]
+        anchored = [self._slides(j) or not model.jnt_pos[j].any() for j in joints]
+        return steps if anchored[-1:] == [True] else [*steps, None]
 
-    def _describe(self, element: ET.Element, axis: _Axis) -> None:
-        """Write a joint's axis, limits, dynamics and mimic rule."""
-        model, joint, limits, kind = self.model, axis.joint, axis.limits, axis.kind
+    def _slides(self, joint: int) -> bool:
+        return bool(self.model.jnt_type[joint] == _SLIDE)
+
+    def _axes(self, joint: int) -> list[tuple[str, np.ndarray]]:
+        """Return names and unit vectors, in the body's frame, of the axes that a joint becomes.
+
+        A ball joint is three hinges, `q = q_x q_y q_z`.
+        """
+        if self.model.jnt_type[joint] != _BALL:
+            to_body = self.data.xmat[self.model.jnt_bodyid[joint]].reshape(3, 3).T
+            return [(self.joints[joint], to_body @ self.data.xaxis[joint])]
+        name = self._joint_name(joint)
+        names = [unique(f"{name}_{letter}", self._joint_names) for letter in "xyz"]
+        self.notes.append(f"the ball joint {name} is three hinges: {', '.join(names)}")
+        return [*zip(names, np.eye(3), strict=True)]
+
+    def _describe(
+        self, element: ET.Element, joint: int, name: str, direction: np.ndarray
+    ) -> None:
+        """Write an axis of a joint, its limits, dynamics and mimic rule."""
+        model = self.model
         rule = self.rules.get(joint)
+        low, high = model.jnt_range[joint]
+        # MuJoCo's range of a ball is [0, largest angle].
+        limits = [-high if model.jnt_type[joint] == _BALL else low, high]
+        is_limited = bool(model.jnt_limited[joint])
         if rule is not None and rule.leader is None:
-            limits = (rule.offset, rule.offset)
-            kind = "revolute" if kind == "continuous" else kind
-        element.set("name", axis.name)
-        element.set("type", kind)
-        set_numbers(ET.SubElement(element, "axis"), "xyz", np.round(axis.direction, 14))
+            limits = [rule.offset, rule.offset]
+            is_limited = True
+        kind = "revolute" if is_limited else "continuous"
+        element.set("name", name)
+        element.set("type", "prismatic" if self._slides(joint) else kind)
+        set_numbers(ET.SubElement(element, "axis"), "xyz", np.round(direction, 14))
         limit = ET.SubElement(element, "limit")
-        for key, number in zip(("lower", "upper"), limits, strict=False):
-            set_numbers(limit, key, [number])
+        if is_limited:
+            set_numbers(limit, "lower", limits[:1])
+            set_numbers(limit, "upper", limits[1:])
         set_numbers(limit, "effort", [self._effort(joint)])
-        dof, dynamics = int(model.jnt_dofadr[joint]), ET.SubElement(element, "dynamics")
+        dof = int(model.jnt_dofadr[joint])
+        dynamics = ET.SubElement(element, "dynamics")
         set_numbers(dynamics, "damping", np.ravel(model.dof_damping[dof])[:1])
         set_numbers(dynamics, "friction", [model.dof_frictionloss[dof]])
         if rule is not None and rule.leader is not None:
@@ -345,45 +340,14 @@ class _Converter:
 
     def _add_inertial(self, link: ET.Element, body: int) -> None:
         model = self.model
-        mass, rotation = float(model.body_mass[body]), np.zeros(9)
-        if mass <= 0.0:
+        if not model.body_mass[body] > 0.0:
             return
-        mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
-        axes = rotation.reshape(3, 3)
+        pose = pose_of(model.body_ipos[body], model.body_iquat[body])
+        axes = pose[:3, :3]
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         element = ET.SubElement(link, "inertial")
-        set_origin(element, affine(np.eye(3), model.body_ipos[body]))
-        set_numbers(ET.SubElement(element, "mass"), "value", [mass])
+        set_origin(element, affine(np.eye(3), pose[:3, 3]))
+        set_numbers(ET.SubElement(element, "mass"), "value", [model.body_mass[body]])
         tensor = ET.SubElement(element, "inertia")
         for i, j in zip(*np.triu_indices(3), strict=True):
             set_numbers(tensor, f"i{'xyz'[i]}{'xyz'[j]}", [inertia[i, j]])
-
-
-def kinematics_difference(
-    converted: ConvertedMjcf, postures: int = 20, seed: int = 0
-) -> float:
-    """Return the largest difference of an entry of any link's pose from MuJoCo's; [m] of positions.
-
-    Hinges and slides are at random positions, independent of couplings; balls are at rest.
-    """
-    model, random = converted.model, np.random.default_rng(seed)
-    # MuJoCo has no speed limits, without which Pinocchio does not read a joint.
-    text = converted.text.replace("<limit ", '<limit velocity="0" ')
-    data, robot = mujoco.MjData(model), pin.buildModelFromXML(text)
-    robot_data = robot.createData()
-    worst = 0.0
-    for _ in range(postures):
-        data.qpos[:], turns = model.qpos0, np.zeros(robot.nv)
-        for joint, name in converted.joints.items():
-            position = random.uniform(-1.0, 1.0)
-            data.qpos[model.jnt_qposadr[joint]] = position
-            turns[robot.joints[robot.getJointId(name)].idx_v] = position
-        mujoco.mj_kinematics(model, data)
-        q = pin.integrate(robot, pin.neutral(robot), turns)
-        pin.framesForwardKinematics(robot, robot_data, q)
-        for body, link in converted.links.items():
-            pose = robot_data.oMf[robot.getFrameId(link, pin.FrameType.BODY)]
-            turned = pose.rotation - data.xmat[body].reshape(3, 3)
-            moved = pose.translation - data.xpos[body]
-            worst = max(worst, np.abs(turned).max(), np.abs(moved).max())
-    return float(worst)

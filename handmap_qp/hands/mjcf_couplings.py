@@ -10,21 +10,27 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from copy import copy
+from functools import partial
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-_EQUALITY, _DISABLE = mujoco.mjtEq, mujoco.mjtDisableBit
+_EQUALITY = mujoco.mjtEq
+_DISABLE = mujoco.mjtDisableBit
 # Postures at which a curve is solved, Newton iterations of each, and the residual of a solution
 # [rad or m].
-_SAMPLES, _ITERATIONS, _CLOSED = 41, 20, 1e-6
+_SAMPLES = 41
+_ITERATIONS = 20
+_CLOSED = 1e-6
 # A joint takes part in a constraint if it moves it by more than this in `qpos0`, where loops are
 # closed [m/rad, or without unit]. Singular values below this share of the largest count as zero.
-_LEAST_EFFECT, _RANK = 1e-4, 1e-4
+_LEAST_EFFECT = 1e-4
+_RANK = 1e-4
 # A line that is farther from its curve is not written, and a nearer one needs no note [rad or m].
-_LARGEST_ERROR, _NO_ERROR = 0.1, 1e-9
+_LARGEST_ERROR = 0.1
+_NO_ERROR = 1e-9
 
 
 class Coupling(NamedTuple):
@@ -57,7 +63,8 @@ def read_couplings(
     Returns:
         The rules by follower, and a note on each coupling that a URDF cannot express exactly.
     """
-    constraints, omitted = _Constraints(model, names), Counter[str]()
+    constraints = _Constraints(model, names)
+    omitted = Counter[str]()
     solutions: list[_Solution | None] = [None]
     while None in solutions:
         groups = constraints.groups()
@@ -79,11 +86,12 @@ def read_couplings(
 
 def _fixed_tendon(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
     """Return the joints of a fixed tendon with their factors; empty for a spatial tendon."""
-    first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
-    wraps = slice(first, first + count)
+    first = model.tendon_adr[tendon]
+    wraps = slice(first, first + model.tendon_num[tendon])
     if (model.wrap_type[wraps] != int(mujoco.mjtWrap.mjWRAP_JOINT)).any():
         return {}
-    joints, factors = model.wrap_objid[wraps].tolist(), model.wrap_prm[wraps].tolist()
+    joints = model.wrap_objid[wraps].tolist()
+    factors = model.wrap_prm[wraps].tolist()
     return dict(zip(joints, factors, strict=True))
 
 
@@ -91,15 +99,15 @@ def _tendon_notes(
     model: mujoco.MjModel, names: Mapping[int, str], rules: Mapping[int, Coupling]
 ) -> list[str]:
     """Name the independent joints that fixed tendons couple, and count the other tendons."""
-    notes, tendons = [], [_fixed_tendon(model, i) for i in range(model.ntendon)]
+    notes = []
+    tendons = [*map(partial(_fixed_tendon, model), range(model.ntendon))]
     coupled = []
     for i, factors in enumerate(tendons):
         leaders = {rules[j].leader if j in rules else j for j in factors}
         if len(leaders) > 1 and factors.keys() <= names.keys():
-            terms = " + ".join(
-                f"{factor:g} {names[j]}" for j, factor in factors.items()
-            )
-            coupled.append(f"{model.tendon(i).name or f'tendon {i}'} = {terms}")
+            terms = [f"{factor:g} {names[j]}" for j, factor in factors.items()]
+            name = model.tendon(i).name or f"tendon {i}"
+            coupled.append(f"{name} = {' + '.join(terms)}")
     if coupled:
         notes.append(
             f"tendons couple joints that are independent here: {'; '.join(coupled)}. Where one "
@@ -119,7 +127,8 @@ class _Constraints:
     """
 
     def __init__(self, model: mujoco.MjModel, names: Mapping[int, str]) -> None:
-        self._names, self._model = names, copy(model)
+        self._names = names
+        self._model = copy(model)
         model = self._model
         model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         model.opt.disableflags |= (
@@ -139,21 +148,21 @@ class _Constraints:
 
         They are an argument of `solve` each.
         """
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         data.qpos[:] = model.qpos0
         mujoco.mj_fwdPosition(model, data)
-        rows, dofs = np.nonzero(
-            np.abs(data.efc_J.reshape(-1, model.nv)) > _LEAST_EFFECT
-        )
+        is_moved = np.abs(data.efc_J.reshape(-1, model.nv)) > _LEAST_EFFECT
+        rows, dofs = np.nonzero(is_moved)
         touches = np.zeros((model.neq, model.njnt))
         touches[data.efc_id[rows], model.dof_jntid[dofs]] = 1.0
         _, labels = connected_components(touches.T @ touches)
         groups = []
         for label in np.unique(labels):
-            constraints = np.flatnonzero(touches[:, labels == label].any(axis=1))
-            if len(constraints):
-                joints = np.flatnonzero(labels == label).tolist()
-                groups.append((set(joints), constraints.tolist()))
+            joints = np.flatnonzero(labels == label)
+            constraints = np.flatnonzero(touches[:, joints].any(axis=1)).tolist()
+            if constraints:
+                groups.append((set(joints.tolist()), constraints))
         return groups
 
     def drop(self, constraints: list[int]) -> list[str]:
@@ -177,46 +186,43 @@ class _Constraints:
         freedom = len(joints) - np.linalg.matrix_rank(slopes, rtol=_RANK)
         if freedom == 0:
             held = self._closed(joints, constraints, start, 0)
-            positions = [] if held is None else held.tolist()
-            rules = [Coupling(None, 0.0, position) for position in positions]
-            return (dict(zip(joints, rules, strict=True)), []) if rules else None
+            if held is None:
+                return None
+            rules = [Coupling(None, 0.0, position) for position in held.tolist()]
+            return dict(zip(joints, rules, strict=True)), []
         curve = self._curve(joints, constraints, start) if freedom == 1 else []
         if len(curve) < _SAMPLES // 2:
             return None
         postures = np.array(curve)
-        powers, followers = np.vander(postures[:, 0], 2), postures[:, 1:]
+        powers = np.vander(postures[:, 0], 2)
+        followers = postures[:, 1:]
         # Digits beyond these are noise of the fit.
         lines = np.linalg.lstsq(powers, followers, rcond=None)[0].round(14)
         worst = float(np.abs(followers - powers @ lines).max())
         if worst > _LARGEST_ERROR:
             return None
-        rules = [
-            Coupling(leader, factor, offset) for factor, offset in lines.T.tolist()
-        ]
-        names, notes = [self._names[joint] for joint in joints], []
-        if worst > _NO_ERROR:
-            notes.append(
-                f"curves couple {', '.join(names[1:])} to {names[0]}: lines within {worst:.2g} "
-                "rad or m of them are written"
-            )
-        return dict(zip(joints[1:], rules, strict=True)), notes
+        rules = [Coupling(leader, *line) for line in lines.T.tolist()]
+        return dict(zip(joints[1:], rules, strict=True)), self._notes(joints, worst)
+
+    def _notes(self, joints: list[int], worst: float) -> list[str]:
+        """Return a note if the followers of the first joint are off their lines."""
+        leader, *others = (self._names[joint] for joint in joints)
+        note = (
+            f"curves couple {', '.join(others)} to {leader}: lines within {worst:.2g} "
+            "rad or m of them are written"
+        )
+        return [note] if worst > _NO_ERROR else []
 
     def _leader(self, coupled: set[int], constraints: list[int]) -> int:
         """Return the joint that leads in joint equalities, else one of a motor, else the first."""
         model = self._model
-        pairs = [
-            (int(model.eq_obj1id[i]), int(model.eq_obj2id[i]))
-            for i in constraints
-            if self.kind(i) == "joint"
-        ]
-        leading = {second for _, second in pairs} - {first for first, _ in pairs}
-        driven: set[int] = set()
-        targets = model.actuator_trnid[:, 0].tolist()
-        for kind, target in zip(model.actuator_trntype, targets, strict=True):
-            if kind == int(mujoco.mjtTrn.mjTRN_JOINT):
-                driven.add(target)
-            elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
-                driven.update(_fixed_tendon(model, target))
+        motors = self._model.actuator_trntype
+        equal = [i for i in constraints if self.kind(i) == "joint"]
+        leading = set(model.eq_obj2id[equal].tolist()) - {*model.eq_obj1id[equal]}
+        targets = model.actuator_trnid[:, 0]
+        driven = set(targets[motors == int(mujoco.mjtTrn.mjTRN_JOINT)].tolist())
+        for tendon in targets[motors == int(mujoco.mjtTrn.mjTRN_TENDON)].tolist():
+            driven.update(_fixed_tendon(model, tendon))
         return max(sorted(coupled), key=lambda j: (j in leading, j in driven))
 
     def _curve(
@@ -225,7 +231,8 @@ class _Constraints:
         """Follow closed postures over the range of the first joint."""
         low, high = self._model.jnt_range[joints[0]]
         if not self._model.jnt_limited[joints[0]]:
-            low, high = start[0] - 1.0, start[0] + 1.0
+            low = start[0] - 1.0
+            high = start[0] + 1.0
         grid = np.linspace(low, high, _SAMPLES)
         nearest = int(np.argmin(np.abs(grid - start[0])))
         found = []
@@ -261,16 +268,17 @@ class _Constraints:
 
         Each constraint is scaled so that metres and radians count alike.
         """
-        model, data = self._model, self._data
+        model = self._model
+        data = self._data
         data.qpos[:] = model.qpos0
         data.qpos[model.jnt_qposadr[joints]] = q
         mujoco.mj_fwdPosition(model, data)
         slopes = data.efc_J.reshape(-1, model.nv)[:, model.jnt_dofadr[joints]]
         rows = np.column_stack([data.efc_pos, slopes])
-        blocks = [rows[data.efc_id == constraint] for constraint in constraints]
-        sizes = [
-            max(float(np.linalg.norm(block[:, 1:])), _LEAST_EFFECT) for block in blocks
-        ]
-        scaled = [block / size for block, size in zip(blocks, sizes, strict=True)]
-        gap, *columns = np.vstack(scaled).T
-        return gap, np.column_stack(columns)
+        for constraint in constraints:
+            block = data.efc_id == constraint
+            rows[block] /= max(float(np.linalg.norm(slopes[block])), _LEAST_EFFECT)
+        rows = np.vstack(
+            [rows[data.efc_id == constraint] for constraint in constraints]
+        )
+        return rows[:, 0], rows[:, 1:]

@@ -67,7 +67,8 @@ class ShapeWriter:
 
     def _geometries(self, geom: int) -> Iterator[tuple[np.ndarray, ET.Element]]:
         """Iterate over the URDF geometries of a geom, with their poses in the link."""
-        model, size = self._model, self._model.geom_size[geom]
+        model = self._model
+        size = self._model.geom_size[geom]
         pose = pose_of(model.geom_pos[geom], model.geom_quat[geom])
         match _GEOM(int(model.geom_type[geom])):
             case _GEOM.mjGEOM_MESH | _GEOM.mjGEOM_SDF:
@@ -99,11 +100,14 @@ class ShapeWriter:
         if mesh not in self._files:
             name = file_name(model.mesh(mesh).name or f"mesh{mesh}")
             file = f"{self._folder}/{unique(name, self._names)}.stl"
-            first, number = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
+            first = model.mesh_vertadr[mesh]
+            number = model.mesh_vertnum[mesh]
             vertices = model.mesh_vert[first : first + number]
-            first, number = model.mesh_faceadr[mesh], model.mesh_facenum[mesh]
+            first = model.mesh_faceadr[mesh]
+            number = model.mesh_facenum[mesh]
             faces = model.mesh_face[first : first + number]
-            self.meshes[file], self._files[mesh] = vertices[faces], file
+            self.meshes[file] = vertices[faces]
+            self._files[mesh] = file
         return ET.Element("mesh", filename=self._files[mesh])
 
 
