@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf import parse_with_meshes
+from handmap_qp.hands.urdf import get_numbers, parse_with_meshes
 
 _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""
@@ -42,38 +42,44 @@ def _read(hand: Hand) -> pin.GeometryModel:
     second. So it reads placeholders in their places.
     """
     robot = parse_with_meshes(hand.spec, hand.urdf_text)
-    meshes: dict[str, tuple[str, tuple[float, ...]]] = {}
+    try:
+        meshes = _take_meshes(robot)
+        text = ET.tostring(robot, encoding="unicode")
+        kind = pin.GeometryType.COLLISION
+        geometry = pin.buildGeomFromUrdfString(hand.model, text, kind)
+        for part in geometry.geometryObjects:
+            if part.name in meshes:
+                part.meshPath, scale = meshes.pop(part.name)
+                part.meshScale = np.array(scale)
+                stamp = _stamp(part.meshPath)
+                hull = _hull_of(part.meshPath, scale, stamp)
+                if hull is None:
+                    raise ValueError(f"{part.name!r} is flat, without a convex hull")
+                part.geometry = hull
+    except (RuntimeError, ValueError) as error:
+        raise hand.spec.error(
+            f"the collision shapes cannot be read: {' '.join(str(error).split())}",
+            key="urdf",
+        ) from error
+    if meshes:
+        raise hand.spec.error(
+            f"the collision shape {min(meshes)!r} cannot be read", key="urdf"
+        )
+    return geometry
+
+
+def _take_meshes(robot: ET.Element) -> dict[str, tuple[str, tuple[float, ...]]]:
+    """Replace meshes by spheres, and return file and scale of each by its shape's name."""
+    meshes = {}
     for link in robot.iterfind("link"):
         for i, shape in enumerate(link.iterfind("collision/geometry")):
             mesh = shape.find("mesh")
             if mesh is not None:
-                scale = tuple(
-                    float(each) for each in mesh.get("scale", "1 1 1").split()
-                )
+                scale = tuple(get_numbers(mesh, "scale", 3, "1 1 1"))
                 meshes[f"{link.get('name')}_{i}"] = mesh.get("filename", ""), scale
                 shape.remove(mesh)
                 ET.SubElement(shape, "sphere", radius=_PLACEHOLDER)
-    text, name = ET.tostring(robot, encoding="unicode"), ""
-    try:
-        geometry = pin.buildGeomFromUrdfString(
-            hand.model, text, pin.GeometryType.COLLISION
-        )
-        for part in geometry.geometryObjects:
-            name = part.name
-            if name in meshes:
-                file, scale = meshes.pop(name)
-                part.geometry, part.meshPath = _hull_of(file, scale, _stamp(file)), file
-                part.meshScale = np.array(scale)
-    except _FlatError as error:
-        message = f"the collision shape {name!r} is flat: it has no convex hull"
-        raise hand.spec.error(message, key="urdf") from error
-    except (RuntimeError, ValueError) as error:
-        message = f"the collision shapes cannot be read: {' '.join(str(error).split())}"
-        raise hand.spec.error(message, key="urdf") from error
-    if meshes:
-        message = f"the collision shape {min(meshes)!r} cannot be read"
-        raise hand.spec.error(message, key="urdf")
-    return geometry
+    return meshes
 
 
 def _stamp(file: str) -> tuple[int, int]:
@@ -87,27 +93,24 @@ def _stamp(file: str) -> tuple[int, int]:
 
 # The meshes of a hand are those of all its sessions, as long as the file does not change.
 @lru_cache(maxsize=256)
-def _hull_of(file: str, scale: tuple[float, ...], _: tuple[int, int]) -> coal.Convex:
-    """Read a mesh as its convex hull.
+def _hull_of(
+    file: str, scale: tuple[float, ...], _: tuple[int, int]
+) -> coal.Convex | None:
+    """Read a mesh as its convex hull; None if its vertices lie in a plane.
 
     A mesh is a surface without an inside: an object within it would not be noticed, and an overlap
     would have no depth.
 
     Raises:
         RuntimeError: If the file cannot be read.
-        ValueError: If the scale has no three numbers.
-        _FlatError: If its vertices lie in a plane.
     """
-    factors = np.array(scale).reshape(3)
     points = _stl_vertices(file)
+    factors = np.array(scale)
     if points is None:
         points = np.array(coal.MeshLoader().load(file, factors).vertices())
     else:
         points = points * factors
-    hull = _convex_hull(points)
-    if hull is None:
-        raise _FlatError(file)
-    return hull
+    return _convex_hull(points)
 
 
 _TRIANGLE: np.dtype[np.void] = np.dtype(
@@ -140,10 +143,6 @@ def _stl_vertices(file: str) -> np.ndarray | None:
     return triangles["corners"].reshape(-1, 3).astype(float)
 
 
-class _FlatError(Exception):
-    """The vertices of a mesh lie in a plane."""
-
-
 def _convex_hull(points: np.ndarray) -> coal.Convex | None:
     """Return the convex hull of a mesh's vertices; None if they lie in a plane.
 
@@ -161,14 +160,14 @@ def _convex_hull(points: np.ndarray) -> coal.Convex | None:
     except QhullError:
         return None
     corners = hull.points[hull.vertices]
-    index = np.zeros(len(points), dtype=int)
-    index[hull.vertices] = np.arange(len(corners))
-    triangles = index[hull.simplices]
+    # The indices of its corners are in order.
+    triangles = np.searchsorted(hull.vertices, hull.simplices)
     first, second, third = corners[triangles].transpose(1, 0, 2)
     normals = np.cross(second - first, third - first)
     is_inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
     triangles[is_inward] = triangles[is_inward, ::-1]
-    vertices, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    vertices = coal.StdVec_Vec3s()
+    faces = coal.StdVec_Triangle()
     for corner in corners:
         vertices.append(corner)
     for triangle in triangles.tolist():

@@ -6,7 +6,7 @@ reads from a configuration (`model.nv`, `nv`, `q`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -77,7 +77,8 @@ CROSS = np.zeros((3, 9))
 CROSS[0, [5, 7]] = 1.0, -1.0
 CROSS[1, [2, 6]] = -1.0, 1.0
 CROSS[2, [1, 3]] = 1.0, -1.0
-_WRIST, _FIRST_POINT = 1, 2
+_WRIST = 1
+_FIRST_POINT = 2
 
 
 _UNIT = frozen(np.eye(3))
@@ -164,13 +165,8 @@ class Configuration:
         Raises:
             InvalidInputError: On a wrong shape or type.
         """
-        try:
-            pin.framesForwardKinematics(self.model, self.data, q)
-        except (TypeError, ValueError) as error:
-            raise self._wrong(q) from error
+        self._place(pin.forwardKinematics, q)
         self._has_jacobians = False
-        self._q[:] = q
-        self._points[:] = self._placed_points.translations
 
     def place_with_jacobians(self, q: np.ndarray) -> None:
         """Put the model at a configuration, place its frames and make Jacobians valid.
@@ -181,12 +177,19 @@ class Configuration:
         Raises:
             InvalidInputError: On a wrong shape or type.
         """
-        try:
-            pin.computeJointJacobians(self.model, self.data, q)
-        except (TypeError, ValueError) as error:
-            raise self._wrong(q) from error
-        pin.updateFramePlacements(self.model, self.data)
+        self._place(pin.computeJointJacobians, q)
         self._has_jacobians = True
+
+    def _place(self, compute: Callable[..., object], q: np.ndarray) -> None:
+        try:
+            compute(self.model, self.data, q)
+        except (TypeError, ValueError) as error:
+            raise InvalidInputError(
+                argument="q",
+                expected=f"a Pinocchio configuration of shape ({self.model.nq},)",
+                value=q,
+            ) from error
+        pin.updateFramePlacements(self.model, self.data)
         self._q[:] = q
         self._points[:] = self._placed_points.translations
 
@@ -289,7 +292,3 @@ class Configuration:
         at_points[:, :, 3:] = self.points.dot(CROSS).reshape(-1, 3, 3)
         rows[-6:] = error_jacobian @ self.wrist.toActionMatrixInverse()
         return rows @ self.joint_jacobian()
-
-    def _wrong(self, q: object) -> InvalidInputError:
-        expected = f"a Pinocchio configuration of shape ({self.model.nq},)"
-        return InvalidInputError(argument="q", expected=expected, value=q)

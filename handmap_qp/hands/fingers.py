@@ -9,9 +9,11 @@ it, or bring a thumb before the palm.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -36,10 +38,13 @@ Place = tuple[int, np.ndarray]
 
 # Place of the PIP joint between knuckle and tip on a person, and the least and largest share of the
 # finger at which a joint counts as one.
-_PIP, _LEAST, _MOST = 0.45, 0.15, 0.88
+_PIP = 0.45
+_LEAST = 0.15
+_MOST = 0.88
 _REACH_SAMPLES = 200
 # Samples of a joint's range, and of the way from straight to one end of the ranges.
-_GRID, _SWEEP = 25, 11
+_GRID = 25
+_SWEEP = 11
 # Least relative change of a finger's length that counts as curling.
 _LEAST_CURL = 0.06
 # A joint of a parallelogram turns the tip by less than this per radian: a jaw that moves on a
@@ -47,7 +52,8 @@ _LEAST_CURL = 0.06
 _LEAST_TURN = 0.1
 # Largest relative difference of a finger's lengths at both ends of a range, and of the ranges to
 # both sides, that count as equal.
-_EVEN_LENGTH, _EVEN_RANGE = 0.08, 0.25
+_EVEN_LENGTH = 0.08
+_EVEN_RANGE = 0.25
 # A finger that is this near to its full length at the zero position is straight there.
 _STRAIGHT = 0.993
 # Joints that are flexed by more than this at the zero position say that it is no straight one
@@ -86,7 +92,8 @@ class PalmKinematics:
     """
 
     def __init__(self, hand: Jointed) -> None:
-        self.hand, self._data = hand, hand.model.createData()
+        self.hand = hand
+        self._data = hand.model.createData()
         self._vector = hand.configuration_vector(zero_posture(hand))
 
     def points(self, q: np.ndarray, places: Sequence[Place]) -> np.ndarray:
@@ -114,7 +121,8 @@ class PalmKinematics:
         Returns:
             Unit vectors, zero of prismatic joints, and points [m]; shape (k, 3) each.
         """
-        model, palm = self.hand.model, self._place(q)
+        model = self.hand.model
+        palm = self._place(q)
         turns = self._data.J[3:, [model.idx_vs[j] for j in joints]].T
         turns = turns @ palm.rotation
         points = np.array([palm.actInv(self._data.oMi[j].translation) for j in joints])
@@ -133,7 +141,8 @@ class PalmKinematics:
 
     def motion(self, q: np.ndarray, place: Place) -> np.ndarray:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
-        model, palm = self.hand.model, self._place(q)
+        model = self.hand.model
+        palm = self._place(q)
         carrier = model.frames[self.hand.palm_frame_id].parentJoint
         # Columns of joints that move both are the same, and cancel.
         moves, carried = (
@@ -216,9 +225,13 @@ class Finger:
         knuckle: Place | None = None,
         middle: Place | None = None,
     ) -> None:
-        self.hand, self.joints, self.tip, self.name = hand, tuple(joints), tip, name
+        self.hand = hand
+        self.joints = tuple(joints)
+        self.tip = tip
+        self.name = name
         self._own = tuple(own) or self.joints
-        self._knuckle, self._middle = knuckle, middle
+        self._knuckle = knuckle
+        self._middle = middle
 
     @property
     def is_jaw(self) -> bool:
@@ -253,7 +266,8 @@ class Finger:
             return self._knuckle or self.tip
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
-        view, zero = PalmKinematics(self.hand), zero_posture(self.hand)
+        view = PalmKinematics(self.hand)
+        zero = zero_posture(self.hand)
         return view.on_axis(zero, self.bending[0], self.tip)
 
     @cached_property
@@ -271,10 +285,12 @@ class Finger:
         joint among those beyond the knuckle. The point lies on the joint's axis, where the axis is
         nearest to the fingertip.
         """
-        view, q = PalmKinematics(self.hand), zero_posture(self.hand)
+        view = PalmKinematics(self.hand)
+        q = zero_posture(self.hand)
         if self.flexion is not None:
             q[self.flexion.columns] = self.flexion.straight
-        tip, is_thumb = view.points(q, [self.tip])[0], self.name == THUMB
+        tip = view.points(q, [self.tip])[0]
+        is_thumb = self.name == THUMB
         joints = self.bending
         turns, points = view.axes(q, joints, self.tip)
         if is_thumb and len(joints) < 2 and self._own[0] != joints[0]:
@@ -302,11 +318,15 @@ class Finger:
     @cached_property
     def _farthest(self) -> tuple[float, np.ndarray]:
         """Find reach and its posture: random search, refined."""
-        hand, tip, knuckle = self.hand, self.tip, self.knuckle
-        best_q, moving = zero_posture(hand), np.sort(self.columns)
+        hand = self.hand
+        tip = self.tip
+        knuckle = self.knuckle
+        best_q = zero_posture(hand)
+        moving = np.sort(self.columns)
         if not self.joints:
             return float("nan"), best_q
-        data, vector = hand.model.createData(), hand.configuration_vector(best_q)
+        data = hand.model.createData()
+        vector = hand.configuration_vector(best_q)
 
         def distance(q: np.ndarray) -> float:
             hand.write_configuration(vector, q)
@@ -315,35 +335,38 @@ class Finger:
                 data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1])
             )
 
-        def improves(columns: np.ndarray, positions: np.ndarray | float) -> bool:
-            nonlocal best, best_q
-            q = best_q.copy()
-            q[columns] = positions
-            is_farther = (found := distance(q)) > best + 1e-9
-            if is_farther:
-                best, best_q = found, q
-            return is_farther
-
         best = distance(best_q)
-        low, high = hand.lower_limits[moving], hand.upper_limits[moving]
+        low = hand.lower_limits[moving]
+        high = hand.upper_limits[moving]
         shape = (_REACH_SAMPLES, len(moving))
         for positions in np.random.default_rng(0).uniform(low, high, shape):
-            improves(moving, positions)
+            q = best_q.copy()
+            q[moving] = positions
+            if (found := distance(q)) > best + 1e-9:
+                best = found
+                best_q = q
         step = 0.25 * (high - low)
         while (step > 1e-3).any():
-            improved = [
-                improves(j, min(max(best_q[j] + change, first), last))
-                for j, size, first, last in zip(moving, step, low, high, strict=True)
-                for change in (-size, size)
-            ]
-            if not any(improved):
+            before = best
+            for j, change in zip(
+                moving.repeat(2), np.outer(step, (-1, 1)).flat, strict=True
+            ):
+                q = best_q.copy()
+                q[j] = np.clip(
+                    q[j] + change, hand.lower_limits[j], hand.upper_limits[j]
+                )
+                if (found := distance(q)) > best + 1e-9:
+                    best = found
+                    best_q = q
+            if best == before:
                 step = 0.5 * step
         return best, best_q
 
     @cached_property
     def flexion(self) -> Flexion | None:
         """How it curls; None if no joint turns the tip."""
-        view, zero = PalmKinematics(self.hand), zero_posture(self.hand)
+        view = PalmKinematics(self.hand)
+        zero = zero_posture(self.hand)
         columns = self._flexing_columns(view.motion(zero, self.tip)[3:])
         if not len(columns):
             return None
@@ -371,7 +394,8 @@ class Finger:
 
         A finger that curls equally far both ways flexes to the palm's side.
         """
-        found, senses = self.flexion, np.zeros(len(self.hand.lower_limits))
+        found = self.flexion
+        senses = np.zeros(len(self.hand.lower_limits))
         if found is not None:
             motion = PalmKinematics(self.hand).motion(zero_posture(self.hand), self.tip)
             dorsal = float(motion[2, found.columns] @ found.signs)
@@ -404,7 +428,8 @@ class Finger:
         # The sense of the axis is that of the last joint, in every posture.
         axis = turns[:, -1] / np.linalg.norm(turns[:, -1])
         along = axis @ turns
-        model, motion = self.hand.model, joint_motion(self.hand)
+        model = self.hand.model
+        motion = joint_motion(self.hand)
         moved = [j for j in self.joints if motion[model.idx_vs[j], columns[0]] != 0.0]
         axes, points = view.axes(q, moved, self.tip)
         base = points[int(np.argmax(axes.any(axis=1)))]
@@ -417,7 +442,9 @@ class Finger:
         lengths: Callable[[np.ndarray], np.ndarray],
     ) -> np.ndarray:
         """Return the posture of some joints at which the finger is longest, else zero."""
-        hand, q, best = self.hand, zero.copy(), 0.0
+        hand = self.hand
+        q = zero.copy()
+        best = 0.0
         # Coordinate descent: the best value of a joint depends on the others; three rounds suffice.
         for _ in range(3):
             for j in columns:
@@ -442,7 +469,8 @@ class Finger:
         straight. If the joints beyond it are flexed at zero, the knuckle is too: it is put at the
         same share of its range as they are at when straight.
         """
-        lower, upper = self.hand.lower_limits[columns], self.hand.upper_limits[columns]
+        lower = self.hand.lower_limits[columns]
+        upper = self.hand.upper_limits[columns]
         flexed = sense * (np.clip(0.0, lower, upper) - straight)
         if sense[0] == 0.0 or len(columns) < 2 or flexed[1:].mean() < _FLEXED_ZERO:
             return straight
@@ -461,12 +489,13 @@ def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
     """
     by_share = float(shares[0] - shares[1])
     by_range = float(travels[0] - travels[1]) / max(float(travels.sum()), 1e-9)
-    has_share, has_range = abs(by_share) > _EVEN_LENGTH, abs(by_range) > _EVEN_RANGE
+    has_share = abs(by_share) > _EVEN_LENGTH
+    has_range = abs(by_range) > _EVEN_RANGE
+    sense = np.sign(by_share) if has_share else np.sign(by_range) * has_range
+    certainty = 0.75 * abs(sense)
     if has_share and has_range:
-        return float(np.sign(by_share)), 0.95 if by_share * by_range > 0.0 else 0.5
-    if has_share or has_range:
-        return float(np.sign(by_share if has_share else by_range)), 0.75
-    return 0.0, 0.0
+        certainty = 0.95 if by_share * by_range > 0.0 else 0.5
+    return float(sense), float(certainty)
 
 
 def nearing(
@@ -503,24 +532,24 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
     Returns:
         Fingers by name, in the order of `FINGERS`.
     """
-    named, supports = _points_by_finger(hand), hand.model.supports
-    tips = {f: place_of(hand, _tip(hand, f, named[f])) for f in FINGERS if f in named}
-    in_palm = set(supports[hand.model.frames[hand.palm_frame_id].parentJoint])
+    named = _points_by_finger(hand)
+    supports = hand.model.supports
+    tips = {f: place_of(hand, _tip(hand, f, points)) for f, points in named.items()}
+    in_palm = supports[hand.model.frames[hand.palm_frame_id].parentJoint].tolist()
+    chains = {f: [*supports[joint]] for f, (joint, _) in tips.items()}
+    shared = Counter(chain(*chains.values()))
     fingers = {}
-    for finger, tip in tips.items():
-        joints = [joint for joint in supports[tip[0]] if joint not in in_palm]
-        others = {
-            j for f, (joint, _) in tips.items() if f != finger for j in supports[joint]
-        }
+    for finger, points in named.items():
         first, last = ("cmc", "ip") if finger == THUMB else ("mcp", "pip")
+        joints = [joint for joint in chains[finger] if joint not in in_palm]
         fingers[finger] = Finger(
             hand,
             joints,
-            tip,
+            tips[finger],
             name=finger,
-            own=[joint for joint in joints if joint not in others],
-            knuckle=_named(hand, f"{finger}_{first}", named[finger]),
-            middle=_named(hand, f"{finger}_{last}", named[finger]),
+            own=[joint for joint in joints if shared[joint] == 1],
+            knuckle=_named(hand, f"{finger}_{first}", points),
+            middle=_named(hand, f"{finger}_{last}", points),
         )
     return fingers
 
@@ -557,11 +586,9 @@ def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
 
 def _points_by_finger(hand: Hand) -> dict[str, list[PointSpec]]:
     """Return the description's points of each finger with an anatomical name."""
-    named: dict[str, list[PointSpec]] = {}
-    for point in hand.spec.points:
-        if point.finger in FINGERS:
-            named.setdefault(point.finger, []).append(point)
-    return named
+    points = hand.spec.points
+    named = {finger: [p for p in points if p.finger == finger] for finger in FINGERS}
+    return {finger: own for finger, own in named.items() if own}
 
 
 def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:

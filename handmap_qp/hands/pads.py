@@ -6,14 +6,16 @@ A description names them, or they are found in the collision shapes.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import NamedTuple
 
 import coal
+import msgspec
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger
+from handmap_qp.hands.fingers import Finger, place_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import distal_shapes
 from handmap_qp.hands.spec import PointSpec
@@ -26,7 +28,8 @@ _STEP = 0.001
 # The middle is the first point on the way that is nearly as deep as the deepest one.
 _SHARE = 0.95
 # Radius of a pad without any shape, and the smallest one with a shape [m].
-_RADIUS, _SMALLEST = 0.006, 0.003
+_RADIUS = 0.006
+_SMALLEST = 0.003
 
 
 class Pad(NamedTuple):
@@ -73,11 +76,12 @@ def _given_pad(
 ) -> Pad:
     """Return the pad that a description gives, in the frame of the joint that carries it."""
     assert point.pad is not None
-    frame = hand.model.frames[hand.model.getFrameId(point.link, pin.FrameType.BODY)]
-    offset, radius = frame.placement.act(np.array(point.pad.xyz)), point.pad.radius
-    supports = _supports_of(chain, frame.parentJoint, geometry)
+    middle = msgspec.structs.replace(point, xyz=point.pad.xyz)
+    (joint, offset) = place_of(hand, middle)
+    radius = point.pad.radius
+    supports = _supports_of(chain, joint, geometry)
     depth = max((_depth(one, offset) for one in supports), default=radius)
-    return Pad(frame.parentJoint, offset, radius, max(0.0, radius - max(0.0, depth)))
+    return Pad(joint, offset, radius, max(0.0, radius - max(0.0, depth)))
 
 
 def _pad(chain: Finger, geometry: pin.GeometryModel) -> Pad:
@@ -122,10 +126,9 @@ def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, floa
         return tip, depth(tip)
     length = np.linalg.norm(tip)
     inwards = -tip / length if length > 1e-6 else np.zeros(3)
-    points = [
-        tip + distance * inwards for distance in np.arange(0.0, _LONGEST + _STEP, _STEP)
-    ]
-    depths = np.array([depth(point) for point in points])
+    steps = np.arange(0.0, _LONGEST + _STEP, _STEP)
+    points = tip + steps[:, None] * inwards
+    depths = np.array([*map(depth, points)])
     chosen = int(np.argmax(depths >= _SHARE * depths.max()))
     return points[chosen], max(float(depths.max()), _SMALLEST)
 
@@ -153,9 +156,7 @@ def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:
     return np.array([geometry.point(i) for i in range(geometry.num_points)]), 0.0
 
 
-_CUBE = np.array(
-    [[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
-)
+_CUBE = np.array([*product((-1.0, 1.0), repeat=3)])
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
 _CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 
@@ -163,7 +164,8 @@ _CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 def _sphere(count: int) -> np.ndarray:
     """Spread unit vectors evenly over the sphere (Fibonacci's lattice), shape (count, 3)."""
     i = np.arange(count) + 0.5
-    z, turn = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
+    z = 1.0 - 2.0 * i / count
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * i
     flat = np.sqrt(1.0 - z * z)
     return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
 

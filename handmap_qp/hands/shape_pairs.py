@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from itertools import combinations
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import THUMB, Finger
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS
+
+if TYPE_CHECKING:
+    from handmap_qp.hands.fingers import Finger
+
+_THUMB = FINGERS[0]
 
 
 class ShapePairs(NamedTuple):
@@ -122,11 +127,11 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
 
 
 def _pinching_finger(pair: pin.CollisionPair, distal: dict[str, set[int]]) -> str:
-    ends, thumb = {pair.first, pair.second}, distal.get(THUMB, set())
+    ends, thumb = {pair.first, pair.second}, distal.get(_THUMB, set())
     pinches = (
         finger
         for finger, shapes in distal.items()
-        if finger != THUMB and ends & thumb and ends & shapes
+        if finger != _THUMB and ends & thumb and ends & shapes
     )
     return next(pinches, "")
 
