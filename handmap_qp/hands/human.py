@@ -11,11 +11,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import NamedTuple, Self
+from typing import Self
 from xml.etree import ElementTree as ET
 
 import numpy as np
-import numpy.typing as npt
 
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.urdf import (
@@ -26,7 +25,7 @@ from handmap_qp.hands.urdf import (
     parse_urdf,
     set_numbers,
 )
-from handmap_qp.se3 import as_floats
+from handmap_qp.se3 import as_floats, frozen
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """The fingers, in the order of the rows of `HumanLengths`."""
@@ -104,33 +103,29 @@ class HumanLengths:
 
     def __post_init__(self) -> None:
         for name, shape in (("bases", (5, 3)), ("segments", (5, 3)), ("rolls", (5,))):
-            object.__setattr__(
-                self, name, frozen_floats(getattr(self, name), shape, name)
-            )
-        is_right, bases = self.bases[1, 0] < self.bases[4, 0], self.bases[1:, 1]
+            given = as_floats(getattr(self, name), name, shape=shape, is_finite=True)
+            object.__setattr__(self, name, frozen(given.copy()))
+        bones = self.segments.min()
+        knuckles = self.bases[1:, 1].min()
+        is_right = self.bases[1, 0] < self.bases[4, 0]
+        roll = np.abs(self.rolls).max()
         right = "a right hand, with the index finger at the -x side of the little one"
-        shortest, nearest = f"{self.segments.min():.6g} m", f"y = {bases.min():.6g} m"
-        largest = np.abs(self.rolls).max()
+        bent = f"{roll:.3g} rad"
         for name, is_valid, expected, got in (
             (
                 "segments",
-                (self.segments > 0.0).all(),
+                bones > 0.0,
                 "bones that are all longer than 0",
-                shortest,
+                f"{bones:.6g} m",
             ),
             (
                 "bases",
-                (bases > 0.0).all(),
+                knuckles > 0.0,
                 "MCP joints distal (+y) of the wrist",
-                nearest,
+                f"y = {knuckles:.6g} m",
             ),
             ("bases", is_right, right, "a left one: mirror it"),
-            (
-                "rolls",
-                largest <= LARGEST_ROLL,
-                "angles within 45 degrees of 0",
-                f"{largest:.3g} rad",
-            ),
+            ("rolls", roll <= LARGEST_ROLL, "angles within 45 degrees of 0", bent),
         ):
             if not is_valid:
                 value = getattr(self, name)
@@ -175,7 +170,8 @@ class HumanLengths:
         breadth = _BREADTH_OVER_LENGTH * length
         if hand_breadth is not None:
             breadth = _checked_length(hand_breadth, "hand_breadth")
-        across, along = -breadth * _BUCHHOLZ_RADIAL, length * _BUCHHOLZ_DISTAL
+        across = -breadth * _BUCHHOLZ_RADIAL
+        along = length * _BUCHHOLZ_DISTAL
         bases = np.column_stack([across, along, np.zeros(5)])
         return cls(bases=bases, segments=length * _BUCHHOLZ_SEGMENTS)
 
@@ -201,16 +197,8 @@ class HumanLengths:
         )
 
 
-class JointMove(NamedTuple):
-    """Where a joint of a person's hand is, against that of the hand that is scaled.
-
-    Attributes:
-        origin: Its position on its parent link [m], shape (3,).
-        roll: Turn about its own x axis, from its orientation there [rad].
-    """
-
-    origin: np.ndarray
-    roll: float
+JointMove = tuple[np.ndarray, float]
+"""Position of a joint on its parent link [m], shape (3,), and a turn about its own x axis [rad]."""
 
 
 def joint_moves(
@@ -227,14 +215,13 @@ def joint_moves(
         Moves by the joint's name: of each finger its first joint, the two at the ends of bones, and
         the fixed one of its tip.
     """
-    signs, moves = np.array([-1.0 if mirrors else 1.0, 1.0, 1.0]), {}
+    signs = np.array([-1.0 if mirrors else 1.0, 1.0, 1.0])
+    moves: dict[str, JointMove] = {}
     for i, finger in enumerate(FINGERS):
         chain = _chain(finger)
-        moves[chain[0]] = JointMove(
-            new.bases[i] * signs, float(new.rolls[i] - old.rolls[i])
-        )
+        moves[chain[0]] = new.bases[i] * signs, float(new.rolls[i] - old.rolls[i])
         for name, length in zip(chain[2:], new.segments[i], strict=True):
-            moves[name] = JointMove(np.array([length, 0.0, 0.0]) * signs, 0.0)
+            moves[name] = np.array([length, 0.0, 0.0]) * signs, 0.0
     return moves
 
 
@@ -256,7 +243,8 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
     Raises:
         HandError: If the text is not the URDF of a human hand with this package's names.
     """
-    robot, old = parse_urdf(text), HumanLengths.from_urdf(text)
+    robot = parse_urdf(text)
+    old = HumanLengths.from_urdf(text)
     joints = joints_by_name(robot)
     size = lengths.hand_length / old.hand_length
     shapes = {
@@ -265,12 +253,12 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
     }
     if "palm" not in shapes:
         raise _not_human("the link 'palm' is missing", value="palm")
-    for name, move in joint_moves(old, lengths).items():
+    for name, (position, turn) in joint_moves(old, lengths).items():
         origin = child_of(joints[name], "origin")
         roll, pitch, yaw = get_numbers(origin, "rpy", 3, "0 0 0")
-        set_numbers(origin, "xyz", move.origin)
+        set_numbers(origin, "xyz", position)
         # Fingers point along their x axes, about which the first of the three turns is.
-        set_numbers(origin, "rpy", [roll + move.roll, pitch, yaw])
+        set_numbers(origin, "rpy", [roll + turn, pitch, yaw])
     for finger, bones in zip(FINGERS, lengths.segments / old.segments, strict=True):
         for name, bone in zip(_chain(finger)[1:], bones, strict=False):
             link = child_of(joints[name], "child").get("link")
@@ -280,19 +268,6 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
     for shape in shapes["palm"]:
         _scale_shape(shape, _palm_map(old, lengths, shape.get("name", "")), size)
     return ET.tostring(robot, encoding="unicode")
-
-
-def frozen_floats(
-    values: npt.ArrayLike, shape: tuple[int, ...], name: str
-) -> np.ndarray:
-    """Return a write-protected copy of finite numbers of a shape; `name` is for errors.
-
-    Raises:
-        InvalidInputError: On a wrong shape, or anything but finite numbers.
-    """
-    array = as_floats(values, name, shape=shape, is_finite=True).copy()
-    array.setflags(write=False)
-    return array
 
 
 def _checked_length(value: float, name: str) -> float:
@@ -337,13 +312,15 @@ def _palm_map(
     breadth_old, breadth_new = (
         lengths.bases[4, 0] - lengths.bases[1, 0] for lengths in (old, new)
     )
-    across, along = breadth_new / breadth_old, new.bases[2, 1] / old.bases[2, 1]
+    across = breadth_new / breadth_old
+    along = new.bases[2, 1] / old.bases[2, 1]
     scale = np.array([across, along, new.hand_length / old.hand_length])
     finger = shape_name.partition("_")[0]
     # Shapes that belong to no finger follow the middle of the knuckles, which is not always on the
     # palm's y axis.
     rows = [FINGERS.index(finger)] if finger in FINGERS else [1, 4]
-    base_old, base_new = old.bases[rows].mean(axis=0), new.bases[rows].mean(axis=0)
+    base_old = old.bases[rows].mean(axis=0)
+    base_new = new.bases[rows].mean(axis=0)
 
     def follow(point: np.ndarray) -> np.ndarray:
         # Add the residual at the finger base, weighted linearly from wrist to base.
@@ -357,12 +334,15 @@ def _scale_shape(
     shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], size: float
 ) -> None:
     """Move a primitive's centre and ends by `move`, and scale its thickness by `size`."""
-    pose, primitive = origin_of(shape), shape.find("geometry/*")
-    axes, centre = pose[:3, :3], pose[:3, 3]
+    pose = origin_of(shape)
+    primitive = shape.find("geometry/*")
+    axes = pose[:3, :3]
+    centre = pose[:3, 3]
     kind = None if primitive is None else primitive.tag
     if primitive is None or kind not in ("sphere", "cylinder", "box"):
         raise _not_human(f"a shape is <{kind}>", key=shape.get("name"), value=kind)
-    origin, moved = child_of(shape, "origin"), move(centre)
+    origin = child_of(shape, "origin")
+    moved = move(centre)
     if kind == "box":
         halves = 0.5 * axes * get_numbers(primitive, "size", 3)
         sides = [move(centre + half) - move(centre - half) for half in halves.T]
@@ -373,8 +353,10 @@ def _scale_shape(
         )
     if kind == "cylinder":
         half = get_numbers(primitive, "length", 1)[0] / 2 * axes[:, 2]
-        lower, upper = move(centre - half), move(centre + half)
-        moved, length = (lower + upper) / 2, float(np.linalg.norm(upper - lower))
+        lower = move(centre - half)
+        upper = move(centre + half)
+        moved = (lower + upper) / 2
+        length = float(np.linalg.norm(upper - lower))
         x, y, z = (upper - lower) / length
         set_numbers(primitive, "length", [length])
         # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.

@@ -99,23 +99,27 @@ def load_hand(
         MissingPackageError: If its URDF lies in another package that is not installed.
     """
     if not isinstance(hand, str | Path | HandSpec):
-        expected = "a name, the path of a hand.yaml, or a HandSpec"
-        raise InvalidInputError(argument="hand", expected=expected, value=hand)
-    given = {"lengths": lengths, "hand_length": hand_length}
-    given = {name: value for name, value in given.items() if value is not None}
-    if not given:
+        raise InvalidInputError(
+            argument="hand",
+            expected="a name, the path of a hand.yaml, or a HandSpec",
+            value=hand,
+        )
+    if lengths is None and hand_length is None:
         return Hand(_spec_of(hand), points=points, mount=mount)
     is_standard = isinstance(hand, str) and hand in HUMAN_HANDS
-    load = _standard_human if is_standard else _load_human
-    standard, own = load(hand, mount)
-    if len(given) > 1:
-        problem = "cannot be combined with hand_length: give one of them"
-        raise InvalidInputError(problem, argument="lengths", value=lengths)
+    standard, own = (_standard_human if is_standard else _load_human)(hand, mount)
+    if None not in (lengths, hand_length):
+        raise InvalidInputError(
+            "cannot be combined with hand_length: give one of them",
+            argument="lengths",
+            value=lengths,
+        )
     if hand_length is not None:
         lengths = HumanLengths.from_hand_length(hand_length)
     if not isinstance(lengths, HumanLengths):
-        expected = "HumanLengths"
-        raise InvalidInputError(argument="lengths", expected=expected, value=lengths)
+        raise InvalidInputError(
+            argument="lengths", expected="HumanLengths", value=lengths
+        )
     moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
     compose = partial(_person_urdf, standard.spec, lengths)
     scaled = standard.with_joints(moves, compose).with_points(points)
@@ -136,8 +140,11 @@ def _load_human(
     """
     spec = _spec_of(hand)
     if spec.name not in HUMAN_HANDS:
-        problem = f"only the human hand can be scaled, not {spec.name}"
-        raise InvalidInputError(problem, argument="lengths", value=spec.name)
+        raise InvalidInputError(
+            f"only the human hand can be scaled, not {spec.name}",
+            argument="lengths",
+            value=spec.name,
+        )
     return Hand(spec, mount=mount), HumanLengths.from_urdf(read_urdf(spec))
 
 
@@ -211,7 +218,8 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
 
 def _find(hand: str | Path) -> Path:
     """Find the `hand.yaml` of a name or path."""
-    name, known = str(hand), hand_files()
+    name = str(hand)
+    known = hand_files()
     if name in known:
         return known[name]
     path = Path(hand)

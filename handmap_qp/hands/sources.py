@@ -5,25 +5,27 @@ A `urdf` is a path, `package://PACKAGE/path` or `robot_descriptions:MODULE`.
 
 from __future__ import annotations
 
-import codecs
-import difflib
 import importlib
 import importlib.metadata
+import io
 import os
 import pkgutil
 import re
 import sys
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import ModuleType
 
-from handmap_qp.errors import HandError, MissingExtraError, MissingPackageError
+from handmap_qp.errors import (
+    HandError,
+    MissingExtraError,
+    MissingPackageError,
+    did_you_mean,
+)
 from handmap_qp.hands.spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
 
 # Which variable of a description's module is taken, the first that it has.
 _VARIABLES = ("URDF_PATH", "MJCF_PATH")
-_ROOT = re.compile(rb"<\s*([A-Za-z_][\w.:-]*)")
-# A comment may come first and hold an example; the root is searched behind it.
-_NOT_ELEMENTS = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!DOCTYPE[^>]*>", re.DOTALL)
 
 
 def urdf_directory() -> Path:
@@ -88,11 +90,9 @@ def _described(name: str) -> Path:
     for candidate in (variable,) if variable else _VARIABLES:
         if isinstance(path := getattr(module, candidate, None), str):
             return Path(path)
-    paths = sorted(
-        key for key in vars(module) if key.endswith("PATH") or "_PATH_" in key
-    )
-    files = [key for key in paths if key not in ("REPOSITORY_PATH", "PACKAGE_PATH")]
-    expected = f"one of {', '.join(files)}" if files else "a URDF or MJCF"
+    paths = {key for key in vars(module) if key.endswith("PATH") or "_PATH_" in key}
+    files = ", ".join(sorted(paths - {"REPOSITORY_PATH", "PACKAGE_PATH"}))
+    expected = f"one of {files}" if files else "a URDF or MJCF"
     got = f"no {variable}" if variable else "neither URDF_PATH nor MJCF_PATH"
     raise HandError(
         f"robot_descriptions.{name} has {got}: expected {expected}", value=name
@@ -106,11 +106,10 @@ def _module(name: str) -> ModuleType:
         raise MissingExtraError("robot_descriptions", "descriptions") from error
     known = [module.name for module in pkgutil.iter_modules(package.__path__)]
     if name not in known and f"robot_descriptions.{name}" not in sys.modules:
-        near = difflib.get_close_matches(
-            name, [k for k in known if k.endswith("description")], 3
+        advice = did_you_mean(name, known) or "see its list of robots"
+        raise HandError(
+            f"robot_descriptions has no robot {name!r}; {advice}", value=name
         )
-        advice = f"; did you mean {' or '.join(near)}?" if near else ""
-        raise HandError(f"robot_descriptions has no robot {name!r}{advice}", value=name)
     try:
         return importlib.import_module(f"robot_descriptions.{name}")
     # git raises many types of its own; without a network, nothing can be cloned.
@@ -196,22 +195,18 @@ def find_mesh(name: str, folder: Path) -> Path:
 
 
 def root_tag(content: bytes) -> str:
-    """Return the name of an XML file's root element; empty if there is none.
-
-    The file is in UTF-8, UTF-16 or an encoding that contains ASCII.
-    """
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        content = content.decode("utf-16", "replace").encode()
-    found = _ROOT.search(_NOT_ELEMENTS.sub(b"", content))
-    return "" if found is None else found[1].decode("ascii", "replace")
+    """Return the name of an XML file's root element; empty if there is none."""
+    try:
+        return next(ET.iterparse(io.BytesIO(content), ["start"]))[1].tag
+    except (ET.ParseError, LookupError, ValueError, StopIteration):
+        return ""
 
 
 def is_mjcf(file: Path) -> bool:
     """Return whether a file is an MJCF model; False if it cannot be read, or by its suffix."""
+    if file.suffix not in (".xml", ".mjcf"):
+        return False
     try:
-        return file.suffix in (".xml", ".mjcf") and root_tag(file.read_bytes()) in (
-            "mujoco",
-            "mujocoinclude",
-        )
+        return root_tag(file.read_bytes()) in ("mujoco", "mujocoinclude")
     except (OSError, ValueError):  # ValueError: a null character in the path
         return False

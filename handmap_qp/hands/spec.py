@@ -28,11 +28,13 @@ Vector = tuple[float, float, float]
 Positive = Annotated[float, Meta(gt=0.0)]
 _Spec = TypeVar("_Spec")
 
-PACKAGE_SCHEME, DESCRIPTION_SCHEME = "package://", "robot_descriptions:"
+PACKAGE_SCHEME = "package://"
+DESCRIPTION_SCHEME = "robot_descriptions:"
 # libyaml parses in a tenth of the time, but crashes on some ten thousand levels, where plain Python
 # raises `RecursionError`. Every level takes one of these characters, and a description a few
 # hundred of them.
-_LEVELS, _MOST_LEVELS = "[{-?:", 2000
+_LEVELS = "[{-?:"
+_MOST_LEVELS = 2000
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -320,8 +322,9 @@ def _typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
     try:
         document = msgspec.to_builtins(value, enc_hook=_plain)
     except (TypeError, ValueError, NotImplementedError, RecursionError) as error:
-        problem = f"holds a value that a description cannot have: {error}"
-        raise HandError(problem, file=file) from error
+        raise HandError(
+            f"holds a value that a description cannot have: {error}", file=file
+        ) from error
     for key, numbers in _not_finite(document):
         raise HandError(
             f"expected finite numbers, got {numbers}", file=file, key=key, value=numbers
@@ -350,16 +353,15 @@ def _plain(value: Any) -> Any:
 
 def _not_finite(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Find numbers, and lists of numbers, that are not finite, with their keys."""
-    if isinstance(value, dict):
+    numbers = value if isinstance(value, list | tuple) else [value]
+    if any(isinstance(each, float) and not math.isfinite(each) for each in numbers):
+        yield key.lstrip("."), value
+    elif isinstance(value, dict):
         for name, each in value.items():
             yield from _not_finite(each, f"{key}.{name}")
     elif isinstance(value, list | tuple):
-        if any(isinstance(each, float) and not math.isfinite(each) for each in value):
-            yield key.lstrip("."), value
         for i, each in enumerate(value):
             yield from _not_finite(each, f"{key}[{i}]")
-    elif isinstance(value, float) and not math.isfinite(value):
-        yield key.lstrip("."), value
 
 
 def _value_at(document: Any, key: str | None) -> Any:
@@ -396,15 +398,17 @@ def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, An
         ValueError,
         RecursionError,
     ) as error:  # ValueError: an impossible date
-        message = f"is not valid YAML: {' '.join(str(error).split())}"
-        raise HandError(message, file=path) from error
+        raise HandError(
+            f"is not valid YAML: {' '.join(str(error).split())}", file=path
+        ) from error
     if not isinstance(document, dict):
         raise HandError(
             f"expected a mapping of keys, got {type(document).__name__}", file=path
         )
     for key in sorted({"directory", "file"} & document.keys()):
         raise HandError("unknown key", file=path, key=key, value=document[key])
-    folder, arm = {"directory": str(path.parent)}, document.get("arm")
+    folder = {"directory": str(path.parent)}
+    arm = document.get("arm")
     if isinstance(arm, str):
         arm = {"extends": arm}
     if isinstance(arm, dict):
@@ -424,8 +428,12 @@ def _extended(
         return own
     other = (path.parent / str(own.pop("extends"))).resolve()
     if other in extending:
-        message = "files extend each other in a circle"
-        raise HandError(message, file=path, key="extends", value=str(other))
+        raise HandError(
+            "files extend each other in a circle",
+            file=path,
+            key="extends",
+            value=str(other),
+        )
     base = _read_document(other, (*extending, path.resolve(), other))
     if "urdf" not in own and not is_named_source(str(base.get("urdf"))):
         own["urdf"] = str(other.parent / str(base.get("urdf")))
@@ -442,21 +450,27 @@ def check_unique(spec: HandSpec, names: Sequence[str], key: str) -> None:
 def _check_joints(spec: HandSpec) -> None:
     """Check names of joints: unique, each with a rest position, none of them locked."""
     check_unique(spec, spec.all_joints, "joints")
+    arm = () if spec.arm is None else (("arm.", spec.arm),)
+    for prefix, part in (("", spec), *arm):
+        for joint in sorted({*part.joints} & part.locked.keys()):
+            raise spec.error(
+                f"{joint!r} is one of `joints`, and cannot be locked",
+                key=f"{prefix}locked",
+                value=joint,
+            )
+        _check_posture(spec, part.joints, part.rest, f"{prefix}rest")
     matched = spec.rest if spec.matched is None else spec.matched
-    postures = {"rest": (spec.joints, spec.rest), "matched": (spec.joints, matched)}
-    locked = {"locked": (spec.joints, spec.locked)}
-    if spec.arm is not None:
-        postures["arm.rest"] = spec.arm.joints, spec.arm.rest
-        locked["arm.locked"] = spec.arm.joints, spec.arm.locked
-    for key, (joints, positions) in postures.items():
-        for joint in sorted(set(joints) ^ positions.keys()):
-            has_not = f"has no {key.removeprefix('arm.')} position"
-            what = "is not one of `joints`" if joint in positions else has_not
-            raise spec.error(f"{joint!r} {what}", key=key, value=joint)
-    for key, (joints, positions) in locked.items():
-        for joint in sorted(set(joints) & positions.keys()):
-            message = f"{joint!r} is one of `joints`, and cannot be locked"
-            raise spec.error(message, key=key, value=joint)
+    _check_posture(spec, spec.joints, matched, "matched")
+
+
+def _check_posture(
+    spec: HandSpec, joints: Sequence[str], positions: dict[str, float], key: str
+) -> None:
+    """Check that a posture has a position for each joint, and for no other."""
+    for joint in sorted({*joints} ^ positions.keys()):
+        lacks = f"has no {key.removeprefix('arm.')} position"
+        what = "is not one of `joints`" if joint in positions else lacks
+        raise spec.error(f"{joint!r} {what}", key=key, value=joint)
 
 
 def _check_sets(spec: HandSpec) -> None:
@@ -466,30 +480,44 @@ def _check_sets(spec: HandSpec) -> None:
     for set_name, members in spec.sets.items():
         for member in members:
             if member not in names:
-                message = f"{member!r} is not one of `points`"
-                raise spec.error(message, key=f"sets.{set_name}", value=member)
+                raise spec.error(
+                    f"{member!r} is not one of `points`",
+                    key=f"sets.{set_name}",
+                    value=member,
+                )
         check_unique(spec, members, f"sets.{set_name}")
     if spec.reference not in spec.sets:
         expected = ", ".join(spec.sets) or "(none)"
-        message = f"expected one of the sets {expected}, got {spec.reference!r}"
-        raise spec.error(message, key="reference", value=spec.reference)
+        raise spec.error(
+            f"expected one of the sets {expected}, got {spec.reference!r}",
+            key="reference",
+            value=spec.reference,
+        )
 
 
 def _check_pad(point: PointSpec, file: Path | None, prefix: str) -> None:
     if point.pad is not None and point.finger is None:
-        message = "expected a point with `finger`, got None"
-        raise HandError(message, file=file, key=f"{prefix}pad", value=point.finger)
+        raise HandError(
+            "expected a point with `finger`, got None",
+            file=file,
+            key=f"{prefix}pad",
+            value=point.finger,
+        )
 
 
 def _check_axes(spec: HandSpec) -> None:
     """Check that the palm's axes are orthonormal."""
-    distal, dorsal = spec.palm.distal, spec.palm.dorsal
+    distal = spec.palm.distal
+    dorsal = spec.palm.dorsal
     for key, axis in (("palm.distal", distal), ("palm.dorsal", dorsal)):
         if abs(math.hypot(*axis) - 1.0) >= 1e-6:
             raise spec.error(f"expected a unit vector, got {axis}", key=key, value=axis)
     if abs(np.dot(distal, dorsal)) >= 1e-6:
-        message = f"expected a direction at right angles to distal, got {dorsal}"
-        raise spec.error(message, key="palm.dorsal", value=dorsal)
+        raise spec.error(
+            f"expected a direction at right angles to distal, got {dorsal}",
+            key="palm.dorsal",
+            value=dorsal,
+        )
 
 
 def _check_pairs(spec: HandSpec) -> None:
@@ -499,6 +527,7 @@ def _check_pairs(spec: HandSpec) -> None:
         links = frozenset(pair)
         if len(links) < 2 or links in seen:
             what = "is given twice" if links in seen else "is one link; expected two"
-            message = f"{list(pair)} {what}"
-            raise spec.error(message, key=f"collision.pairs[{i}]", value=pair)
+            raise spec.error(
+                f"{list(pair)} {what}", key=f"collision.pairs[{i}]", value=pair
+            )
         seen.add(links)

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
 from functools import cache
-from typing import Self
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.human import frozen_floats
 from handmap_qp.hands.sources import urdf_directory
-from handmap_qp.se3 import as_floats
+from handmap_qp.se3 import as_floats, frozen
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Synergies:
+class Synergies(NamedTuple):
     """Postural synergies: `q = mean + matrix @ z`.
 
     Attributes:
@@ -25,22 +22,10 @@ class Synergies:
             `HUMAN_JOINTS`. Its columns are not orthonormal, because DIP angles follow PIP angles in
             it.
         mean: Mean posture q_m [rad], shape (20,).
-
-    Raises:
-        InvalidInputError: On a wrong shape or a number that is not finite.
     """
 
     matrix: np.ndarray
     mean: np.ndarray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(
-            self, "matrix", frozen_floats(self.matrix, (20, 15), "matrix")
-        )
-        object.__setattr__(self, "mean", frozen_floats(self.mean, (20,), "mean"))
-
-    def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray, np.ndarray]]:
-        return type(self), (self.matrix, self.mean)
 
     def posture(self, z: npt.ArrayLike) -> np.ndarray:
         """Compute joint angles [rad], shape (20,), not clipped to limits.
@@ -53,8 +38,12 @@ class Synergies:
         """
         coordinates = as_floats(z, "z", shape=("k",), is_finite=True)
         if len(coordinates) > 15:
-            expected, got = "at most 15 numbers", str(len(coordinates))
-            raise InvalidInputError(argument="z", expected=expected, value=z, got=got)
+            raise InvalidInputError(
+                argument="z",
+                expected="at most 15 numbers",
+                value=z,
+                got=str(len(coordinates)),
+            )
         return self.mean + self.matrix[:, : len(coordinates)] @ coordinates
 
     def coordinates(self, q: npt.ArrayLike) -> np.ndarray:
@@ -65,9 +54,8 @@ class Synergies:
         Raises:
             InvalidInputError: On a wrong shape or a number that is not finite.
         """
-        return np.linalg.lstsq(
-            self.matrix, frozen_floats(q, (20,), "q") - self.mean, rcond=None
-        )[0]
+        angles = as_floats(q, "q", shape=(20,), is_finite=True)
+        return np.linalg.lstsq(self.matrix, angles - self.mean, rcond=None)[0]
 
 
 @cache
@@ -78,4 +66,4 @@ def load_synergies() -> Synergies:
     """
     file = urdf_directory() / "human" / "synergies.json"
     document = json.loads(file.read_text(encoding="utf-8"))
-    return Synergies(matrix=np.array(document["S"]), mean=np.array(document["q_m"]))
+    return Synergies(*(frozen(np.array(document[key])) for key in ("S", "q_m")))

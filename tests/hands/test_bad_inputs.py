@@ -24,7 +24,7 @@ from handmap_qp import (
 )
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import MimicSpec, PalmSpec, check_point, read_hand_spec
-from handmap_qp.hands.synergies import Synergies, load_synergies
+from handmap_qp.hands.synergies import load_synergies
 
 HAND = load_hand("three_finger")
 CHAINED = load_hand("hey5")
@@ -189,12 +189,6 @@ def test_other_arguments_are_named(case: str) -> None:
 SYNERGY_CALLS: dict[str, tuple[Callable[[Any], Any], dict[str, Any], str]] = {
     "posture": (SYNERGIES.posture, not_numbers(16), "z"),
     "coordinates": (SYNERGIES.coordinates, not_numbers(20), "q"),
-    "mean": (lambda mean: Synergies(SYNERGIES.matrix, mean), not_numbers(20), "mean"),
-    "matrix": (
-        lambda matrix: Synergies(matrix, SYNERGIES.mean),
-        not_numbers(20),
-        "matrix",
-    ),
     "bases": (
         lambda bases: HumanLengths(bases, LENGTHS.segments),
         not_numbers(15),
