@@ -69,14 +69,14 @@ class Anatomy:
         distal: Direction of the stretched fingers, in the palm link's coordinates, shape (3,).
         dorsal: Direction out of the back of the hand, at right angles to it, shape (3,).
         side: `right` or `left`.
-        fingers: Anatomical name of every finger, in the order of the chains.
+        fingers: Anatomical name of every finger by its index, the thumb first.
         clues: Evidence for each of these.
     """
 
     distal: np.ndarray
     dorsal: np.ndarray
     side: Side
-    fingers: tuple[str, ...]
+    fingers: dict[int, str]
     clues: tuple[Clue, ...]
 
 
@@ -322,7 +322,7 @@ class _Evidence:
         is_outside = is_outside and abs(place) > 2.0 * _CLEAR
         return place if abs(place) > _VISIBLE else 0.0, is_outside
 
-    def name_fingers(self, radial: _Found) -> tuple[tuple[str, ...], Clue]:
+    def name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
         flexion, labels, sure = self.flexion, self.labels, self.thumb_clue.confidence
         # Order fingers by base and tip: fingers spread towards their tips, and bases may lie one
@@ -351,8 +351,7 @@ class _Evidence:
         named = dict(zip(order, called, strict=False))
         if self.thumb is not None:
             named = {self.thumb: "thumb", **named}
-        names = tuple(named[i] for i in range(len(labels)))
-        return names, Clue("fingers", ", ".join(named.values()), how, confidence)
+        return named, Clue("fingers", ", ".join(named.values()), how, confidence)
 
 
 def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -61,25 +61,26 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     """
     fingers = find_fingers(hand)
     pairs = all_pairs(hand, fingers)
-    owners = {
-        link: _owner(hand, fingers, link) for link in {*itertools.chain(*pairs.links)}
-    }
-    wanted = [
-        _is_wanted(owners[one], owners[other], [*fingers]) for one, other in pairs.links
-    ]
+    row = {finger: i for i, finger in enumerate(f for f in fingers if f != THUMB)}
+
+    def is_wanted(links: tuple[str, str]) -> bool:
+        one, other = (_owner(hand, fingers, link) for link in links)
+        if one == other or "bar" in (one, other):
+            return False
+        is_beside = {one, other} <= row.keys() and abs(row[one] - row[other]) == 1
+        return is_beside or THUMB in (one, other)
+
     postures = np.vstack([hand.rest, random_postures(hand, _SAMPLES)])
     distances = _distances(hand, pairs.geometry, postures)
-    touches = distances[0] < 2.0 * MARGIN
     pinches = np.array([bool(finger) for finger in pairs.fingers], dtype=bool)
     is_near = pinches | (distances.min(axis=0) < _NEAR)
+    touches = distances[0] < 2.0 * MARGIN
     overlaps = (distances <= 0.0).mean(axis=0) > _BY_DESIGN
     named = [(min(links), max(links)) for links in pairs.links]
     # A link has several shapes: its pair is left out if one pair of them touches.
-    bad = {named[i] for i in np.flatnonzero(touches | overlaps)}
-    good = dict.fromkeys(
-        named[i] for i in np.flatnonzero(np.array(wanted, dtype=bool) & is_near)
-    )
-    found = tuple(pair for pair in good if pair not in bad)
+    bad = {*itertools.compress(named, touches | overlaps)}
+    near = dict.fromkeys(itertools.compress(named, is_near))
+    found = tuple(pair for pair in near if pair not in bad and is_wanted(pair))
     return CollisionSpec(found, MARGIN) if found else None
 
 
@@ -92,16 +93,6 @@ def _owner(hand: Hand, fingers: dict[str, Finger], link: str) -> str:
     if not owners and joint != palm and palm in [*model.supports[joint]]:
         return "bar"
     return owners[0] if len(owners) == 1 else "palm"
-
-
-def _is_wanted(one: str, other: str, fingers: list[str]) -> bool:
-    """Return whether owners are the thumb and another finger or the palm, or neighbours."""
-    if one == other or "bar" in (one, other):
-        return False
-    row = [finger for finger in fingers if finger != THUMB]
-    if THUMB in (one, other):
-        return True
-    return "palm" not in (one, other) and abs(row.index(one) - row.index(other)) == 1
 
 
 def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:

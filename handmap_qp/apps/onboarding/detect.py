@@ -8,6 +8,7 @@ answer has its evidence and its confidence.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -147,21 +148,14 @@ class _FoundHand:
         flexion = HandFlexion(robot, fingers)
         hints = (robot.name, robot.file.stem, palm)
         self.anatomy = find_anatomy(flexion, names, hints, side, given)
-        for finger, called in zip(fingers, self.anatomy.fingers, strict=True):
-            finger.name = called
+        for i, called in self.anatomy.fingers.items():
+            fingers[i].name = called
+        self.fingers = [fingers[i] for i in self.anatomy.fingers]
         self._thumbs = np.array([finger.name == THUMB for finger in fingers])
         if (flexion.ways[~self._thumbs].sum(axis=0) @ self.anatomy.dorsal) > 0.0:
             # The side turned the palm over: joints with symmetric ranges flex the other way.
             flexion = HandFlexion(robot, fingers, palmar=-self.anatomy.dorsal)
         self.flexion = flexion
-        self.fingers = sorted(
-            fingers,
-            key=lambda finger: (
-                FINGERS.index(finger.name) if finger.name in FINGERS else len(FINGERS),
-                len(finger.name),
-                finger.name,
-            ),
-        )
         self._sure = {clue.what: clue.confidence for clue in self.anatomy.clues}
         shown = Clue("palm", palm, self.structure.how, self.structure.confidence)
         self.clues = [shown, *self.anatomy.clues]
@@ -169,16 +163,10 @@ class _FoundHand:
     def describe(self, name: str | None) -> HandSpec:
         """Return the description; without a name it is called as the robot."""
         robot, anatomy = self.robot, self.anatomy
-        if name is None:
-            name = robot.name
-            if not robot.is_whole and not re.search(
-                rf"(?<![a-z]){anatomy.side}(?![a-z])", name.lower()
-            ):
-                name = f"{name}_{anatomy.side}"
         names = [joint for finger in self.fingers for joint in finger.joint_names]
         drivers = dict.fromkeys(map(robot.driver, names))
         joints = tuple(joint for joint in drivers if joint in robot.active)
-        origin = self._palm_origin()
+        palm, origin = self.structure.palm, self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
         places = [(finger, finger.find_middle()) for finger in self.fingers]
         middles = [self._middle(finger, place) for finger, place in places if place]
@@ -186,15 +174,11 @@ class _FoundHand:
         sets = {"fingertips": tuple(point.name for point in tips)}
         if middles:
             sets["fingertips_middle"] = tuple(point.name for point in points)
-        rest = dict(zip(robot.active, self._rest().tolist(), strict=True))
-        idle = {
-            joint: float(value)
-            for joint, value in zip(robot.active, robot.zero, strict=True)
-            if joint not in joints
-        }
-        palm = self.structure.palm
+        rest, idle = (_positions(robot, q) for q in (self._rest(), robot.zero))
+        locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
+        locked |= {joint: idle[joint] for joint in idle if joint not in joints}
         return HandSpec(
-            name=name,
+            name=name or self._name(),
             urdf=str(robot.file),
             side=anatomy.side,
             palm=PalmSpec(
@@ -205,19 +189,21 @@ class _FoundHand:
             ),
             wrist=WristSpec(robot.root, "floating"),
             joints=joints,
-            rest={joint: rest[joint] for joint in joints},
+            rest=_picked(rest, joints),
             points=points,
             sets=sets,
             reference="fingertips",
             root=None if robot.is_whole else robot.root,
-            locked={joint: round(q, 6) for joint, q in robot.locked.items()} | idle,
-            limits={
-                joint: robot.assumed[joint]
-                for joint in joints
-                if joint in robot.assumed
-            },
+            locked=locked,
+            limits=_picked(robot.assumed, joints),
             mimic=robot.dropped_rules,
         )
+
+    def _name(self) -> str:
+        """Return the robot's name, with the hand's side if there is more to the robot."""
+        name, side = self.robot.name, self.anatomy.side
+        has_side = re.search(rf"(?<![a-z]){side}(?![a-z])", name.lower())
+        return name if self.robot.is_whole or has_side else f"{name}_{side}"
 
     def _rest(self) -> np.ndarray:
         """Return the half-open posture; other joints are near zero, or centred (thumb)."""
@@ -225,7 +211,7 @@ class _FoundHand:
         lower, upper, zero = robot.lower_limits, robot.upper_limits, robot.zero
         travel = flexion.q_closed - flexion.q_open
         step = np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST)
-        step = np.where(robot.slides, 0.5 * travel, step)
+        step = np.where(flexion.slides, 0.5 * travel, step)
         of_thumb = flexion.moves[self._thumbs].any(axis=0)
         one_sided = of_thumb & ((lower > -0.1) | (upper < 0.1))
         # Joints that spread the fingers to one side only rest away from that limit, fingers apart.
@@ -260,33 +246,18 @@ class _FoundHand:
         return q
 
     def _tip(self, finger: RobotFinger) -> PointSpec:
-        """Return a fingertip; an additional finger is paired with the human little finger."""
-        name, tip = f"{finger.name}_tip", finger.end
+        """Return a fingertip."""
+        tip = finger.end
         sure = max(self._sure["thumb" if finger.name == THUMB else "fingers"], 0.3)
-        self._add(name, tip.link, tip.how, min(tip.confidence, sure))
-        partner = None if finger.name in FINGERS else "little_tip"
-        return PointSpec(
-            name,
-            tip.link,
-            _vector(tip.xyz, 4),
-            finger.name,
-            1.0,
-            partner,
-            self._pad(finger),
-        )
+        self._add(f"{finger.name}_tip", tip.link, tip.how, min(tip.confidence, sure))
+        return _point(finger, "tip", tip.link, tip.xyz, self._pad(finger))
 
     def _middle(self, finger: RobotFinger, place: Place) -> PointSpec:
         """Return the PIP joint of a finger, or the IP joint of the thumb."""
         body, xyz = place
-        is_off = np.linalg.norm(xyz) > _OFF_AXIS
-        return PointSpec(
-            f"{finger.name}_{'ip' if finger.name == THUMB else 'pip'}",
-            self.robot.links[body][0],
-            _vector(xyz, 4) if is_off else (0.0, 0.0, 0.0),
-            finger.name,
-            1.0,
-            None if finger.name in FINGERS else "little_pip",
-        )
+        xyz = xyz if np.linalg.norm(xyz) > _OFF_AXIS else np.zeros(3)
+        kind = "ip" if finger.name == THUMB else "pip"
+        return _point(finger, kind, self.robot.links[body][0], xyz)
 
     def _pad(self, finger: RobotFinger) -> PadSpec | None:
         """Return the pad of a finger whose surface is visual only; the mapping finds all others."""
@@ -327,12 +298,12 @@ class _FoundHand:
 
 def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
     """Name the actuated wrist joints above a palm, and the base that keeps them; else nothing."""
-    path = robot.path(robot.body(palm), 0)
-    reach = np.linalg.norm(robot.origins(path) - robot.origin_of(palm), axis=1)
     near = [
         joint
-        for joint, distance in zip(path, reach, strict=True)
-        if robot.model.names[joint] in robot.active and distance < _WRIST_REACH
+        for joint in robot.path(robot.body(palm), 0)
+        if robot.model.names[joint] in robot.active
+        and np.linalg.norm(robot.pose_in(robot.links[joint][0], palm)[:3, 3])
+        < _WRIST_REACH
     ]
     names = ", ".join(robot.model.names[joint] for joint in near)
     return names, robot.carriers(near[0])[-1] if near else ""
@@ -342,43 +313,62 @@ def _on_arm(
     text: str | bytes, urdf: Path, spec: HandSpec, base: str
 ) -> tuple[HandSpec, list[str]]:
     """Return the hand with the arm from `base` to it; all other joints are locked."""
-    robot = Robot(text, urdf, root=base)
-    hand = spec.wrist.link
+    robot, hand = Robot(text, urdf, root=base), spec.wrist.link
     if hand not in robot.frames:
         problem = f"the hand {hand!r} does not hang from the base {base!r}"
         raise HandError(problem, file=urdf, value=base)
-    above = {robot.model.names[joint] for joint in robot.path(robot.body(hand), 0)}
+    above = [robot.model.names[joint] for joint in robot.path(robot.body(hand), 0)]
     arm = tuple(joint for joint in robot.active if joint in above)
     if not arm:
         problem = f"no joint moves between {base!r} and the hand {hand!r}"
         raise HandError(problem, file=urdf, value=base)
     # A straight arm is singular; at mid-range it seldom is.
     middle = 0.5 * (robot.lower_limits + robot.upper_limits)
-    rest = {
-        joint: float(q)
-        for joint, q in zip(robot.active, middle.round(4) + 0.0, strict=True)
-        if joint in arm
-    }
-    still = {
-        joint: float(q)
-        for joint, q in zip(robot.active, robot.zero, strict=True)
-        if joint not in (*arm, *spec.joints)
-    }
+    rest = _positions(robot, middle.round(4) + 0.0)
+    joints, still = (*arm, *spec.joints), _positions(robot, robot.zero)
+    still = {joint: still[joint] for joint in still if joint not in joints}
     changed = msgspec.structs.replace(
         spec,
         root=None if robot.is_whole else base,
         wrist=WristSpec(hand, "fixed"),
-        joints=(*arm, *spec.joints),
-        rest=rest | spec.rest,
+        joints=joints,
+        rest=_picked(rest, arm) | spec.rest,
         locked=spec.locked | still,
-        limits={joint: limit for joint, limit in robot.assumed.items() if joint in arm}
-        | spec.limits,
+        limits=_picked(robot.assumed, arm) | spec.limits,
     )
     notes = [
         f"the arm from {base} to {hand} moves the wrist: {', '.join(arm)}",
         f"{len(still)} other joints are locked",
     ]
     return changed, notes
+
+
+def _positions(robot: Robot, q: np.ndarray) -> dict[str, float]:
+    """Return positions of the active joints by name [rad or m]."""
+    return dict(zip(robot.active, q.tolist(), strict=True))
+
+
+def _picked(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """Return the values of those names that have one."""
+    return {name: values[name] for name in names if name in values}
+
+
+def _point(
+    finger: RobotFinger,
+    kind: str,
+    link: str,
+    xyz: np.ndarray,
+    pad: PadSpec | None = None,
+) -> PointSpec:
+    """Return a point of a finger; an additional one is paired with the human little finger."""
+    return PointSpec(
+        f"{finger.name}_{kind}",
+        link,
+        _vector(xyz, 4),
+        finger.name,
+        partner=None if finger.name in FINGERS else f"little_{kind}",
+        pad=pad,
+    )
 
 
 def _vector(values: np.ndarray, digits: int) -> tuple[float, float, float]:

@@ -25,13 +25,16 @@ _SHORT = {
     "ring": re.compile(rf"(?:^|[^a-zA-Z])(?:rf|RF){_PART}"),
     "little": re.compile(rf"(?:^|[^a-zA-Z])(?:lf|LF|pf|PF){_PART}"),
 }
+# Single letters, as in `hand_T-MP`; at the start of a name one may be a side.
 _LETTERS = {
-    "t": "thumb",
-    "i": "index",
-    "m": "middle",
-    "r": "ring",
-    "p": "little",
-    "l": "little",
+    finger: re.compile(rf"(?<=[^a-zA-Z])[{letters}](?![a-zA-Z])")
+    for finger, letters in (
+        ("thumb", "tT"),
+        ("index", "iI"),
+        ("middle", "mM"),
+        ("ring", "rR"),
+        ("little", "pPlL"),
+    )
 }
 # A single letter counts only at the start or end of a name: `l3` is usually the third link, not a
 # left one.
@@ -65,19 +68,20 @@ def named_fingers(chains: list[list[str]]) -> list[str | None]:
         Name of each finger: `thumb`, `index`, `middle`, `ring` or `little`. None for chains without
         one; all None if two chains have the same one.
     """
-    for patterns in (_WORDS, _SHORT):
+    # `rh_ffmiddle` is the middle phalanx of the first finger, and short names have other meanings
+    # (`rf`: right front): those that name all chains come first, a hand has at least three.
+    every = max(3, len(chains))
+    for patterns, least in (
+        (_SHORT, every),
+        (_WORDS, 1),
+        (_SHORT, 3),
+        (_LETTERS, every),
+    ):
         found = [_most_frequent(chain, patterns) for chain in chains]
-        # Abbreviations have other meanings (`rf`: right front); a hand has at least three.
-        if patterns is _WORDS:
-            short = [_most_frequent(chain, _SHORT) for chain in chains]
-            if None not in short and len(set(short)) == len(short) > 2:
-                # `rh_ffmiddle` is the middle phalanx of the first finger.
-                return list(short)
         given = [name for name in found if name is not None]
-        least = 1 if patterns is _WORDS else 3
-        if len(given) >= least and len(set(given)) == len(given):
-            return list(found)
-    return _by_letters(chains)
+        if len({*given}) == len(given) >= least:
+            return found
+    return [None] * len(chains)
 
 
 def _most_frequent(
@@ -94,24 +98,3 @@ def _most_frequent(
         if places:
             votes[min(places, key=lambda finger: places[finger])] += 1
     return votes.most_common(1)[0][0] if votes else None
-
-
-def _by_letters(chains: list[list[str]]) -> list[str | None]:
-    """Return fingers named by one letter, as in `hand_T-MP`, if each chain has another one."""
-    tokens = [
-        Counter(
-            token.lower() for name in chain for token in re.split(r"[^A-Za-z]+", name)
-        )
-        for chain in chains
-    ]
-    found: list[str | None] = []
-    for i, own in enumerate(tokens):
-        letters = [
-            letter
-            for letter in _LETTERS
-            if own[letter] >= 2
-            and not any(other[letter] for k, other in enumerate(tokens) if k != i)
-        ]
-        found.append(_LETTERS[letters[0]] if len(letters) == 1 else None)
-    is_clear = None not in found and len(set(found)) == len(found) > 2
-    return found if is_clear else [None] * len(chains)

@@ -11,14 +11,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.hands.fingers import (
     PARALLEL,
     Finger,
     Flexion,
+    Jointed,
     PalmKinematics,
     ends_of,
     nearing,
+    zero_posture,
 )
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
@@ -34,8 +35,8 @@ class HandFlexion:
     """How a hand's fingers flex; F fingers, n active joints.
 
     Args:
-        robot: The robot.
-        fingers: Its fingers.
+        robot: The robot, or a hand.
+        fingers: Fingers of it.
         palmar: Direction out of the palm in the palm link's frame, if known: the way of fingers
             that curl equally far both ways, shape (3,).
 
@@ -44,6 +45,7 @@ class HandFlexion:
         q_closed: The same with every flexing joint at the end of its range where the finger is
             closed, shape (n,).
         sign: Sense in which each joint flexes or closes a finger, 0 if it does not, shape (n,).
+        slides: Which joints turn no fingertip, shape (n,).
         moves: Which joint moves which fingertip, shape (F, n).
         roots: Origin of each finger's first joint in the palm link's frame [m], shape (F, 3).
         bases: Knuckle of each finger: the point of the first flexing axis nearest to the tip, or
@@ -60,17 +62,18 @@ class HandFlexion:
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Jointed,
         fingers: Sequence[Finger],
         palmar: np.ndarray | None = None,
     ) -> None:
         self._robot, self._fingers, self._view = robot, fingers, PalmKinematics(robot)
         self._tips = [finger.tip for finger in fingers]
         roots = [(finger.joints[0], np.zeros(3)) for finger in fingers]
-        self.roots = self._view.points(robot.zero, roots)
-        self.moves = np.zeros((len(fingers), len(robot.zero)), dtype=bool)
+        zero = zero_posture(robot)
+        self.roots = self._view.points(zero, roots)
+        self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
         straight = np.ma.masked_all(self.moves.shape)
-        self.sign, self.certainty = np.zeros(len(robot.zero)), np.zeros(len(fingers))
+        self.sign, self.certainty = np.zeros(len(zero)), np.zeros(len(fingers))
         self.ways, self.axes = np.zeros((2, len(fingers), 3))
         self._groups, self.bases = dict[int, Flexion](), self.roots.copy()
         for i, finger in enumerate(fingers):
@@ -81,10 +84,9 @@ class HandFlexion:
                 self.sign[group.columns] += group.certainty * group.sense * group.signs
         # A joint that moves several fingers takes the mean of their straight positions.
         mean, self.sign = straight.mean(axis=0), np.sign(self.sign)
-        self.q_open = mean.filled(robot.zero)
-        self._motions = np.array(
-            [self._view.motion(self.q_open, tip)[:3] for tip in self._tips]
-        )
+        self.q_open = mean.filled(zero)
+        motions = np.array([self._view.motion(self.q_open, tip) for tip in self._tips])
+        self._motions, self.slides = motions[:, :3], ~motions[:, 3:].any(axis=(0, 1))
         for i, group in self._groups.items():
             if group.certainty > 0.0:
                 self._settle(i, group.certainty)
@@ -94,7 +96,7 @@ class HandFlexion:
         ends = ends_of(robot, self.q_open, np.arange(len(self.sign)), self.sign)
         self.q_closed = np.where(self.sign == 0.0, self.q_open, ends[1])
         # A jaw is open at one end of its range, which need not be zero.
-        jaws = (self.sign != 0.0) & np.ma.getmaskarray(mean) & robot.slides
+        jaws = (self.sign != 0.0) & np.ma.getmaskarray(mean) & self.slides
         self.q_open = np.where(jaws, ends[0], self.q_open)
         postures = np.array([self.q_open, self.q_closed])
         self.tips_open, self.tips_closed = self._view.points(postures, self._tips)

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.apps.onboarding.anatomy import angle_between
+from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.fingers import (
     THUMB,
@@ -279,31 +280,22 @@ def make_fist(hand: Hand) -> Fist | None:
     Returns:
         The directions; None if fewer than two fingers close, or they close about different axes.
     """
-    view, axes, directions = PalmKinematics(hand), {}, []
-    for name, finger in find_fingers(hand).items():
-        flexion = finger.flexion
-        if (
-            name == THUMB
-            or flexion is None
-            or not flexion.curls
-            or flexion.sense == 0.0
-        ):
-            continue
-        straight = zero_posture(hand)
-        straight[flexion.columns] = flexion.straight
-        line = view.points(straight, [finger.tip])[0] - flexion.knuckle
-        directions.append(line / np.linalg.norm(line))
-        axes[name] = flexion.sense * flexion.axis
-    if len(axes) < 2:
+    fingers = {
+        name: finger
+        for name, finger in find_fingers(hand).items()
+        if name != THUMB and (found := finger.flexion) and found.curls and found.sense
+    }
+    if len(fingers) < 2:
         return None
-    axis, direction = np.mean([*axes.values()], axis=0), np.mean(directions, axis=0)
-    if np.linalg.norm(axis) < _COMMON or np.linalg.norm(direction) < _COMMON:
+    flexion = HandFlexion(hand, [*fingers.values()])
+    axis, direction = flexion.axes.mean(axis=0), flexion.directions.mean(axis=0)
+    if min(np.linalg.norm(axis), np.linalg.norm(direction)) < _COMMON:
         return None
     # Flexion turns distal (y) towards palmar (-z), about -x.
     return Fist(
         angle_between(axis, np.array([-1.0, 0.0, 0.0])),
         angle_between(direction, np.array([0.0, 1.0, 0.0])),
-        tuple(axes),
+        tuple(fingers),
     )
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,11 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Place, zero_posture
-from handmap_qp.hands.mimic import expansion_matrix, read_mimic_rules, tighten_model
+from handmap_qp.hands.mimic import (
+    expansion_matrix,
+    read_mimic_rules,
+    tighten_model,
+)
 from handmap_qp.hands.sources import find_mesh
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf import (
@@ -71,7 +76,6 @@ class Robot:
         lower_limits: Their lower limits, narrowed by mimic joints [rad or m], shape (n,).
         upper_limits: Their upper limits, shape (n,).
         zero: Zero clipped to the limits [rad or m], shape (n,).
-        slides: Which of them are prismatic, shape (n,).
         endless: Names of the joints of type `continuous` in the file.
         assumed: Limits that the URDF lacks, by joint.
         locked: Positions of joints that are locked [rad or m].
@@ -109,47 +113,46 @@ class Robot:
             for name, joint in joints_by_name(robot).items()
             if joint.get("type") in MOVABLE
         }
-        kinds = {name: joint.get("type", "") for name, joint in joints.items()}
-        self.endless = {name for name, kind in kinds.items() if kind == "continuous"}
+        self.endless = {n for n, j in joints.items() if j.get("type") == "continuous"}
         self.dropped_rules = self._drop_rules(joints)
         self.assumed, equal = self._assume_limits(joints)
         self.locked = prepare_urdf(robot, None, {}, equal, self.assumed)
-        rules = read_mimic_rules(robot)
-        self._leaders = {name: rule.joint for name, rule in rules.items()}
-        try:
-            self.model = pin.buildModelFromXML(ET.tostring(robot, encoding="unicode"))
-        except (RuntimeError, ValueError) as error:
-            problem = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
-            raise HandError(problem) from error
-        for note in tighten_model(self.model, rules):
-            self._remark("", note)
         movable = [name for name in joints if name not in self.locked]
         if not movable:
             problem = f"no movable joint hangs from the link {self.root!r}"
             raise HandError(problem, value=self.root)
-        self.joints = [self.model.getJointId(name) for name in movable]
+        rules = read_mimic_rules(robot)
+        self._leaders = {name: rule.joint for name, rule in rules.items()}
         self.active = [name for name in movable if name not in self._leaders]
-        self.slides = np.array([kinds[name] == "prismatic" for name in self.active])
-        names = list(self.model.names)[1:]
+        self._elements = {link.get("name", ""): link for link in robot.iterfind("link")}
+        self._build(ET.tostring(robot, encoding="unicode"), rules)
+        self.joints = [self.model.getJointId(name) for name in movable]
+
+    def _build(self, text: str, rules: Mapping[str, MimicSpec]) -> None:
+        """Build the model, and place it at zero."""
+        try:
+            self.model = model = pin.buildModelFromXML(text)
+        except (RuntimeError, ValueError) as error:
+            problem = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
+            raise HandError(problem) from error
+        for note in tighten_model(model, rules):
+            self._remark("", note)
+        names = list(model.names)[1:]
         self.expansion = expansion_matrix(names, self.active, rules)
         self.joint_columns = np.arange(len(self.active))
         at = [names.index(name) for name in self.active]
-        self.lower_limits = self.model.lowerPositionLimit[at]
-        self.upper_limits = self.model.upperPositionLimit[at]
-        self.zero = zero_posture(self)
-        self.palm_frame_id = 0
-        self._elements = {link.get("name", ""): link for link in robot.iterfind("link")}
-        self.frames, self.links = (
-            dict[str, int](),
-            [list[str]() for _ in self.model.names],
-        )
-        for i, frame in enumerate(self.model.frames):
+        self.lower_limits = model.lowerPositionLimit[at]
+        self.upper_limits = model.upperPositionLimit[at]
+        self.zero, self.palm_frame_id = zero_posture(self), 0
+        self.frames: dict[str, int] = {}
+        self.links: list[list[str]] = [[] for _ in model.names]
+        for i, frame in enumerate(model.frames):
             if frame.type == pin.FrameType.BODY:
                 self.frames[frame.name] = i
                 self.links[frame.parentJoint].append(frame.name)
-        self._data = self.model.createData()
+        self._data = model.createData()
         vector = self.configuration_vector(self.zero)
-        pin.framesForwardKinematics(self.model, self._data, vector)
+        pin.framesForwardKinematics(model, self._data, vector)
 
     @property
     def notes(self) -> list[str]:
@@ -188,15 +191,14 @@ class Robot:
 
     def carriers(self, joint: int) -> list[str]:
         """Return the links of a body out to the one that carries a joint."""
-        frames, found = self.model.frames, list[str]()
-        name, body = self.model.names[joint], self.model.parents[joint]
-        link = frames[
-            frames[self.model.getFrameId(name, pin.FrameType.JOINT)].parentFrame
-        ]
-        while link.type == pin.FrameType.BODY and link.parentJoint == body:
-            found.insert(0, link.name)
+        frames, body, found = self.model.frames, self.model.parents[joint], list[str]()
+        index = self.model.getFrameId(self.model.names[joint], pin.FrameType.JOINT)
+        index = frames[index].parentFrame
+        while index and frames[index].parentJoint == body:
             # Between two links is the frame of their joint.
-            link = frames[frames[link.parentFrame].parentFrame]
+            if frames[index].type == pin.FrameType.BODY:
+                found.insert(0, frames[index].name)
+            index = frames[index].parentFrame
         return found
 
     def driver(self, joint: str) -> str:
@@ -223,10 +225,6 @@ class Robot:
         found = [self._data.oMi[body].translation for body in bodies]
         return np.array(found).reshape(-1, 3)
 
-    def origin_of(self, link: str) -> np.ndarray:
-        """Return the origin of a link at `zero` [m], shape (3,)."""
-        return self._data.oMf[self.frames[link]].translation
-
     def pose_in(self, link: str, other: str) -> np.ndarray:
         """Return a link's pose in another link's frame at `zero`, shape (4, 4)."""
         placed = self._data.oMf
@@ -236,8 +234,10 @@ class Robot:
 
     def has_collision_shapes(self, body: int) -> bool:
         """Return whether a link of a body has a collision shape."""
-        links = (self._elements[link] for link in self.links[body])
-        return any(link.find("collision") is not None for link in links)
+        return any(
+            self._elements[link].find("collision") is not None
+            for link in self.links[body]
+        )
 
     def balls(self, body: int) -> np.ndarray:
         """Return the centres of a body's spheres in its frame [m], shape (k, 3)."""
@@ -274,18 +274,19 @@ class Robot:
         # Loading it takes half a second, and hands without shapes need it not.
         import trimesh
 
-        made, points = trimesh.creation, np.zeros((0, 3))
-        solid = shape.find("geometry/*")
+        solid, points = shape.find("geometry/*"), np.zeros((0, 3))
         if solid is None:
             return points
         match solid.tag:
             case "box":
-                points = made.box(get_numbers(solid, "size", 3)).vertices
+                points = trimesh.creation.box(get_numbers(solid, "size", 3)).vertices
             case "sphere":
-                points = made.icosphere(2, _number(solid, "radius")).vertices
+                points = trimesh.creation.icosphere(
+                    2, *get_numbers(solid, "radius", 1)
+                ).vertices
             case "cylinder":
-                size = _number(solid, "radius"), _number(solid, "length")
-                points = made.cylinder(*size, sections=24).vertices
+                size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
+                points = trimesh.creation.cylinder(*size, sections=24).vertices
             case "mesh":
                 points = self._mesh(solid.get("filename", ""))
                 points = points * get_numbers(solid, "scale", 3, "1 1 1")
@@ -332,33 +333,30 @@ class Robot:
         given = {name: _limits(joint) for name, joint in joints.items()}
         kinds = {name: joint.get("type", "") for name, joint in joints.items()}
         turns = [
-            np.ptp(given[name][:2]) for name, k in kinds.items() if k == "revolute"
+            upper - lower
+            for name, (lower, upper, _) in given.items()
+            if kinds[name] == "revolute"
         ]
-        in_degrees = bool(turns) and np.nanmedian(turns) > _LARGEST_TURN
+        in_degrees = bool(turns and np.nanmedian(turns) > _LARGEST_TURN)
         assumed, equal = dict[str, LimitSpec](), dict[str, float]()
-        for name, joint in joints.items():
-            if joint.find("mimic") is not None:
+        for name, (lower, upper, speed) in given.items():
+            if joints[name].find("mimic") is not None:
                 continue
-            kind, (lower, upper, speed) = kinds[name], given[name]
             if lower == upper:
                 equal[name] = lower
                 self._remark(name, "has equal limits: it is locked")
                 continue
+            kind, changes = kinds[name], dict[str, float]()
             ends, what = _assumed_range(kind, lower, upper, in_degrees=in_degrees)
-            changes = (
-                {"lower": ends[0], "upper": ends[1]} if ends != (lower, upper) else {}
-            )
             if what:
                 self._remark(name, what)
-            if np.isnan(speed):
-                speeds = [given[other][2] for other in given if kinds[other] == kind]
-                known = ~np.isnan(speeds)
-                speed = (
-                    np.median(np.array(speeds)[known])
-                    if known.any()
-                    else _ASSUMED_SPEED[kind]
-                )
-                changes["velocity"] = float(speed)
+            if ends != (lower, upper):
+                changes = {"lower": ends[0], "upper": ends[1]}
+            if math.isnan(speed):
+                alike = [given[other][2] for other in given if kinds[other] == kind]
+                known = [other for other in alike if other > 0.0]
+                speed = float(np.median(known)) if known else _ASSUMED_SPEED[kind]
+                changes["velocity"] = speed
                 what = f"has no speed limit in the URDF: {speed:.4g} is assumed"
                 self._remark(name, what)
             if changes:
@@ -369,15 +367,12 @@ class Robot:
 def _limits(joint: ET.Element) -> tuple[float, float, float]:
     """Return the lower and upper limit and the speed of a joint; NaN where there is none."""
     limit = joint.find("limit")
-    if limit is None:
-        return math.nan, math.nan, math.nan
-    has_range = {"lower", "upper"} & limit.attrib.keys() and joint.get(
-        "type"
-    ) != "continuous"
-    lower, upper = (
-        _number(limit, key) if has_range else math.nan for key in ("lower", "upper")
+    given = {} if limit is None else limit.attrib
+    lower, upper, speed = (
+        float(given.get(key, 0.0)) for key in ("lower", "upper", "velocity")
     )
-    speed = _number(limit, "velocity")
+    if joint.get("type") == "continuous" or not {"lower", "upper"} & given.keys():
+        lower = upper = math.nan
     return lower, upper, speed if 0.0 < speed < math.inf else math.nan
 
 
@@ -399,7 +394,3 @@ def _assumed_range(
     else:
         return (lower, upper), ""
     return ends, f"{what}: [{ends[0]:.4g}, {ends[1]:.4g}] is assumed"
-
-
-def _number(element: ET.Element, key: str) -> float:
-    return get_numbers(element, key, 1, "0")[0]
