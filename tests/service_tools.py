@@ -233,7 +233,7 @@ def lose_sessions(server: Server) -> None:
 
     def lose() -> None:
         for entry in sessions.entries.values():
-            sessions._store.note(entry.session.record)
+            sessions.store.note(entry.session.record)
         sessions.entries.clear()
 
     in_loop(server, lose)
@@ -245,7 +245,7 @@ def skip(server: Server, seconds: float) -> None:
 
     def act() -> None:
         before = dispatcher._clock
-        dispatcher._clock = dispatcher.sessions._clock = lambda: before() + seconds
+        dispatcher._clock = dispatcher.sessions.clock = lambda: before() + seconds
         dispatcher.tick()
 
     in_loop(server, act)

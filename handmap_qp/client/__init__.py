@@ -157,10 +157,13 @@ class _Core:
     ) -> None:
         if "://" not in address or not address.rpartition(":")[2].isdigit():
             raise ValueError(f"expected an address such as {ADDRESS}, got {address!r}")
-        self.address, self.timeout, self.attempts = address, timeout, attempts
+        self.address = address
+        self.timeout = timeout
+        self.attempts = attempts
         self.reopened = 0
         self._keys = None if keys is None else _load_keys(keys)
-        self._seq, self._protocol = 0, PROTOCOL
+        self._seq = 0
+        self._protocol = PROTOCOL
         self._sockets: dict[Use, tuple[tuple[str, str], Any]] = {}
         # Calls of several tasks take turns. One task may wait for the stream meanwhile.
         self._turns: dict[Turn, asyncio.Lock] = defaultdict(asyncio.Lock)
@@ -174,7 +177,8 @@ class _Core:
         self._addressee: Request = {
             "session": ""
         }  # or the public name of a watched session
-        self._stream_name, self._stream_port = "", 0
+        self._stream_name = ""
+        self._stream_port = 0
         self._released_at = 0  # number of the last request that changed `is_released`
 
     def _sample(self, kind: str, human: Request) -> Request:
@@ -224,7 +228,8 @@ class _Core:
             )
         state = yield from self._call({"type": "status", "name": name}, State)
         self._addressee = {"name": name}
-        self._stream_name, self._stream_port = name, state.stream_port
+        self._stream_name = name
+        self._stream_port = state.stream_port
         self._socket("stream")
         return state
 
@@ -263,7 +268,8 @@ class _Core:
         payload = _ENCODE(request)
         for left in range(self.attempts, 0, -1):
             # Each attempt has an equal share of the time that is left.
-            now, socket = clock.monotonic(), self._socket("requests")
+            now = clock.monotonic()
+            socket = self._socket("requests")
             until = now + (deadline - now) / left
             answer = yield _Io(socket, payload, until)
             while answer is not None:
@@ -287,7 +293,8 @@ class _Core:
             self._read_streamed(payload)
         last = self._last_command
         yield from self._call(self._reopen_request(), Opened, deadline)
-        self._last_command, self.reopened = last, self.reopened + 1
+        self._last_command = last
+        self.reopened = self.reopened + 1
 
     def _reopen_request(self) -> Request:
         """Return a request that opens the session again, at the robot's last known posture.
@@ -314,7 +321,8 @@ class _Core:
 
     def _read(self, payload: bytes) -> Reply:
         """Decode a reply, and remember the last command for `_reopen_request`."""
-        reply, last = _DECODE(payload), self._last_command
+        reply = _DECODE(payload)
+        last = self._last_command
         if isinstance(reply, Command) and (last is None or reply.seq >= last.seq):
             self._last_command = reply
             # Other clients may release a shared session too. A request of this client is newer than
@@ -340,12 +348,16 @@ class _Core:
 
     def _note(self, request: Request, reply: Reply) -> None:
         """Note what a request that was carried out means for the next reopening."""
-        wanted, kind = self._open_request, request["type"]
+        wanted = self._open_request
+        kind = request["type"]
         if isinstance(reply, Opened):
-            self._open_request, self.opened = request, reply
-            self._last_command, self._released_at = None, reply.seq
+            self._open_request = request
+            self.opened = reply
+            self._last_command = None
+            self._released_at = reply.seq
             self._addressee = {"session": request["session"]}
-            self._stream_name, self._stream_port = reply.name, reply.stream_port
+            self._stream_name = reply.name
+            self._stream_port = reply.stream_port
             self._socket("stream")  # subscribe before the first command
         elif not wanted or "name" in request:
             return
@@ -357,10 +369,13 @@ class _Core:
 
     def _socket(self, use: Use) -> Any:
         """Return the socket for a use, connected when it is first needed for a session."""
-        address, kind, session = self.address, zmq.DEALER, ""
+        address = self.address
+        kind = zmq.DEALER
+        session = ""
         if use == "stream":
             address = f"{address.rpartition(':')[0]}:{self._stream_port}"
-            kind, session = zmq.SUB, self._stream_name
+            kind = zmq.SUB
+            session = self._stream_name
         elif use == "samples":
             # Answers to samples before a reopening would reopen the session again.
             session = f"{self._addressee.get('session', '')}{self.reopened}"

@@ -117,12 +117,12 @@ class World:
         """Return a copy that goes on by itself. What does not change is shared."""
         there, session = self.dispatcher.sessions, self.session
         shared: list[Any] = [self._loop, CACHE, self.dispatcher._metrics]
-        shared += there._executor, there._works, there._settings
+        shared += there._executor, there._works, there.settings
         if session is not None:
             hands, mapper = session._hands, session._hands.mapper
             shared += hands.robot, hands.pair, hands.follower, hands.choice
             shared += mapper.human, mapper.robot, mapper._plan.bound, mapper._human
-            shared += mapper.method, session._commanded._workspace, session.request
+            shared += mapper.method, session._commanded._placed, session.request
         return deepcopy(self, {id(thing): thing for thing in shared})
 
     @property

@@ -2,28 +2,24 @@
 
 Its messages are the types of `handmap_qp.client.messages`.
 
-Messages:
-    decoding    requests, their checks, and replies
-    schema      description of the messages
-    refusals    errors as refusals that name a field
-
-One session, without input or output:
-    session     steps, reset, options
-    states      states and transitions, watchdog, owner
-    safety      posture last commanded, speed limits, time granted
-    samples     kinds of samples, and the values of commands
+One session, without sockets:
+    session     samples become commands; options, reset, stop
+    safety      states, watchdog, the gate of the robot, time granted
     opening     hands and mapper from a request; measurement of the human hand
 
 All sessions:
-    dispatch    requests, rate limits, repeated requests, answers
-    sessions    open, find and end sessions
-    settings    addresses, files, limits of what clients may do; rate_limit
+    dispatch    messages are read, checked, answered; rate limits, repeated requests
+    sessions    open, find and end sessions; their owners
     store       postures that outlive sessions
+    settings    addresses, files, limits of what clients may do
 
 Transports:
     server      ZeroMQ sockets, and the process; connection_gate in front of them
-    websocket   WebSocket; pages, metrics (HTTP)
+    websocket   WebSocket; pages (HTTP)
     keys        CURVE keys and tokens
+
+What users and operators see:
     cli         commands
-    logs        logs, and the audit log
+    schema      description of the messages
+    logs        logs, the audit log, metrics
 """

@@ -22,12 +22,12 @@ import socket
 import time
 from collections.abc import Generator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from logging import WARNING
 
 import zmq
 
-from handmap_qp.apps.service.logs import Bucket, Metrics, Throttle
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.apps.service.logs import Bucket, Metrics, Throttle, naming
 
 _RATE = 1024.0
 """Credit that a connection gets without a message, for heartbeats and topics [bytes/s]."""
@@ -39,7 +39,8 @@ _AT_ONCE = 2048
 """Bytes read from a client in one turn of the event loop."""
 _BUFFER = 4096
 """Bytes that wait for a client before the gate stops reading from the socket."""
-_GREETING, _LONG = 64, 0x02
+_GREETING = 64
+_LONG = 0x02
 """ZMTP 3: bytes of the greeting; flag of a frame whose length has eight bytes."""
 _FRAME = 64
 """What libzmq stores for a frame beside its content [bytes]."""
@@ -70,14 +71,16 @@ def count_frames() -> Generator[int, bytes, None]:
                 break
             at += size + int.from_bytes(data[at + 1 : at + size], "big")
             count += 1
-        rest, at = data[at:], max(0, at - len(data))
+        rest = data[at:]
+        at = max(0, at - len(data))
         data = rest + (yield count)
 
 
+@dataclass(eq=False)
 class ConnectionGate:
     """Listens in front of a socket: an asynchronous context manager that returns the port.
 
-    Args:
+    Attributes:
         name: Name of the port, for counters and log.
         host: Address to listen on.
         port: Port; 0 lets the system choose.
@@ -88,19 +91,16 @@ class ConnectionGate:
             was silent for longest. Otherwise it is refused.
     """
 
-    def __init__(
-        self,
-        name: str,
-        host: str,
-        port: int,
-        most: int,
-        credit: float,
-        metrics: Metrics,
-        *,
-        evicts: bool = False,
-    ) -> None:
-        self._name, self._host, self._port, self._metrics = name, host, port, metrics
-        self._most, self.credit, self._evicts = most, credit, evicts
+    name: str
+    host: str
+    port: int
+    most: int
+    credit: float
+    metrics: Metrics
+    evicts: bool = False
+
+    def __post_init__(self) -> None:
+        """Give the socket behind the gate a name that others do not know."""
         self.inner = f"handmap-{secrets.token_hex(16)}"
         self._clients: set[_Client] = set()
         self._known: dict[bytes, _Client] = {}
@@ -113,19 +113,11 @@ class ConnectionGate:
 
     async def __aenter__(self) -> int:
         loop = asyncio.get_running_loop()
-        try:
+        advice = "give a free port at an IP address of this machine"
+        with naming(f"{self.host}:{self.port}", advice=advice):
             self._server = await loop.create_server(
-                lambda: _Client(self), self._host, self._port, backlog=_ACCEPTED
+                lambda: _Client(self), self.host, self.port, backlog=_ACCEPTED
             )
-        except OSError as error:
-            address, problem = (
-                f"{self._host}:{self._port}",
-                str(error.strerror or error),
-            )
-            advice = "give a free port at an IP address of this machine"
-            raise InvalidInputError(
-                argument=address, problem=problem, advice=advice
-            ) from error
         (bound, *_) = self._server.sockets
         # asyncio accepts the whole backlog in one turn, so it is told of a shorter one.
         with socket.fromfd(bound.fileno(), bound.family, bound.type) as listening:
@@ -141,11 +133,11 @@ class ConnectionGate:
 
     def admit(self, client: _Client) -> None:
         """Count a connection in, and end one if there are too many."""
-        if len(self._clients) >= self._most:
+        if len(self._clients) >= self.most:
             least = min(
                 self._clients, key=lambda each: (bool(each.identity), each.heard)
             )
-            (least if self._evicts else client).end("too many connections")
+            (least if self.evicts else client).end("too many connections")
         if not client.transport.is_closing():
             self._clients.add(client)
 
@@ -154,8 +146,8 @@ class ConnectionGate:
         self._clients.discard(client)
         self._known.pop(client.identity, None)
         if reason:
-            self._metrics.refusals[self._name] += 1
-            self._refusals.report(WARNING, "ended", port=self._name, reason=reason)
+            self.metrics.refusals[self.name] += 1
+            self._refusals.report(WARNING, "ended", port=self.name, reason=reason)
 
     def find(self, message: Sequence[zmq.Frame]) -> _Client | None:
         """Return the connection of a message from a ROUTER socket; None if it has ended."""
@@ -169,7 +161,8 @@ class ConnectionGate:
                 ) as end:
                     name = end.getpeername()
                 client = next(each for each in self._clients if each.name == name)
-                client.identity, self._known[identity] = identity, client
+                client.identity = identity
+                self._known[identity] = client
         return client
 
 
@@ -189,17 +182,16 @@ class _Client(asyncio.BufferedProtocol):
 
     def __init__(self, gate: ConnectionGate) -> None:
         self.heard = time.monotonic()
-        self._gate, self._buffer, self._frames = (
-            gate,
-            bytearray(_AT_ONCE),
-            count_frames(),
-        )
+        self._gate = gate
+        self._buffer = bytearray(_AT_ONCE)
+        self._frames = count_frames()
         self._credit = Bucket(_RATE, self.heard, gate.credit)
         next(self._frames)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         assert isinstance(transport, asyncio.Transport)
-        self.transport, self._loop = transport, asyncio.get_running_loop()
+        self.transport = transport
+        self._loop = asyncio.get_running_loop()
         self._gate.admit(self)
         if transport.is_closing():
             return

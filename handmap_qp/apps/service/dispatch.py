@@ -57,7 +57,8 @@ Answer = Callable[[bytes], None]
 Send = Callable[[AnyReply], None]
 _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
-_MOST_PEERS, _ERRORS_PER_SECOND = 1024, 10.0
+_MOST_PEERS = 1024
+_ERRORS_PER_SECOND = 10.0
 
 
 class _Head(msgspec.Struct):
@@ -135,7 +136,8 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
     if separator:
         path = path.rstrip("`").lstrip(".")
     else:
-        message, named = path, re.search(r"field `(\w+)`$", path)
+        message = path
+        named = re.search(r"field `(\w+)`$", path)
         path = named[1] if named else ""
     if "matching regex" in message:
         message = f"expected {NAME}"
@@ -153,7 +155,8 @@ def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
         pose: Pose | None = getattr(request, field, None)
         if pose is None:
             continue
-        norm, far = math.hypot(*pose.quat_xyzw), math.hypot(*pose.position)
+        norm = math.hypot(*pose.quat_xyzw)
+        far = math.hypot(*pose.position)
         if not abs(norm - 1.0) <= _QUAT_TOLERANCE:
             yield f"{field}.quat_xyzw", f"expected a unit quaternion, got norm {norm:g}"
         if not far <= LARGEST:
@@ -188,21 +191,23 @@ class Dispatcher:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         store = PostureStore(None) if store is None else store
-        self._audit, self._who = audit or AuditLog(), Caller
+        self._audit = audit or AuditLog()
+        self._who = Caller
         self.sessions = Sessions(settings, cache, metrics, store, clock, self._audit)
         self.stream_port = 0
-        self._settings, self._cache, self._metrics = settings, cache, metrics
-        self._clock, self._started, self._version = (
-            clock,
-            clock(),
-            version("handmap-qp"),
-        )
+        self._settings = settings
+        self._cache = cache
+        self._metrics = metrics
+        self._clock = clock
+        self._started = clock()
+        self._version = version("handmap-qp")
         self._configures = Bucket(settings.configures, clock())
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending: dict[str, tuple[Sample, Send]] = {}
         self._opening: dict[str, tuple[bytes, asyncio.Task[AnyReply]]] = {}
-        self._refusals, self._bugs = Throttle(), Throttle()
+        self._refusals = Throttle()
+        self._bugs = Throttle()
         metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
         metrics.gauges["uptime_seconds"] = lambda: self._clock() - self._started
 
@@ -234,7 +239,8 @@ class Dispatcher:
             answer(encode_reply(reply))
 
         samples, errors = self._rates(peer)
-        now, self._who = self._clock(), who
+        now = self._clock()
+        self._who = who
         self._metrics.counts["requests"] += 1
         if not samples.take(now):
             self._metrics.refusals["rate"] += 1
@@ -254,7 +260,8 @@ class Dispatcher:
 
     def flush(self) -> None:
         """Map the newest streamed sample of each session since the last call."""
-        pending, self._pending = self._pending, {}
+        pending = self._pending
+        self._pending = {}
         for sample, send in pending.values():
             reply = self._attempt(sample, self._for_stream, sample)
             if isinstance(reply, Error):
@@ -310,7 +317,8 @@ class Dispatcher:
         if sample.seq <= entry.seq:
             entry.session.counts["stale"] += 1
         else:
-            entry.seq, entry.payload = sample.seq, b""
+            entry.seq = sample.seq
+            entry.payload = b""
             now = self._clock()
             reply = self._attempt(sample, self._act, entry.session, sample, now)
             if isinstance(reply, Error):
@@ -340,7 +348,8 @@ class Dispatcher:
         if request.seq <= entry.seq:
             message = f"expected a number above {entry.seq}, got {request.seq}"
             raise RefusedError("stale", message, field="seq")
-        entry.seq, entry.payload = request.seq, payload
+        entry.seq = request.seq
+        entry.payload = payload
         entry.answer = self._attempt(request, self._act, entry.session, request, now)
         return entry.answer
 
@@ -358,7 +367,8 @@ class Dispatcher:
         Raises:
             RefusedError: If the client may not do that.
         """
-        session, by = self.sessions.named(request.name or ""), self._who()
+        session = self.sessions.named(request.name or "")
+        by = self._who()
         if isinstance(request, Subscribe):
             if subscribe is None:
                 message = "connect a SUB socket to the stream's port instead"
@@ -488,10 +498,13 @@ class Dispatcher:
     def _failure(self, seq: int, error: Exception) -> Error:
         """Return the error to answer with; log an unexpected one."""
         if isinstance(error, RefusedError):
-            code, message, field = error.code, str(error), error.field
+            code = error.code
+            message = str(error)
+            field = error.field
         else:
             self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
-            code, field = "internal", ""
+            code = "internal"
+            field = ""
             message = "the server failed at this request; see its log"
         return self._counted(Error(seq=seq, code=code, message=message, field=field))
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from zmq.auth import create_certificates, load_certificate
 
-from handmap_qp.apps.service.logs import Throttle, report
+from handmap_qp.apps.service.logs import Throttle, naming, report
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 
 _KEY_LENGTH = 40
@@ -56,7 +56,8 @@ class ClientKeys:
                 seen[file] = (status.st_ino, status.st_mtime_ns, status.st_size)
         if seen != self._seen:
             keys = {file: key for file in seen if (key := _read_public(file))}
-            self._seen, self._keys = seen, frozenset(keys.values())
+            self._seen = seen
+            self._keys = frozenset(keys.values())
             self._names |= {
                 key.decode("ascii", "replace"): f.stem for f, key in keys.items()
             }
@@ -104,11 +105,12 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
             )
     _check_folder(folder)
     written: list[Path] = []
-    try:
+    with naming():
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         (folder / "clients").mkdir(mode=0o700, exist_ok=True)
         for name in ("server", *clients):
-            secret, public = folder / f"{name}.key_secret", folder / f"{name}.key"
+            secret = folder / f"{name}.key_secret"
+            public = folder / f"{name}.key"
             admitted = folder / "clients" / f"{name}.key"
             is_new = not secret.exists()
             if is_new:
@@ -120,10 +122,6 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
             if name != "server" and (is_new or not admitted.exists()):
                 admitted.write_bytes(public.read_bytes())
                 written.append(admitted)
-    except OSError as error:
-        raise InvalidInputError(
-            argument=str(error.filename or folder), problem=str(error.strerror)
-        ) from error
     return written
 
 
@@ -174,13 +172,9 @@ def read_token(file: Path) -> str:
 
 def _read_private(file: Path) -> str:
     """Read a file with a secret; reject one that others can read."""
-    try:
+    with naming(file, "cannot be read"):
         is_open = file.stat().st_mode & 0o077
         text = file.read_text(encoding="utf-8", errors="replace")
-    except OSError as error:
-        raise InvalidInputError(
-            argument=str(file), problem=f"cannot be read: {error.strerror}"
-        ) from error
     if is_open:
         raise InvalidInputError(
             argument=str(file),

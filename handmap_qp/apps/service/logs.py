@@ -25,14 +25,15 @@ from typing import Any
 from prometheus_client import CollectorRegistry, Histogram, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, without_errno
 
 log = logging.getLogger("handmap_qp.apps.service")
 """Logger of the service; `report` writes to it."""
 websocket_log = logging.getLogger(f"{log.name}.websocket")
 # Connections that send no handshake would fill the log with tracebacks.
 websocket_log.setLevel(logging.CRITICAL)
-_RATE, _BURST = 20.0, 400.0
+_RATE = 20.0
+_BURST = 400.0
 """Lines of the audit log per second, and at once."""
 BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 """Upper edges of the histogram of step times [s]."""
@@ -59,6 +60,27 @@ def report(
 ) -> None:
     """Log an event with its data, and with the traceback of a failure."""
     log.log(level, event, exc_info=failure, extra={"data": data})
+
+
+@contextmanager
+def naming(argument: object = "", problem: str = "", **more: str) -> Iterator[None]:
+    """Raise what the system refuses as an error of an argument.
+
+    Args:
+        argument: Name of the argument, or the file; that of the system's error if omitted.
+        problem: What cannot be done, before the system's reason.
+        **more: Further fields of the error.
+
+    Raises:
+        InvalidInputError: In place of OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        reason = ": ".join(filter(None, (problem, without_errno(error))))
+        raise InvalidInputError(
+            argument=str(argument or error.filename), problem=reason, **more
+        ) from error
 
 
 class JsonLines(logging.Formatter):
@@ -126,7 +148,8 @@ class Bucket:
             count: Number of events; negative to take them back.
         """
         refilled = min(self._burst, self._left + (now - self._then) * self._rate)
-        self._left, self._then = min(self._burst, refilled - count), now
+        self._left = min(self._burst, refilled - count)
+        self._then = now
         return self._left
 
 
@@ -134,7 +157,8 @@ class Throttle:
     """Pass one report per second, with the number of reports suppressed before it."""
 
     def __init__(self) -> None:
-        self._bucket, self._suppressed = Bucket(1.0, time.monotonic()), 0
+        self._bucket = Bucket(1.0, time.monotonic())
+        self._suppressed = 0
 
     def report(self, level: int, event: str, **data: Any) -> None:
         """Log an event as `report`; only count it if one was logged less than a second ago."""
@@ -157,14 +181,12 @@ class AuditLog:
 
     def __init__(self, path: Path | None = None) -> None:
         self._file = -1
-        self._bucket, self._omitted = Bucket(_RATE, time.monotonic(), _BURST), 0
+        self._bucket = Bucket(_RATE, time.monotonic(), _BURST)
+        self._omitted = 0
         if path is not None:
-            try:
-                flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
+            flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
+            with naming(path, "cannot be written"):
                 self._file = os.open(path, flags, 0o600)
-            except OSError as error:
-                problem = f"cannot be written: {error.strerror}"
-                raise InvalidInputError(argument=str(path), problem=problem) from error
 
     def note(self, event: str, by: object, *, session: str = "", **data: Any) -> None:
         """Write one event.
@@ -184,7 +206,8 @@ class AuditLog:
             self._omitted += 1
             return
         if self._omitted:
-            omitted, self._omitted = self._omitted, 0
+            omitted = self._omitted
+            self._omitted = 0
             self._write({"event": "omitted", "count": omitted})
         self._write({"event": event, "session": session, "by": str(by), **data})
 

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from handmap_qp.client.messages import PROTECTING, Configure, Open
+from handmap_qp.client.messages import PROTECTING, Configure, Open, Step
 from handmap_qp.errors import (
     HandError,
     HandmapError,
@@ -61,17 +61,7 @@ _PERIOD = 1.0 / 60.0
 _LONGEST_BONE = 1.0
 _LONGEST_MESSAGE = 400
 _FIELDS = {"human_q": "q", "wrist_pose": "wrist", "method": "preset"} | {
-    name: name
-    for name in (
-        "wrist",
-        "points",
-        "landmarks",
-        "values",
-        "robot_q",
-        "robot_wrist",
-        "preset",
-        "human_points",
-    )
+    name: name for name in (*Open.__struct_fields__, *Step.__struct_fields__)
 }
 """Fields of requests by the arguments and choices of the library that take them."""
 
@@ -93,10 +83,10 @@ def refused(error: HandmapError, field: str = "") -> RefusedError:
         # Clients must not learn the server's paths.
         message = f"{error.key}: {error.problem}" if error.key else error.problem
     elif isinstance(error, InvalidInputError | InvalidOptionsError):
-        is_input = isinstance(error, InvalidInputError)
-        named = error.argument if is_input else error.option
+        named = error.argument or error.option
         if own := _field_of(named):
-            field, message = own, message.removeprefix(f"{named}: ")
+            field = own
+            message = message.removeprefix(f"{named}: ")
     message = " ".join(message.split())[:_LONGEST_MESSAGE]
     return RefusedError("invalid", message, field=field)
 
@@ -266,7 +256,9 @@ def prepare_hands(
     robot = cache.robot(request.robot, request.robot_points, request.mount)
     if lengths is None:
         lengths = with_field_errors("lengths", lambda: _human_lengths(request))
-    side, points, palm = request.side, request.human_points, None
+    side = request.side
+    points = request.human_points
+    palm = None
     human = with_field_errors(
         "human_points", lambda: cache.human(side, points, lengths)
     )
@@ -291,7 +283,8 @@ def prepare_hands(
 
 def _human_lengths(request: Open) -> HumanLengths | None:
     """Return the measured hand if the request has one."""
-    given, length = request.lengths, request.hand_length
+    given = request.lengths
+    length = request.hand_length
     if given is None:
         return None if length is None else HumanLengths.from_hand_length(length)
     bones = np.linalg.norm((given.bases, given.segments), axis=2)
@@ -349,9 +342,12 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
         preset: The preset in force.
         changes: The changes. Without a preset, options that are not named stay as they are.
     """
-    kept, ik, detail = request.options, request.ik, changes.has_detail
+    kept = request.options
+    ik = request.ik
+    detail = changes.has_detail
     if changes.preset is not None:
-        kept, ik = {}, {name: ik[name] for name in PROTECTING if name in ik}
+        kept = {}
+        ik = {name: ik[name] for name in PROTECTING if name in ik}
     return msgspec.structs.replace(
         request,
         preset=changes.preset or preset,
@@ -361,23 +357,23 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
     )
 
 
+@dataclass(eq=False)
 class Calibration:
     """Measure the human hand from landmarks, and prepare the hands of the session with it.
 
-    Args:
+    Attributes:
         request: The request that opened the session.
         cache: The hands that clients may open.
         defer: Runs the measurement, which takes some 200 ms, in another thread.
     """
 
-    def __init__(
-        self,
-        request: Open,
-        cache: HandCache,
-        defer: Callable[[Callable[[], Hands]], Future[Hands]],
-    ) -> None:
-        self._request, self._cache, self._defer = request, cache, defer
-        self._guard = StreamGuard(cache.human(request.side, None))
+    request: Open
+    cache: HandCache
+    defer: Callable[[Callable[[], Hands]], Future[Hands]]
+
+    def __post_init__(self) -> None:
+        """Begin without samples."""
+        self._guard = StreamGuard(self.cache.human(self.request.side, None))
         self._landmarks: list[np.ndarray] = []
         self._work: Future[Hands] | None = None
 
@@ -406,22 +402,24 @@ class Calibration:
         if self._work is None:
             self._landmarks.append(landmarks)
             if len(self._landmarks) >= CALIBRATION_SAMPLES:
-                collected, self._landmarks = np.array(self._landmarks), []
-                self._work = self._defer(lambda: self._prepare(collected))
+                collected = np.array(self._landmarks)
+                self._landmarks = []
+                self._work = self.defer(lambda: self._prepare(collected))
         if self._work is None or not self._work.done():
             return "", None
-        work, self._work = self._work, None
+        work = self._work
+        self._work = None
         return "", work.result()
 
     def _prepare(self, landmarks: np.ndarray) -> Hands:
         time = _PERIOD * np.arange(len(landmarks))
         is_valid = np.ones(len(landmarks), dtype=bool)
         recording = Recording(
-            "calibration", time, landmarks, is_valid, self._request.side
+            "calibration", time, landmarks, is_valid, self.request.side
         )
         lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
         # Without a touch, nothing was measured: the preset's own gap is the better guess.
         smallest = smallest_gap(time, landmarks)
         if smallest < TOUCH_GAP:
             lengths = replace(lengths, contact_gap=clipped_gap(smallest))
-        return prepare_hands(self._request, self._cache, lengths)
+        return prepare_hands(self.request, self.cache, lengths)

@@ -59,7 +59,8 @@ class SessionState(Enum):
     """The robot holds its posture because of an emergency stop, which is latched."""
 
     def __init__(self, mode: str, is_released: bool) -> None:
-        self.mode, self.is_released = mode, is_released
+        self.mode = mode
+        self.is_released = is_released
         self.is_silent = mode in ("hold", "returning")
         self.is_stopped = mode == "stopped"
 
@@ -153,7 +154,8 @@ class Watchdog:
         now: float,
         gap: float = 1.0 / 15.0,
     ) -> None:
-        self._timeout, self._gap = timeout, gap
+        self._timeout = timeout
+        self._gap = gap
         self._return_after = math.inf if return_after is None else return_after
         self._held_since = self._last_command = self.last_sample = now
 
@@ -229,8 +231,10 @@ class MapperState(Enum):
     """The mapper must be reset to the robot's posture before the next sample."""
 
 
-class CommandedRobot:
+class CommandedRobot(Gate):
     """A robot as last commanded.
+
+    Set its `motion` to what the gate of a mapper with the same limits admitted.
 
     Args:
         robot: The robot hand.
@@ -245,39 +249,30 @@ class CommandedRobot:
     def __init__(
         self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None
     ) -> None:
-        self._robot, self._workspace = robot, robot.configuration()
         self.is_placed = wrist is not None or not robot.is_floating
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
-        self._gate = Gate(robot, Motion.at_rest(vector, self._workspace.nv))
+        columns = len(robot.active_columns)
+        super().__init__(robot, Motion.at_rest(vector, columns))
 
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
         limit = ik.options.max_acceleration
-        self._gate = Gate(
+        super().__init__(
             ik.hand, self.motion, max_acceleration=limit, collisions=ik.collisions
         )
 
     @property
-    def motion(self) -> Motion:
-        """How the robot moves. Set it to what the gate of a mapper with these limits admitted."""
-        return self._gate.motion
-
-    @motion.setter
-    def motion(self, motion: Motion) -> None:
-        self._gate.motion, self.is_placed = motion, True
-
-    @property
     def q(self) -> np.ndarray:
         """Joint angles last commanded [rad], shape (n,)."""
-        return self.motion.q[self._robot.q_indices]
+        return self.motion.q[self._hand.q_indices]
 
     @property
     def wrist(self) -> np.ndarray | None:
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
         if not self.is_placed:
             return None
-        self._workspace.place_frames(self.motion.q)
-        return self._workspace.wrist.homogeneous
+        self._placed.place_frames(self.motion.q)
+        return self._placed.wrist.homogeneous
 
     def advance(
         self,
@@ -304,19 +299,11 @@ class CommandedRobot:
             self.brake(dt)
             return False
         if not self.is_placed and wrist is not None:
-            self._gate.place(self._robot.configuration_vector(self.q, wrist))
+            self.place(self._hand.configuration_vector(self.q, wrist))
             self.is_placed = True
         goal = self.motion.q.copy()
-        self._robot.write_configuration(goal, q, wrist)
-        return self._gate.approach(goal, dt, share, stops=stops)
-
-    def brake(self, dt: float) -> None:
-        """Come to a stop: at once, or within the acceleration limit.
-
-        Args:
-            dt: Time since the last command [s].
-        """
-        self._gate.brake(dt)
+        self._hand.write_configuration(goal, q, wrist)
+        return self.approach(goal, dt, share, stops=stops)
 
 
 class StepClock:
@@ -334,7 +321,8 @@ class StepClock:
     """
 
     def __init__(self, max_dt: float, time_from: str, now: float) -> None:
-        self._max_dt, self._is_ours = max_dt, time_from == "server"
+        self._max_dt = max_dt
+        self._is_ours = time_from == "server"
         self._last = self._last_sample = now
         self._stamp: float | None = None
 
@@ -350,14 +338,17 @@ class StepClock:
             one. `time_jump`: since the last sample, the two clocks differ by more than a second.
             `dt_clamped`: more time has passed than is granted.
         """
-        elapsed, since_sample = now - self._last, now - self._last_sample
+        elapsed = now - self._last
+        since_sample = now - self._last_sample
         stamped = since_sample if self._stamp is None else stamp - self._stamp
         flags = []
         if stamped <= 0.0 and self._stamp is not None:
             flags.append("time_backwards")
         elif abs(stamped - since_sample) > 1.0 and self._is_ours:
             flags.append("time_jump")
-        self._stamp, self._last_sample, self._last = stamp, now, now
+        self._stamp = stamp
+        self._last_sample = now
+        self._last = now
         wanted = elapsed if self._is_ours else stamped
         if wanted > self._max_dt:
             flags.append("dt_clamped")
@@ -365,7 +356,8 @@ class StepClock:
 
     def grant_tick(self, now: float) -> float:
         """Grant time to a command of the watchdog, which answers no sample [s]."""
-        elapsed, self._last = now - self._last, now
+        elapsed = now - self._last
+        self._last = now
         return min(max(elapsed, SHORTEST_DT), self._max_dt)
 
 

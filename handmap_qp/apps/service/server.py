@@ -45,6 +45,7 @@ from handmap_qp.apps.service.logs import (
     Metrics,
     Throttle,
     logs_on_stderr,
+    naming,
     report,
 )
 from handmap_qp.apps.service.opening import HandCache
@@ -58,7 +59,8 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 
 TICK = 0.005
 """Time between checks of the watchdogs [s]."""
-_TICKS, _LATE = 200, 0.1
+_TICKS = 200
+_LATE = 0.1
 """Checks in a second, and the delay of one that is logged [s]."""
 _BATCH = 128
 """Parts of messages read before other tasks get their turn; a message has two or three."""
@@ -146,7 +148,8 @@ class Server:
         Raises:
             InvalidInputError: If an address or file cannot be used.
         """
-        settings, context = self.settings, zmq.asyncio.Context()
+        settings = self.settings
+        context = zmq.asyncio.Context()
         self._closing.callback(context.term)
         if settings.keys is not None:
             self._keys = read_server_keys(settings.keys)
@@ -157,7 +160,8 @@ class Server:
             self._socket(plain, zmq.ROUTER),
             self._socket(plain, zmq.PUB),
         )
-        host, most = _ip(settings.host), _CONNECTIONS_PER_SESSION * settings.sessions
+        host = _ip(settings.host)
+        most = _CONNECTIONS_PER_SESSION * settings.sessions
         credit = settings.message_size + _ENVELOPE
         self._gate = ConnectionGate(
             "requests", host, settings.port, most, credit, self.metrics, evicts=True
@@ -176,16 +180,10 @@ class Server:
             transport = WebSocketTransport(settings, self._token, self.dispatcher)
             self.ports["web"] = await self._closing.enter_async_context(transport)
         if settings.health_port >= 0:
-            try:
+            with naming("health_port", str(settings.health_port)):
                 health = await serve_metrics(
                     "127.0.0.1", settings.health_port, self.metrics, self.health
                 )
-            except OSError as error:
-                raise InvalidInputError(
-                    argument="health_port",
-                    problem=f"{settings.health_port}: {error.strerror}",
-                    value=settings.health_port,
-                ) from error
             self._closing.callback(health.close)
             self.ports["health"] = next(iter(health.sockets)).getsockname()[1]
         self._loop = asyncio.get_running_loop()
@@ -273,7 +271,8 @@ class Server:
                     self._parts.append(frame)
                 if not frame.more:
                     self._receive(self._parts, self._cost)
-                    self._parts, self._cost = [], 0
+                    self._parts = []
+                    self._cost = 0
             self._loop.call_soon(self._drain)
         except zmq.Again:
             pass
@@ -317,11 +316,14 @@ class Server:
 
     async def _tick(self) -> None:
         """Drive the watchdogs, and measure the delay of the event loop."""
-        spent, late = time.process_time(), Throttle()
+        spent = time.process_time()
+        late = Throttle()
         while True:
             wanted = time.monotonic() + TICK
             await asyncio.sleep(TICK)
-            lag, before, spent = time.monotonic() - wanted, spent, time.process_time()
+            lag = time.monotonic() - wanted
+            before = spent
+            spent = time.process_time()
             self._lags.append(max(0.0, lag))
             self._loads.append(spent - before)
             if lag > _LATE:
@@ -344,7 +346,8 @@ async def _report_handshakes(
 
     libzmq reports them only through a socket monitor, neither to the server nor to the client.
     """
-    address, failed = f"inproc://handshakes-{socket.FD}", Throttle()
+    address = f"inproc://handshakes-{socket.FD}"
+    failed = Throttle()
     with context.socket(zmq.PAIR) as events:
         # No high-water mark: libzmq's I/O thread, which serves all connections, would block.
         events.linger = events.rcvhwm = 0

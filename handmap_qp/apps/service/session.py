@@ -78,7 +78,9 @@ class SampleForm:
     """
 
     def __init__(self, request: Open) -> None:
-        self._kind, self._side, name = request.input, request.side, request.layout
+        self._kind = request.input
+        self._side = request.side
+        name = request.layout
         if name is not None and self._kind != "landmarks":
             raise _invalid("layout", "needs input=landmarks")
         # Only layouts of the package: a name must not open files of the server.
@@ -96,17 +98,13 @@ class SampleForm:
             RefusedError: With the field that is missing or must be left out.
         """
         given = {field for field in _FIELDS if getattr(sample, field) is not None}
-        is_landmarks = self._kind == "landmarks"
-        if not sample.valid and not is_landmarks:
+        if not sample.valid and self._kind != "landmarks":
             raise _invalid("valid", "only landmarks may be invalid")
         if sample.valid or given:
             for field in sorted(given ^ {self._field}, key=_FIELDS.index):
                 raise _invalid(field, f"this session was opened for {self._wanted}")
         if self._kind == "q" and sample.wrist is None:
             raise _invalid("wrist", "missing; it must come with q")
-        if sample.landmarks is not None and len(sample.landmarks) != LANDMARK_COUNT:
-            message = f"expected {LANDMARK_COUNT} points, got {len(sample.landmarks)}"
-            raise _invalid("landmarks", message)
 
     def human_sample(self, sample: Step) -> HumanSample:
         """Convert a sample of landmarks that `check` accepted.
@@ -114,20 +112,17 @@ class SampleForm:
         Raises:
             HandmapError: If the numbers are not of the layout.
         """
-        wrist = to_matrix(sample.wrist)
+        common: dict[str, Any] = {
+            "time": sample.time,
+            "side": self._side,
+            "wrist": to_matrix(sample.wrist),
+            "valid": sample.valid,
+            "confidence": sample.confidence,
+        }
         if sample.values is not None and self._layout is not None:
-            return self._layout.read(
-                np.array(sample.values),
-                time=sample.time,
-                side=self._side,
-                wrist=wrist,
-                valid=sample.valid,
-                confidence=sample.confidence,
-            )
+            return self._layout.read(np.array(sample.values), **common)
         landmarks = _UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
-        return HumanSample(
-            sample.time, self._side, landmarks, wrist, sample.valid, sample.confidence
-        )
+        return HumanSample(landmarks=landmarks, **common)
 
     def map(
         self, hands: Hands, sample: Step, dt: float, arrival: float | None
@@ -198,7 +193,9 @@ class Session:
         owner: str = "",
         motion: Motion | None = None,
     ) -> None:
-        self.request, self.name, self.owner = request, name, owner
+        self.request = request
+        self.name = name
+        self.owner = owner
         self.robot = hands.mapper.robot
         self.counts: Counter[str] = Counter()
         self.last_request = self._opened_at = now
@@ -215,7 +212,10 @@ class Session:
         )
         self._state = SessionState.WAITING
         self._epoch = former.epoch if former and former.owner == owner else _new_epoch()
-        self._stamp, self._seq, self._dt, self._stop = 0.0, request.seq, 0.0, 0
+        self._stamp = 0.0
+        self._seq = request.seq
+        self._dt = 0.0
+        self._stop = 0
         self._reset_mapper()
         # The server's record is newer than the client's belief.
         if request.is_released if former is None else former.is_released:
@@ -252,7 +252,8 @@ class Session:
 
     def opened(self, seq: int, stream_port: int) -> Opened:
         """Answer `open`."""
-        robot, human = self.robot, self._hands.mapper.human
+        robot = self.robot
+        human = self._hands.mapper.human
         return Opened(
             seq=seq,
             name=self.name,
@@ -271,22 +272,15 @@ class Session:
 
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
         """Answer `status`."""
-        wanted, choice = self._wanted, self._hands.choice
-        about = About(
-            robot=self.robot.name,
-            side=wanted.side,
-            input=wanted.input,
-            layout=wanted.layout,
-            lengths=to_lengths(self._hands.lengths),
-            human_points=wanted.human_points,
-            robot_points=wanted.robot_points,
-            mount=wanted.mount,
-            preset=choice.preset,
-            options=choice.method.values,
-            ik=choice.ik.values,
-            has_detail=wanted.has_detail,
-            is_shared=wanted.is_shared,
-        )
+        choice = self._hands.choice
+        wanted = {name: getattr(self._wanted, name) for name in About.__struct_fields__}
+        about: dict[str, Any] = wanted | {
+            "robot": self.robot.name,
+            "lengths": to_lengths(self._hands.lengths),
+            "preset": choice.preset,
+            "options": choice.method.values,
+            "ik": choice.ik.values,
+        }
         return State(
             seq=seq,
             version=version,
@@ -298,7 +292,7 @@ class Session:
             counts=dict(self.counts),
             q=to_row(self._commanded.q),
             stream_port=stream_port,
-            about=about,
+            about=About(**about),
         )
 
     def step(self, sample: Step, now: float) -> Command:
@@ -331,17 +325,17 @@ class Session:
             raise
         if step.is_held:
             return self._held(sample, step, now, flags)
-        flags = self._accept(sample, now) + flags + [step.rule] * bool(step.rule)
+        flags = self._accept(now) + flags + [step.rule] * bool(step.rule)
         if self._state is SessionState.FOLLOWING:
             flags += self._follow(step)
-            self._measure_gap(landmarks)
+            self._measure_gap(sample.time, landmarks)
         else:
             self._stay(step)
         flags += step.asked.flags
         self.counts["steps"] += 1
         status = self._state.mode if self._state.is_stopped else step.status
         diagnostics = self._diagnostics(step, sample, landmarks)
-        return self._command(now, status, flags, **diagnostics)
+        return self._command(now, status, flags, sample, **diagnostics)
 
     def tick(self, now: float) -> Command | None:
         """Let time pass.
@@ -495,24 +489,19 @@ class Session:
         self, sample: Step, step: MapStep, now: float, flags: list[str]
     ) -> Command:
         """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
-        self._stamp, self._seq = sample.time, sample.seq
         self.counts["held"] += 1
         self._stay(step)
-        return self._command(now, step.status, [*flags, step.rule], **_trust(step))
+        flags = [*flags, step.rule]
+        return self._command(now, step.status, flags, sample, **_trust(step))
 
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
         """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
         rule, hands = calibration.add(self._form.human_sample(sample))
         self._dt, _ = self._clock.grant(sample.time, now)
-        if rule:
-            self._stamp, self._seq = sample.time, sample.seq
-            self.counts["held"] += 1
-            flags: list[str] = [rule]
-        else:
-            flags = self._accept(sample, now)
-        command = self._command(
-            now, "calibrating", flags, rule=rule, confidence=sample.confidence
-        )
+        self.counts["held"] += bool(rule)
+        flags = [rule] if rule else self._accept(now)
+        trust = {"rule": rule, "confidence": sample.confidence}
+        command = self._command(now, "calibrating", flags, sample, **trust)
         if hands is not None:
             # Options may have changed since the hands were prepared.
             self._choose(hands, self._wanted)
@@ -531,12 +520,12 @@ class Session:
         gap = hands.choice.method.values.get("contact_gap")
         self._gap_meter = None if gap is None or is_known else ContactGapMeter(gap)
 
-    def _measure_gap(self, landmarks: np.ndarray | None) -> None:
+    def _measure_gap(self, time: float, landmarks: np.ndarray | None) -> None:
         """Let touches correct the contact gap; only while the tips are apart, so nothing moves."""
         meter = self._gap_meter
         if meter is None or landmarks is None or "contact_gap" in self._wanted.options:
             return
-        if meter.add(self._stamp, landmarks):
+        if meter.add(time, landmarks):
             self._choose(self._hands, self._wanted)
 
     def _choose(self, hands: Hands, wanted: Open) -> None:
@@ -553,7 +542,8 @@ class Session:
         with_option_errors(
             hands.robot, choice, lambda: mapper.configure(method, ik=choice.ik)
         )
-        self._wanted, self._hands = wanted, replace(hands, choice=choice)
+        self._wanted = wanted
+        self._hands = replace(hands, choice=choice)
         self._commanded.obey(mapper.point_ik)
 
     def _prepare_mapper(self) -> None:
@@ -567,17 +557,17 @@ class Session:
             # It may have braked meanwhile, or a sample was refused half-way.
             self._hands.mapper.motion = self._commanded.motion
 
-    def _accept(self, sample: Step, now: float) -> list[str]:
+    def _accept(self, now: float) -> list[str]:
         """Note a sample that can be used, which ends a hold; return flags for its command."""
         flags = ["resumed"] if self._state.is_silent else []
         self._handle(Event.SAMPLE)
         self._watchdog.feed(now)
-        self._stamp, self._seq = sample.time, sample.seq
         return flags
 
     def _follow(self, step: MapStep) -> list[str]:
         """Move the robot to the mapper's posture within its limits; return flags."""
-        mapper, target = self._hands.mapper, step.command
+        mapper = self._hands.mapper
+        target = step.command
         if self._mapper_state is MapperState.ALIGNED and mapper.ik.has_velocity_limits:
             self._commanded.motion = mapper.motion
             return []
@@ -593,7 +583,8 @@ class Session:
         Args:
             q: Joint angles [rad], shape (n,); those of the robot if omitted.
         """
-        mapper, robot = self._hands.mapper, self.robot
+        mapper = self._hands.mapper
+        robot = self.robot
         if q is None and self._commanded.is_placed:
             mapper.clutch()
             self._mapper_state = MapperState.ALIGNED
@@ -624,8 +615,17 @@ class Session:
         }
 
     def _command(
-        self, now: float, status: str, flags: list[str], **diagnostics: Any
+        self,
+        now: float,
+        status: str,
+        flags: list[str],
+        sample: Step | None = None,
+        **diagnostics: Any,
     ) -> Command:
+        """Return a command that answers a sample, or the last sample again if omitted."""
+        if sample is not None:
+            self._stamp = sample.time
+            self._seq = sample.seq
         released = ["released"] if self._state.is_released else []
         released += ["stopped"] if self._state.is_stopped else []
         return Command(

@@ -85,44 +85,41 @@ class Entry:
     answer: AnyReply = field(default_factory=Done)
 
 
+@dataclass(eq=False)
 class Sessions:
     """The open sessions.
 
-    Args:
+    Attributes:
         settings: Limits of what clients may do.
         cache: The hands that clients may open.
         metrics: Counters.
         store: Records of former sessions.
         clock: Monotonic clock [s].
         audit: Record of who did what.
-
-    Attributes:
         entries: Sessions by their secrets.
         publish: Callbacks that receive the messages of all streams.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        cache: HandCache,
-        metrics: Metrics,
-        store: PostureStore,
-        clock: Callable[[], float],
-        audit: AuditLog,
-    ) -> None:
+    settings: Settings
+    cache: HandCache
+    metrics: Metrics
+    store: PostureStore
+    clock: Callable[[], float]
+    audit: AuditLog
+
+    def __post_init__(self) -> None:
+        """Begin without sessions."""
         self.entries: dict[str, Entry] = {}
         self.publish: list[Publish] = []
         self._works: WeakSet[Future[Any]] = WeakSet()
-        self._audit = audit
-        self._settings, self._cache, self._metrics = settings, cache, metrics
-        self._store, self._clock = store, clock
         # Single worker, so that opening sessions cannot starve running ones.
         self._executor = ThreadPoolExecutor(1, "handmap-open")
-        self._opens = Bucket(settings.opens, clock(), burst=settings.sessions)
+        most = self.settings.sessions
+        self._opens = Bucket(self.settings.opens, self.clock(), burst=most)
         self._names_opening: set[str] = set()
         self._ended: dict[str, str] = {}
         # After a restart, owners are on their way back.
-        self._last_heard = dict.fromkeys(store.records, clock())
+        self._last_heard = dict.fromkeys(self.store.records, self.clock())
         self._last_name = 0
 
     @property
@@ -143,7 +140,7 @@ class Sessions:
         """
         entry = self.entries.get(secret)
         if entry is not None:
-            entry.session.last_request = self._clock()
+            entry.session.last_request = self.clock()
             return entry
         if self._ended.get(secret) == "taken":
             raise RefusedError(
@@ -187,7 +184,7 @@ class Sessions:
                 request,
                 hands,
                 name,
-                self._clock(),
+                self.clock(),
                 calibration=calibration,
                 former=former,
                 owner=by.owner(request.session),
@@ -196,7 +193,7 @@ class Sessions:
         finally:
             self._names_opening.discard(name)
         # A stop also outlives a session that is not restored.
-        if (last := self._store.records.get(name)) is not None and last.stop:
+        if (last := self.store.records.get(name)) is not None and last.stop:
             session.stop(last.stop)
         if running is not None:
             reason = "a client restored this session"
@@ -205,13 +202,13 @@ class Sessions:
         entry = Entry(session, request.seq, payload)
         self.entries[request.session] = entry
         self.note(session)
-        self._metrics.counts["opened"] += 1
+        self.metrics.counts["opened"] += 1
         event: dict[str, Any] = {
             "session": name,
             "robot": robot.name,
             "restored": former is not None,
         }
-        self._audit.note("opened", by, **event)
+        self.audit.note("opened", by, **event)
         report(INFO, "opened", input=request.input, **event)
         return entry
 
@@ -220,8 +217,8 @@ class Sessions:
 
         Without a file, it is noted when the session ends.
         """
-        if self._store.is_persistent:
-            self._store.note(session.record)
+        if self.store.is_persistent:
+            self.store.note(session.record)
 
     def end(
         self, secret: str, code: str, reason: str, *, by: Caller | str = "server"
@@ -235,7 +232,7 @@ class Sessions:
             by: Who ends it, for the audit log.
         """
         session = self.entries.pop(secret).session
-        self._store.note(session.record)
+        self.store.note(session.record)
         self._ended[secret] = code
         if len(self._ended) > _REMEMBERED:
             del self._ended[next(iter(self._ended))]
@@ -243,7 +240,7 @@ class Sessions:
             session.name, msgspec.msgpack.encode(Error(code=code, message=reason))
         )
         event: dict[str, Any] = {"session": session.name, "reason": reason}
-        self._audit.note("closed", by, **event)
+        self.audit.note("closed", by, **event)
         report(INFO, "closed", **event, counts=dict(session.counts))
 
     def send(self, name: str, payload: bytes) -> None:
@@ -259,10 +256,10 @@ class Sessions:
 
     def _prepare(self, request: Open) -> tuple[Hands, Calibration | None]:
         """Load the hands of a session, and what measures the human hand if that is needed."""
-        hands = prepare_hands(request, self._cache)
+        hands = prepare_hands(request, self.cache)
         if not hands.needs_measuring:
             return hands, None
-        return hands, Calibration(request, self._cache, self._submit)
+        return hands, Calibration(request, self.cache, self._submit)
 
     def _submit(self, work: Callable[[], _T]) -> Future[_T]:
         """Run work in the opening thread."""
@@ -272,8 +269,10 @@ class Sessions:
 
     def _check(self, request: Open, by: Caller) -> None:
         """Refuse requests that can be refused before hands are loaded."""
-        name, last = request.name, self._find_named(request.name)
-        held, most = self.entries.get(request.session), self._settings.sessions
+        name = request.name
+        last = self._find_named(request.name)
+        held = self.entries.get(request.session)
+        most = self.settings.sessions
         is_its_own = held is not None and held.session is last
         is_repeat = held is not None and request.seq <= held.seq
         is_again = is_its_own and request.restore and not is_repeat
@@ -291,7 +290,7 @@ class Sessions:
         )
         _refuse_if(count >= most, f"all {most} sessions are taken", code="busy")
         _refuse_if(
-            request.time_from == "client" and not self._settings.simulated_time,
+            request.time_from == "client" and not self.settings.simulated_time,
             "the server uses its own clock (see handmap serve --simulated-time)",
             "time_from",
             "denied",
@@ -309,8 +308,8 @@ class Sessions:
             "name",
         )
         _refuse_if(
-            not self._opens.take(self._clock()),
-            f"more than {self._settings.opens:g} sessions opened a second: try again later",
+            not self._opens.take(self.clock()),
+            f"more than {self.settings.opens:g} sessions opened a second: try again later",
             code="rate",
         )
         self._check_owner(request, by)
@@ -322,12 +321,13 @@ class Sessions:
 
     def _check_owner(self, request: Open, by: Caller) -> None:
         """Refuse a name to a client that must not have it, or must not yet."""
-        name, running = request.name or "", self._find_named(request.name)
-        held = running or self._store.records.get(name)
+        name = request.name or ""
+        running = self._find_named(request.name)
+        held = running or self.store.records.get(name)
         heard = (
             running.last_request if running else self._last_heard.get(name, -math.inf)
         )
-        is_attended = self._clock() - heard <= LEASE
+        is_attended = self.clock() - heard <= LEASE
         # Without `restore`, a name is free after the lease.
         if held is None or not (request.restore or is_attended):
             return
@@ -347,8 +347,8 @@ class Sessions:
         if not request.restore:
             return None
         if running is not None:
-            self._store.note(running.record)
-        found = self._store.find(name, robot.name, len(robot.joint_names))
+            self.store.note(running.record)
+        found = self.store.find(name, robot.name, len(robot.joint_names))
         _refuse_if(
             found is None and request.robot_q is None,
             f"no record of a session {name!r}: give the robot's joint angles in robot_q",

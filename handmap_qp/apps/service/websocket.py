@@ -18,6 +18,7 @@ import ssl
 import time
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from logging import ERROR
 from pathlib import Path
@@ -32,7 +33,7 @@ from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
 from handmap_qp.apps.service.dispatch import Dispatcher
-from handmap_qp.apps.service.logs import Bucket, report, websocket_log
+from handmap_qp.apps.service.logs import Bucket, naming, report, websocket_log
 from handmap_qp.apps.service.pages import page_response
 from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import MOST_SESSIONS, Settings
@@ -50,33 +51,38 @@ _CONNECTIONS_PER_SESSION = 2
 _AT_ONCE = 2048
 """Bytes read from a connection in one turn of the event loop."""
 _MOST_FRAGMENTS = 64
-_CONTROLS_PER_SECOND, _CONTROLS = 5.0, 50.0
+_CONTROLS_PER_SECOND = 5.0
+_CONTROLS = 50.0
 """Control frames of a connection, and how many at once; the server's own ping asks for one."""
 _ACTIVE = 1.0
 """Time after a message in which a connection keeps its place before silent ones [s]."""
 
 
+@dataclass(eq=False)
 class WebSocketTransport:
     """The listening WebSocket: an asynchronous context manager that returns the port in use.
 
-    Args:
+    Attributes:
         settings: Address and access rules.
         token: Token that clients must present; None for none.
         dispatcher: Answers messages.
     """
 
-    def __init__(
-        self, settings: Settings, token: str | None, dispatcher: Dispatcher
-    ) -> None:
-        self._settings, self._token, self._dispatcher = settings, token, dispatcher
+    settings: Settings
+    token: str | None
+    dispatcher: Dispatcher
+
+    def __post_init__(self) -> None:
+        """Begin without connections."""
         self._connections: set[_Outbox] = set()
         self._server: WebServer | None = None
 
     async def __aenter__(self) -> int:
-        settings, tls = self._settings, None
-        try:
-            if settings.web_certificate is not None and settings.web_key is not None:
-                tls = _read_tls(settings.web_certificate, settings.web_key)
+        settings = self.settings
+        tls = None
+        if settings.web_certificate is not None and settings.web_key is not None:
+            tls = _read_tls(settings.web_certificate, settings.web_key)
+        with naming(f"web {settings.web_host}:{settings.web_port}"):
             self._server = await serve(
                 self._handle,
                 settings.web_host,
@@ -87,21 +93,16 @@ class WebSocketTransport:
                 create_connection=_Connection,
                 logger=websocket_log,
                 compression=None,
-                max_size=self._settings.message_size,
+                max_size=settings.message_size,
                 max_queue=16,
                 open_timeout=5.0,
                 close_timeout=0.5 * _CLOSE_TIMEOUT,
             )
-        except OSError as error:
-            raise InvalidInputError(
-                argument=f"web {settings.web_host}:{settings.web_port}",
-                problem=str(error.strerror or error),
-            ) from error
-        self._dispatcher.sessions.publish.append(self._publish)
+        self.dispatcher.sessions.publish.append(self._publish)
         return next(iter(self._server.sockets)).getsockname()[1]
 
     async def __aexit__(self, *_: object) -> None:
-        self._dispatcher.sessions.publish.remove(self._publish)
+        self.dispatcher.sessions.publish.remove(self._publish)
         if self._server is not None:
             self._server.close()
             # Handshakes under way would hold it up for their own timeout.
@@ -116,15 +117,15 @@ class WebSocketTransport:
         """
         if (page := page_response(request)) is not None:
             return page
-        if self._token is not None:
-            if not _has_token(request, self._token):
+        if self.token is not None:
+            if not _has_token(request, self.token):
                 return connection.respond(
                     http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n"
                 )
             return None
         origins = request.headers.get_all("Origin")
         if all(
-            _LOOPBACK_ORIGIN.fullmatch(origin) or origin in self._settings.web_origin
+            _LOOPBACK_ORIGIN.fullmatch(origin) or origin in self.settings.web_origin
             for origin in origins
         ):
             return None
@@ -138,8 +139,8 @@ class WebSocketTransport:
         Reader and writer end each other: a client that vanished with answers outstanding ends the
         writer, and the reader would wait for those answers.
         """
-        outbox = _Outbox(connection, self._dispatcher.sessions)
-        if len(self._connections) >= _CONNECTIONS_PER_SESSION * self._settings.sessions:
+        outbox = _Outbox(connection, self.dispatcher.sessions)
+        if len(self._connections) >= _CONNECTIONS_PER_SESSION * self.settings.sessions:
             # The new client may come to stop a robot.
             least = min(self._connections, key=_Outbox.use)
             least.connection.transport.abort()
@@ -148,7 +149,7 @@ class WebSocketTransport:
         tasks = {
             asyncio.create_task(self._read(connection, outbox)),
             asyncio.create_task(outbox.write()),
-            asyncio.create_task(outbox.idle(self._settings.idle)),
+            asyncio.create_task(outbox.idle(self.settings.idle)),
         }
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -166,7 +167,7 @@ class WebSocketTransport:
             async for message in connection:
                 outbox.heard = time.monotonic()
                 is_json = isinstance(message, str)
-                is_taken = self._dispatcher.receive(
+                is_taken = self.dispatcher.receive(
                     _from_json(message) if isinstance(message, str) else message,
                     ("web", connection.id),
                     partial(outbox.answer, is_json=is_json),
@@ -188,7 +189,8 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
     """Read little in a turn, and bound empty fragments and control frames: the library does not."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._buffer, self._fragments = bytearray(_AT_ONCE), 0
+        self._buffer = bytearray(_AT_ONCE)
+        self._fragments = 0
         self._controls = Bucket(_CONTROLS_PER_SECOND, time.monotonic(), _CONTROLS)
         super().connection_made(transport)
 
@@ -219,11 +221,13 @@ class _Outbox:
     """
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
-        self.connection, self._sessions = connection, sessions
+        self.connection = connection
+        self._sessions = sessions
         self._answers: deque[bytes | str] = deque()
         self._streams: dict[str, bool] = {}
         self._newest: dict[str, bytes] = {}
-        self._has_work, self._is_idle = asyncio.Event(), asyncio.Event()
+        self._has_work = asyncio.Event()
+        self._is_idle = asyncio.Event()
         self._is_idle.set()
         self.heard = self._opened = time.monotonic()
 
@@ -269,7 +273,8 @@ class _Outbox:
                 while self._answers:
                     await self._send(self._answers.popleft())
                 self._is_idle.set()
-                newest, self._newest = self._newest, {}
+                newest = self._newest
+                self._newest = {}
                 for name, payload in newest.items():
                     await self._send(
                         _as_json(payload) if self._streams.get(name) else payload
@@ -287,11 +292,11 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
     Raises:
         InvalidInputError: If a file cannot be read, or they are not a certificate and its key.
     """
-    tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    file = certificate
-    try:
-        for file in (certificate, key):
+    for file in (certificate, key):
+        with naming(file, "cannot be read"):
             file.read_bytes()
+    tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
         # An empty passphrase: otherwise OpenSSL would prompt for one.
         tls.load_cert_chain(certificate, key, password="")
     except ssl.SSLError as error:
@@ -299,10 +304,6 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
             argument=f"{certificate}, {key}",
             problem="expected a PEM certificate and its key, without passphrase",
             advice=(error.reason or "").replace("_", " ").lower(),
-        ) from error
-    except OSError as error:
-        raise InvalidInputError(
-            argument=str(file), problem=f"cannot be read: {error.strerror}"
         ) from error
     return tls
 
