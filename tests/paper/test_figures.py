@@ -50,7 +50,8 @@ def quick() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "GAMMAS", (0.1, 0.5, 1.0))
-        patch.setattr(paper, "STEPS", (5, 20, 50, 200))
+        patch.setattr(paper, "STEPS", (5, 20, 50))
+        patch.setattr(paper, "TABLE_STEPS", (5, 50))
         patch.setattr(paper_drawings, "draw_hands", draw_coarsely)
         yield
 

@@ -45,6 +45,8 @@ GAMMAS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 """The paper's range of gamma."""
 STEPS = (2, 3, 5, 10, 20, 50, 100, 200)
 """Numbers of steps of the sweep."""
+TABLE_GAMMAS, TABLE_STEPS = (0.1, 0.5, 1.0), (5, 50, 200)
+"""What the table of final errors has of them."""
 SYNERGIES = (1, 2, 3)
 MODELS: dict[str, Stiffnesses | None] = {"rigid": None, "quasi-static": UNIT}
 """Models of the object's motion in the hand, with the stiffnesses of the quasi-static one."""
@@ -439,10 +441,8 @@ def number_rows(made: Sequence[FigureRecord]) -> list[Row]:
             (row["sweep"], row[row["sweep"]]): row[f"error_{model}_mm"]
             for row in selected(rows, geometry=geometry, synergy=synergy)
         }
-        columns = {
-            f"gamma {gamma:g}": errors["gamma", gamma] for gamma in (0.1, 0.5, 1.0)
-        }
-        columns |= {f"{steps} steps": errors["steps", steps] for steps in (5, 50, 200)}
+        columns = {f"gamma {g:g}": errors["gamma", g] for g in TABLE_GAMMAS}
+        columns |= {f"{steps} steps": errors["steps", steps] for steps in TABLE_STEPS}
         case = {"robot hand": geometry, "object motion": model, "synergy": synergy}
         table.append({**case, **columns})
     return table
