@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -38,8 +37,7 @@ _OPPOSED = -0.5
 _NARROW = 0.004
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Clue:
+class Clue(NamedTuple):
     """One detected property of a hand.
 
     Attributes:
@@ -61,8 +59,7 @@ class Clue:
         return next(words for least, words in levels if self.confidence >= least)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Anatomy:
+class Anatomy(NamedTuple):
     """The hand's directions and the names of its fingers.
 
     Attributes:

@@ -7,7 +7,7 @@ description with a detection. Each yields its findings, and may add a table.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
@@ -159,11 +159,12 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
             report.findings.append(Finding("error", error.key or "hand", str(error)))
             return report
         report.name, report.measured["Joints"] = built.name, _joint_rows(built)
-        for where, check in _CHECKS[: None if has_motion else -1]:
+        for check in _CHECKS[: None if has_motion else -1]:
             try:
                 report.findings += check(built, report.measured)
             except HandmapError as error:
-                failed = Finding("advice", where, f"not checked: {error}")
+                where = error.key if isinstance(error, HandError) else None
+                failed = Finding("advice", where or "hand", f"not checked: {error}")
                 report.findings.append(failed)
     if not {"error", "warning"} & {finding.level for finding in report.findings}:
         what = (
@@ -567,23 +568,23 @@ def _check_motion(hand: Hand, tables: Tables) -> Findings:
             yield Finding("advice", "reach", f"{part.posture}: {far}")
 
 
-_CHECKS: tuple[tuple[str, Callable[[Hand, Tables], Findings]], ...] = (
-    ("joints", _check_joints),
-    ("joints", _check_ranges),
-    ("joints", _check_speeds),
-    ("joints", _check_followers),
-    ("points", _check_points),
-    ("points", _check_places),
-    ("meshes", _check_meshes),
-    ("root", _check_wrist),
-    ("palm", _check_names),
-    ("palm", _check_order),
-    ("palm", _check_fist),
-    ("palm", _check_opposition),
-    ("palm", _compare_detection),
-    ("rest", _check_collisions),
-    ("reach", _check_reach),
-    ("size", _check_size),
-    ("arm", _check_arm),
-    ("motion", _check_motion),
+_CHECKS = (
+    _check_joints,
+    _check_ranges,
+    _check_speeds,
+    _check_followers,
+    _check_points,
+    _check_places,
+    _check_meshes,
+    _check_wrist,
+    _check_names,
+    _check_order,
+    _check_fist,
+    _check_opposition,
+    _compare_detection,
+    _check_collisions,
+    _check_reach,
+    _check_size,
+    _check_arm,
+    _check_motion,
 )

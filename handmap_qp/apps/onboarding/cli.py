@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,7 +25,6 @@ from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
 from handmap_qp.apps.onboarding.source import open_source
 from handmap_qp.apps.onboarding.write import check_free, write_hand
 from handmap_qp.apps.tables import print_rows, print_table
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import describe_hand, list_hands, load_hand
 from handmap_qp.hands.spec import Side
@@ -155,13 +154,10 @@ class HandsInit:
             thumb=self.thumb,
             name=self.name,
         )
-        found = replace(
-            found,
-            spec=msgspec.structs.replace(
-                found.spec, urdf=source.reference or found.spec.urdf
-            ),
-            notes=(*source.notes, *found.notes),
-        )
+        spec = found.spec
+        if source.reference is not None:
+            spec = msgspec.structs.replace(spec, urdf=source.reference)
+        found = found._replace(spec=spec, notes=(*source.notes, *found.notes))
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
         found = with_collision_pairs(found, hand)
@@ -316,17 +312,9 @@ class HandsMatch:
         file = own_file(self.hand) if self.write else None
         if self.picture is not None:
             check_output("--picture", self.picture, (".png",))
-        if self.recording is not None and self.human_length is not None:
-            raise InvalidInputError(
-                argument="--human-length", problem="cannot be combined with --recording"
-            )
-        match = match_hand(
-            robot,
-            recording=None
-            if self.recording is None
-            else InputArguments().read(self.recording),
-            human_length=self.human_length,
-        )
+        source = self.recording
+        recording = None if source is None else InputArguments().read(source)
+        match = match_hand(robot, recording=recording, human_length=self.human_length)
         if self.picture is not None:
             draw_match(match, self.picture)
         if file is not None:

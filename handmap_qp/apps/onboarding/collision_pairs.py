@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -39,12 +38,10 @@ def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
     try:
         collision = find_collision_pairs(hand)
     except HandmapError as error:
-        return replace(
-            found, notes=(*found.notes, f"no pairs for self-collision: {error}")
-        )
-    if collision is None:
-        return found
-    return replace(found, spec=msgspec.structs.replace(found.spec, collision=collision))
+        note = f"no pairs for self-collision: {error}"
+        return found._replace(notes=(*found.notes, note))
+    spec = msgspec.structs.replace(found.spec, collision=collision)
+    return found._replace(spec=spec)
 
 
 def find_collision_pairs(hand: Hand) -> CollisionSpec | None:

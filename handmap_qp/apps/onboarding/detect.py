@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -47,8 +46,7 @@ _AT_LIMIT, _SPREAD = 0.05, 0.3
 _PALM_RATIO = (0.4, 1.4)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Detection:
+class Detection(NamedTuple):
     """A hand found in a URDF.
 
     Attributes:
@@ -167,13 +165,7 @@ class _FoundHand:
         drivers = dict.fromkeys(map(robot.driver, names))
         joints = tuple(joint for joint in drivers if joint in robot.active)
         palm, origin = self.structure.palm, self._palm_origin()
-        tips = [self._tip(finger) for finger in self.fingers]
-        places = [(finger, finger.find_middle()) for finger in self.fingers]
-        middles = [self._middle(finger, place) for finger, place in places if place]
-        points = (*tips, *middles)
-        sets = {"fingertips": tuple(point.name for point in tips)}
-        if middles:
-            sets["fingertips_middle"] = tuple(point.name for point in points)
+        points, sets = self._points()
         rest, idle = (_positions(robot, q) for q in (self._rest(), robot.zero))
         locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
         locked |= {joint: idle[joint] for joint in idle if joint not in joints}
@@ -198,6 +190,16 @@ class _FoundHand:
             limits=_picked(robot.assumed, joints),
             mimic=robot.dropped_rules,
         )
+
+    def _points(self) -> tuple[tuple[PointSpec, ...], dict[str, tuple[str, ...]]]:
+        """Return the fingertips and middle joints, and sets of them."""
+        tips = tuple(self._tip(finger) for finger in self.fingers)
+        places = [(finger, finger.find_middle()) for finger in self.fingers]
+        middles = [self._middle(finger, place) for finger, place in places if place]
+        points, sets = (*tips, *middles), {"fingertips": tips}
+        if middles:
+            sets["fingertips_middle"] = points
+        return points, {key: tuple(p.name for p in sets[key]) for key in sets}
 
     def _name(self) -> str:
         """Return the robot's name, with the hand's side if there is more to the robot."""

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -30,8 +29,7 @@ _BLOCK = re.compile(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Match:
+class Match(NamedTuple):
     """The posture of a robot that corresponds to a resting human hand.
 
     Attributes:
@@ -91,8 +89,7 @@ def match_hand(
     """
     if recording is not None and human_length is not None:
         raise InvalidInputError(
-            argument="human_length",
-            problem="cannot be combined with a recording: give one of them",
+            argument="--human-length", problem="cannot be combined with --recording"
         )
     if recording is None:
         human = load_hand(

@@ -7,7 +7,6 @@ are found in the URDF, as by `handmap hands init`.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
@@ -152,7 +151,8 @@ def migrate(
         found.spec, points=tuple(points[name] for name in every), sets=sets
     )
     intro = f"reference points are those of {configuration.file.name}"
-    return replace(found, spec=spec, notes=(intro, *configuration.notes, *found.notes))
+    notes = (intro, *configuration.notes, *found.notes)
+    return found._replace(spec=spec, notes=notes)
 
 
 def _carrier(robot: Robot, link: str) -> str:

@@ -177,6 +177,11 @@ class _Scene:
         if links:
             shape = HandShape(hand, tuple(links)).triangles(hand.rest)
             return shape.moved(inverse_pose(hand.frame_pose("palm", hand.rest)))
+        return self._sticks(wrist)
+
+    def _sticks(self, wrist: int) -> Triangles:
+        """Return sticks between the joints beyond the wrist, and from joints to points."""
+        hand, model = self.hand, self.hand.model
         origin, tips = np.zeros(3), [place_of(hand, p) for p in hand.reference_points]
         sticks = [
             ((model.parents[joint], origin), (joint, origin))

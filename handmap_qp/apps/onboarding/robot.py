@@ -12,6 +12,7 @@ import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +29,7 @@ from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf import (
     MOVABLE,
     check_tree,
+    child_of,
     cut_subtree,
     fix_free_joints,
     get_numbers,
@@ -311,12 +313,14 @@ class Robot:
 
     def _drop_rules(self, joints: dict[str, ET.Element]) -> dict[str, MimicSpec | None]:
         """Remove the mimic rules whose leader does not move in this part of the robot."""
-        dropped: dict[str, str] = {}
-        for name, joint in joints.items():
-            rule = joint.find("mimic")
-            if rule is not None and rule.get("joint") not in joints:
-                joint.remove(rule)
-                dropped[name] = str(rule.get("joint"))
+        rules = {name: joint.find("mimic") for name, joint in joints.items()}
+        dropped = {
+            name: str(rule.get("joint"))
+            for name, rule in rules.items()
+            if rule is not None and rule.get("joint") not in joints
+        }
+        for name in dropped:
+            joints[name].remove(child_of(joints[name], "mimic"))
         if dropped:
             missing = ", ".join(dict.fromkeys(dropped.values()))
             self._remark(
@@ -331,66 +335,69 @@ class Robot:
     ) -> tuple[dict[str, LimitSpec], dict[str, float]]:
         """Return limits that are missing or wrong, and positions of joints with equal limits."""
         given = {name: _limits(joint) for name, joint in joints.items()}
-        kinds = {name: joint.get("type", "") for name, joint in joints.items()}
         turns = [
-            upper - lower
-            for name, (lower, upper, _) in given.items()
-            if kinds[name] == "revolute"
+            one.upper - one.lower for one in given.values() if one.kind == "revolute"
         ]
         in_degrees = bool(turns and np.nanmedian(turns) > _LARGEST_TURN)
         assumed, equal = dict[str, LimitSpec](), dict[str, float]()
-        for name, (lower, upper, speed) in given.items():
+        for name, one in given.items():
             if joints[name].find("mimic") is not None:
                 continue
-            if lower == upper:
-                equal[name] = lower
+            if one.lower == one.upper:
+                equal[name] = one.lower
                 self._remark(name, "has equal limits: it is locked")
                 continue
-            kind, changes = kinds[name], dict[str, float]()
-            ends, what = _assumed_range(kind, lower, upper, in_degrees=in_degrees)
+            ends, what = _assumed_range(one, in_degrees=in_degrees)
+            alike = [other.speed for other in given.values() if other.kind == one.kind]
+            known = [speed for speed in alike if speed > 0.0]
+            usual = float(np.median(known or [_ASSUMED_SPEED[one.kind]]))
+            limit = LimitSpec(*ends, None if one.speed > 0.0 else usual)
             if what:
                 self._remark(name, what)
-            if ends != (lower, upper):
-                changes = {"lower": ends[0], "upper": ends[1]}
-            if math.isnan(speed):
-                alike = [given[other][2] for other in given if kinds[other] == kind]
-                known = [other for other in alike if other > 0.0]
-                speed = float(np.median(known)) if known else _ASSUMED_SPEED[kind]
-                changes["velocity"] = speed
-                what = f"has no speed limit in the URDF: {speed:.4g} is assumed"
+            if limit.velocity:
+                what = f"has no speed limit in the URDF: {usual:.4g} is assumed"
                 self._remark(name, what)
-            if changes:
-                assumed[name] = LimitSpec(**changes)
+            if limit != LimitSpec():
+                assumed[name] = limit
         return assumed, equal
 
 
-def _limits(joint: ET.Element) -> tuple[float, float, float]:
-    """Return the lower and upper limit and the speed of a joint; NaN where there is none."""
-    limit = joint.find("limit")
+class _Limits(NamedTuple):
+    """The type of a joint, its limits and its speed; NaN where it has none."""
+
+    kind: str
+    lower: float
+    upper: float
+    speed: float
+
+
+def _limits(joint: ET.Element) -> _Limits:
+    """Return the limits that a joint has in the URDF."""
+    kind, limit = joint.get("type", ""), joint.find("limit")
     given = {} if limit is None else limit.attrib
     lower, upper, speed = (
         float(given.get(key, 0.0)) for key in ("lower", "upper", "velocity")
     )
-    if joint.get("type") == "continuous" or not {"lower", "upper"} & given.keys():
+    if kind == "continuous" or not {"lower", "upper"} & given.keys():
         lower = upper = math.nan
-    return lower, upper, speed if 0.0 < speed < math.inf else math.nan
+    return _Limits(kind, lower, upper, speed if 0.0 < speed < math.inf else math.nan)
 
 
 def _assumed_range(
-    kind: str, lower: float, upper: float, *, in_degrees: bool
-) -> tuple[tuple[float, float], str]:
-    """Return the range to use for a joint, and a remark if it is not the URDF's or suspicious."""
+    given: _Limits, *, in_degrees: bool
+) -> tuple[tuple[float | None, float | None], str]:
+    """Return a range in place of that of the URDF, and a remark if it is wrong or suspicious."""
+    kind, lower, upper, _ = given
     if kind == "continuous" or not math.isfinite(upper - lower):
         ends = _ASSUMED_RANGE[kind]
         what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
     elif lower > upper:
         ends, what = (upper, lower), "has its limits swapped"
-    elif kind == "revolute" and in_degrees:
+    elif kind != "revolute" or not (in_degrees or upper - lower > _LARGEST_TURN):
+        return (None, None), ""
+    elif in_degrees:
         ends = math.radians(lower), math.radians(upper)
         return ends, "has limits in degrees, as it seems: written in radians"
-    elif kind == "revolute" and upper - lower > _LARGEST_TURN:
-        what = "has a range of more than two turns: is it in degrees?"
-        return (lower, upper), what
     else:
-        return (lower, upper), ""
+        return (None, None), "has a range of more than two turns: is it in degrees?"
     return ends, f"{what}: [{ends[0]:.4g}, {ends[1]:.4g}] is assumed"

@@ -8,7 +8,6 @@ metacarpal with two fingers, are not the palm.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -39,8 +38,7 @@ _LEAST_PIVOT, _PIVOT_SHARE = 0.1, 0.4
 _APART = 0.16
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Tip:
+class Tip(NamedTuple):
     """The end of a finger.
 
     Attributes:
