@@ -143,7 +143,9 @@ class _Evidence:
     def __init__(
         self, flexion: HandFlexion, names: list[list[str]], thumb: int | None
     ) -> None:
-        self.flexion, self.names, self.labels = flexion, names, named_fingers(names)
+        self.flexion = flexion
+        self.names = names
+        self.labels = named_fingers(names)
         self.thumb, self.thumb_clue = self._find_thumb(thumb)
         self.rest = [i for i in range(len(names)) if i != self.thumb]
         axes = flexion.axes[self.rest]
@@ -155,7 +157,8 @@ class _Evidence:
 
     def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:
         """Find the finger that differs from the others, or that the names call a thumb."""
-        names, count = self.names, len(self.names)
+        names = self.names
+        count = len(self.names)
         if given is not None:
             return given, Clue("thumb", names[given][-1], "as given", 1.0)
         if count < 2:
@@ -167,7 +170,8 @@ class _Evidence:
         is_named = np.array([label == "thumb" for label in self.labels])
         scores = _stands_out(0.5 * sum(parts) + 0.15 * (sizes[:, None] != sizes))
         scores += _CLEAR * is_named
-        best, ranked = int(np.argmax(scores)), np.sort(scores)
+        best = int(np.argmax(scores))
+        ranked = np.sort(scores)
         margin = (
             float(ranked[-1] - ranked[-2]) if count > 2 else _CLEAR * is_named.sum()
         )
@@ -178,19 +182,23 @@ class _Evidence:
         how = f"it differs most in position, direction, flexion and name (margin {margin:.2f} of 1)"
         sure = _CERTAIN if margin > _CLEAR and agreeing > 1 else _LIKELY
         if margin <= _VISIBLE:
-            how, sure = "the fingers are alike: one that differs little was taken", 0.3
+            how = "the fingers are alike: one that differs little was taken"
+            sure = 0.3
             best = best if margin > 1e-6 else 0
         elif is_named.any() and not is_named[best]:
-            how, sure = f"{how}; the names suggest another finger", _DISPUTED
+            how = f"{how}; the names suggest another finger"
+            sure = _DISPUTED
         return best, Clue("thumb", names[best][-1], how, sure)
 
     def find_distal(self) -> _Found:
         """Find the direction of the stretched fingers."""
-        flexion, axis = self.flexion, self.axis
+        flexion = self.flexion
+        axis = self.axis
         # Two jaws lean to opposite sides: take the middle of both.
         count = len(flexion.bases)
         chosen = self.rest if count > 2 else [*range(count)]
-        mean, knuckles = flexion.directions[chosen].mean(axis=0), flexion.bases[chosen]
+        mean = flexion.directions[chosen].mean(axis=0)
+        knuckles = flexion.bases[chosen]
         agreement = float(np.linalg.norm(mean))
         if agreement < 0.2:
             mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
@@ -224,14 +232,13 @@ class _Evidence:
 
     def find_dorsal(self, distal: _Found) -> _Found:
         """Find the back of the hand: opposite to the way in which the fingertips flex."""
-        flexion, rest, thumb, ahead = (
-            self.flexion,
-            self.rest,
-            self.thumb,
-            distal.direction,
-        )
+        flexion = self.flexion
+        rest = self.rest
+        thumb = self.thumb
+        ahead = distal.direction
         mean = flexion.ways[rest].mean(axis=0)
-        agreement, palmar = float(np.linalg.norm(mean)), _beside(mean, ahead)
+        agreement = float(np.linalg.norm(mean))
+        palmar = _beside(mean, ahead)
         how = f"opposite to the fingertips' motion in flexion (agreement {agreement:.2f} of 1)"
         sign = float(np.median(flexion.certainty[rest]))
         upright = np.cross(self.axis, ahead)
@@ -240,14 +247,17 @@ class _Evidence:
             palmar = np.sign(palmar @ upright) * upright
         if np.linalg.norm(palmar) < 0.2 and thumb is not None:
             to_thumb = flexion.tips_open[thumb] - flexion.tips_open[rest].mean(axis=0)
-            palmar, sign = _beside(to_thumb, ahead), 0.5
+            palmar = _beside(to_thumb, ahead)
+            sign = 0.5
             how = "away from the thumb, because the other fingertips flex in different directions"
         if np.linalg.norm(palmar) < 1e-6:
-            palmar, sign = _beside(np.eye(3)[np.argmin(np.abs(ahead))], ahead), 0.05
+            palmar = _beside(np.eye(3)[np.argmin(np.abs(ahead))], ahead)
+            sign = 0.05
             how = "undetermined: an arbitrary direction at right angles to distal"
         dorsal = _unit(_rounded(_beside(_snapped(_unit(-palmar)), ahead)))
         best = _LIKELY if agreement > 0.4 else _DISPUTED
-        tilt, height = self._tilt(ahead, dorsal), self._thumb_height(dorsal)
+        tilt = self._tilt(ahead, dorsal)
+        height = self._thumb_height(dorsal)
         if agreement > _AGREED and (tilt < _AGREEING or height > 0.1):
             best = _CERTAIN
             how += "; at right angles to the row of the knuckles" * (tilt < _AGREEING)
@@ -271,7 +281,9 @@ class _Evidence:
 
     def _thumb_height(self, dorsal: np.ndarray) -> float:
         """Return how far before the knuckles the thumb closes, in lengths of the fingers."""
-        flexion, thumb, rest = self.flexion, self.thumb, self.rest
+        flexion = self.flexion
+        thumb = self.thumb
+        rest = self.rest
         if thumb is None or flexion.certainty[thumb] <= 0.6:
             return 0.0
         before = flexion.bases[rest].mean(axis=0) - flexion.tips_closed[thumb]
@@ -291,11 +303,14 @@ class _Evidence:
             named = -np.sign(steps[0]) * (np.abs(steps).min() > 0.5 * _NARROW)
         if not place and not named:
             return _Found(across, "", 0.0)
-        how, confidence = "the thumb's place", _LIKELY if abs(place) > _CLEAR else 0.65
+        how = "the thumb's place"
+        confidence = _LIKELY if abs(place) > _CLEAR else 0.65
         if named * place > 0.0:
-            how, confidence = "the thumb's place and the fingers' names", _CERTAIN
+            how = "the thumb's place and the fingers' names"
+            confidence = _CERTAIN
         elif named and abs(place) < _CLEAR:
-            how, confidence = "the fingers' names", _LIKELY
+            how = "the fingers' names"
+            confidence = _LIKELY
         elif named:
             confidence = _DISPUTED
         elif is_outside:
@@ -308,20 +323,25 @@ class _Evidence:
 
         Also return whether its base and its tip are both far on that side.
         """
-        flexion, thumb, rest = self.flexion, self.thumb, self.rest
+        flexion = self.flexion
+        thumb = self.thumb
+        rest = self.rest
         if thumb is None or len(rest) < 2:
             return 0.0, False
         row = flexion.bases[rest] @ across
         width = max(float(np.ptp(row)) / 2.0, 0.25 * float(flexion.reach[rest].mean()))
         ends = np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
         ends = (ends - row.mean()) / width
-        place, is_outside = float(ends.mean()), bool((ends * ends.mean() > 0.0).all())
+        place = float(ends.mean())
+        is_outside = bool((ends * ends.mean() > 0.0).all())
         is_outside = is_outside and abs(place) > 2.0 * _CLEAR
         return place if abs(place) > _VISIBLE else 0.0, is_outside
 
     def name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
-        flexion, labels, sure = self.flexion, self.labels, self.thumb_clue.confidence
+        flexion = self.flexion
+        labels = self.labels
+        sure = self.thumb_clue.confidence
         # Order fingers by base and tip: fingers spread towards their tips, and bases may lie one
         # behind the other.
         places = (0.7 * flexion.bases + 0.3 * flexion.tips_open) @ radial.direction
@@ -337,11 +357,14 @@ class _Evidence:
         by_name = [labels.index(label) for label in own]
         if 0 < len(order) == len(own):
             if by_name == order:
-                how, called = f"{how}; the names agree", own
+                how = f"{how}; the names agree"
+                called = own
                 confidence = _CERTAIN if sure >= _LIKELY else _LIKELY
             elif apart < 2.0 * _NARROW or confidence < _LIKELY:
-                how, called = "from the names; their places are ambiguous", own
-                order, confidence = by_name, _LIKELY
+                how = "from the names; their places are ambiguous"
+                called = own
+                order = by_name
+                confidence = _LIKELY
             else:
                 how = f"{how}; the names say {', '.join(own)}"
                 confidence = min(confidence, _DISPUTED)
@@ -354,7 +377,8 @@ class _Evidence:
 def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return how much fingers differ in position, direction and flexion, 0 to 1, shape (F, F)."""
     lines = flexion.tips_open - flexion.roots
-    lengths, directions = np.linalg.norm(lines, axis=1), _unit(lines)
+    lengths = np.linalg.norm(lines, axis=1)
+    directions = _unit(lines)
     along = _unit(directions[:, None] + directions)
     apart = np.abs(((flexion.roots[:, None] - flexion.roots) * along).sum(axis=2))
     longer = np.maximum(np.maximum(lengths[:, None], lengths), 1e-9)
@@ -391,7 +415,8 @@ def _find_side(
     Returns:
         The dorsal direction, and the side with the evidence for it.
     """
-    source, declared = "as given" if given else "from the names", given or named
+    source = "as given" if given else "from the names"
+    declared = given or named
     if radial.confidence == 0.0:
         if declared is None:
             return dorsal, Clue(
@@ -402,7 +427,8 @@ def _find_side(
     is_right = radial.direction @ np.cross(distal.direction, dorsal.direction) < 0.0
     found, place = ("right", "left") if is_right else ("left", "right")
     seen = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
-    least, is_clear = min(radial.confidence, thumb.confidence), dorsal.sign > 0.9
+    least = min(radial.confidence, thumb.confidence)
+    is_clear = dorsal.sign > 0.9
     if declared is None:
         return dorsal, Clue("side", found, seen, min(least, dorsal.confidence))
     if declared == found:
@@ -415,7 +441,8 @@ def _find_side(
     why = "flexion is symmetric"
     sure = min(_LIKELY, radial.confidence), 0.9 if given else min(_LIKELY, least)
     if is_clear:
-        why, sure = f"the ranges of the joints suggest {found}", (0.4, _DISPUTED)
+        why = f"the ranges of the joints suggest {found}"
+        sure = (0.4, _DISPUTED)
     how = f"the back of a {declared} hand with its thumb there; {why}"
     turned = _Found(-dorsal.direction + 0.0, how, sure[0], 0.0)
     return turned, Clue("side", declared, f"{source}; {why}", sure[1])

@@ -248,7 +248,8 @@ def _check_speeds(hand: Hand, tables: Tables) -> Findings:
     travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
     times[_carriers(hand)] = 0.0
-    worst, count = int(np.argmax(times)), int((times > _FIST_TIME).sum())
+    worst = int(np.argmax(times))
+    count = int((times > _FIST_TIME).sum())
     if count:
         what = (
             f"{count} {'joints are' if count > 1 else 'joint is'} too slow for a fist in half a "
@@ -279,10 +280,8 @@ def _check_followers(hand: Hand, tables: Tables) -> Findings:
 
 def _check_points(hand: Hand, tables: Tables) -> Findings:
     """Check partners, places and weights of the reference points."""
-    points, names = (
-        hand.points(hand.rest),
-        {point.name for point in load_hand("human").spec.points},
-    )
+    points = hand.points(hand.rest)
+    names = {point.name for point in load_hand("human").spec.points}
     partners = partner_names(hand, names)
     for i, point in enumerate(hand.reference_points):
         where = f"points.{point.name}"

@@ -167,7 +167,8 @@ class HandsInit:
             for c in found.clues
         ]
         if self.json:
-            notes, out = list(found.notes), str(self.out)
+            notes = list(found.notes)
+            out = str(self.out)
             print(
                 json.dumps(
                     {"name": hand.name, "out": out, "found": rows, "notes": notes}

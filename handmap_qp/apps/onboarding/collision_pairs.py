@@ -104,7 +104,8 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     Raises:
         HandError: If a shape cannot be read.
     """
-    geometry, model = read_collision_shapes(hand), hand.model
+    geometry = read_collision_shapes(hand)
+    model = hand.model
     shapes = geometry.geometryObjects
     joints = [shape.parentJoint for shape in shapes]
     near = {joint: _neighbours(model, joint, joints) for joint in joints}
@@ -138,7 +139,8 @@ def _distances(
     hand: Hand, geometry: pin.GeometryModel, postures: np.ndarray
 ) -> np.ndarray:
     """Return the distance of each of k pairs in postures (p, n) [m], shape (p, k)."""
-    data, geometry_data = hand.model.createData(), geometry.createData()
+    data = hand.model.createData()
+    geometry_data = geometry.createData()
     found = []
     for q in postures:
         vector = hand.configuration_vector(q)

@@ -136,8 +136,10 @@ class _FoundHand:
     """
 
     def __init__(self, robot: Robot, side: Side | None, thumb: str | None) -> None:
-        self.robot, self.structure = robot, find_structure(robot)
-        fingers, palm = self.structure.fingers, self.structure.palm
+        self.robot = robot
+        self.structure = find_structure(robot)
+        fingers = self.structure.fingers
+        palm = self.structure.palm
         names = [finger.names for finger in fingers]
         given = next((i for i, group in enumerate(names) if thumb in group), None)
         if thumb is not None and given is None:
@@ -160,11 +162,13 @@ class _FoundHand:
 
     def describe(self, name: str | None) -> HandSpec:
         """Return the description; without a name it is called as the robot."""
-        robot, anatomy = self.robot, self.anatomy
+        robot = self.robot
+        anatomy = self.anatomy
         names = [joint for finger in self.fingers for joint in finger.joint_names]
         drivers = dict.fromkeys(map(robot.driver, names))
         joints = tuple(joint for joint in drivers if joint in robot.active)
-        palm, origin = self.structure.palm, self._palm_origin()
+        palm = self.structure.palm
+        origin = self._palm_origin()
         points, sets = self._points()
         rest, idle = (_positions(robot, q) for q in (self._rest(), robot.zero))
         locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
@@ -196,21 +200,26 @@ class _FoundHand:
         tips = tuple(self._tip(finger) for finger in self.fingers)
         places = [(finger, finger.find_middle()) for finger in self.fingers]
         middles = [self._middle(finger, place) for finger, place in places if place]
-        points, sets = (*tips, *middles), {"fingertips": tips}
+        points = (*tips, *middles)
+        sets = {"fingertips": tips}
         if middles:
             sets["fingertips_middle"] = points
         return points, {key: tuple(p.name for p in sets[key]) for key in sets}
 
     def _name(self) -> str:
         """Return the robot's name, with the hand's side if there is more to the robot."""
-        name, side = self.robot.name, self.anatomy.side
+        name = self.robot.name
+        side = self.anatomy.side
         has_side = re.search(rf"(?<![a-z]){side}(?![a-z])", name.lower())
         return name if self.robot.is_whole or has_side else f"{name}_{side}"
 
     def _rest(self) -> np.ndarray:
         """Return the half-open posture; other joints are near zero, or centred (thumb)."""
-        robot, flexion = self.robot, self.flexion
-        lower, upper, zero = robot.lower_limits, robot.upper_limits, robot.zero
+        robot = self.robot
+        flexion = self.flexion
+        lower = robot.lower_limits
+        upper = robot.upper_limits
+        zero = robot.zero
         travel = flexion.q_closed - flexion.q_open
         step = np.clip(_REST_SHARE * travel, -_REST_MOST, _REST_MOST)
         step = np.where(flexion.slides, 0.5 * travel, step)
@@ -218,7 +227,8 @@ class _FoundHand:
         one_sided = of_thumb & ((lower > -0.1) | (upper < 0.1))
         # Joints that spread the fingers to one side only rest away from that limit, fingers apart.
         spreads = flexion.moves.any(axis=0)
-        margin, width = _AT_LIMIT * (upper - lower), _SPREAD * (upper - lower)
+        margin = _AT_LIMIT * (upper - lower)
+        width = _SPREAD * (upper - lower)
         q = np.select(
             [
                 flexion.sign != 0.0,
@@ -273,11 +283,14 @@ class _FoundHand:
 
     def _palm_origin(self) -> np.ndarray:
         """Estimate the wrist position: behind the knuckles, at the palm's proximal end."""
-        robot, palm, distal = self.robot, self.structure.palm, self.anatomy.distal
+        robot = self.robot
+        palm = self.structure.palm
+        distal = self.anatomy.distal
         chosen = ~self._thumbs if not self._thumbs.all() else self._thumbs
         knuckles = self.flexion.bases[chosen].mean(axis=0)
         cloud = robot.surface(robot.body(palm))
-        back, how = float(knuckles @ distal), "the origin of the palm's link"
+        back = float(knuckles @ distal)
+        how = "the origin of the palm's link"
         if len(cloud):
             cloud = transform_points(
                 robot.pose_in(robot.links[robot.body(palm)][0], palm), cloud
@@ -285,10 +298,12 @@ class _FoundHand:
             back -= float((cloud @ distal).min())
             how = "the proximal end of the palm's surface"
         how += ", behind the centre of the knuckles"
-        reach, sure = float(self.flexion.reach[chosen].max()), 0.8
+        reach = float(self.flexion.reach[chosen].max())
+        sure = 0.8
         likely = min(max(back, _PALM_RATIO[0] * reach), _PALM_RATIO[1] * reach)
         if back != likely:
-            back, sure = likely, 0.5
+            back = likely
+            sure = 0.5
             how += "; moved to a distance as in a person's proportions"
         answer = f"{1e3 * back:.0f} mm behind the knuckles"
         self._add("palm origin", answer, how, min(sure, self._sure["distal"]))
@@ -315,7 +330,8 @@ def _on_arm(
     text: str | bytes, urdf: Path, spec: HandSpec, base: str
 ) -> tuple[HandSpec, list[str]]:
     """Return the hand with the arm from `base` to it; all other joints are locked."""
-    robot, hand = Robot(text, urdf, root=base), spec.wrist.link
+    robot = Robot(text, urdf, root=base)
+    hand = spec.wrist.link
     if hand not in robot.frames:
         problem = f"the hand {hand!r} does not hang from the base {base!r}"
         raise HandError(problem, file=urdf, value=base)
@@ -327,7 +343,8 @@ def _on_arm(
     # A straight arm is singular; at mid-range it seldom is.
     middle = 0.5 * (robot.lower_limits + robot.upper_limits)
     rest = _positions(robot, middle.round(4) + 0.0)
-    joints, still = (*arm, *spec.joints), _positions(robot, robot.zero)
+    joints = (*arm, *spec.joints)
+    still = _positions(robot, robot.zero)
     still = {joint: still[joint] for joint in still if joint not in joints}
     changed = msgspec.structs.replace(
         spec,

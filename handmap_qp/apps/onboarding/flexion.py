@@ -66,14 +66,17 @@ class HandFlexion:
         fingers: Sequence[Finger],
         palmar: np.ndarray | None = None,
     ) -> None:
-        self._robot, self._fingers, self._view = robot, fingers, PalmKinematics(robot)
+        self._robot = robot
+        self._fingers = fingers
+        self._view = PalmKinematics(robot)
         self._tips = [finger.tip for finger in fingers]
         roots = [(finger.joints[0], np.zeros(3)) for finger in fingers]
         zero = zero_posture(robot)
         self.roots = self._view.points(zero, roots)
         self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
         straight = np.ma.masked_all(self.moves.shape)
-        self.sign, self.certainty = np.zeros(len(zero)), np.zeros(len(fingers))
+        self.sign = np.zeros(len(zero))
+        self.certainty = np.zeros(len(fingers))
         self.ways, self.axes = np.zeros((2, len(fingers), 3))
         self._groups, self.bases = dict[int, Flexion](), self.roots.copy()
         for i, finger in enumerate(fingers):
@@ -83,10 +86,12 @@ class HandFlexion:
                 straight[i, group.columns] = group.straight
                 self.sign[group.columns] += group.certainty * group.sense * group.signs
         # A joint that moves several fingers takes the mean of their straight positions.
-        mean, self.sign = straight.mean(axis=0), np.sign(self.sign)
+        mean = straight.mean(axis=0)
+        self.sign = np.sign(self.sign)
         self.q_open = mean.filled(zero)
         motions = np.array([self._view.motion(self.q_open, tip) for tip in self._tips])
-        self._motions, self.slides = motions[:, :3], ~motions[:, 3:].any(axis=(0, 1))
+        self._motions = motions[:, :3]
+        self.slides = ~motions[:, 3:].any(axis=(0, 1))
         for i, group in self._groups.items():
             if group.certainty > 0.0:
                 self._settle(i, group.certainty)
@@ -175,7 +180,8 @@ class HandFlexion:
 
     def _line(self, i: int) -> np.ndarray:
         """Return a straight finger's line; that of its first phalanx if it stays bent."""
-        finger, tip = self._fingers[i], self.tips_open[i]
+        finger = self._fingers[i]
+        tip = self.tips_open[i]
         _, points = self._view.axes(self.q_open, finger.bending, finger.tip)
         parts = np.diff([*points, tip], axis=0)
         lengths = np.linalg.norm(parts, axis=1)

@@ -99,7 +99,8 @@ def match_hand(
         same = recording if recording.side == robot.side else mirrored(recording)
         human = scaled_human(same, points="landmarks")
     solved = HandPair(human, robot).solve_matched()
-    lower, upper = robot.lower_limits, robot.upper_limits
+    lower = robot.lower_limits
+    upper = robot.upper_limits
     # Rounding must not leave the limits, which may have more decimals.
     inside = np.ceil(lower * _SCALE), np.floor(upper * _SCALE)
     rounded = np.clip(np.round(solved * _SCALE), *inside) / _SCALE
@@ -168,7 +169,8 @@ def draw_match(match: Match, path: Path) -> None:
     from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet
     from handmap_qp.apps.drawing.hands import save_picture
 
-    human, robot = match.human, match.robot
+    human = match.human
+    robot = match.robot
     q = resting_posture(human)
     landmarks = transform_points(
         inverse_pose(human.frame_pose("palm", q)), human.points(q)

@@ -142,7 +142,8 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
     wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
     arm = [hand.model.idx_vs[joint] for joint in hand.model.supports[wrist]]
     own = ~np.isin(hand.v_indices, arm) | (wrist == 0)
-    generator, size = np.random.default_rng(0), (_SAMPLES, len(hand.rest))
+    generator = np.random.default_rng(0)
+    size = (_SAMPLES, len(hand.rest))
     shares = np.vstack([generator.random(size), generator.integers(0, 2, size)])
     postures = np.where(own, across(hand, shares), hand.rest)
     places = np.array([hand.points(q) for q in postures])
@@ -232,7 +233,8 @@ def try_motion(hand: Hand) -> list[MotionPart]:
             mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
             for share in 0.5 - 0.5 * np.cos(ways)
         ]
-        error, q = steps[-1].point_error, steps[-1].command.q
+        error = steps[-1].point_error
+        q = steps[-1].command.q
         worst = int(np.argmax(error))
         limited = compress(hand.joint_names, hand.at_position_limit(q))
         part = MotionPart(
@@ -288,7 +290,8 @@ def make_fist(hand: Hand) -> Fist | None:
     if len(fingers) < 2:
         return None
     flexion = HandFlexion(hand, [*fingers.values()])
-    axis, direction = flexion.axes.mean(axis=0), flexion.directions.mean(axis=0)
+    axis = flexion.axes.mean(axis=0)
+    direction = flexion.directions.mean(axis=0)
     if min(np.linalg.norm(axis), np.linalg.norm(direction)) < _COMMON:
         return None
     # Flexion turns distal (y) towards palmar (-z), about -x.
@@ -309,7 +312,8 @@ def measure_pinches(hand: Hand) -> list[Pinch]:
         One entry per finger; none if the hand has no thumb or no second finger.
     """
     fingers = find_fingers(hand)
-    pads, pinches = fingertip_pads(hand, fingers), []
+    pads = fingertip_pads(hand, fingers)
+    pinches = []
     if THUMB not in fingers:
         return pinches
     for name, finger in fingers.items():
@@ -336,8 +340,11 @@ def _nearest(hand: Hand, pads: list[Pad], columns: np.ndarray, near: float) -> f
     """Return the smallest distance of two pads' centres, or one below `near` [m]."""
     from scipy.optimize import least_squares
 
-    view, q, best = PalmKinematics(hand), hand.rest.copy(), np.inf
-    low, high = hand.lower_limits[columns], hand.upper_limits[columns]
+    view = PalmKinematics(hand)
+    q = hand.rest.copy()
+    best = np.inf
+    low = hand.lower_limits[columns]
+    high = hand.upper_limits[columns]
 
     def gap(positions: np.ndarray) -> np.ndarray:
         q[columns] = positions
@@ -348,7 +355,8 @@ def _nearest(hand: Hand, pads: list[Pad], columns: np.ndarray, near: float) -> f
         motions = (view.motion(q, (pad.joint, pad.offset)) for pad in pads)
         return np.subtract(*motions)[:3, columns]
 
-    middle, zero = 0.5 * (low + high), zero_posture(hand)[columns]
+    middle = 0.5 * (low + high)
+    zero = zero_posture(hand)[columns]
     others = random_postures(hand, _STARTS)[:, columns]
     for start in (hand.rest[columns], middle, zero, *others):
         if best >= near:

@@ -77,8 +77,10 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
             "expected a table `retargeting`, as in dex-retargeting's files", file=path
         )
     kind = str(table.get("type")).lower()
-    field, key = _LINKS.get(kind, ""), "target_link_human_indices"
-    links, indices = table.get(field), table.get(key)
+    field = _LINKS.get(kind, "")
+    key = "target_link_human_indices"
+    links = table.get(field)
+    indices = table.get(key)
     count = len(links) if isinstance(links, list) else 0
     if kind == "vector" and isinstance(indices, list) and len(indices) == 2:
         # It has two rows of indices: where vectors begin, and where they end.
@@ -105,7 +107,8 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         try:
             msgspec.convert(value, wanted)
         except msgspec.ValidationError as error:
-            problem, given = f"expected {what}", table.get(name)
+            problem = f"expected {what}"
+            given = table.get(name)
             raise HandError(problem, file=path, key=name, value=given) from error
     # The wrist's own landmark is not a reference point.
     named = {

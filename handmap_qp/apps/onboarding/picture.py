@@ -92,7 +92,8 @@ class _Scene:
         self.hand = hand
         to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
         points = transform_points(to_palm, hand.points(hand.rest))
-        self.points, self.size = points @ _UPRIGHT.T, lengths(points).max()
+        self.points = points @ _UPRIGHT.T
+        self.size = lengths(points).max()
         self.triangles = self._solid().moved(affine(_UPRIGHT, np.zeros(3)))
         self.axes = 0.28 * self.size * _UPRIGHT.T
         self.marks = self._marks()
@@ -167,7 +168,8 @@ class _Scene:
 
     def _solid(self) -> Triangles:
         """Return the hand's surface without its arm; sticks between joints if it has no shapes."""
-        hand, model = self.hand, self.hand.model
+        hand = self.hand
+        model = self.hand.model
         wrist = model.frames[hand.wrist_frame_id].parentJoint
         links = [
             link
@@ -181,8 +183,10 @@ class _Scene:
 
     def _sticks(self, wrist: int) -> Triangles:
         """Return sticks between the joints beyond the wrist, and from joints to points."""
-        hand, model = self.hand, self.hand.model
-        origin, tips = np.zeros(3), [place_of(hand, p) for p in hand.reference_points]
+        hand = self.hand
+        model = self.hand.model
+        origin = np.zeros(3)
+        tips = [place_of(hand, p) for p in hand.reference_points]
         sticks = [
             ((model.parents[joint], origin), (joint, origin))
             for joint in range(wrist + 1, model.njoints)

@@ -91,7 +91,8 @@ class Robot:
     def __init__(
         self, text: str | bytes, file: Path, *, root: str | None = None
     ) -> None:
-        self.file, self._remarks = file, dict[str, list[str]]()
+        self.file = file
+        self._remarks = dict[str, list[str]]()
         self._surfaces: dict[int, np.ndarray] = {}
         try:
             robot = parse_urdf(text)
@@ -145,7 +146,8 @@ class Robot:
         at = [names.index(name) for name in self.active]
         self.lower_limits = model.lowerPositionLimit[at]
         self.upper_limits = model.upperPositionLimit[at]
-        self.zero, self.palm_frame_id = zero_posture(self), 0
+        self.zero = zero_posture(self)
+        self.palm_frame_id = 0
         self.frames: dict[str, int] = {}
         self.links: list[list[str]] = [[] for _ in model.names]
         for i, frame in enumerate(model.frames):
@@ -193,7 +195,9 @@ class Robot:
 
     def carriers(self, joint: int) -> list[str]:
         """Return the links of a body out to the one that carries a joint."""
-        frames, body, found = self.model.frames, self.model.parents[joint], list[str]()
+        frames = self.model.frames
+        body = self.model.parents[joint]
+        found = list[str]()
         index = self.model.getFrameId(self.model.names[joint], pin.FrameType.JOINT)
         index = frames[index].parentFrame
         while index and frames[index].parentJoint == body:
@@ -276,7 +280,8 @@ class Robot:
         # Loading it takes half a second, and hands without shapes need it not.
         import trimesh
 
-        solid, points = shape.find("geometry/*"), np.zeros((0, 3))
+        solid = shape.find("geometry/*")
+        points = np.zeros((0, 3))
         if solid is None:
             return points
         match solid.tag:
@@ -339,7 +344,8 @@ class Robot:
             one.upper - one.lower for one in given.values() if one.kind == "revolute"
         ]
         in_degrees = bool(turns and np.nanmedian(turns) > _LARGEST_TURN)
-        assumed, equal = dict[str, LimitSpec](), dict[str, float]()
+        assumed = dict[str, LimitSpec]()
+        equal = dict[str, float]()
         for name, one in given.items():
             if joints[name].find("mimic") is not None:
                 continue
@@ -373,7 +379,8 @@ class _Limits(NamedTuple):
 
 def _limits(joint: ET.Element) -> _Limits:
     """Return the limits that a joint has in the URDF."""
-    kind, limit = joint.get("type", ""), joint.find("limit")
+    kind = joint.get("type", "")
+    limit = joint.find("limit")
     given = {} if limit is None else limit.attrib
     lower, upper, speed = (
         float(given.get(key, 0.0)) for key in ("lower", "upper", "velocity")
@@ -392,7 +399,8 @@ def _assumed_range(
         ends = _ASSUMED_RANGE[kind]
         what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
     elif lower > upper:
-        ends, what = (upper, lower), "has its limits swapped"
+        ends = (upper, lower)
+        what = "has its limits swapped"
     elif kind != "revolute" or not (in_degrees or upper - lower > _LARGEST_TURN):
         return (None, None), ""
     elif in_degrees:

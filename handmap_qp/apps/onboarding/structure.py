@@ -221,7 +221,8 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
         robot: The robot.
         joints: The finger's joints.
     """
-    leaf, link = joints[-1], robot.links[joints[-1]][0]
+    leaf = joints[-1]
+    link = robot.links[joints[-1]][0]
     cloud = robot.surface(leaf)
     sizes = lengths(cloud)
     size = float(sizes.max(initial=0.0))
@@ -243,7 +244,8 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
         middle *= (cloud @ middle).max() / (middle @ middle)
         how = f"the far end of the surface of {link}, {1e3 * size:.0f} mm from the last joint"
         return Tip(link, middle, how, 0.8)
-    how, before = f"{link} has no surface and no end frame", np.zeros(3)
+    how = f"{link} has no surface and no end frame"
+    before = np.zeros(3)
     if len(joints) > 1:
         before = robot.pose_in(robot.links[joints[-2]][0], link)[:3, 3]
     if np.linalg.norm(before) > _LEAST_TIP:
@@ -274,10 +276,13 @@ def _poses(robot: Robot, finger: RobotFinger, other: int) -> np.ndarray:
 
     The finger's joints cross their ranges together.
     """
-    data, poses = robot.model.createData(), []
+    data = robot.model.createData()
+    poses = []
     for share in np.linspace(0.0, 1.0, 5):
-        q, columns = robot.zero.copy(), finger.columns
-        low, high = robot.lower_limits[columns], robot.upper_limits[columns]
+        q = robot.zero.copy()
+        columns = finger.columns
+        low = robot.lower_limits[columns]
+        high = robot.upper_limits[columns]
         q[columns] = low + share * (high - low)
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
         poses.append(data.oMi[other].actInv(data.oMi[finger.joints[-1]]).homogeneous)
@@ -324,7 +329,8 @@ def _is_hinged(bar: RobotFinger, poses: np.ndarray) -> bool:
 
     The pivot p in the bar and c in the body solve `R p + t = c` for the bar's poses (R, t).
     """
-    rotations, shifts = poses[:, :3, :3], -poses[:, :3, 3].ravel()
+    rotations = poses[:, :3, :3]
+    shifts = -poses[:, :3, 3].ravel()
     if np.linalg.norm(rotations - rotations[0], axis=(1, 2)).max() < _LEAST_PIVOT:
         return _travel(bar, poses) < _LINKAGE_SLACK
     matrix = np.hstack([rotations.reshape(-1, 3), np.tile(-np.eye(3), (len(poses), 1))])

@@ -89,7 +89,8 @@ def check_free(path: Path, *, overwrite: bool) -> None:
 
 def hand_text(detection: Detection, folder: Path) -> str:
     """Return the text of a `hand.yaml`; the URDF's path is relative to `folder`."""
-    spec, clues = detection.spec, {clue.what: clue for clue in detection.clues}
+    spec = detection.spec
+    clues = {clue.what: clue for clue in detection.clues}
     document = {key: getattr(spec, key) for key in _KEYS}
     document["urdf"] = _urdf_reference(spec.urdf, folder)
     document["palm"] = msgspec.structs.asdict(spec.palm)
