@@ -97,7 +97,7 @@ def optimum_of(
 ) -> tuple[float, bool]:
     """Return how far further steps turn a joint [deg], and whether no other start ends better."""
     targets = local_targets(fitter, landmarks)
-    start = q[fitter._order].reshape(5, 4)
+    start = q.reshape(5, 4)
     tolerance, fitting.TOLERANCE = fitting.TOLERANCE, 1e-9
     try:
         best, cost = fitter._solve(start, targets, _FURTHER)

@@ -17,9 +17,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.configuration import CROSS
-from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -28,6 +27,7 @@ from handmap_qp.human.recording import HumanMotion, Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.se3 import affine, as_floats, nearest_rotation
+from handmap_qp.se3 import lengths as norms
 
 MOST_ITERATIONS = 12
 """Most steps for one sample; a hand that moves takes two to four, the next sample goes on."""
@@ -49,8 +49,7 @@ _STUCK_COST = 2.0
 """Cost of a finger above which its abduction at a limit is not believed: errors of 5 mm."""
 _JOINTS = 4
 """Joints of a finger."""
-_POINTS = 3
-"""Landmarks of a finger that its joints move."""
+_SHAPE = (len(FINGERS), _JOINTS)
 
 
 class LandmarkFitter:
@@ -79,16 +78,15 @@ class LandmarkFitter:
         self._centre = self._palm.points.mean(axis=0)
         self._shape = self._palm.points - self._centre
         self._configuration = human.configuration()
-        self._order = _finger_joints(human)
-        self._columns = human.joint_columns[self._order]
-        shape = (len(FINGERS), _JOINTS)
-        self._lower = human.lower_limits[self._order].reshape(shape)
-        self._upper = human.upper_limits[self._order].reshape(shape)
-        self._rest = human.rest[self._order].reshape(shape)
+        # Joints are in the order of `HUMAN_JOINTS`: by finger, from its base outwards.
+        limits = human.lower_limits, human.upper_limits, human.rest
+        self._lower, self._upper, self._rest = (q.reshape(_SHAPE) for q in limits)
         weights = np.array([1.0, 1.0, _TIP_WEIGHT]) / LENGTH_UNIT
         self._weights = np.repeat(weights, 3)
         # A joint moves the landmarks beyond it.
-        self._scale = weights[:, None, None] * self._moves()[:, :, None]
+        support = self._configuration.support[3 : 3 * LANDMARK_COUNT : 3]
+        moves = support[:, human.joint_columns].reshape(len(FINGERS), -1, *_SHAPE)
+        self._scale = weights[:, None, None] * moves[_EACH, 1:, _EACH][:, :, None]
         self._vector = human.configuration_vector(human.rest, np.eye(4))
         self._q: np.ndarray | None = None
 
@@ -112,18 +110,12 @@ class LandmarkFitter:
         wrist = self._wrist(landmarks)
         # In wrist axes the fingers alone move.
         local = (landmarks - wrist[:3, 3]).dot(wrist[:3, :3])
-        targets = local[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[:, 1:]
-        before = self._q
-        self._q = q = (
-            self._best_start(targets)
-            if before is None
-            else self._follow(before, targets)
-        )
-        self._place(q)
-        errors = self._configuration.points - local
-        angles = np.empty(q.size)
-        angles[self._order] = q.ravel()
-        return angles, wrist, np.sqrt(np.einsum("ij,ij->i", errors, errors))
+        targets = _beyond_base(local)
+        follow = self._best_start if self._q is None else self._follow
+        self._q = follow(targets)
+        self._place(self._q)
+        errors = norms(self._configuration.points - local)
+        return self._q.flatten(), wrist, errors
 
     def _wrist(self, landmarks: np.ndarray) -> np.ndarray:
         """Lay the palm's shape on its landmarks; return the wrist pose, shape (4, 4)."""
@@ -132,47 +124,42 @@ class LandmarkFitter:
         rotation = nearest_rotation((palm - centre).T.dot(self._shape))
         return affine(rotation, centre - rotation.dot(self._centre))
 
-    def _moves(self) -> np.ndarray:
-        """Return 1 where a joint of a finger moves one of its landmarks, shape (5, 3, 4)."""
-        rows = self._configuration.support[3 : 3 * LANDMARK_COUNT : 3, self._columns]
-        rows = rows.reshape(len(FINGERS), 1 + _POINTS, len(FINGERS), _JOINTS)
-        return rows[_EACH, 1:, _EACH]
-
     def _best_start(self, targets: np.ndarray) -> np.ndarray:
         """Fit a first sample from several postures, and take each finger's best fit."""
         best = np.full(len(FINGERS), np.inf)
         chosen = self._rest.copy()
         for share in _FIRST_SHARES:
-            start = self._rest + share * (
-                np.where(share > 0, self._upper, self._lower) - self._rest
-            )
+            limit = self._upper if share > 0.0 else self._lower
+            start = self._rest + share * (limit - self._rest)
             q, cost = self._solve(start, targets, _FIRST_ITERATIONS)
             is_better = cost < best
             chosen[is_better], best[is_better] = q[is_better], cost[is_better]
         return chosen
 
-    def _follow(self, q: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    def _follow(self, targets: np.ndarray) -> np.ndarray:
         """Fit a sample from the one before; fingers that got stuck start from their rest abduction.
 
         At 90 degrees of flexion, abduction does not move the bones before the next joint, and a
         finger can come back on the wrong side.
         """
-        q, cost = self._solve(q, targets, MOST_ITERATIONS)
-        is_stuck = (cost > _STUCK_COST) & ((q <= self._lower) | (q >= self._upper))[
-            :, 0
-        ]
-        left = MOST_ITERATIONS - self.iterations
-        if is_stuck.any() and left > 0:
+        assert self._q is not None
+        q, cost = self._solve(self._q, targets, MOST_ITERATIONS)
+        is_at_limit = (q <= self._lower) | (q >= self._upper)
+        is_stuck = (cost > _STUCK_COST) & is_at_limit[:, 0]
+        done = self.iterations
+        if is_stuck.any() and done < MOST_ITERATIONS:
             start = q.copy()
             start[is_stuck, 0] = self._rest[is_stuck, 0]
-            iterations = self.iterations
-            other, other_cost = self._solve(start, targets, left)
-            self.iterations += iterations
+            other, other_cost = self._solve(start, targets, MOST_ITERATIONS - done)
+            self.iterations += done
             q = np.where((other_cost < cost)[:, None], other, q)
         return q
 
     def _solve(
-        self, q: np.ndarray, targets: np.ndarray, most: int
+        self,
+        q: np.ndarray,
+        targets: np.ndarray,
+        most: int,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Minimise the cost of every finger from a posture, shape (5, 4).
 
@@ -185,38 +172,31 @@ class LandmarkFitter:
             Joint angles [rad], shape (5, 4), and the cost of each finger, shape (5,).
         """
         damping = np.full(len(FINGERS), _DAMPING)
-        is_newton = np.ones(len(FINGERS), dtype=bool)
+        is_better = np.ones(len(FINGERS), dtype=bool)
         residual, cost = self._cost(q, targets)
-        H, g = self._normal_equations(q, residual, is_newton)
-        self.iterations = 0
-        while self.iterations < most:
-            self.iterations += 1
+        for self.iterations in range(1, most + 1):
+            # Second derivatives mislead far from the optimum.
+            H, g = self._normal_equations(q, residual, is_newton=is_better)
             step = np.clip(self._step(q, H, g, damping), -_LONGEST, _LONGEST)
             tried = np.clip(q + step, self._lower, self._upper)
-            largest = np.abs(tried - q).max(axis=1)
+            largest = np.abs(tried - q).max()
             tried_residual, tried_cost = self._cost(tried, targets)
             is_better = tried_cost <= cost
             q = np.where(is_better[:, None], tried, q)
             residual = np.where(is_better[:, None], tried_residual, residual)
             cost = np.where(is_better, tried_cost, cost)
-            if (largest <= TOLERANCE).all():
+            if largest <= TOLERANCE:
                 break
-            damping = np.clip(
-                damping * np.where(is_better, _BETTER, _WORSE),
-                _LEAST_DAMPING,
-                _MOST_DAMPING,
-            )
-            # Second derivatives mislead far from the optimum.
-            is_newton = is_better
+            damping *= np.where(is_better, _BETTER, _WORSE)
+            damping = np.clip(damping, _LEAST_DAMPING, _MOST_DAMPING)
             if not is_better.all():
                 # Jacobians are those of the fingers as tried.
                 self._place(q)
-            H, g = self._normal_equations(q, residual, is_newton)
         return q, cost
 
     def _place(self, q: np.ndarray) -> None:
         """Put the hand at joint angles, shape (5, 4), with its wrist at the origin."""
-        self._vector[self.human.q_indices[self._order]] = q.ravel()
+        self._vector[self.human.q_indices] = q.ravel()
         self._configuration.place_with_jacobians(self._vector)
 
     def _cost(
@@ -224,56 +204,53 @@ class LandmarkFitter:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return weighted errors, shape (5, 9), and costs, shape (5,); places the hand there."""
         self._place(q)
-        points = self._configuration.points[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[
-            :, 1:
-        ]
-        residual = (points - targets).reshape(len(FINGERS), -1) * self._weights
+        errors = _beyond_base(self._configuration.points) - targets
+        residual = errors.reshape(len(FINGERS), -1) * self._weights
         pull = _REST_WEIGHT * (q - self._rest)
-        return residual, np.einsum("ij,ij->i", residual, residual) + np.einsum(
-            "ij,ij->i", pull, pull
-        )
+        return residual, _squares(residual) + _squares(pull)
 
     def _normal_equations(
-        self, q: np.ndarray, residual: np.ndarray, is_newton: np.ndarray
+        self,
+        q: np.ndarray,
+        residual: np.ndarray,
+        *,
+        is_newton: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return H, shape (5, 4, 4), and the gradient, shape (5, 4), where the hand is placed."""
         # Spatial velocities of each finger's joints at the origin; -[p]x takes them to the points.
-        joints = self._configuration.joint_jacobian()[:, self._columns]
-        linear, angular = joints.reshape(2, 3, len(FINGERS), _JOINTS).transpose(
-            0, 2, 1, 3
-        )
-        points = self._configuration.points[1:].reshape(len(FINGERS), 1 + _POINTS, 3)[
-            :, 1:
-        ]
-        crosses = points.reshape(-1, 3).dot(CROSS).reshape(len(FINGERS), 3 * _POINTS, 3)
-        moved = (crosses @ angular).reshape(len(FINGERS), _POINTS, 3, _JOINTS)
-        moved += linear[:, None]
-        moved *= self._scale
-        jacobian = moved.reshape(len(FINGERS), 3 * _POINTS, _JOINTS)
+        joints = self._configuration.joint_jacobian()[:, self.human.joint_columns]
+        joints = joints.reshape(2, 3, *_SHAPE).transpose(0, 2, 1, 3)
+        linear, angular = joints[:, :, None]
+        points = _beyond_base(self._configuration.points)
+        moved = (
+            points.dot(CROSS).reshape(*points.shape, 3) @ angular + linear
+        ) * self._scale
+        jacobian = moved.reshape(len(FINGERS), -1, _JOINTS)
         H = jacobian.transpose(0, 2, 1) @ jacobian
         H[:, _DIAGONAL, _DIAGONAL] += _REST_WEIGHT**2
         # Second derivatives: joint i before joint j turns the column of j, w_i x J_j.
         pulls = (
-            residual.reshape(-1, 3).dot(CROSS).reshape(len(FINGERS), _POINTS, 3, 3)
-            @ moved
+            residual.reshape(points.shape).dot(CROSS).reshape(*points.shape, 3) @ moved
         )
-        bend = angular.transpose(0, 2, 1) @ pulls.sum(axis=1) * is_newton[:, None, None]
+        bend = angular[:, 0].transpose(0, 2, 1) @ pulls.sum(axis=1)
+        bend *= is_newton[:, None, None]
         H += np.where(_UPPER, bend, bend.transpose(0, 2, 1))
         g = (residual[:, None] @ jacobian)[:, 0] + _REST_WEIGHT**2 * (q - self._rest)
         return H, g
 
     def _step(
-        self, q: np.ndarray, H: np.ndarray, g: np.ndarray, damping: np.ndarray
+        self,
+        q: np.ndarray,
+        H: np.ndarray,
+        g: np.ndarray,
+        damping: np.ndarray,
     ) -> np.ndarray:
         """Return the damped Newton step of the joints that are free to move, shape (5, 4)."""
         is_held = ((q <= self._lower) & (g > 0.0)) | ((q >= self._upper) & (g < 0.0))
         free = ~is_held
-        both = free[:, :, None] & free[:, None, :]
-        system = np.where(both, H, 0.0)
-        diagonal = np.where(
-            is_held, 1.0, H[:, _DIAGONAL, _DIAGONAL] * (1.0 + damping[:, None])
-        )
-        system[:, _DIAGONAL, _DIAGONAL] = diagonal
+        system = np.where(free[:, :, None] & free[:, None, :], H, 0.0)
+        diagonal = H[:, _DIAGONAL, _DIAGONAL] * (1.0 + damping[:, None])
+        system[:, _DIAGONAL, _DIAGONAL] = np.where(free, diagonal, 1.0)
         return -np.linalg.solve(system, np.where(free, g, 0.0)[:, :, None])[:, :, 0]
 
 
@@ -302,16 +279,12 @@ def fit_recording(
     fitter = LandmarkFitter(recording.side, lengths)
     valid = recording.valid.copy()
     valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])
-    if not valid.any():
-        raise InvalidInputError(
-            argument="landmarks",
-            expected="a hand that keeps its size",
-            got="no sample as large as the median of all",
-        )
-    count = len(recording)
-    q, wrist = np.empty((count, len(fitter.human.joint_names))), np.empty((count, 4, 4))
+    expected = "a hand that keeps its size"
+    got = "no sample as large as the median of all"
+    expect(valid.any(), "landmarks", expected, got=got)
+    count, first = len(recording), int(np.argmax(valid))
+    q, wrist = np.empty((count, _SHAPE[0] * _SHAPE[1])), np.empty((count, 4, 4))
     error = np.full((count, LANDMARK_COUNT), np.nan)
-    first = int(np.argmax(valid))
     for i in range(first, count):
         if valid[i]:
             q[i], wrist[i], error[i] = fitter.fit(recording.landmarks[i])
@@ -320,20 +293,17 @@ def fit_recording(
         if progress is not None:
             progress(i + 1)
     q[:first], wrist[:first] = q[first], wrist[first]
-    return HumanMotion(
-        fitter.human, recording.time, recording.steps, q, wrist, valid, error
-    )
+    steps = recording.steps
+    return HumanMotion(fitter.human, recording.time, steps, q, wrist, valid, error)
 
 
-def _finger_joints(human: Hand) -> np.ndarray:
-    """Return the indices of the joints by finger, from its base outwards, shape (20,)."""
-    names = [
-        name
-        for finger in FINGERS
-        for name in human.joint_names
-        if name.startswith(finger)
-    ]
-    return np.array([human.joint_names.index(name) for name in names])
+def _squares(rows: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", rows, rows)
+
+
+def _beyond_base(landmarks: np.ndarray) -> np.ndarray:
+    """Return the landmarks that joints move, by finger, shape (5, 3, 3)."""
+    return landmarks[1:].reshape(len(FINGERS), -1, 3)[:, 1:]
 
 
 _EACH = np.arange(len(FINGERS))

@@ -10,14 +10,14 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.se3 import as_floats, frozen, rigid_fit, transform_points
+from handmap_qp.se3 import as_floats, frozen, lengths, rigid_fit, transform_points
 
 PALM = np.array([0, 5, 9, 13, 17])
 """Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
@@ -54,12 +54,6 @@ class PalmShape:
         self.points = landmarks_at_rest(human)[PALM]
         self._size = float(palm_sizes(self.points))
 
-    def fits_size(self, size: float | np.ndarray) -> bool | np.ndarray:
-        """Tell whether `palm_sizes` gave the size of a hand about as large as this one [m]."""
-        return (size >= _PALM_RATIOS[0] * self._size) & (
-            size <= _PALM_RATIOS[1] * self._size
-        )
-
     def fits(self, landmarks: np.ndarray) -> np.ndarray:
         """Tell whether landmarks belong to a hand about as large as this one.
 
@@ -75,10 +69,11 @@ class PalmShape:
             InvalidInputError: On a wrong shape, or anything but numbers.
         """
         array = as_floats(landmarks, "landmarks")
-        if array.shape[-2:] != (LANDMARK_COUNT, 3):
-            expected, got = f"shape (..., {LANDMARK_COUNT}, 3)", f"shape {array.shape}"
-            raise InvalidInputError(argument="landmarks", expected=expected, got=got)
-        return np.asarray(self.fits_size(palm_sizes(array[..., PALM, :])))
+        expected, got = f"shape (..., {LANDMARK_COUNT}, 3)", f"shape {array.shape}"
+        is_right = array.shape[-2:] == (LANDMARK_COUNT, 3)
+        expect(is_right, "landmarks", expected, got=got)
+        ratios = palm_sizes(array[..., PALM, :]) / self._size
+        return np.asarray((ratios >= _PALM_RATIOS[0]) & (ratios <= _PALM_RATIOS[1]))
 
     def check(self, landmarks: np.ndarray) -> None:
         """Reject landmarks of a hand that is much larger or smaller.
@@ -89,14 +84,14 @@ class PalmShape:
         Raises:
             InvalidInputError: If the palm is less than half or more than twice as large.
         """
-        if not self.fits(landmarks):
-            ratio = float(palm_sizes(landmarks[PALM])) / self._size
-            raise InvalidInputError(
-                argument="landmarks",
-                expected="metres and a palm as large as the hand's",
-                value=landmarks,
-                got=f"one {ratio:.3g} times as large",
-            )
+        ratio = float(palm_sizes(landmarks[PALM])) / self._size
+        expect(
+            self.fits(landmarks),
+            "landmarks",
+            "metres and a palm as large as the hand's",
+            value=landmarks,
+            got=f"one {ratio:.3g} times as large",
+        )
 
 
 @lru_cache(maxsize=8)
@@ -138,23 +133,27 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
     """
     shape = ("T", LANDMARK_COUNT, 3)
     landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-    bones = np.linalg.norm(
-        np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2), axis=3
-    )
+    bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
     segments = np.median(bones, axis=0)
-    low, high = HAND_LENGTHS
-    length = float(
-        np.median(np.linalg.norm(landmarks[:, 9] - landmarks[:, 0], axis=1))
-        + segments[2].sum()
-    )
-    if not low <= length <= high:
-        expected = (
-            f"metres and a hand of {low} to {high} m from wrist to middle fingertip"
-        )
-        raise InvalidInputError(
-            argument="landmarks", expected=expected, value=length, got=f"{length:.3g}"
-        )
+    palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
+    expect_hand_length(float(palm + segments[2].sum()), "landmarks")
     return segments
+
+
+def expect_hand_length(length: float, argument: str) -> None:
+    """Reject a length from wrist to middle fingertip that no hand has in metres.
+
+    Raises:
+        InvalidInputError: If it is outside `HAND_LENGTHS`.
+    """
+    low, high = HAND_LENGTHS
+    expect(
+        low <= length <= high,
+        argument,
+        f"metres and a hand of {low} to {high} m from wrist to middle fingertip",
+        value=length,
+        got=f"{length:.3g}",
+    )
 
 
 def measure_hand(recording: Recording) -> HumanLengths:
@@ -170,10 +169,8 @@ def measure_hand(recording: Recording) -> HumanLengths:
     Raises:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
-    if not isinstance(recording, Recording):
-        raise InvalidInputError(
-            argument="recording", expected="a Recording", value=recording
-        )
+    is_recording = isinstance(recording, Recording)
+    expect(is_recording, "recording", "a Recording", value=recording)
     return _measured_hand(recording)
 
 
@@ -192,7 +189,11 @@ def _measured_hand(recording: Recording) -> HumanLengths:
         palm = palm - palm[0]
     laid = transform_points(rigid_fit(palms, palm), landmarks)
     bases = np.median(laid[:, FIRST_JOINTS], axis=0)
-    return HumanLengths(bases=bases, segments=segments, rolls=_rolls(laid))
+    return HumanLengths(
+        bases=bases,
+        segments=segments,
+        rolls=_rolls(laid),
+    )
 
 
 def _rolls(landmarks: np.ndarray) -> np.ndarray:
@@ -208,15 +209,12 @@ def _rolls(landmarks: np.ndarray) -> np.ndarray:
         Medians over the samples that bend the finger, shape (5,); 0 for the thumb, whose bones
         bend about two axes, and for a finger that hardly bends.
     """
-    fingers = landmarks[:, 1:].reshape(-1, len(FINGERS), 4, 3)
-    proximal, beyond = (
-        fingers[:, :, 1] - fingers[:, :, 0],
-        fingers[:, :, 3] - fingers[:, :, 1],
-    )
+    joints = landmarks[:, 1:].reshape(-1, len(FINGERS), 4, 3)
+    proximal = joints[:, :, 1] - joints[:, :, 0]
+    beyond = joints[:, :, 3] - joints[:, :, 1]
     normals = np.cross(proximal, beyond)
     angles = np.arctan2(normals[..., 2], -normals[..., 0])
-    lengths = np.linalg.norm(proximal, axis=2) * np.linalg.norm(beyond, axis=2)
-    is_bent = np.linalg.norm(normals, axis=2) > _BENT * lengths
+    is_bent = lengths(normals) > _BENT * lengths(proximal) * lengths(beyond)
     rolls = np.zeros(len(FINGERS))
     for i in range(1, len(FINGERS)):
         if is_bent[:, i].sum() >= _FEWEST_BENT:
@@ -241,17 +239,16 @@ def scaled_human(
         InvalidInputError: If the landmarks are not those of a hand in metres.
         HandError: If there is no such set.
     """
-    lengths = measure_hand(recording) if lengths is None else lengths
-    return load_hand(human_name(recording.side), points=points, lengths=lengths)
+    own = measure_hand(recording) if lengths is None else lengths
+    return load_hand(human_name(recording.side), points=points, lengths=own)
 
 
 @cache
 def _standard_palm() -> np.ndarray:
     """Return the palm's landmarks of the standard right hand [m], shape (5, 3), read-only."""
     right = load_hand("human", points="landmarks")
-    return frozen(
-        right.points(np.clip(0.0, right.lower_limits, right.upper_limits))[PALM]
-    )
+    flat = np.clip(0.0, right.lower_limits, right.upper_limits)
+    return frozen(right.points(flat)[PALM])
 
 
 def palm_sizes(palms: np.ndarray) -> np.ndarray:

@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.errors import InvalidInputError, without_errno
+from handmap_qp.errors import InvalidInputError, expect, without_errno
 from handmap_qp.hands.human import FINGERS, HumanLengths
-from handmap_qp.human.landmarks import HAND_LENGTHS
+from handmap_qp.human.landmarks import expect_hand_length
 from handmap_qp.output_files import replaced_file
 
 LARGEST_GAP = 0.04
@@ -23,7 +23,11 @@ LARGEST_GAP = 0.04
 _DECIMALS = 5
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Person:
     """What is measured of one person.
 
@@ -43,20 +47,13 @@ class Person:
     contact_gap: float
 
     def __post_init__(self) -> None:
-        low, high = HAND_LENGTHS
-        if not low <= self.hand_length <= high:
-            raise InvalidInputError(
-                argument="fingers",
-                expected=f"metres and a hand of {low} to {high} m from wrist to middle fingertip",
-                value=self.hand_length,
-                got=f"{self.hand_length:.3g}",
-            )
-        if not 0.0 <= self.contact_gap <= LARGEST_GAP:
-            raise InvalidInputError(
-                argument="contact_gap",
-                expected=f"a distance in [0, {LARGEST_GAP}] m",
-                value=self.contact_gap,
-            )
+        expect_hand_length(self.hand_length, "fingers")
+        expect(
+            0.0 <= self.contact_gap <= LARGEST_GAP,
+            "contact_gap",
+            f"a distance in [0, {LARGEST_GAP}] m",
+            value=self.contact_gap,
+        )
         lengths = replace(self.lengths, contact_gap=self.contact_gap)
         object.__setattr__(self, "lengths", lengths)
 
@@ -69,11 +66,8 @@ class Person:
 
     def session_fields(self) -> dict[str, Any]:
         """Return the arguments of `Client.open` that describe the person to the service."""
-        lengths = {
-            "bases": self.lengths.bases.tolist(),
-            "segments": self.lengths.segments.tolist(),
-            "rolls": self.lengths.rolls.tolist(),
-        }
+        names = ("bases", "segments", "rolls")
+        lengths = {name: getattr(self.lengths, name).tolist() for name in names}
         return {"lengths": lengths, "contact_gap": self.contact_gap}
 
 
@@ -122,41 +116,35 @@ def read_person(path: Path | str) -> Person:
         InvalidInputError: If the file cannot be read, a key is unknown, missing or of another type,
             or a number cannot be a hand's. `argument` is the key.
     """
-    if not isinstance(path, str | os.PathLike):
-        raise InvalidInputError(
-            argument="path", expected="the path of a file", value=path
-        )
+    is_path = isinstance(path, str | os.PathLike)
+    expect(is_path, "path", "the path of a file", value=path)
     file = Path(path)
     try:
-        document = yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (
-        OSError,
-        ValueError,
-    ) as error:  # ValueError: not UTF-8, or an impossible date
-        raise _unreadable(
-            file, "person", f"cannot be read: {without_errno(error)}"
-        ) from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise _unreadable(file, "person", f"is not valid YAML: {error}") from error
-    try:
-        found = msgspec.convert(document, _PersonFile)
+        found: Any = msgspec.convert(_read_yaml(file), _PERSON_FILE)
     except msgspec.ValidationError as error:
         # msgspec names the place in its message only.
         message, _, place = str(error).partition(" - at `$")
-        raise _unreadable(
-            file, place.rstrip("`").lstrip(".") or "person", message
-        ) from error
+        key = place.rstrip("`").lstrip(".") or "person"
+        raise _unreadable(file, key, message) from error
     fingers = [getattr(found.fingers, name) for name in FINGERS]
+    rows = [(finger.base, finger.bones, finger.roll) for finger in fingers]
     try:
-        lengths = HumanLengths(
-            bases=np.array([finger.base for finger in fingers]),
-            segments=np.array([finger.bones for finger in fingers]),
-            rolls=np.array([finger.roll for finger in fingers]),
-        )
+        lengths = HumanLengths(*map(np.array, zip(*rows, strict=True)))
         return Person(found.name, lengths, found.contact_gap)
     except InvalidInputError as error:
-        key = _KEYS.get(error.argument)
-        raise _unreadable(file, key or error.argument, error.what) from error
+        key = _KEYS.get(error.argument, error.argument)
+        raise _unreadable(file, key, error.what) from error
+
+
+def _read_yaml(file: Path) -> object:
+    try:
+        return yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        # ValueError: not UTF-8, or an impossible date.
+        problem = f"cannot be read: {without_errno(error)}"
+        raise _unreadable(file, "person", problem) from error
+    except (yaml.YAMLError, RecursionError) as error:
+        raise _unreadable(file, "person", f"is not valid YAML: {error}") from error
 
 
 _KEYS = {
@@ -176,28 +164,35 @@ class _FingerFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     roll: float = 0.0
 
 
-class _FingersFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The fingers of a person's file, as of `FINGERS`."""
-
-    thumb: _FingerFile
-    index: _FingerFile
-    middle: _FingerFile
-    ring: _FingerFile
-    little: _FingerFile
+_FINGERS_FILE = msgspec.defstruct(
+    "_FingersFile",
+    [(name, _FingerFile) for name in FINGERS],
+    frozen=True,
+    forbid_unknown_fields=True,
+)
 
 
-class _PersonFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The keys of a person's file."""
-
-    name: str
-    contact_gap: float
-    fingers: _FingersFile
+_PERSON_FILE = msgspec.defstruct(
+    "_PersonFile",
+    [("name", str), ("contact_gap", float), ("fingers", _FINGERS_FILE)],
+    frozen=True,
+    forbid_unknown_fields=True,
+)
+"""The keys of a person's file."""
 
 
 def _row(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:.{_DECIMALS}f}" for value in values) + "]"
 
 
-def _unreadable(file: Path, key: str, problem: Any) -> InvalidInputError:
+def _unreadable(
+    file: Path,
+    key: str,
+    problem: Any,
+) -> InvalidInputError:
     text = " ".join(str(problem).split())
-    return InvalidInputError(argument=key, problem=f"{file}: {text}", value=str(file))
+    return InvalidInputError(
+        argument=key,
+        problem=f"{file}: {text}",
+        value=str(file),
+    )

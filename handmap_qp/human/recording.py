@@ -11,16 +11,20 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample, unchecked_sample
-from handmap_qp.se3 import as_floats, check_poses
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.se3 import as_floats, check_poses, frozen
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class Recording:
     """Landmarks of one human hand over time; its arrays are read-only copies.
 
@@ -54,28 +58,34 @@ class Recording:
     def __post_init__(self) -> None:
         """Check the arrays, and replace them by read-only copies."""
         time = as_floats(self.time, "time", shape=("T",), is_finite=True)
-        _check_times(time)
-        landmarks = as_floats(
-            self.landmarks, "landmarks", shape=(len(time), LANDMARK_COUNT, 3)
-        )
-        valid = as_flags(self.valid, "valid", len(time))
+        count = len(time)
+        expect(count > 0, "time", "at least one instant", got="none")
+        increases = np.diff(time, prepend=-np.inf) > 0.0
+        increasing = "strictly increasing instants"
+        _expect_each(increases, "time", increasing, time, "{} at sample {}")
+        shape = (count, LANDMARK_COUNT, 3)
+        landmarks = as_floats(self.landmarks, "landmarks", shape=shape)
+        valid = as_flags(self.valid, "valid", count)
         check_side(self.side)
-        if not valid.any():
-            expected, got = "at least one valid sample", "none"
-            raise InvalidInputError(argument="valid", expected=expected, got=got)
-        is_spoilt = valid & ~np.isfinite(landmarks).all(axis=(1, 2))
-        if is_spoilt.any():
-            sample = int(np.flatnonzero(is_spoilt)[0])
-            expected, got = (
-                "finite numbers in every valid sample",
-                f"others in sample {sample}",
-            )
-            raise InvalidInputError(argument="landmarks", expected=expected, got=got)
-        _set_read_only(self, time=time, landmarks=landmarks, valid=valid)
-        if self.wrist is not None:
-            _set_read_only(self, wrist=check_poses(self.wrist, "wrist", valid))
-        if self.confidence is not None:
-            _set_read_only(self, confidence=_as_confidence(self.confidence, valid))
+        expect(valid.any(), "valid", "at least one valid sample", got="none")
+        is_right = ~valid | np.isfinite(landmarks).all(axis=(1, 2))
+        finite = "finite numbers in every valid sample"
+        _expect_each(is_right, "landmarks", finite, landmarks, "others in sample {1}")
+        wrist, confidence = self.wrist, self.confidence
+        if wrist is not None:
+            wrist = check_poses(wrist, "wrist", valid)
+        if confidence is not None:
+            shares = confidence = as_floats(confidence, "confidence", shape=(count,))
+            is_right = ~valid | ((shares >= 0.0) & (shares <= 1.0))
+            _expect_each(is_right, "confidence", "numbers from 0 to 1", shares)
+        _set_read_only(
+            self,
+            time=time,
+            landmarks=landmarks,
+            valid=valid,
+            wrist=wrist,
+            confidence=confidence,
+        )
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -93,12 +103,11 @@ class Recording:
         Raises:
             InvalidInputError: If no valid sample is left, or time does not increase.
         """
-        columns = ("time", "landmarks", "valid", "wrist", "confidence")
-        values = {name: getattr(self, name) for name in columns}
-        return replace(
-            self,
-            **{name: None if v is None else v[samples] for name, v in values.items()},
-        )
+        columns = {}
+        for name in ("time", "landmarks", "valid", "wrist", "confidence"):
+            values = getattr(self, name)
+            columns[name] = None if values is None else values[samples]
+        return replace(self, **columns)
 
     @property
     def steps(self) -> np.ndarray:
@@ -110,7 +119,11 @@ class Recording:
         return np.concatenate([[np.median(steps) if len(steps) else 1.0 / 60.0], steps])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class HumanMotion:
     """A recording as joint angles; its arrays are read-only copies.
 
@@ -139,10 +152,7 @@ class HumanMotion:
 
     def __post_init__(self) -> None:
         """Check the arrays, and replace them by read-only copies."""
-        if not isinstance(self.human, Hand):
-            raise InvalidInputError(
-                argument="human", expected="a Hand", value=self.human
-            )
+        expect(isinstance(self.human, Hand), "human", "a Hand", value=self.human)
         time = as_floats(self.time, "time", shape=("T",), is_finite=True)
         count, joints = len(time), len(self.human.joint_names)
         _set_read_only(
@@ -180,74 +190,55 @@ def recording_samples(
         wrist_poses: Wrist poses with our axes, shape (T, 4, 4). Those of the recording are left
             out, because their axes are the tracker's own; the palm gives the wrist then.
     """
-    times, valid, confidence = recording.time.tolist(), recording.valid.tolist(), [1.0]
-    confidence *= len(times)
-    if recording.confidence is not None:
-        confidence = np.where(recording.valid, recording.confidence, 0.0).tolist()
-    columns = zip(times, recording.landmarks, valid, confidence, strict=True)
-    if wrist_poses is None:
-        return [
-            unchecked_sample(time, recording.side, landmarks, is_seen, share)
-            for time, landmarks, is_seen, share in columns
-        ]
+    count = len(recording)
+    shares = np.ones(count) if recording.confidence is None else recording.confidence
+    columns = zip(
+        recording.time.tolist(),
+        recording.landmarks,
+        [None] * count if wrist_poses is None else wrist_poses,
+        recording.valid.tolist(),
+        np.where(recording.valid | (shares == 1.0), shares, 0.0).tolist(),
+        strict=True,
+    )
     return [
-        HumanSample(
-            time, recording.side, landmarks, pose if is_seen else None, is_seen, share
-        )
-        for (time, landmarks, is_seen, share), pose in zip(
-            columns, wrist_poses, strict=True
-        )
+        HumanSample(time, recording.side, points, pose if seen else None, seen, share)
+        for time, points, pose, seen, share in columns
     ]
 
 
-def as_flags(values: Any, name: str, count: int) -> np.ndarray:
+def as_flags(
+    values: Any,
+    name: str,
+    count: int,
+) -> np.ndarray:
     """Return truth values, shape (count,), of booleans or of zeros and ones.
 
     Raises:
         InvalidInputError: If they are something else.
     """
     flags = as_floats(values, name, shape=(count,))
-    if not np.isin(flags, (0.0, 1.0)).all():
-        raise InvalidInputError(
-            argument=name, expected="truth values, or 0 and 1", value=values
-        )
+    is_flag = np.isin(flags, (0.0, 1.0)).all()
+    expect(is_flag, name, "truth values, or 0 and 1", value=values)
     return flags.astype(bool)
 
 
-def _as_confidence(values: Any, valid: np.ndarray) -> np.ndarray:
-    confidence = as_floats(values, "confidence", shape=(len(valid),))
-    is_share = (confidence >= 0.0) & (confidence <= 1.0)
-    if (valid & ~is_share).any():
-        sample = int(np.flatnonzero(valid & ~is_share)[0])
-        expected, got = (
-            "numbers from 0 to 1",
-            f"{confidence[sample]} in sample {sample}",
-        )
-        raise InvalidInputError(
-            argument="confidence", expected=expected, value=values, got=got
-        )
-    return confidence
+def _expect_each(
+    is_right: np.ndarray,
+    argument: str,
+    expected: str,
+    values: np.ndarray,
+    got: str = "{} in sample {}",
+) -> None:
+    """Reject an array if one of its samples is wrong; `got` tells its value and its index."""
+    sample = int(np.argmin(is_right))
+    text = got.format(values[sample], sample)
+    expect(is_right[sample], argument, expected, value=values, got=text)
 
 
-def _check_times(time: np.ndarray) -> None:
-    if len(time) == 0:
-        raise InvalidInputError(
-            argument="time", expected="at least one instant", got="none"
-        )
-    if not (np.diff(time) > 0.0).all():
-        sample = int(np.flatnonzero(np.diff(time) <= 0.0)[0]) + 1
-        expected, got = (
-            "strictly increasing instants",
-            f"{time[sample]} at sample {sample}",
-        )
-        raise InvalidInputError(argument="time", expected=expected, value=time, got=got)
-
-
-def _set_read_only(value: Recording | HumanMotion, **arrays: np.ndarray) -> None:
+def _set_read_only(value: object, **arrays: np.ndarray | None) -> None:
     """Set fields of a frozen dataclass to write-protected copies."""
     for name, array in arrays.items():
-        copy = array.copy()
-        copy.setflags(write=False)
+        copy = None if array is None else frozen(array.copy())
         object.__setattr__(value, name, copy)
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.se3 import as_floats, check_pose
+from handmap_qp.se3 import as_floats, check_pose, frozen
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
@@ -25,7 +25,11 @@ LANDMARK_NAMES: tuple[str, ...] = (
 """Their names, in their order; the set `landmarks` of the human hand has the same ones."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(
+    frozen=True,
+    slots=True,
+    eq=False,
+)
 class HumanSample:
     """A human hand at one instant; its arrays are read-only copies.
 
@@ -57,44 +61,19 @@ class HumanSample:
 
     def __post_init__(self) -> None:
         """Check the values, and replace arrays by read-only copies."""
-        if not isinstance(self.time, int | float | np.number) or not math.isfinite(
-            self.time
-        ):
-            raise InvalidInputError(
-                argument="time", expected="a finite instant", value=self.time
-            )
+        is_time = isinstance(self.time, int | float | np.number)
+        is_time = is_time and math.isfinite(self.time)
+        expect(is_time, "time", "a finite instant", value=self.time)
         check_side(self.side)
-        shape = (LANDMARK_COUNT, 3)
         landmarks = as_floats(
-            self.landmarks, "landmarks", shape=shape, is_finite=bool(self.valid)
-        ).copy()
-        landmarks.setflags(write=False)
-        object.__setattr__(self, "landmarks", landmarks)
+            self.landmarks,
+            "landmarks",
+            shape=(LANDMARK_COUNT, 3),
+            is_finite=bool(self.valid),
+        )
+        object.__setattr__(self, "landmarks", frozen(landmarks.copy()))
         if self.wrist is not None:
             wrist = check_pose(self.wrist, "wrist").copy()
-            wrist.setflags(write=False)
-            object.__setattr__(self, "wrist", wrist)
-        if not 0.0 <= self.confidence <= 1.0:
-            expected = "a number from 0 to 1"
-            raise InvalidInputError(
-                argument="confidence", expected=expected, value=self.confidence
-            )
-
-
-def unchecked_sample(
-    time: float, side: Side, landmarks: np.ndarray, valid: bool, confidence: float
-) -> HumanSample:
-    """Return a sample of a recording, whose columns have been checked; the array is not copied.
-
-    Args:
-        time: As of `HumanSample`, and so are the others.
-        side: `right` or `left`.
-        landmarks: Read-only landmarks [m], shape (21, 3).
-        valid: Whether the tracker saw the hand.
-        confidence: From 0 to 1.
-    """
-    sample = object.__new__(HumanSample)
-    values = (time, side, landmarks, None, valid, confidence)
-    for name, value in zip(HumanSample.__slots__, values, strict=True):
-        object.__setattr__(sample, name, value)
-    return sample
+            object.__setattr__(self, "wrist", frozen(wrist))
+        is_share = 0.0 <= self.confidence <= 1.0
+        expect(is_share, "confidence", "a number from 0 to 1", value=self.confidence)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
+from handmap_qp.human.landmarks import PalmShape, landmarks_at_rest
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import Finding, Rule, Verdict
 from handmap_qp.stream.clock import RateCheck, SampleClock, Tick
@@ -109,13 +109,13 @@ class StreamGuard:
         Raises:
             InvalidInputError: If it is of the other hand.
         """
-        if sample.side != self._side:
-            raise InvalidInputError(
-                argument="side",
-                expected=f"samples of a {self._side} hand",
-                value=sample.side,
-                got=f"one of a {sample.side} hand",
-            )
+        expect(
+            sample.side == self._side,
+            "side",
+            f"samples of a {self._side} hand",
+            value=sample.side,
+            got=f"one of a {sample.side} hand",
+        )
         before = self.state
         tick, clock = before.clock.advance(sample.time)
         state = before._replace(clock=clock, now=before.now + tick.elapsed)
@@ -153,8 +153,7 @@ class StreamGuard:
         finding = self._input.update(sample.time, sample.landmarks, sample.wrist)
         if finding is not None:
             return finding.kind, finding
-        size = palm_sizes(sample.landmarks[PALM])
-        return ("" if self._palm.fits_size(size) else "size"), None
+        return ("" if self._palm.fits(sample.landmarks) else "size"), None
 
     def _follow(
         self,

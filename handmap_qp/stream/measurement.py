@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.human.contact_gap import measure_contact_gap
 from handmap_qp.human.landmarks import measure_hand, scaled_human
 from handmap_qp.human.person import Person
@@ -29,12 +29,7 @@ def measure_person(*recordings: Recording) -> Person:
         InvalidInputError: If there is no recording, or the landmarks are not a plausible hand in
             metres.
     """
-    if not recordings:
-        raise InvalidInputError(
-            argument="recordings",
-            expected="at least one",
-            got="none",
-        )
+    expect(recordings, "recordings", "at least one", got="none")
     joined = _joined([without_faults(recording) for recording in recordings])
     return Person(joined.name, measure_hand(joined), measure_contact_gap(joined))
 

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.plugins import Plugins
@@ -126,12 +126,12 @@ def read_hands(paths: Sequence[Path | str]) -> dict[Side, Recording]:
     """
     sources = [source for path in paths for source in list_sources(path)]
     sides = [source.entry.side for source in sources]
-    if sorted(sides) != ["left", "right"]:
-        raise InvalidInputError(
-            argument="RECORDING",
-            expected="one recording of the left and one of the right hand",
-            got=", ".join(sides) if len(sides) < 5 else f"{len(sides)} recordings",
-        )
+    expect(
+        sorted(sides) == ["left", "right"],
+        "RECORDING",
+        "one recording of the left and one of the right hand",
+        got=", ".join(sides) if len(sides) < 5 else f"{len(sides)} recordings",
+    )
     return {source.entry.side: source.read() for source in sources}
 
 
@@ -206,15 +206,10 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
     Raises:
         InvalidInputError: If there is no such format.
     """
-    if name is not None and name in FORMATS:
-        return FORMATS[name]
     if name is not None:
-        names = ", ".join(FORMATS)
-        raise InvalidInputError(
-            argument="--format",
-            expected=f"one of {names}",
-            value=name,
-        )
+        names = f"one of {', '.join(FORMATS)}"
+        expect(name in FORMATS, "--format", names, value=name)
+        return FORMATS[name]
     for form in FORMATS.values():
         if path.suffix.lower() in (form.suffixes or ("",)):
             return form
@@ -254,13 +249,8 @@ def write_recordings(
 def _path_text(path: Path | str) -> str:
     """Return a path as text, and reject something else than a path."""
     text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
-    if not isinstance(text, str):
-        raise InvalidInputError(
-            argument="path",
-            expected="the path of a file",
-            value=path,
-        )
-    return text
+    expect(isinstance(text, str), "path", "the path of a file", value=path)
+    return str(text)
 
 
 def _listing(entries: Sequence[Entry]) -> str:

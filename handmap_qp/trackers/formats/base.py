@@ -11,7 +11,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, MissingExtraError, RecordingError
+from handmap_qp.errors import (
+    InvalidInputError,
+    MissingExtraError,
+    RecordingError,
+    expect,
+)
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
@@ -110,33 +115,19 @@ class RecordingFormat(abc.ABC):
             InvalidInputError: If there is none, or a hand occurs twice.
         """
         sides = [recording.side for recording in recordings]
-        if not sides or len(set(sides)) < len(sides):
-            got = ", ".join(sides) or "none"
-            raise InvalidInputError(
-                argument="recordings",
-                expected=f"one recording of each hand in a file of the form {self.name}",
-                got=got if len(got) < 40 else f"{len(sides)} recordings",
-                advice="use lerobot, robomimic, or one file for each",
-            )
+        got = ", ".join(sides) or "none"
+        expect(
+            sides and len(set(sides)) == len(sides),
+            "recordings",
+            f"one recording of each hand in a file of the form {self.name}",
+            got=got if len(got) < 40 else f"{len(sides)} recordings",
+            advice="use lerobot, robomimic, or one file for each",
+        )
 
 
 def _has(recording: Recording, field: str) -> bool:
     value = getattr(recording, field)
     return value is not None and len(value) > 0
-
-
-def check_some(recordings: Sequence[Recording]) -> None:
-    """Reject no recordings.
-
-    Raises:
-        InvalidInputError: If there is none.
-    """
-    if not recordings:
-        raise InvalidInputError(
-            argument="recordings",
-            expected="at least one",
-            got="none",
-        )
 
 
 def require(package: str) -> Any:

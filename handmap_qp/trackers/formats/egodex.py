@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats.base import (
@@ -131,13 +131,13 @@ class EgoDexFormat(RecordingFormat):
         Where the tracker gave no wrist pose, the wrist's orientation is that of the palm.
         """
         self.check_one_per_hand(recordings)
-        if len({recording.time.tobytes() for recording in recordings}) > 1:
-            raise InvalidInputError(
-                argument="recordings",
-                expected="both hands at the same instants, as EgoDex has them",
-                got="others",
-                advice="write one file for each hand",
-            )
+        expect(
+            len({recording.time.tobytes() for recording in recordings}) == 1,
+            "recordings",
+            "both hands at the same instants, as EgoDex has them",
+            got="others",
+            advice="write one file for each hand",
+        )
         with created(path) as file:
             file["time"] = recordings[0].time
             for recording in recordings:

@@ -18,14 +18,13 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import make_folder, sync, writing
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     Entry,
     RecordingFormat,
-    check_some,
     column,
     known_columns,
     require,
@@ -92,7 +91,7 @@ class LeRobotFormat(RecordingFormat):
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as an episode."""
-        check_some(recordings)
+        expect(recordings, "recordings", "at least one", got="none")
         fields = {f"observation.{name}": name for name in known_columns(*recordings)}
         features = {}
         for feature, field in fields.items():

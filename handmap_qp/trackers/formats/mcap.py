@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -130,14 +130,10 @@ class McapFormat(RecordingFormat):
         self.check_one_per_hand(recordings)
         bags = require("rosbags.rosbag2")
         for recording in recordings:
-            if recording.time[0] < 0.0 or recording.time[-1] > 2.0**31:
-                expected = "instants from 0 to 2^31 s, as ROS 2 has them"
-                got = f"{recording.time[0]:g} to {recording.time[-1]:g}"
-                raise InvalidInputError(
-                    argument="time",
-                    expected=expected,
-                    got=got,
-                )
+            start, end = recording.time[[0, -1]]
+            expected = "instants from 0 to 2^31 s, as ROS 2 has them"
+            got = f"{start:g} to {end:g}"
+            expect(start >= 0.0 and end <= 2.0**31, "time", expected, got=got)
         with (
             replaced_path(path, "path") as temporary,
             tempfile.TemporaryDirectory(

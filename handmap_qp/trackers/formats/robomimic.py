@@ -13,14 +13,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from handmap_qp.errors import RecordingError
+from handmap_qp.errors import RecordingError, expect
 from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     Entry,
     RecordingFormat,
     build_recording,
-    check_some,
     column,
     known_columns,
     side_of,
@@ -85,7 +84,7 @@ class RobomimicFormat(RecordingFormat):
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as a demonstration."""
-        check_some(recordings)
+        expect(recordings, "recordings", "at least one", got="none")
         with created(path) as file:
             data = file.create_group("data")
             data.attrs["total"] = sum(len(recording) for recording in recordings)
