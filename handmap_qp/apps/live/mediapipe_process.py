@@ -32,7 +32,7 @@ import numpy as np
 _UPRIGHT = np.array([1.0, -1.0, -1.0])
 _OTHER = {"Left": "right", "Right": "left"}
 """MediaPipe names hands for pictures mirrored as in a selfie; ours are not."""
-_LOST_FRAMES = 30
+_LOST = 30
 """Pictures in a row that a camera may fail to give."""
 
 
@@ -125,27 +125,32 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
     import cv2
 
-    is_file = arguments.video is not None
-    name = f"video {arguments.video}" if is_file else f"camera {arguments.camera}"
-    capture = cv2.VideoCapture(str(arguments.video) if is_file else arguments.camera)
+    source, name, patience = str(arguments.video), f"video {arguments.video}", 0
+    if not (is_file := arguments.video is not None):
+        source, patience = arguments.camera, _LOST
+        name = f"camera {source}"
+    capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         _stop(f"{name} cannot be read")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
-    start, count, lost = time.monotonic(), 0, 0
-    while lost <= (0 if is_file else _LOST_FRAMES):
+    start, count = time.monotonic(), 0
+    for count, picture in enumerate(_read(capture, patience), start=1):
+        stamp = start + (count - 1) / rate if is_file else time.monotonic()
+        time.sleep(max(0.0, stamp - time.monotonic()) * arguments.paced)
+        pixels = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+        yield stamp, cv2.flip(pixels, 1) if arguments.mirrored else pixels
+    if not (is_file and count):
+        _stop(f"{name} {'gives no more' if count else 'holds no'} pictures")
+
+
+def _read(capture: Any, patience: int) -> Iterator[np.ndarray]:
+    """Yield pictures until more than `patience` in a row are missing."""
+    lost = 0
+    while lost <= patience:
         is_there, picture = capture.read()
         lost = 0 if is_there else lost + 1
         if is_there:
-            stamp = start + count / rate if is_file else time.monotonic()
-            count += 1
-            if arguments.paced:
-                time.sleep(max(0.0, stamp - time.monotonic()))
-            pixels = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-            yield stamp, cv2.flip(pixels, 1) if arguments.mirrored else pixels
-    if not count:
-        _stop(f"{name} holds no pictures")
-    if not is_file:
-        _stop(f"{name} gives no more pictures")
+            yield picture
 
 
 def printed(stamp: float, hand: TrackedHand | None) -> None:

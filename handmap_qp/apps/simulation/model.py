@@ -162,7 +162,7 @@ def _add_hand(spec: Any, hand: Hand, physics: Physics) -> list[Any]:
         else:
             placement = model.jointPlacements[index]
             body = bodies[model.parents[index]].add_body(
-                name=f"{model.names[index]}_body",
+                name=model.names[index],
                 pos=placement.translation,
                 quat=_wxyz(placement.rotation),
                 gravcomp=1.0,

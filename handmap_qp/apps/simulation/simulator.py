@@ -266,25 +266,23 @@ class Simulator:
 
     def contacts(self) -> Contacts:
         """Return the contacts between the hand and the object."""
-        model, rows = self.parts.model, []
-        held = model.geom(OBJECT).id
-        wrench = np.zeros(6)
-        for index, contact in enumerate(self.data.contact):
-            if held not in contact.geom or contact.efc_address < 0:
-                continue
-            # The frame's x axis points from the first geom to the second, on which the force acts.
-            one, other = contact.geom
-            sign, link = (1.0, one) if other == held else (-1.0, other)
-            mujoco.mj_contactForce(model, self.data, index, wrench)
-            frame = sign * contact.frame.reshape(3, 3)
-            body = model.body(model.geom_bodyid[link]).name
-            joint = body.removesuffix("_body") if body.endswith("_body") else ""
-            rows.append((contact.pos.copy(), frame[0], frame.T @ wrench[:3], joint))
-        points, normals, forces, joints = (
-            zip(*rows, strict=True) if rows else ((), (), (), ())
+        model, data = self.parts.model, self.data
+        contact, is_object = data.contact, data.contact.geom == model.geom(OBJECT).id
+        rows = np.flatnonzero(is_object.any(axis=1) & (contact.efc_address >= 0))
+        forces = np.zeros((len(rows), 6))
+        for row, force in zip(rows, forces, strict=True):
+            mujoco.mj_contactForce(model, data, row, force)
+        # A frame's x axis points from the first geom to the second, on which the force acts.
+        signs = np.where(is_object[rows, 1], 1.0, -1.0)
+        frames = signs[:, None, None] * contact.frame[rows].reshape(-1, 3, 3)
+        bodies = model.geom_bodyid[contact.geom[rows][~is_object[rows]]]
+        names = [model.body(body).name for body in bodies]
+        return Contacts(
+            points=contact.pos[rows],
+            normals=frames[:, 0],
+            forces=np.einsum("cij,ci->cj", frames, forces[:, :3]),
+            joints=tuple(n if self.hand.model.existJointName(n) else "" for n in names),
         )
-        vectors = (np.reshape(column, (-1, 3)) for column in (points, normals, forces))
-        return Contacts(*vectors, joints=joints)
 
     def _control(self, command: np.ndarray) -> None:
         """Tell the actuators a command [rad], shape (n,)."""
