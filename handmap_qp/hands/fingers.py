@@ -20,12 +20,10 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.mimic import Expansion
 from handmap_qp.hands.spec import PointSpec
 
-THUMB = "thumb"
-"""Name of the finger that the others pinch."""
 PARALLEL = 0.85
 """Cosine from which on two axes are parallel.
 

@@ -29,6 +29,8 @@ from handmap_qp.se3 import as_floats, frozen
 
 FINGERS = ("thumb", "index", "middle", "ring", "little")
 """The fingers, in the order of the rows of `HumanLengths`."""
+THUMB = FINGERS[0]
+"""The finger that opposes the others."""
 
 _THUMB_JOINTS = ("TM_abduction", "TM_flexion", "MCP_flexion", "IP_flexion")
 _FINGER_JOINTS = ("MCP_abduction", "MCP_flexion", "PIP_flexion", "DIP_flexion")

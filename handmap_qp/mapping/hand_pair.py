@@ -14,9 +14,9 @@ import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.fingers import THUMB, Finger, find_fingers, partner_names
+from handmap_qp.hands.fingers import Finger, find_fingers, partner_names
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
-from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.human.landmarks import landmarks_at_rest
 from handmap_qp.mapping.method import HumanPose, RobotPosture

@@ -30,8 +30,9 @@ from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
 from handmap_qp.apps.offline.trajectory import rms_derivative
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.fingers import THUMB, Finger
+from handmap_qp.hands.fingers import Finger
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimator
 from handmap_qp.se3 import inverse_pose, lengths, rigid_fit

@@ -13,14 +13,13 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.fingers import (
-    THUMB,
     Finger,
     PalmKinematics,
     find_fingers,
     zero_posture,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS, HumanLengths
+from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.landmarks import FIRST_JOINTS, PALM, TIPS
 from handmap_qp.se3 import affine, nearest_rotation, rigid_fit

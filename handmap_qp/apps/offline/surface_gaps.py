@@ -10,8 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
+from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
 
 FAR = 0.01

@@ -33,7 +33,6 @@ from handmap_qp.apps.onboarding.measure import (
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError, HandmapError
 from handmap_qp.hands.fingers import (
-    THUMB,
     PalmKinematics,
     find_fingers,
     partner_names,
@@ -41,6 +40,7 @@ from handmap_qp.hands.fingers import (
     zero_posture,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path

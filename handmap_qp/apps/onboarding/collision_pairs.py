@@ -12,8 +12,9 @@ from handmap_qp.apps.onboarding.detect import Detection
 from handmap_qp.apps.onboarding.measure import random_postures
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import THUMB, Finger, find_fingers
+from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.hands.spec import CollisionSpec
 

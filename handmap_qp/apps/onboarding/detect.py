@@ -20,8 +20,8 @@ from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.apps.onboarding.structure import RobotFinger, find_structure
 from handmap_qp.errors import HandError, without_errno
-from handmap_qp.hands.fingers import THUMB, PalmKinematics, Place
-from handmap_qp.hands.human import FINGERS
+from handmap_qp.hands.fingers import PalmKinematics, Place
+from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.spec import (
     HandSpec,

@@ -12,13 +12,13 @@ from handmap_qp.apps.onboarding.anatomy import angle_between
 from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.fingers import (
-    THUMB,
     Finger,
     PalmKinematics,
     find_fingers,
     zero_posture,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.human.landmarks import human_name

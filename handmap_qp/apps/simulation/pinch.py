@@ -26,8 +26,9 @@ from handmap_qp.apps.simulation.simulator import (
     poses_between,
 )
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.hands.fingers import THUMB, find_fingers
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.se3 import affine, inverse_pose
 

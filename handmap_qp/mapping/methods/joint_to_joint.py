@@ -27,7 +27,6 @@ import numpy as np
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.fingers import (
-    THUMB,
     Finger,
     PalmKinematics,
     ends_of,
@@ -36,6 +35,7 @@ from handmap_qp.hands.fingers import (
     zero_posture,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import THUMB
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.finger_angles import FingerAngles
 from handmap_qp.mapping.landmarks import PalmMap, PalmMethod

@@ -14,9 +14,8 @@ from typing import Annotated, Self
 
 import numpy as np
 
-from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import CONTACT_GAP, FINGERS
+from handmap_qp.hands.human import CONTACT_GAP, FINGERS, THUMB
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
