@@ -391,8 +391,7 @@ def limited_hand(
         limit = joint.find("limit")
         if limit is not None and joint.get("name") in index:
             i = index[joint.get("name", "")]
-            set_numbers(limit, "lower", [lower[i]])
-            set_numbers(limit, "upper", [upper[i]])
+            set_numbers(limit, lower=lower[i], upper=upper[i])
     angles = {name: float(rest[i]) for name, i in index.items()}
     spec = msgspec.structs.replace(hand.spec, rest=angles, mirror=False)
     return Hand(

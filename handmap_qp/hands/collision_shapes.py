@@ -168,8 +168,6 @@ def _convex_hull(points: np.ndarray) -> coal.Convex | None:
     triangles[is_inward] = triangles[is_inward, ::-1]
     vertices = coal.StdVec_Vec3s()
     faces = coal.StdVec_Triangle()
-    for corner in corners:
-        vertices.append(corner)
-    for triangle in triangles.tolist():
-        faces.append(coal.Triangle(*triangle))
+    vertices.extend([*corners])
+    faces.extend([coal.Triangle(*triangle) for triangle in triangles.tolist()])
     return coal.Convex(vertices, faces)

@@ -64,12 +64,9 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
     Returns:
         Shape (k, model.nv).
     """
-    moved = np.zeros((model.njoints, model.nv))
-    for joint in range(1, model.njoints):
-        # Parents come before their children.
-        moved[joint] = moved[model.parents[joint]]
-        moved[joint, model.idx_vs[joint] : model.idx_vs[joint] + model.nvs[joint]] = 1.0
-    return moved[np.asarray(joints, dtype=int)]
+    owners = np.repeat(np.arange(model.njoints), model.nvs)
+    moved = [np.isin(owners, [*model.supports[joint]]) for joint in joints]
+    return np.array(moved, dtype=float).reshape(-1, model.nv)
 
 
 CROSS = np.zeros((3, 9))

@@ -258,9 +258,8 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
     for name, (position, turn) in joint_moves(old, lengths).items():
         origin = child_of(joints[name], "origin")
         roll, pitch, yaw = get_numbers(origin, "rpy", 3, "0 0 0")
-        set_numbers(origin, "xyz", position)
         # Fingers point along their x axes, about which the first of the three turns is.
-        set_numbers(origin, "rpy", [roll + turn, pitch, yaw])
+        set_numbers(origin, xyz=position, rpy=[roll + turn, pitch, yaw])
     for finger, bones in zip(FINGERS, lengths.segments / old.segments, strict=True):
         for name, bone in zip(_chain(finger)[1:], bones, strict=False):
             link = child_of(joints[name], "child").get("link")
@@ -348,11 +347,10 @@ def _scale_shape(
     if kind == "box":
         halves = 0.5 * axes * get_numbers(primitive, "size", 3)
         sides = [move(centre + half) - move(centre - half) for half in halves.T]
-        set_numbers(primitive, "size", np.linalg.norm(sides, axis=1))
+        set_numbers(primitive, size=np.linalg.norm(sides, axis=1))
     else:
-        set_numbers(
-            primitive, "radius", [size * get_numbers(primitive, "radius", 1)[0]]
-        )
+        (radius,) = get_numbers(primitive, "radius", 1)
+        set_numbers(primitive, radius=size * radius)
     if kind == "cylinder":
         half = get_numbers(primitive, "length", 1)[0] / 2 * axes[:, 2]
         lower = move(centre - half)
@@ -360,9 +358,8 @@ def _scale_shape(
         moved = (lower + upper) / 2
         length = float(np.linalg.norm(upper - lower))
         x, y, z = (upper - lower) / length
-        set_numbers(primitive, "length", [length])
+        set_numbers(primitive, length=length)
         # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.
-        set_numbers(
-            origin, "rpy", [0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)]
-        )
-    set_numbers(origin, "xyz", moved)
+        pitch = np.arctan2(np.hypot(x, y), z)
+        set_numbers(origin, rpy=[0.0, pitch, np.arctan2(y, x)])
+    set_numbers(origin, xyz=moved)

@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.mjcf_couplings import read_couplings
@@ -311,20 +312,15 @@ class _Converter:
         kind = "revolute" if is_limited else "continuous"
         element.set("name", name)
         element.set("type", "prismatic" if self._slides(joint) else kind)
-        set_numbers(ET.SubElement(element, "axis"), "xyz", np.round(direction, 14))
-        limit = ET.SubElement(element, "limit")
-        if is_limited:
-            set_numbers(limit, "lower", limits[:1])
-            set_numbers(limit, "upper", limits[1:])
-        set_numbers(limit, "effort", [self._effort(joint)])
+        _add(element, "axis", xyz=np.round(direction, 14))
+        ends = {"lower": limits[0], "upper": limits[1]} if is_limited else {}
+        _add(element, "limit", **ends, effort=self._effort(joint))
         dof = int(model.jnt_dofadr[joint])
-        dynamics = ET.SubElement(element, "dynamics")
-        set_numbers(dynamics, "damping", np.ravel(model.dof_damping[dof])[:1])
-        set_numbers(dynamics, "friction", [model.dof_frictionloss[dof]])
+        damping = np.ravel(model.dof_damping[dof])[:1]
+        _add(element, "dynamics", damping=damping, friction=model.dof_frictionloss[dof])
         if rule is not None and rule.leader is not None:
             mimic = ET.SubElement(element, "mimic", joint=self.joints[rule.leader])
-            set_numbers(mimic, "multiplier", [rule.multiplier])
-            set_numbers(mimic, "offset", [rule.offset])
+            set_numbers(mimic, multiplier=rule.multiplier, offset=rule.offset)
 
     def _effort(self, joint: int) -> float:
         """Return the largest force or torque of a joint's actuators [N or N m]."""
@@ -347,7 +343,11 @@ class _Converter:
         inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         element = ET.SubElement(link, "inertial")
         set_origin(element, affine(np.eye(3), pose[:3, 3]))
-        set_numbers(ET.SubElement(element, "mass"), "value", [model.body_mass[body]])
-        tensor = ET.SubElement(element, "inertia")
-        for i, j in zip(*np.triu_indices(3), strict=True):
-            set_numbers(tensor, f"i{'xyz'[i]}{'xyz'[j]}", [inertia[i, j]])
+        _add(element, "mass", value=model.body_mass[body])
+        pairs = zip(*np.triu_indices(3), strict=True)
+        entries = {f"i{'xyz'[i]}{'xyz'[j]}": inertia[i, j] for i, j in pairs}
+        _add(element, "inertia", **entries)
+
+
+def _add(parent: ET.Element, tag: str, **numbers: npt.ArrayLike) -> None:
+    set_numbers(ET.SubElement(parent, tag), **numbers)

@@ -74,24 +74,24 @@ class ShapeWriter:
             case _GEOM.mjGEOM_MESH | _GEOM.mjGEOM_SDF:
                 yield pose, self._mesh(int(model.geom_dataid[geom]))
             case _GEOM.mjGEOM_BOX:
-                yield pose, _element("box", size=2.0 * size)
+                yield pose, set_numbers(ET.Element("box"), size=2.0 * size)
             case _GEOM.mjGEOM_SPHERE:
-                yield pose, _element("sphere", radius=size[:1])
+                yield pose, set_numbers(ET.Element("sphere"), radius=size[0])
             case _GEOM.mjGEOM_CYLINDER | _GEOM.mjGEOM_CAPSULE as kind:
                 yield (
                     pose,
-                    _element("cylinder", radius=size[:1], length=2.0 * size[1:2]),
+                    set_numbers(
+                        ET.Element("cylinder"), radius=size[0], length=2.0 * size[1]
+                    ),
                 )
                 # URDF has no capsules.
                 for sign in (-1.0, 1.0) if kind == _GEOM.mjGEOM_CAPSULE else ():
                     end = affine(np.eye(3), np.array([0.0, 0.0, sign * size[1]]))
-                    yield pose @ end, _element("sphere", radius=size[:1])
+                    yield pose @ end, set_numbers(ET.Element("sphere"), radius=size[0])
             case _GEOM.mjGEOM_ELLIPSOID:
                 file = f"{self._folder}/unit_sphere.stl"
                 self.meshes.setdefault(file, trimesh.creation.icosphere().triangles)
-                element = ET.Element("mesh", filename=file)
-                set_numbers(element, "scale", size)
-                yield pose, element
+                yield pose, set_numbers(ET.Element("mesh", filename=file), scale=size)
             case kind:
                 self.omitted.add(kind.name.removeprefix("mjGEOM_").lower())
 
@@ -128,10 +128,3 @@ def file_name(name: str) -> str:
     """Return a name as that of a file, without unusual characters."""
     plain = "".join(c if c.isalnum() or c in "_-." else "_" for c in name)
     return plain.lstrip(".") or "mesh"
-
-
-def _element(tag: str, **numbers: np.ndarray) -> ET.Element:
-    element = ET.Element(tag)
-    for key, values in numbers.items():
-        set_numbers(element, key, values)
-    return element

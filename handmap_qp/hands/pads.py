@@ -63,39 +63,24 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
     """
     geometry = read_collision_shapes(hand)
     given = {point.finger: point for point in hand.spec.points if point.pad is not None}
-    return {
-        finger: _given_pad(hand, given[finger], chain, geometry)
-        if finger in given
-        else _pad(chain, geometry)
-        for finger, chain in chains.items()
-    }
+    return {f: _pad(hand, chain, given.get(f), geometry) for f, chain in chains.items()}
 
 
-def _given_pad(
-    hand: Hand, point: PointSpec, chain: Finger, geometry: pin.GeometryModel
+def _pad(
+    hand: Hand, chain: Finger, point: PointSpec | None, geometry: pin.GeometryModel
 ) -> Pad:
-    """Return the pad that a description gives, in the frame of the joint that carries it."""
-    assert point.pad is not None
-    middle = msgspec.structs.replace(point, xyz=point.pad.xyz)
-    (joint, offset) = place_of(hand, middle)
-    radius = point.pad.radius
-    supports = _supports_of(chain, joint, geometry)
-    depth = max((_depth(one, offset) for one in supports), default=radius)
-    return Pad(joint, offset, radius, max(0.0, radius - max(0.0, depth)))
-
-
-def _pad(chain: Finger, geometry: pin.GeometryModel) -> Pad:
-    joint, tip = chain.tip
-    supports = _supports_of(chain, joint, geometry)
-    return Pad(joint, *_ball(supports, tip)) if supports else Pad(joint, tip, _RADIUS)
-
-
-def _supports_of(
-    chain: Finger, joint: int, geometry: pin.GeometryModel
-) -> list[np.ndarray]:
-    """Return the supports of a finger's shapes on one joint, in the joint's frame."""
+    """Return the pad of a finger, which its point gives or its shapes have."""
+    joint, middle = chain.tip
+    if point is not None and point.pad is not None:
+        middle_point = msgspec.structs.replace(point, xyz=point.pad.xyz)
+        joint, middle = place_of(hand, middle_point)
     shapes = [geometry.geometryObjects[i] for i in distal_shapes(chain, geometry)]
-    return [_supports(shape) for shape in shapes if shape.parentJoint == joint]
+    supports = [_supports(shape) for shape in shapes if shape.parentJoint == joint]
+    if point is not None and point.pad is not None:
+        radius = point.pad.radius
+        depth = max((_depth(one, middle) for one in supports), default=radius)
+        return Pad(joint, middle, radius, max(0.0, radius - max(0.0, depth)))
+    return Pad(joint, *(_ball(supports, middle) if supports else (middle, _RADIUS)))
 
 
 def _depth(support: np.ndarray, point: np.ndarray) -> float:

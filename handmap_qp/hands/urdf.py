@@ -15,6 +15,7 @@ from xml.parsers import expat
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import HandError
@@ -115,11 +116,16 @@ def get_numbers(
     return numbers
 
 
-def set_numbers(
-    element: ET.Element, key: str, numbers: Sequence[float] | np.ndarray
-) -> None:
-    """Write numbers into an attribute with all their digits, and minus zero as zero."""
-    element.set(key, " ".join(repr(float(number) + 0.0) for number in numbers))
+def set_numbers(element: ET.Element, **numbers: npt.ArrayLike) -> ET.Element:
+    """Write numbers into attributes with all their digits, and minus zero as zero.
+
+    Returns:
+        The element.
+    """
+    for key, values in numbers.items():
+        words = (repr(float(number) + 0.0) for number in np.ravel(values))
+        element.set(key, " ".join(words))
+    return element
 
 
 def child_of(element: ET.Element, tag: str) -> ET.Element:
@@ -143,9 +149,8 @@ def origin_of(element: ET.Element) -> np.ndarray:
 
 def set_origin(element: ET.Element, pose: np.ndarray) -> None:
     """Write a pose [m], shape (4, 4), into an element's `<origin>`."""
-    origin = child_of(element, "origin")
-    set_numbers(origin, "xyz", pose[:3, 3])
-    set_numbers(origin, "rpy", rpy_from_rotation(pose[:3, :3]))
+    rpy = rpy_from_rotation(pose[:3, :3])
+    set_numbers(child_of(element, "origin"), xyz=pose[:3, 3], rpy=rpy)
 
 
 def mimics_of(robot: ET.Element) -> dict[str, MimicSpec]:
@@ -352,8 +357,7 @@ def prepare_urdf(
             joint.remove(old)
         if rule is not None:
             element = ET.SubElement(joint, "mimic", joint=rule.joint)
-            set_numbers(element, "multiplier", [rule.multiplier])
-            set_numbers(element, "offset", [rule.offset])
+            set_numbers(element, multiplier=rule.multiplier, offset=rule.offset)
     positions = lock_joints(robot, locked)
     fix_free_joints(robot)
     for name in limits:
@@ -374,12 +378,10 @@ def _complete_limits(joint: ET.Element, limits: LimitSpec) -> None:
         joint.set("type", "revolute")
         element.attrib.pop("lower", None)
         element.attrib.pop("upper", None)
-    for key, value in msgspec.structs.asdict(limits).items():
-        if value is not None:
-            set_numbers(element, key, [value])
+    given = msgspec.structs.asdict(limits)
+    set_numbers(element, **{k: v for k, v in given.items() if v is not None})
     if not {"lower", "upper"} & element.attrib.keys():
-        set_numbers(element, "lower", [-NO_LIMIT])
-        set_numbers(element, "upper", [NO_LIMIT])
+        set_numbers(element, lower=-NO_LIMIT, upper=NO_LIMIT)
     for key in ("velocity", "effort"):
         element.attrib.setdefault(key, "0")
 
@@ -503,10 +505,9 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
         HandError: If the arm has no such link.
     """
     _check_link(arm, spec.tip, "arm.tip")
-    (root,) = root_links(hand)
-    tip = spec.tip
-    if tip in link_names(hand):
-        tip = f"{spec.name}_{tip}"
+    mount = ET.SubElement(arm, "joint", name="hand_mount", type="fixed")
+    ET.SubElement(mount, "parent", link=spec.tip)
+    set_origin(mount, affine(rotation_from_rpy(spec.rpy), spec.xyz))
     tags = ("link", "joint", "material")
     taken = {tag: {each.get("name") for each in hand.iter(tag)} for tag in tags}
     taken |= dict.fromkeys(("parent", "child"), taken["link"])
@@ -516,10 +517,7 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
             element.set(key, f"{spec.name}_{name}")
     # The composed URDF counts as the hand's file, so relative names would be looked for there.
     set_mesh_paths(arm, urdf_path(spec).parent)
-    mount = ET.SubElement(arm, "joint", name="hand_mount", type="fixed")
-    ET.SubElement(mount, "parent", link=tip)
-    ET.SubElement(mount, "child", link=root)
-    set_origin(mount, affine(rotation_from_rpy(spec.rpy), spec.xyz))
+    ET.SubElement(mount, "child", link=root_links(hand)[0])
     arm.extend(list(hand))
 
 
@@ -580,4 +578,4 @@ def _flip(
     element: ET.Element, key: str, signs: Sequence[float], default: str | None = None
 ) -> None:
     numbers = get_numbers(element, key, len(signs), default)
-    set_numbers(element, key, np.multiply(signs, numbers))
+    set_numbers(element, **{key: np.multiply(signs, numbers)})

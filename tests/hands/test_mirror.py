@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -54,6 +55,12 @@ MIXED = """
 """
 
 
+@cache
+def models(text: str) -> tuple[pin.Model, pin.Model]:
+    """Return the models of a URDF and of its mirror image."""
+    return pin.buildModelFromXML(text), pin.buildModelFromXML(mirrored_urdf(text))
+
+
 def poses(model: pin.Model, q: np.ndarray) -> np.ndarray:
     """Return every frame's rotation and position, side by side, shape (frames, 3, 4)."""
     data = model.createData()
@@ -72,10 +79,7 @@ def full_q(model: pin.Model, angles: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("text", [HUMAN, MIXED], ids=["human", "mixed"])
 @given(seed=arrays(float, 20, elements=st.floats(-1.5, 1.5)))
 def test_the_same_q_gives_the_mirrored_posture(text: str, seed: np.ndarray) -> None:
-    right, left = (
-        pin.buildModelFromXML(text),
-        pin.buildModelFromXML(mirrored_urdf(text)),
-    )
+    right, left = models(text)
     angles = seed[: right.njoints - 1]
     expected, got = (
         poses(right, full_q(right, angles)),
@@ -88,10 +92,7 @@ def test_the_same_q_gives_the_mirrored_posture(text: str, seed: np.ndarray) -> N
 
 
 def test_joint_axes_turn_the_other_way_round() -> None:
-    right, left = (
-        pin.buildModelFromXML(HUMAN),
-        pin.buildModelFromXML(mirrored_urdf(HUMAN)),
-    )
+    right, left = models(HUMAN)
     q = np.linspace(-0.5, 0.8, 20)
     jacobians = []
     for model in (right, left):
@@ -103,10 +104,7 @@ def test_joint_axes_turn_the_other_way_round() -> None:
 
 
 def test_inertia_is_reflected() -> None:
-    right, left = (
-        pin.buildModelFromXML(MIXED),
-        pin.buildModelFromXML(mirrored_urdf(MIXED)),
-    )
+    right, left = models(MIXED)
     np.testing.assert_allclose(
         left.inertias[1].lever, MIRROR @ right.inertias[1].lever, atol=1e-15
     )

@@ -109,7 +109,7 @@ def _toolbox_hand(hand: Hand) -> Hand:
         if azimuth is not None and origin is not None:
             outwards = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
             xyz = get_numbers(origin, "xyz", 3) + shift * outwards
-            set_numbers(origin, "xyz", xyz)
+            set_numbers(origin, xyz=xyz)
     text = ET.tostring(robot, encoding="unicode")
     return Hand(hand.spec, points="contacts", mount="floating", urdf_text=text)
 
