@@ -185,7 +185,7 @@ def test_start_and_lost_samples_are_not_used() -> None:
 
 def test_wrong_shape_is_named() -> None:
     with pytest.raises(
-        InvalidInputError, match=r"landmarks: expected shape \(T, 21, 3\)"
+        InvalidInputError, match=r"landmarks: expected numbers of shape \(T, 21, 3\)"
     ) as error:
         measure_posture(np.zeros((21, 3)))
     assert error.value.argument == "landmarks"

@@ -18,6 +18,7 @@ from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.experiments.demo_figures import (
     errors_figure,
     hands_figure,
+    human_points,
     joints_figure,
 )
 from handmap_qp.apps.experiments.output_folder import output_folder
@@ -173,9 +174,8 @@ def arc_motion(samples: int) -> HumanMotion:
     wrist[:, 0, 3] = ARC_LENGTH * path
     wrist[:, 2, 3] = _START_HEIGHT + ARC_HEIGHT * np.cos(np.pi * (path - 0.5))
     synergies = load_synergies()
-    z_1 = 0.5 * (_OPEN + _CLOSED) + 0.5 * (_OPEN - _CLOSED) * np.cos(
-        2.0 * np.pi * progress
-    )
+    share = 0.5 + 0.5 * np.cos(2.0 * np.pi * progress)
+    z_1 = _CLOSED + (_OPEN - _CLOSED) * share
     return HumanMotion(
         human=human,
         time=np.arange(samples) / RATE,
@@ -185,12 +185,6 @@ def arc_motion(samples: int) -> HumanMotion:
         valid=np.ones(samples, dtype=bool),
         fit_error=np.zeros((samples, len(human.reference_points))),
     )
-
-
-def human_points(motion: HumanMotion) -> np.ndarray:
-    """Reference points of the human in its world [m], shape (T, m, 3)."""
-    samples = zip(motion.q, motion.wrist, strict=True)
-    return np.array([motion.human.points(*sample) for sample in samples])
 
 
 def _written(directory: Path, make: Callable[[Path], Trajectory]) -> DemoResult:

@@ -16,7 +16,14 @@ from handmap_qp.apps.drawing.hands import (
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
-from handmap_qp.apps.experiments.style import COLOURS, INK, PALE, styled, words
+from handmap_qp.apps.experiments.style import (
+    COLOURS,
+    INK,
+    PALE,
+    new_figure,
+    styled,
+    words,
+)
 from handmap_qp.apps.offline.trajectory import Trajectory
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion
@@ -38,19 +45,14 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
     Returns:
         The picture, 1600 x 672 pixels.
     """
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10.0, 4.2))
-    size = (800, 672)
+    figure, size = new_figure(figsize=(10.0, 4.2)), (800, 672)
     instants = [0, len(motion.time) // 2, len(motion.time) - 1]
     human, robot = motion.human, trajectory.robot
-    samples = zip(motion.q, motion.wrist, strict=True)
-    human_path = np.array([human.points(*sample) for sample in samples])
     hands = [
         _placed(human, motion.q, motion.wrist, instants),
         _placed(robot, trajectory.q, trajectory.wrist, instants),
     ]
-    corners = np.concatenate([hand.vertices.reshape(-1, 3) for hand in hands])
+    corners = merged(hands).vertices.reshape(-1, 3)
     # Include the floor below the hands, which shows their shadows.
     floor = corners * [1.0, 1.0, 0.0]
     camera = Camera.framing(
@@ -61,30 +63,23 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
         margin=0.03,
     )
     # Move the scene down to make room for the titles.
-    camera = replace(camera, centre=(camera.centre[0], camera.centre[1] + 34.0))
+    x, y = camera.centre
+    camera = replace(camera, centre=(x, y + 34.0))
     below = min(float(camera.project(floor)[:, 1].max()) + 26.0, size[1] - 16.0)
+    driven = f"{len(human.joint_names)} joints, driven along the first synergy"
+    mapped = f"{len(robot.joint_names)} joints, mapped by T and the QP"
     panels = (
-        (
-            "Human hand",
-            human,
-            "driven along the first synergy",
-            HUMAN_COLOUR,
-            human_path,
-        ),
-        (
-            "Three-fingered robot hand",
-            robot,
-            "mapped by T and the QP",
-            ROBOT_COLOUR,
-            trajectory.points,
-        ),
+        ("Human hand", driven, HUMAN_COLOUR, human_points(motion)),
+        ("Three-fingered robot hand", mapped, ROBOT_COLOUR, trajectory.points),
     )
-    for column, (title, model, how, colour, path) in enumerate(panels):
+    labels = {
+        f"{word}, {motion.time[i]:.0f} s": motion.wrist[i, :3, 3] * [1.0, 1.0, 0.0]
+        for word, i in zip(("start", "middle", "end"), instants, strict=True)
+    }
+    for column, (title, subtitle, colour, path) in enumerate(panels):
         axes = figure.add_axes((0.5 * column, 0.0, 0.5, 1.0))
         marks = [spheres(path[instants].reshape(-1, 3), 0.0065, colour)]
-        marks += [
-            tube(path[:, point], 0.0011, colour) for point in range(path.shape[1])
-        ]
+        marks += [tube(way, 0.0011, colour) for way in path.swapaxes(0, 1)]
         draw_hands(
             axes,
             hands[column],
@@ -94,22 +89,23 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
             supersampling=3,
         )
         axes.text(36, 50, title, fontsize=13, fontweight="bold")
-        axes.text(
-            36, 79, f"{len(model.joint_names)} joints, {how}", fontsize=9, color=PALE
-        )
-        for instant, word in zip(instants, ("start", "middle", "end"), strict=True):
-            x = camera.project(motion.wrist[instant, :3, 3] * [1.0, 1.0, 0.0])[0]
-            label = f"{word}, {motion.time[instant]:.0f} s"
+        axes.text(36, 79, subtitle, fontsize=9, color=PALE)
+        for label, place in labels.items():
+            x = camera.project(place)[0]
             axes.text(x, below, label, fontsize=8, color=PALE, ha="center")
     return figure
+
+
+def human_points(motion: HumanMotion) -> np.ndarray:
+    """Reference points of the human in its world [m], shape (T, m, 3)."""
+    samples = zip(motion.q, motion.wrist, strict=True)
+    return np.array([motion.human.points(*sample) for sample in samples])
 
 
 @styled
 def errors_figure(trajectory: Trajectory) -> Figure:
     """Draw the errors of points and wrist, and the CPU time of each step, over time."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(7.5, 5.6), layout="constrained")
+    figure = new_figure(figsize=(7.5, 5.6), layout="constrained")
     points, wrist, step = figure.subplots(
         3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0)
     )
@@ -134,19 +130,17 @@ def errors_figure(trajectory: Trajectory) -> Figure:
 @styled
 def joints_figure(trajectory: Trajectory) -> Figure:
     """Draw each joint of the robot over time, with its limits."""
-    from matplotlib.figure import Figure
-
     robot, time = trajectory.robot, trajectory.time
     rows = -(-len(robot.joint_names) // 4)
-    figure = Figure(figsize=(9.5, 2.1 * rows + 0.4), layout="constrained")
+    figure = new_figure(figsize=(9.5, 2.1 * rows + 0.4), layout="constrained")
     grid = figure.subplots(rows, 4, sharex=True, squeeze=False)
     limits = np.degrees([robot.lower_limits, robot.upper_limits]).T
     for axes, name, q, (lower, upper) in zip(
         grid.flat, robot.joint_names, np.degrees(trajectory.q).T, limits, strict=False
     ):
         room = 0.08 * (upper - lower)
-        axes.axhspan(lower - room, lower, color="#f3d9d4", linewidth=0.0)
-        axes.axhspan(upper, upper + room, color="#f3d9d4", linewidth=0.0)
+        for start in (lower - room, upper):
+            axes.axhspan(start, start + room, color="#f3d9d4", linewidth=0.0)
         axes.plot(time, q, color=COLOURS[2])
         axes.set(
             xlim=(time[0], time[-1]),

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.human.landmarks import TIPS
 from handmap_qp.human.recording import Recording
+from handmap_qp.se3 import as_floats, lengths
 
 STRAIGHT = 60.0
 """A finger whose bones turn by less than this from wrist to tip is straight [deg]."""
@@ -63,33 +63,25 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
     Raises:
         InvalidInputError: On a wrong shape.
     """
-    points = np.asarray(landmarks, dtype=float)
-    if points.ndim != 3 or points.shape[1:] != (21, 3):
-        raise InvalidInputError(
-            argument="landmarks", expected="shape (T, 21, 3)", got=str(points.shape)
-        )
-    wrist = points[:, 0]
+    points = as_floats(landmarks, "landmarks", shape=("T", 21, 3))
     # Chains of wrist, MCP, PIP, DIP and tip, shape (T, 4, 5, 3).
-    fingers = points[:, 5:].reshape(-1, 4, 4, 3)
+    wrist, fingers = points[:, 0], points[:, 5:].reshape(-1, 4, 4, 3)
     starts = np.broadcast_to(wrist[:, None, None], (len(points), 4, 1, 3))
     bones = np.diff(np.concatenate([starts, fingers], axis=2), axis=2)
+    normal = np.cross(bones[:, 0, 0], bones[:, 3, 0])
     with np.errstate(invalid="ignore", divide="ignore"):
         bones /= np.linalg.norm(bones, axis=3, keepdims=True)
-        normal = np.cross(fingers[:, 0, 0] - wrist, fingers[:, 3, 0] - wrist)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         cosines = (bones[:, :, 1:] * bones[:, :, :-1]).sum(axis=3)
         flexion = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).sum(axis=2)
-        index, little = bones[:, 0, 1], bones[:, 3, 1]
-        # The turn about the normal from index to little finger: on both hands, the normal is such
-        # that the little finger's side is the positive one.
-        sine = (np.cross(index, little) * normal).sum(axis=1)
-        along_index, along_little = (
-            (bone * normal).sum(axis=1) for bone in (index, little)
-        )
-        cosine = (index * little).sum(axis=1) - along_index * along_little
-        spread = np.degrees(np.arctan2(sine, cosine))
-    gaps = np.linalg.norm(points[:, TIPS[1:]] - points[:, TIPS[:1]], axis=2)
-    return Posture(flexion, gaps, spread)
+    # The turn about the normal from index to little finger: on both hands, the normal is such
+    # that the little finger's side is the positive one.
+    index, little = bones[:, 0, 1], bones[:, 3, 1]
+    sine = (np.cross(index, little) * normal).sum(axis=1)
+    along = (index * normal).sum(axis=1) * (little * normal).sum(axis=1)
+    cosine = (index * little).sum(axis=1) - along
+    gaps = lengths(points[:, TIPS[1:]] - points[:, TIPS[:1]])
+    return Posture(flexion, gaps, np.degrees(np.arctan2(sine, cosine)))
 
 
 POSES = (
@@ -102,25 +94,24 @@ POSES = (
 """Names of the poses, in the order of every result."""
 
 
-def _scores(posture: Posture) -> list[np.ndarray]:
+def _scores(posture: Posture) -> dict[str, np.ndarray]:
     """Return how clearly every sample shows each of `POSES`, shape (T,); NaN where it does not."""
     flexion, gaps, spread = posture
     most, least = flexion.max(axis=1), flexion.min(axis=1)
     others = flexion[:, 1:].min(axis=1)
     is_open, is_fist = most < STRAIGHT, least > CURLED
     is_pointing = (flexion[:, 0] < STRAIGHT) & (others > CURLED)
-    scores = [
-        np.where(is_open, STRAIGHT - most, np.nan),
-        np.where(is_open & (spread > SPREAD), spread, np.nan),
-        np.where(is_pointing, others - flexion[:, 0], np.nan),
-        np.where(is_fist, least, np.nan),
-    ]
+    found = {
+        "open": (is_open, STRAIGHT - most),
+        "spread": (is_open & (spread > SPREAD), spread),
+        "pointing": (is_pointing, others - flexion[:, 0]),
+        "fist": (is_fist, least),
+    }
     for finger, gap in enumerate(gaps.T):
         apart = np.delete(gaps, finger, axis=1).min(axis=1) > gap + PINCH_LEAD
-        scores.append(
-            np.where((gap < PINCH_GAP) & apart & ~is_fist, PINCH_GAP - gap, np.nan)
-        )
-    return scores
+        is_pinch = (gap < PINCH_GAP) & apart & ~is_fist
+        found[f"{FINGERS[1 + finger]} pinch"] = (is_pinch, PINCH_GAP - gap)
+    return {name: np.where(*shown, np.nan) for name, shown in found.items()}
 
 
 def find_poses(recording: Recording) -> dict[str, int | None]:
@@ -145,10 +136,8 @@ finger's 10 mm farther from the thumb, no `fist` | the smallest gap |
     Returns:
         For every name of `POSES`, the index of a sample, or None where no sample shows the pose.
     """
-    return {
-        name: None if found is None else found[0]
-        for name, found in rank_poses(recording).items()
-    }
+    ranked = rank_poses(recording)
+    return {name: found and found[0] for name, found in ranked.items()}
 
 
 def rank_poses(recording: Recording) -> dict[str, tuple[int, float] | None]:
@@ -165,7 +154,7 @@ def rank_poses(recording: Recording) -> dict[str, tuple[int, float] | None]:
     start = recording.time[int(np.argmax(recording.valid))] + SETTLING
     is_usable = recording.valid & (recording.time >= start)
     found: dict[str, tuple[int, float] | None] = {}
-    for name, scores in zip(POSES, _scores(posture), strict=True):
+    for name, scores in _scores(posture).items():
         held = _held(np.where(is_usable, scores, np.nan), recording.time)
         best = None if np.isnan(held).all() else int(np.nanargmax(held))
         found[name] = None if best is None else (best, float(held[best]))

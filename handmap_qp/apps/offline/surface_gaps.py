@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,7 @@ from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
+from handmap_qp.se3 import lengths
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
@@ -72,7 +74,20 @@ class GapMeter:
     def __init__(self, hand: Hand, chains: dict[str, Finger] | None = None) -> None:
         self._hand = hand
         self._chains = chains or find_fingers(hand)
-        self._geometry, self._groups = _pinch_pairs(hand, self._chains)
+        self._geometry = read_collision_shapes(hand)
+        self._groups: dict[str, slice] = {}
+        shapes = {
+            finger: distal_shapes(chain, self._geometry)
+            for finger, chain in self._chains.items()
+        }
+        thumb = shapes.pop(THUMB, [])
+        for finger, others in shapes.items():
+            first = len(self._geometry.collisionPairs)
+            for pair in product(thumb, others):
+                self._geometry.addCollisionPair(pin.CollisionPair(*pair))
+            if thumb and others:
+                last = len(self._geometry.collisionPairs)
+                self._groups[finger] = slice(first, last)
 
     def pinches(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """Measure the gaps between the thumb and the other fingers; see `SurfaceGaps.pinches`.
@@ -102,24 +117,6 @@ class GapMeter:
         return all_pairs(self._hand, self._chains).geometry
 
 
-def _pinch_pairs(
-    hand: Hand, chains: dict[str, Finger]
-) -> tuple[pin.GeometryModel, dict[str, slice]]:
-    """All pairs of distal shapes of the thumb and another finger, and which pairs are whose."""
-    geometry, groups = read_collision_shapes(hand), {}
-    thumb = distal_shapes(chains[THUMB], geometry) if THUMB in chains else []
-    for finger, chain in chains.items():
-        others = distal_shapes(chain, geometry)
-        if finger == THUMB or not thumb or not others:
-            continue
-        first = len(geometry.collisionPairs)
-        for one in thumb:
-            for other in others:
-                geometry.addCollisionPair(pin.CollisionPair(one, other))
-        groups[finger] = slice(first, len(geometry.collisionPairs))
-    return geometry, groups
-
-
 def _smallest_distance(
     hand: Hand, geometry: pin.GeometryModel
 ) -> Callable[[np.ndarray, slice, float], float]:
@@ -143,9 +140,9 @@ def _smallest_distance(
     def smallest(q: np.ndarray, chosen: slice, most: float) -> float:
         hand.write_configuration(vector, q)
         pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data, vector)
-        placed = zip(geometry_data.oMg, centres, strict=True)
-        places = np.array([place.act(centre) for place, centre in placed])
-        bounds = np.linalg.norm(places[first] - places[second], axis=1) - touching
+        placed = map(pin.SE3.act, geometry_data.oMg, centres)
+        places = np.array(list(placed))
+        bounds = lengths(places[first] - places[second]) - touching
         for i in np.arange(len(bounds))[chosen][bounds[chosen].argsort()].tolist():
             if bounds[i] >= most:
                 break
