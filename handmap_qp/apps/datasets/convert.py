@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -54,9 +55,8 @@ def convert(
     is_folder = bool(target.suffixes) and not out.suffix
     if target.suffixes and not is_folder:
         check_output("OUT", out, target.suffixes)
-    sources = [
-        _with_model(source, mano) for path in inputs for source in list_sources(path)
-    ]
+    listed = chain.from_iterable(map(list_sources, inputs))
+    sources = [_with_model(source, mano) for source in listed]
     unread = {source.path: source.format.unread(source.path) for source in sources}
     recordings = [source.read() for source in sources]
     files: tuple[Path, ...] = (out,)
@@ -68,9 +68,7 @@ def convert(
         recordings=len(recordings),
         samples=sum(map(len, recordings)),
         files=files,
-        not_read=tuple(
-            dict.fromkeys(name for names in unread.values() for name in names)
-        ),
+        not_read=tuple(dict.fromkeys(chain.from_iterable(unread.values()))),
         lost=target.losses(recordings),
     )
 

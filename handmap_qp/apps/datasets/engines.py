@@ -97,8 +97,12 @@ class Engine(ABC):
         flying: dict[Future[Sequence[Line]], Group] = {}
         with self.start(self._count) as workers:
             most = max(1, _IN_FLIGHT * workers.count)
+
+            def has_room() -> bool:
+                return not suspects and len(flying) < most and not is_stopped()
+
             while True:
-                while waiting and not (suspects or len(flying) >= most or is_stopped()):
+                while waiting and has_room():
                     jobs = _next_group(waiting, workers.count)
                     flying[workers.submit(jobs)] = jobs
                 if is_stopped():
@@ -108,8 +112,10 @@ class Engine(ABC):
                     return
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
                     jobs, lines = flying.pop(future), _result(future, workers.death)
-                    suspects.extend(jobs if lines is None else ())
-                    yield from lines or ()
+                    if lines is None:
+                        suspects.extend(jobs)
+                    else:
+                        yield from lines
 
     def _try_alone(
         self,

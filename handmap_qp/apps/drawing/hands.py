@@ -121,13 +121,12 @@ def load_shape(
         for shape in link.visuals if has_visuals else link.collisions:
             found = _geometry(trimesh, shape.geometry, hand.spec)
             if found is None:
-                mesh = shape.geometry and shape.geometry.mesh
-                missing.append(mesh.filename if mesh else link.name)
-            else:
-                tint = _colour(getattr(shape, "material", None), palette)
-                part = _triangles(found, colour or tint)
-                origin = np.eye(4) if shape.origin is None else shape.origin
-                parts.append(part.moved(origin))
+                mesh = getattr(shape.geometry, "mesh", None)
+                missing.append(getattr(mesh, "filename", link.name))
+                continue
+            tint = _colour(getattr(shape, "material", None), palette)
+            part = _triangles(found, colour or tint)
+            parts.append(part if shape.origin is None else part.moved(shape.origin))
         if parts:
             links.append(LinkShape(link.name, merged(parts)))
     return HandShape(hand, tuple(links), tuple(missing))

@@ -117,13 +117,7 @@ def assess_fidelity(
     shared = [name for name in human.names if name in robot.names]
     sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
     _check(sizes, len(time), shared)
-    counts = seen.astype(bool) & (time >= time[0] + SETTLING)
-    if not counts.any():
-        raise InvalidInputError(
-            argument="time",
-            expected="valid samples after the first half second",
-            got="none",
-        )
+    counts = _settled(seen.astype(bool), time)
     h, r = human.part(counts, shared), robot.part(counts, shared)
     fingers = finger_metrics(h, r)
     values = dict.fromkeys((metric.key for metric in METRICS), np.nan)
@@ -139,8 +133,7 @@ def assess_fidelity(
         values["pinch_order"] = pinch_order(h, r)
     if hand is not None and q is not None:
         values |= joint_metrics(hand, q, time, counts, human_q)
-    if workspace is not None:
-        values["workspace"] = workspace_share(r, workspace)
+    values["workspace"] = workspace_share(r, workspace or {})
     if step_time is not None:
         values["step_time_ms"] = 1e3 * step_time[counts].mean()
     by_finger = {
@@ -160,6 +153,18 @@ def _check(sizes: dict[str, int], count: int, shared: list[str]) -> None:
         raise InvalidInputError(
             argument="robot", expected="a finger that the human has too", got="none"
         )
+
+
+def _settled(seen: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Return which samples count, shape (T,)."""
+    counts = seen & (time >= time[0] + SETTLING)
+    if not counts.any():
+        raise InvalidInputError(
+            argument="time",
+            expected="valid samples after the first half second",
+            got="none",
+        )
+    return counts
 
 
 def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> Values:

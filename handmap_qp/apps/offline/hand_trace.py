@@ -122,24 +122,25 @@ def trace_robot(
         The trace.
     """
     chains = chains or find_fingers(hand)
+    wrists = np.broadcast_to(np.eye(4), (len(q), 4, 4)) if wrist is None else wrist
     data, vector = hand.model.createData(), np.zeros(hand.model.nq)
     palm, points = np.empty((len(q), 4, 4)), np.empty((len(q), len(chains), 3, 3))
     places = [(chain.knuckle, chain.middle, chain.tip) for chain in chains.values()]
     for t, angles in enumerate(q):
-        hand.write_configuration(
-            vector, angles, np.eye(4) if wrist is None else wrist[t]
-        )
+        hand.write_configuration(vector, angles, wrists[t])
         pin.framesForwardKinematics(hand.model, data, vector)
         palm[t] = data.oMf[hand.palm_frame_id].homogeneous
         points[t] = [
             [data.oMi[joint].act(offset) for joint, offset in three] for three in places
         ]
     reach = np.array([chain.reach for chain in chains.values()])
-    others = [i for i, name in enumerate(chains) if name != THUMB] or list(
-        range(len(chains))
-    )
-    knuckles = PalmKinematics(hand).points(
-        zero_posture(hand), [places[i][0] for i in others]
-    )
-    size = float(np.linalg.norm(knuckles.mean(axis=0)) + reach[others].mean())
-    return HandTrace(tuple(chains), points, reach, palm, size)
+    return HandTrace(tuple(chains), points, reach, palm, _size(hand, chains))
+
+
+def _size(hand: Hand, chains: dict[str, Finger]) -> float:
+    """Return the size of a robot hand [m]; see `HandTrace`. Of a thumb alone, it counts too."""
+    others = {name: one for name, one in chains.items() if name != THUMB} or chains
+    places = [one.knuckle for one in others.values()]
+    knuckles = PalmKinematics(hand).points(zero_posture(hand), places)
+    reach = np.mean([one.reach for one in others.values()])
+    return float(np.linalg.norm(knuckles.mean(axis=0)) + reach)
