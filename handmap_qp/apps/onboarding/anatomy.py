@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
-from handmap_qp.apps.onboarding.flexion import HandFlexion
+from handmap_qp.apps.onboarding.flexion import HandFlexion, unit
 from handmap_qp.hands import human
 from handmap_qp.hands.spec import Side
+from handmap_qp.se3 import lengths
 
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
@@ -149,7 +150,7 @@ class _Evidence:
         self.thumb, self.thumb_clue = self._find_thumb(thumb)
         self.rest = [i for i in range(len(names)) if i != self.thumb]
         axes = flexion.axes[self.rest]
-        axes = axes[np.linalg.norm(axes, axis=1) > 0.5]
+        axes = axes[lengths(axes) > 0.5]
         values, vectors = np.linalg.eigh(axes.T @ axes)
         # Jaws and hands with fingers all around have no common axis.
         has_axis = len(axes) and values[-1] >= 0.8 * len(axes)
@@ -199,12 +200,12 @@ class _Evidence:
         chosen = self.rest if count > 2 else [*range(count)]
         mean = flexion.directions[chosen].mean(axis=0)
         knuckles = flexion.bases[chosen]
-        agreement = float(np.linalg.norm(mean))
+        agreement = float(lengths(mean))
         if agreement < 0.2:
             mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
-        if np.linalg.norm(_beside(mean, axis)) > 0.2:
+        if lengths(_beside(mean, axis)) > 0.2:
             mean = _beside(mean, axis)
-        mean = _snapped(_unit(mean), knuckles.mean(axis=0), axis)
+        mean = _snapped(unit(mean), knuckles.mean(axis=0), axis)
         how = f"the mean direction of the straight fingers (agreement {agreement:.2f} of 1)"
         if agreement <= _AGREED:
             return self._unless_opposed(_Found(mean, how, 0.4))
@@ -237,7 +238,7 @@ class _Evidence:
         thumb = self.thumb
         ahead = distal.direction
         mean = flexion.ways[rest].mean(axis=0)
-        agreement = float(np.linalg.norm(mean))
+        agreement = float(lengths(mean))
         palmar = _beside(mean, ahead)
         how = f"opposite to the fingertips' motion in flexion (agreement {agreement:.2f} of 1)"
         sign = float(np.median(flexion.certainty[rest]))
@@ -245,16 +246,16 @@ class _Evidence:
         if abs(palmar @ upright) > 0.2:
             # The axes of flexion are exact; the way of the tips depends on the posture.
             palmar = np.sign(palmar @ upright) * upright
-        if np.linalg.norm(palmar) < 0.2 and thumb is not None:
+        if lengths(palmar) < 0.2 and thumb is not None:
             to_thumb = flexion.tips_open[thumb] - flexion.tips_open[rest].mean(axis=0)
             palmar = _beside(to_thumb, ahead)
             sign = 0.5
             how = "away from the thumb, because the other fingertips flex in different directions"
-        if np.linalg.norm(palmar) < 1e-6:
+        if lengths(palmar) < 1e-6:
             palmar = _beside(np.eye(3)[np.argmin(np.abs(ahead))], ahead)
             sign = 0.05
             how = "undetermined: an arbitrary direction at right angles to distal"
-        dorsal = _unit(_rounded(_beside(_snapped(_unit(-palmar)), ahead)))
+        dorsal = unit(_rounded(_beside(_snapped(unit(-palmar)), ahead)))
         best = _LIKELY if agreement > 0.4 else _DISPUTED
         tilt = self._tilt(ahead, dorsal)
         height = self._thumb_height(dorsal)
@@ -275,7 +276,7 @@ class _Evidence:
         Without such a row it is one that tells nothing.
         """
         across = _beside(_widest(self.flexion.bases[self.rest]), distal)
-        if len(self.rest) < 3 or np.linalg.norm(across) < 0.5:
+        if len(self.rest) < 3 or lengths(across) < 0.5:
             return 1.5 * _AGREEING
         return abs(angle_between(across, dorsal) - 90.0)
 
@@ -377,11 +378,11 @@ class _Evidence:
 def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return how much fingers differ in position, direction and flexion, 0 to 1, shape (F, F)."""
     lines = flexion.tips_open - flexion.roots
-    lengths = np.linalg.norm(lines, axis=1)
-    directions = _unit(lines)
-    along = _unit(directions[:, None] + directions)
+    sizes = lengths(lines)
+    directions = unit(lines)
+    along = unit(directions[:, None] + directions)
     apart = np.abs(((flexion.roots[:, None] - flexion.roots) * along).sum(axis=2))
-    longer = np.maximum(np.maximum(lengths[:, None], lengths), 1e-9)
+    longer = np.maximum(np.maximum(sizes[:, None], sizes), 1e-9)
     ahead = np.minimum(1.0, 2.0 * apart / longer)
     return ahead, 1.0 - directions @ directions.T, 1.0 - flexion.ways @ flexion.ways.T
 
@@ -460,10 +461,6 @@ def _confirmed(dorsal: _Found) -> _Found:
 # -- geometry
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
-
-
 def _beside(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return the part of a vector at right angles to a unit vector."""
     return vector - (vector @ direction) * direction
@@ -480,7 +477,7 @@ def _widest(points: np.ndarray) -> np.ndarray:
 
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
     """Return the angle between two vectors [deg]; 90 if one is zero."""
-    return float(np.degrees(np.arccos(np.clip(_unit(one) @ _unit(other), -1.0, 1.0))))
+    return float(np.degrees(np.arccos(np.clip(unit(one) @ unit(other), -1.0, 1.0))))
 
 
 def _snapped(
@@ -505,7 +502,7 @@ def _snapped(
         )
         if lateral and angle_between(_beside(knuckles, axis), ahead) < angle:
             return ahead
-    return _unit(_rounded(direction))
+    return unit(_rounded(direction))
 
 
 def _shown(direction: np.ndarray) -> str:

@@ -45,6 +45,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.urdf import parse_with_meshes
+from handmap_qp.se3 import lengths
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME, _FIST_ANGLE = 0.5, 1.5
@@ -288,7 +289,7 @@ def _check_points(hand: Hand, tables: Tables) -> Findings:
         if partners[i] not in names:
             what = f"the human hand has no point {partners[i]!r}"
             yield Finding("advice", where, what, "name a partner")
-        for j in np.flatnonzero(np.linalg.norm(points[:i] - points[i], axis=1) < 1e-3):
+        for j in np.flatnonzero(lengths(points[:i] - points[i]) < 1e-3):
             what = f"lies on {hand.reference_points[j].name}"
             yield Finding("warning", where, what, "one of them will do")
     ratio = hand.point_weights.max() / hand.point_weights.min()
@@ -314,7 +315,7 @@ def _check_places(hand: Hand, tables: Tables) -> Findings:
         if not len(cloud):
             continue
         outside = np.maximum(cloud.min(axis=0) - place, place - cloud.max(axis=0))
-        distance = float(np.linalg.norm(np.maximum(outside, 0.0)))
+        distance = float(lengths(np.maximum(outside, 0.0)))
         if distance > _OFF_THE_LINK:
             what = f"lies {1e3 * distance:.0f} mm outside the shape of {point.link}"
             change = "check its xyz, in metres in that link's frame"

@@ -17,6 +17,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.hands.spec import CollisionSpec
+from handmap_qp.se3 import lengths
 
 MARGIN = 0.0005
 """Least distance between links [m]: pinches close, and the linearised rows hold."""
@@ -128,7 +129,7 @@ def _neighbours(model: pin.Model, joint: int, with_shape: list[int]) -> list[int
     """
     found = [joint]
     while joint > 0:
-        length = np.linalg.norm(model.jointPlacements[joint].translation)
+        length = lengths(model.jointPlacements[joint].translation)
         joint = model.parents[joint]
         found.append(joint)
         if joint in with_shape and length > _SHORT:

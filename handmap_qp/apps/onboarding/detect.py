@@ -31,7 +31,7 @@ from handmap_qp.hands.spec import (
     Side,
     WristSpec,
 )
-from handmap_qp.se3 import transform_points
+from handmap_qp.se3 import lengths, transform_points
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
 _REST_SHARE, _REST_MOST = 0.4, 0.75
@@ -267,7 +267,7 @@ class _FoundHand:
     def _middle(self, finger: RobotFinger, place: Place) -> PointSpec:
         """Return the PIP joint of a finger, or the IP joint of the thumb."""
         body, xyz = place
-        xyz = xyz if np.linalg.norm(xyz) > _OFF_AXIS else np.zeros(3)
+        xyz = xyz if lengths(xyz) > _OFF_AXIS else np.zeros(3)
         kind = "ip" if finger.name == THUMB else "pip"
         return _point(finger, kind, self.robot.links[body][0], xyz)
 
@@ -319,8 +319,7 @@ def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
         joint
         for joint in robot.path(robot.body(palm), 0)
         if robot.model.names[joint] in robot.active
-        and np.linalg.norm(robot.pose_in(robot.links[joint][0], palm)[:3, 3])
-        < _WRIST_REACH
+        and lengths(robot.pose_in(robot.links[joint][0], palm)[:3, 3]) < _WRIST_REACH
     ]
     names = ", ".join(robot.model.names[joint] for joint in near)
     return names, robot.carriers(near[0])[-1] if near else ""

@@ -21,6 +21,7 @@ from handmap_qp.hands.fingers import (
     nearing,
     zero_posture,
 )
+from handmap_qp.se3 import lengths
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
 _FLEXING = 0.6
@@ -106,16 +107,16 @@ class HandFlexion:
         postures = np.array([self.q_open, self.q_closed])
         self.tips_open, self.tips_closed = self._view.points(postures, self._tips)
         lines = self.tips_open - self.bases
-        self.reach = np.linalg.norm(lines, axis=1)
+        self.reach = lengths(lines)
         for i in self._groups:
             lines[i] = self._line(i)
-        self.directions = _unit(lines)
+        self.directions = unit(lines)
 
     def _settle(self, i: int, certainty: float) -> None:
         """Set the tip's motion at the start of flexion, the flexion's axis, and the confidence."""
         group = self._groups[i]
         sign = self.sign[group.columns]
-        self.ways[i] = _unit(self._motions[i][:, group.columns] @ sign)
+        self.ways[i] = unit(self._motions[i][:, group.columns] @ sign)
         self.axes[i] = np.sign(sign @ group.signs) * group.axis
         self.certainty[i] = certainty
 
@@ -148,7 +149,7 @@ class HandFlexion:
                 ),
                 (1.0, 0.1),
             )
-            clear = min(0.1 * float(np.linalg.norm(slope)), 0.5)
+            clear = min(0.1 * float(lengths(slope)), 0.5)
             vote, confidence = next(pair for pair in votes if abs(pair[0]) > clear)
             for i in alike:
                 columns = self._groups[i].columns
@@ -166,7 +167,7 @@ class HandFlexion:
             if abs(nearer[best]) >= 1e-4:
                 j = columns[best]
                 self.sign[j] = np.sign(nearer[best])
-                self.ways[i] = _unit(self.sign[j] * self._motions[i][:, j])
+                self.ways[i] = unit(self.sign[j] * self._motions[i][:, j])
                 self.certainty[i] = 0.7
 
     def _sign_base_joints(self) -> None:
@@ -184,9 +185,9 @@ class HandFlexion:
         tip = self.tips_open[i]
         _, points = self._view.axes(self.q_open, finger.bending, finger.tip)
         parts = np.diff([*points, tip], axis=0)
-        lengths = np.linalg.norm(parts, axis=1)
-        is_bent = np.linalg.norm(tip - points[0]) < _STRETCHED * lengths.sum()
-        is_long = lengths[0] > _PHALANX * lengths.sum()
+        sizes = lengths(parts)
+        is_bent = lengths(tip - points[0]) < _STRETCHED * sizes.sum()
+        is_long = sizes[0] > _PHALANX * sizes.sum()
         return parts[0] if is_bent and is_long else tip - self.bases[i]
 
     def _side_of_others(self, mine: list[int], slope: np.ndarray) -> float:
@@ -201,8 +202,8 @@ class HandFlexion:
         to_others = np.delete(places, mine, axis=0).mean(axis=0) - places[mine].mean(
             axis=0
         )
-        height = float(to_others @ _unit(slope))
-        reach = float(np.linalg.norm(tips[mine] - self.roots[mine], axis=1).mean())
+        height = float(to_others @ unit(slope))
+        reach = float(lengths(tips[mine] - self.roots[mine]).mean())
         return 0.0 if abs(height) < _LEAST_HEIGHT * reach else float(np.sign(height))
 
     def _nearing(
@@ -220,7 +221,7 @@ def _alike(slopes: dict[int, np.ndarray]) -> list[list[int]]:
         parallel = (
             alike
             for alike in found
-            if abs(_unit(slope) @ _unit(slopes[alike[0]])) > PARALLEL
+            if abs(unit(slope) @ unit(slopes[alike[0]])) > PARALLEL
         )
         if (alike := next(parallel, None)) is None:
             found.append([i])
@@ -229,5 +230,6 @@ def _alike(slopes: dict[int, np.ndarray]) -> list[list[int]]:
     return sorted(found, key=len, reverse=True)
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-9)
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors (..., 3) with length 1; a zero vector stays one."""
+    return vectors / np.maximum(lengths(vectors)[..., None], 1e-9)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.apps.onboarding.anatomy import angle_between
-from handmap_qp.apps.onboarding.flexion import HandFlexion
+from handmap_qp.apps.onboarding.flexion import HandFlexion, unit
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.fingers import (
     Finger,
@@ -23,6 +23,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.se3 import lengths
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
@@ -31,8 +32,9 @@ _LEAST_MOTION = 0.003
 _SAMPLES = 200
 # Random postures of an arm, directions in which its reach is measured, and cosine of their cones.
 _ARM_SAMPLES = 1500
-_DIRECTIONS = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
-_DIRECTIONS /= np.linalg.norm(_DIRECTIONS, axis=1, keepdims=True)
+_DIRECTIONS = unit(
+    np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
+)
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
@@ -148,7 +150,7 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
     postures = np.where(own, across(hand, shares), hand.rest)
     places = np.array([hand.points(q) for q in postures])
     gaps = places[:, None] - places[:: max(1, len(places) // 100)]
-    spans = 1e3 * np.linalg.norm(gaps, axis=3).max(axis=(0, 1))
+    spans = 1e3 * lengths(gaps).max(axis=(0, 1))
     jacobians = hand.point_jacobian(hand.rest)[:, own].reshape(len(spans), 3, -1)
     best: dict[str, FingerReach] = {}
     for point, span, jacobian in zip(
@@ -191,10 +193,10 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
     postures = random_postures(hand, _ARM_SAMPLES)
     start = hand.frame_pose("wrist", hand.rest)[:3, 3]
     moved = np.array([hand.frame_pose("wrist", q)[:3, 3] - start for q in postures])
-    lengths = np.maximum(np.linalg.norm(moved, axis=1), 1e-9)
+    sizes = lengths(moved)
     # In each direction, the farthest wrist within a cone.
-    near = _DIRECTIONS @ (moved / lengths[:, None]).T > _CONE
-    return np.array([lengths[row].max() if row.any() else 0.0 for row in near])
+    near = _DIRECTIONS @ unit(moved).T > _CONE
+    return np.array([sizes[row].max() if row.any() else 0.0 for row in near])
 
 
 def measure_size(hand: Hand) -> Size:
@@ -205,12 +207,12 @@ def measure_size(hand: Hand) -> Size:
     """
     human = load_hand("human", points="fingertips", hand_length=HUMAN_LENGTH)
     postures = (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits))
-    lengths = [
-        np.linalg.norm(hand.points(q) - hand.frame_pose("palm", q)[:3, 3], axis=1).max()
+    sizes = [
+        lengths(hand.points(q) - hand.frame_pose("palm", q)[:3, 3]).max()
         for q in postures
     ]
     return Size(
-        float(max(lengths)),
+        float(max(sizes)),
         _spread(hand.points(hand.rest)),
         _spread(human.points(human.rest)),
     )
@@ -292,7 +294,7 @@ def make_fist(hand: Hand) -> Fist | None:
     flexion = HandFlexion(hand, [*fingers.values()])
     axis = flexion.axes.mean(axis=0)
     direction = flexion.directions.mean(axis=0)
-    if min(np.linalg.norm(axis), np.linalg.norm(direction)) < _COMMON:
+    if min(lengths(axis), lengths(direction)) < _COMMON:
         return None
     # Flexion turns distal (y) towards palmar (-z), about -x.
     return Fist(
@@ -361,5 +363,5 @@ def _nearest(hand: Hand, pads: list[Pad], columns: np.ndarray, near: float) -> f
     for start in (hand.rest[columns], middle, zero, *others):
         if best >= near:
             found = least_squares(gap, start, slope, bounds=(low, high))
-            best = min(best, float(np.linalg.norm(found.fun)))
+            best = min(best, float(lengths(found.fun)))
     return best

@@ -78,7 +78,7 @@ class RobotFinger(Finger):
         self.links = [robot.links[joint][0] for joint in joints]
         self.names = [*self.joint_names, *self.links]
         steps = [*np.diff(robot.origins(joints), axis=0), self.tip[1]]
-        self.length = float(np.linalg.norm(steps, axis=1).sum())
+        self.length = float(lengths(np.array(steps)).sum())
 
 
 class Structure(NamedTuple):
@@ -174,7 +174,7 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
         HandError: If there are two; the message names their links for `root`.
     """
     roots = robot.origins([finger.joints[0] for finger in fingers])
-    near = np.linalg.norm(roots[:, None] - roots[None], axis=2) < _APART
+    near = lengths(roots[:, None] - roots[None]) < _APART
     group = np.linalg.matrix_power(near.astype(float), len(fingers))[0] > 0.0
     if min(group.sum(), (~group).sum()) < 2:
         return
@@ -228,7 +228,7 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
     size = float(sizes.max(initial=0.0))
     ends = {end: robot.pose_in(end, link)[:3, 3] for end in robot.ends(leaf)}
     distance, far = max(
-        ((float(np.linalg.norm(place)), end) for end, place in ends.items()),
+        ((float(lengths(place)), end) for end, place in ends.items()),
         default=(0.0, ""),
     )
     if distance > max(_LEAST_TIP, 0.5 * size) and _is_at_end(robot, leaf, ends[far]):
@@ -248,7 +248,7 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
     before = np.zeros(3)
     if len(joints) > 1:
         before = robot.pose_in(robot.links[joints[-2]][0], link)[:3, 3]
-    if np.linalg.norm(before) > _LEAST_TIP:
+    if lengths(before) > _LEAST_TIP:
         how = f"{how}: 0.8 of the previous link's length"
         return Tip(link, -0.8 * before, how, 0.3)
     return Tip(link, np.zeros(3), f"{how}: its origin", 0.1)
@@ -262,9 +262,9 @@ def _is_at_end(robot: Robot, body: int, place: np.ndarray) -> bool:
     cloud = robot.surface(body)
     if not len(cloud):
         return True
-    length = float(np.linalg.norm(place))
+    length = float(lengths(place))
     beyond = float((cloud @ place).max()) / length - length
-    from_balls = np.linalg.norm(robot.balls(body) - place, axis=1)
+    from_balls = lengths(robot.balls(body) - place)
     is_centre = from_balls.min(initial=np.inf) < _AT_CENTRE
     return -_IN_THE_AIR < beyond < _INSIDE or (
         is_centre and 0.0 < beyond < _LARGEST_BALL
@@ -338,7 +338,7 @@ def _is_hinged(bar: RobotFinger, poses: np.ndarray) -> bool:
     solution = np.linalg.lstsq(matrix, shifts, rcond=1e-6)[0]
     residuals = lengths((matrix @ solution - shifts).reshape(-1, 3))
     axis = pin.log3(rotations[0].T @ rotations[-1])
-    off_axis = np.linalg.norm(np.cross(axis, solution[:3])) / np.linalg.norm(axis)
-    length = float(np.linalg.norm(bar.tip[1]))
+    off_axis = lengths(np.cross(axis, solution[:3])) / lengths(axis)
+    length = float(lengths(bar.tip[1]))
     is_off = _PIVOT_SHARE * length < off_axis < length + _LINKAGE_SLACK
     return bool(residuals.max() < _LINKAGE_SLACK and is_off)
