@@ -206,10 +206,11 @@ class Simulate:
         from handmap_qp.apps.simulation.stand_in import Report, StandIn
 
         def show(report: Report) -> None:
+            now = report.now
             print(
-                f"{report.time:7.1f} s  {report.commands} commands, epoch {report.epoch}, wrist "
-                f"{1e3 * report.wrist_error:.1f} mm off, {report.touching} links press with "
-                f"{report.force:.1f} N",
+                f"{now.time:7.1f} s  {report.commands} commands, epoch {report.epoch}, wrist "
+                f"{1e3 * report.wrist_error:.1f} mm off, {now.links_touching} links press with "
+                f"{now.normal_force:.1f} N",
                 flush=True,
             )
 

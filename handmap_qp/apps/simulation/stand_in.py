@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.apps.simulation.pinch import Pads
-from handmap_qp.apps.simulation.simulator import Simulator
+from handmap_qp.apps.simulation.simulator import Instant, Simulator
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.se3 import affine
@@ -29,20 +29,16 @@ class Report(NamedTuple):
     """What the stand-in does, once a second.
 
     Attributes:
-        time: Simulated time [s].
+        now: The simulation.
         commands: Number of commands received so far.
         epoch: The last command's epoch; commands are continuous within one.
         wrist_error: Distance of the wrist from its command [m].
-        force: Sum of the normal forces on the object [N].
-        touching: Number of joints whose links touch the object.
     """
 
-    time: float
+    now: Instant
     commands: int
     epoch: int
     wrist_error: float
-    force: float
-    touching: int
 
 
 class StandIn:
@@ -127,10 +123,5 @@ class StandIn:
 
     def _report(self, goal: tuple[np.ndarray, np.ndarray | None]) -> Report:
         now, wrist = self.simulator.instant(), goal[1]
-        error = (
-            0.0 if wrist is None else float(np.linalg.norm((now.wrist - wrist)[:3, 3]))
-        )
-        pressing, touching = float(now.normal_force), int(now.links_touching)
-        return Report(
-            float(now.time), self._count, self._epoch, error, pressing, touching
-        )
+        off = np.zeros(3) if wrist is None else (now.wrist - wrist)[:3, 3]
+        return Report(now, self._count, self._epoch, float(np.linalg.norm(off)))

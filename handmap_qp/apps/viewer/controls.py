@@ -34,6 +34,17 @@ _SPAN, _UNKNOWN, _OPTIONAL = 4.0, 20.0, 200.0
 _PATIENCE = 60.0
 
 
+def say(handle: Any, said: str | HandmapError | None) -> None:
+    """Show a message in a text of viser; an error as why something is not possible.
+
+    Args:
+        handle: The text, which is hidden if there is nothing to say.
+        said: The message.
+    """
+    text = f"**Not possible:** {said}" if isinstance(said, HandmapError) else said or ""
+    handle.visible, handle.content = text != "", text
+
+
 class _Control:
     """A viser control, whose changes by the user are taken once.
 
@@ -52,11 +63,15 @@ class _Control:
         self.handle, self._to_shown, self._to_value = handle, to_shown, to_value
         self._taken = handle.value
 
-    def take(self, changes: dict[str, Any], name: str) -> None:
-        """Add the value to changes by name, if the user has changed it since the last call."""
-        value = self.handle.value
-        if value != self._taken:
-            self._taken, changes[name] = value, self._to_value(value)
+    @property
+    def is_changed(self) -> bool:
+        """Whether the user has changed it since the last `take`."""
+        return self.handle.value != self._taken
+
+    def take(self) -> Any:
+        """Return the value."""
+        self._taken = self.handle.value
+        return self._to_value(self._taken)
 
     def show(self, value: Any) -> None:
         """Show a value, except where the user has just changed the control."""
@@ -67,6 +82,11 @@ class _Control:
     def set_visible(self, is_visible: bool) -> None:
         """Show or hide the control; what the user changed before then does not count."""
         self._taken, self.handle.visible = self.handle.value, is_visible
+
+
+def _take_changes(controls: dict[str, _Control]) -> dict[str, Any]:
+    """Return what the user has changed since the last call, by name."""
+    return {name: each.take() for name, each in controls.items() if each.is_changed}
 
 
 class DisplayControls:
@@ -192,10 +212,7 @@ class SteeringControls:
 
     def take_lists(self) -> dict[str, str]:
         """Return what the user has chosen since the last call, of `preset` and `compare`."""
-        chosen: dict[str, str] = {}
-        for name, control in self._lists.items():
-            control.take(chosen, name)
-        return chosen
+        return _take_changes(self._lists)
 
     def show_choice(self, choice: Choice) -> None:
         """Show preset and options, except where the user has just changed a control."""
@@ -211,14 +228,6 @@ class SteeringControls:
     def show_released(self, is_released: bool) -> None:
         """Enable the button that has an effect."""
         self.release.disabled, self.clutch.disabled = is_released, not is_released
-
-    def show_message(self, text: str) -> None:
-        """Show a line above the options; hide it if the text is empty."""
-        self.message.visible, self.message.content = text != "", text
-
-    def show_error(self, error: HandmapError | None) -> None:
-        """Show why the last request failed; None clears the message."""
-        self.show_message("" if error is None else f"**Not possible:** {error}")
 
 
 class OptionControls:
@@ -249,10 +258,7 @@ class OptionControls:
 
     def take_changes(self) -> dict[str, Any]:
         """Return the options that the user has changed since the last call, by name."""
-        changes: dict[str, Any] = {}
-        for name, control in (self._method | self._ik).items():
-            control.take(changes, name)
-        return changes
+        return _take_changes(self._method | self._ik)
 
     def show(self, choice: Choice) -> None:
         """Show the options, except where the user has changed a control since `take_changes`.
@@ -411,13 +417,12 @@ class ExportControls:
             "handmap.png": _picture,
             "handmap.html": lambda _: page(),
         }
-        labels = ("Save options", "Save picture", "Save page")
-        hints = (
-            "Download preset and options, for --options of the commands",
-            "Download the hands as they are shown, without the panels",
-            "Download a page that plays the motion without a server",
-        )
-        for name, label, hint in zip(self._contents, labels, hints, strict=True):
+        hints = {
+            "Save options": "Download preset and options, for --options of the commands",
+            "Save picture": "Download the hands as they are shown, without the panels",
+            "Save page": "Download a page that plays the motion without a server",
+        }
+        for name, (label, hint) in zip(self._contents, hints.items(), strict=True):
             button = server.gui.add_button(label, hint=hint)
             button.on_click(lambda event, name=name: self.send(name, event.client))
         self._message = server.gui.add_markdown("", visible=False)
@@ -429,15 +434,13 @@ class ExportControls:
             name: `options.yaml`, `handmap.png` or `handmap.html`.
             client: The browser's handle of viser.
         """
-        self._say(f"writing {name} …")
+        said: str | HandmapError = ""
+        say(self._message, f"writing {name} …")
         try:
             client.send_file_download(name, self._contents[name](client))
-            self._say("")
         except HandmapError as error:
-            self._say(f"**Not possible:** {error}")
-
-    def _say(self, text: str) -> None:
-        self._message.visible, self._message.content = text != "", text
+            said = error
+        say(self._message, said)
 
 
 def _picture(client: Any) -> bytes:

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from handmap_qp.apps.viewer.controls import SteeringControls
+from handmap_qp.apps.viewer.controls import SteeringControls, say
 from handmap_qp.apps.viewer.gauges import Row, gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
@@ -147,7 +147,7 @@ class LiveViewer(Window):
 
     def _steer(self, steering: SteeringControls) -> None:
         source = self._source
-        steering.show_error(source.last_error)
+        say(steering.message, source.last_error)
         steering.show_released(source.is_released)
         # While requests are pending, the controls keep the requested values.
         if source.is_busy:

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from handmap_qp.apps.viewer.controls import KEPT, NOTHING, PlayBar, SteeringControls
+from handmap_qp.apps.viewer.controls import (
+    KEPT,
+    NOTHING,
+    PlayBar,
+    SteeringControls,
+    say,
+)
 from handmap_qp.apps.viewer.gauges import gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
@@ -304,15 +310,15 @@ class ReplayViewer(Window):
     def _map_pending(self) -> None:
         """Map as requested, and show why if that is not possible."""
         while self._pending:
-            self.steering.show_message("mapping …")
+            say(self.steering.message, "mapping …")
             # The request stays pending if this fails (`skip_wakeup_race`).
             self.server.flush()
             try:
                 self._pending.pop(0)()
             except HandmapError as error:
-                self.steering.show_error(error)
+                say(self.steering.message, error)
             else:
-                self.steering.show_error(None)
+                say(self.steering.message, None)
                 self._show_variants()
             self.steering.show_compared(self._compared)
 
