@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sys
 from collections import Counter
 from collections.abc import Sequence
@@ -364,14 +365,10 @@ def _shard(text: str | None) -> tuple[int, int]:
     """
     if text is None:
         return (1, 1)
-    part, slash, parts = text.partition("/")
-    if (
-        slash
-        and part.isdigit()
-        and parts.isdigit()
-        and 1 <= int(part) <= int(parts) <= 10**6
-    ):
-        return (int(part), int(parts))
+    found = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)
+    part, parts = map(int, found.groups()) if found else (0, 0)
+    if 1 <= part <= parts <= 10**6:
+        return (part, parts)
     raise InvalidInputError(
         argument="--shard", expected="I/N with 1 <= I <= N", value=text
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,27 +50,31 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     """Draw a histogram of every measure, with the episodes that the filter leaves out in red."""
     from matplotlib.figure import Figure
 
-    shown = [k for k in range(len(MEASURES)) if np.isfinite(quality.values[:, k]).any()]
+    columns = zip(MEASURES, quality.values.T, strict=True)
+    shown = [pair for pair in columns if np.isfinite(pair[1]).any()]
     rows = -(-len(shown) // _COLUMNS)
     figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained", dpi=100)
     grid = figure.subplots(rows, _COLUMNS, squeeze=False)
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
-    for axes, k in zip(grid.flat, shown, strict=False):
-        values = quality.values[:, k]
-        known = np.isfinite(values)
-        parts = [values[known & quality.is_kept], values[known & ~quality.is_kept]]
-        low, high = float(values[known].min()), float(values[known].max())
-        room = (low, high) if high > low else (min(0.0, low), max(1.0, low))
-        axes.hist(parts, bins=_BINS, range=room, stacked=True, color=[_KEPT, _LEFT_OUT])
-        axes.set_title(MEASURES[k].title, fontsize=9)
+    for axes, (measure, values) in zip(grid.flat, shown, strict=False):
+        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        # NaN is in no bin.
+        axes.hist(
+            [values[quality.is_kept], values[~quality.is_kept]],
+            bins=_BINS,
+            range=(low, high) if high > low else (min(0.0, low), max(1.0, low)),
+            stacked=True,
+            color=[_KEPT, _LEFT_OUT],
+        )
+        axes.set_title(measure.title, fontsize=9)
         axes.tick_params(labelsize=7)
         axes.yaxis.get_major_locator().set_params(integer=True)
         # Numbers that are nearly the same have long labels.
         axes.xaxis.get_major_locator().set_params(nbins=4)
         axes.spines[["top", "right"]].set_visible(False)
-    for row in grid:
-        row[0].set_ylabel("episodes", fontsize=8)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("episodes", fontsize=8)
     kept = int(quality.is_kept.sum())
     figure.suptitle(
         f"{kept} episodes kept, {len(quality.lines) - kept} left out (red)", fontsize=10
@@ -85,18 +90,22 @@ def _draw_worst(folder: Path, quality: Quality, count: int, out: Path) -> list[P
     the robot is still on its way to the hand.
     """
     rows: dict[str, list[SheetRow]] = {}
-    for place, line in enumerate(quality.lines):
+    ranked = zip(quality.lines, quality.worst_measure, strict=True)
+    for rank, (line, k) in enumerate(ranked, start=1):
         own = rows.setdefault(line.robot, [])
         if len(own) < count:
             with suppress(HandmapError):
-                measure = MEASURES[quality.worst_measure[place]]
-                own.append(_worst_row(folder, line, place + 1, measure))
+                own.append(_worst_row(folder, line, rank, MEASURES[k]))
     files = []
     for name, own in rows.items():
         if own:
             robot = load_hand(name)
-            columns, side = [(robot.name, robot)], robot.spec.side
-            figure = contact_sheet(columns, own, side=side, title="worst episodes")
+            figure = contact_sheet(
+                [(robot.name, robot)],
+                own,
+                side=robot.spec.side,
+                title="worst episodes",
+            )
             files.append(out / f"worst_{robot.name}.png")
             figure.savefig(files[-1], dpi=100)
     return files
@@ -109,13 +118,10 @@ def _worst_row(folder: Path, line: Line, rank: int, measure: Measure) -> SheetRo
     columns = read_archive(folder / line.out, names)
     sample = _worst_sample(recording, columns, measure)
     (row,) = sheet_rows(recording, {f"#{rank}": sample}, [columns["q"]])
-    name = (
-        line.name
-        if len(line.name) <= _LONGEST_NAME
-        else f"...{line.name[3 - _LONGEST_NAME :]}"
-    )
-    note = f"{name}\n{measure.title}\n{row.note}"
-    return SheetRow(row.label, note, row.landmarks, row.q)
+    name = line.name
+    if len(name) > _LONGEST_NAME:
+        name = f"...{name[3 - _LONGEST_NAME :]}"
+    return replace(row, note=f"{name}\n{measure.title}\n{row.note}")
 
 
 def _worst_sample(
@@ -126,10 +132,9 @@ def _worst_sample(
     settled = usable & (recording.time >= recording.time[0] + SETTLING)
     usable = settled if settled.any() else usable
     error = columns["point_error"].max(axis=1)
-    # Less than one joint, so that it decides between samples of as many joints.
-    share = error / (1.0 + error)
-    if measure.key == "saturation":
-        error = columns["at_limit"].sum(axis=1) + share
-    elif measure.key == "speed_limited":
-        error = columns["at_speed_limit"].sum(axis=1) + share
+    joints = {"saturation": "at_limit", "speed_limited": "at_speed_limit"}
+    if measure.key in joints:
+        # Less than one joint, so that it decides between samples of as many joints.
+        share = error / (1.0 + error)
+        error = columns[joints[measure.key]].sum(axis=1) + share
     return int(np.argmax(np.where(usable, error, -1.0)))

@@ -60,37 +60,36 @@ class Layouts:
         from handmap_qp.trackers.layouts.tables import load_layout
 
         if self.layout is None:
-            for name in ("template", "picture"):
-                if getattr(self, name) is not None:
-                    raise InvalidInputError(
-                        argument=f"--{name}",
-                        problem="needs a layout",
-                        advice="name one of `handmap layouts`",
-                    )
-            rows = [_summary(layout) for layout in LAYOUTS.values()]
-            if self.json:
-                print(json.dumps(rows))
-            else:
-                print_rows("Layouts", rows)
+            self._list(list(map(_summary, LAYOUTS.values())))
             return
         layout = load_layout(self.layout)
-        written = [
-            file for file in (self._template(layout), self._picture(layout)) if file
-        ]
+        written = (self._template(layout), self._picture(layout))
         facts = _facts(layout)
         if self.json:
             print(json.dumps({**facts, "entries": layout.rows()}))
             return
-        print_table(
-            layout.name,
-            {
-                key: "; ".join(v) if isinstance(v, list) else v
-                for key, v in facts.items()
-            },
-        )
+        texts = {
+            key: "; ".join(fact) if isinstance(fact, list) else fact
+            for key, fact in facts.items()
+        }
+        print_table(layout.name, texts)
         print_rows("Order", layout.rows())
-        for file in written:
+        for file in filter(None, written):
             print(f"wrote {file}")
+
+    def _list(self, rows: list[dict[str, Any]]) -> None:
+        """Print all layouts."""
+        for name in ("template", "picture"):
+            if getattr(self, name) is not None:
+                raise InvalidInputError(
+                    argument=f"--{name}",
+                    problem="needs a layout",
+                    advice="name one of `handmap layouts`",
+                )
+        if self.json:
+            print(json.dumps(rows))
+        else:
+            print_rows("Layouts", rows)
 
     def _template(self, layout: Layout) -> Path | None:
         """Copy the table, with its comments."""
