@@ -362,6 +362,8 @@ def _nearest(hand: Hand, pads: list[Pad], columns: np.ndarray, near: float) -> f
     others = random_postures(hand, _STARTS)[:, columns]
     for start in (hand.rest[columns], middle, zero, *others):
         if best >= near:
-            found = least_squares(gap, start, slope, bounds=(low, high))
+            found = least_squares(
+                gap, start, slope, bounds=(low, high), ftol=1e-4, xtol=1e-4
+            )
             best = min(best, float(lengths(found.fun)))
     return best
