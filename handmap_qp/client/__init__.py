@@ -138,14 +138,6 @@ class _Core:
     """Calls as steps of input and output, written once for both clients."""
 
     _context: type[zmq.Context[Any]] = zmq.Context
-    # Heartbeats detect a connection that died without notice.
-    _SOCKET_OPTIONS = (
-        (zmq.IPV6, 1),
-        (zmq.LINGER, 0),
-        (zmq.RECONNECT_IVL, 50),
-        (zmq.HEARTBEAT_IVL, 1000),
-        (zmq.HEARTBEAT_TIMEOUT, 3000),
-    )
 
     def __init__(
         self,
@@ -174,9 +166,7 @@ class _Core:
         self.opened: Opened | None = None
         self._last_command: messages.Command | None = None
         self._open_request: Request = {}  # as it must be repeated to reopen the session
-        self._addressee: Request = {
-            "session": ""
-        }  # or the public name of a watched session
+        self._addressee: Request = {"session": ""}  # or the name of a watched session
         self._stream_name = ""
         self._stream_port = 0
         self._released_at = 0  # number of the last request that changed `is_released`
@@ -252,7 +242,7 @@ class _Core:
         if self._speaks_older(reply):
             reply = yield from self._ask(request, until)
         is_lost = isinstance(reply, Error) and reply.code == "no_session"
-        if is_lost and self._open_request and request["type"] not in ("open", "close"):
+        if is_lost and self.opened and request["type"] not in ("open", "close"):
             yield from self._reopen(until)
             reply = yield from self._ask(request, until)
         if isinstance(reply, Error):
@@ -294,23 +284,20 @@ class _Core:
         last = self._last_command
         yield from self._call(self._reopen_request(), Opened, deadline)
         self._last_command = last
-        self.reopened = self.reopened + 1
+        self.reopened += 1
 
     def _reopen_request(self) -> Request:
         """Return a request that opens the session again, at the robot's last known posture.
 
         `restore` lets the server use its own record if it has one; it knows the owner's secret.
         """
-        start: Request = {}
-        if self.opened is not None:
-            last = self._last_command
-            start |= {
-                "name": self.opened.name,
-                "restore": True,
-                "robot_q": (last or self.opened).q,
-            }
-            if last is not None and self.opened.is_floating:
-                start["robot_wrist"] = last.wrist
+        opened = self.opened
+        assert opened is not None
+        last = self._last_command
+        start: Request = {"name": opened.name, "restore": True}
+        start["robot_q"] = (last or opened).q
+        if last is not None and opened.is_floating:
+            start["robot_wrist"] = last.wrist
         return self._open_request | start
 
     def _numbered(self, request: Request) -> Request:
@@ -389,8 +376,12 @@ class _Core:
         # A request waits in the client until there is a connection. Of samples and commands, the
         # socket keeps the newest one.
         socket.setsockopt(zmq.IMMEDIATE if use == "requests" else zmq.CONFLATE, 1)
-        for option, value in self._SOCKET_OPTIONS:
-            socket.setsockopt(option, value)
+        socket.ipv6 = True
+        socket.linger = 0
+        # Times are in milliseconds. Heartbeats detect a connection that died without notice.
+        socket.reconnect_ivl = 50
+        socket.heartbeat_ivl = 1000
+        socket.heartbeat_timeout = 3000
         if self._keys is not None:
             socket.curve_publickey, socket.curve_secretkey, socket.curve_serverkey = (
                 self._keys

@@ -407,6 +407,6 @@ def test_streams_of_sessions_that_have_ended_are_forgotten_in_time() -> None:
     sessions = types.SimpleNamespace(names=("lab", "other"))
     outbox = _Outbox(None, sessions)  # ty: ignore[invalid-argument-type]
     for name in names:
-        outbox.subscribe(name, is_json=True)
+        outbox.subscribe(bytes, name)
         assert len(outbox._streams) <= MOST_SESSIONS
     assert {"lab", names[-1]} <= outbox._streams.keys()

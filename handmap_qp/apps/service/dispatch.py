@@ -502,7 +502,7 @@ class Dispatcher:
             message = str(error)
             field = error.field
         else:
-            self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
+            self._bugs.report(ERROR, "failed", failure=error)
             code = "internal"
             field = ""
             message = "the server failed at this request; see its log"

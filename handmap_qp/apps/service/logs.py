@@ -95,6 +95,7 @@ class JsonLines(logging.Formatter):
         }
         line.update(getattr(record, "data", {}))
         if record.exc_info:
+            line["error"] = repr(record.exc_info[1])
             line["traceback"] = self.formatException(record.exc_info)
         return json.dumps(line, default=str)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from typing import Any, get_args
 
 import docstring_parser
@@ -10,6 +11,7 @@ import msgspec
 
 from handmap_qp.apps.service.opening import MOST_ITERATIONS, SOLVERS
 from handmap_qp.apps.service.settings import Settings
+from handmap_qp.client import messages
 from handmap_qp.client.messages import (
     LARGEST,
     PROTOCOL,
@@ -19,7 +21,6 @@ from handmap_qp.client.messages import (
     Detail,
     Lengths,
     Pose,
-    Reply,
     Request,
 )
 from handmap_qp.human.verdict import RULES
@@ -62,6 +63,9 @@ _NARROWED = {
 }
 """Options that the service restricts."""
 
+_COMMON = ("type", *Request.__struct_fields__)
+"""Fields of every message."""
+
 _INTRODUCTION = f"""\
 One message is one map with the key `type`. Units are SI and radians; poses are of the wrist frame,
 in right-handed worlds.
@@ -89,7 +93,7 @@ def schema_text() -> str:
         _INTRODUCTION,
         "## Requests",
         "Every request also has these fields:",
-        _rows(Request),
+        _rows(Request, ["type"]),
         *(_table(kind) for kind in get_args(AnyRequest)),
         "## Replies",
         "Every reply has `seq`, the number of the request that it answers. "
@@ -132,19 +136,10 @@ def _components(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
     schemas, components = msgspec.json.schema_components(
         kinds, ref_template="#/$defs/{name}"
     )
-    structs = [
-        *get_args(AnyRequest),
-        *get_args(AnyReply),
-        Request,
-        About,
-        Detail,
-        Lengths,
-        Pose,
-    ]
-    for kind in structs:
-        for base in reversed(kind.__mro__) if kind.__name__ in components else ():
+    for name, schema in components.items():
+        kind = getattr(messages, name, None)
+        for base in () if kind is None else reversed(kind.__mro__):
             doc = docstring_parser.parse(base.__doc__ or "")
-            schema = components[kind.__name__]
             for item in doc.params:
                 if item.arg_name in schema["properties"]:
                     text = " ".join((item.description or "").split())
@@ -156,28 +151,18 @@ def _components(*kinds: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
 
 def _table(kind: type[msgspec.Struct]) -> str:
     """Describe a message, value or options with its fields."""
-    tag = kind.__struct_config__.tag
-    about = (
-        _components(kind)[1][kind.__name__].get("description", "").partition("\n")[0]
-    )
-    return "\n\n".join(
-        filter(None, (f"### `{tag or kind.__name__}`", about, _rows(kind)))
-    )
+    name = kind.__struct_config__.tag or kind.__name__
+    about = _components(kind)[1][kind.__name__].get("description", "")
+    parts = f"### `{name}`", about.partition("\n")[0], _rows(kind)
+    return "\n\n".join(filter(None, parts))
 
 
-def _rows(kind: type[msgspec.Struct]) -> str:
-    """Describe the fields that a struct adds to its base; empty if there are none."""
-    inherited = {"type"}
-    for base in (Request, Reply):
-        if issubclass(kind, base) and kind is not base:
-            inherited |= set(base.__struct_fields__)
+def _rows(kind: type[msgspec.Struct], hidden: Sequence[str] = _COMMON) -> str:
+    """Describe the fields of a struct that are not hidden; empty if there are none."""
     fields = _components(kind)[1][kind.__name__]["properties"].items()
-    rows = [_row(name, field) for name, field in fields if name not in inherited]
-    return (
-        "\n".join(["| field | type | default | |", "|---|---|---|---|", *rows])
-        if rows
-        else ""
-    )
+    rows = [_row(name, field) for name, field in fields if name not in hidden]
+    head = ["| field | type | default | |", "|---|---|---|---|"]
+    return "\n".join(head + rows) if rows else ""
 
 
 def _row(name: str, field: dict[str, Any]) -> str:

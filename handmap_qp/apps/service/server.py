@@ -156,10 +156,8 @@ class Server:
             self._authenticate(context, settings.keys / "clients")
         # Plain sockets polled by FD: a Future per message costs a third of a step.
         plain = zmq.Context.shadow(context.underlying)
-        self._router, self._stream = (
-            self._socket(plain, zmq.ROUTER),
-            self._socket(plain, zmq.PUB),
-        )
+        self._router = self._socket(plain, zmq.ROUTER)
+        self._stream = self._socket(plain, zmq.PUB)
         host = _ip(settings.host)
         most = _CONNECTIONS_PER_SESSION * settings.sessions
         credit = settings.message_size + _ENVELOPE
@@ -225,12 +223,13 @@ class Server:
         socket = context.socket(kind)
         # Linger [ms]: send queued messages when the server stops.
         self._closing.callback(socket.close, 100)
-        socket.setsockopt(zmq.MAXMSGSIZE, self.settings.message_size)
-        socket.setsockopt(zmq.HANDSHAKE_IVL, 5000)
-        socket.setsockopt(zmq.HEARTBEAT_IVL, 2000)
-        socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, 6000)
-        socket.setsockopt(zmq.RCVHWM, _MOST_WAITING)
-        socket.setsockopt(zmq.SNDHWM, _MOST_UNREAD)
+        socket.maxmsgsize = self.settings.message_size
+        # Times are in milliseconds.
+        socket.handshake_ivl = 5000
+        socket.heartbeat_ivl = 2000
+        socket.heartbeat_timeout = 6000
+        socket.rcvhwm = _MOST_WAITING
+        socket.sndhwm = _MOST_UNREAD
         # ROUTER reports replies that it cannot queue, so that they are counted. PUB keeps the
         # newest message per reader, whatever its topic.
         socket.setsockopt(zmq.CONFLATE if kind == zmq.PUB else zmq.ROUTER_MANDATORY, 1)
@@ -299,7 +298,7 @@ class Server:
                 payload, envelope[0], partial(self._reply, envelope), who=who
             )
         except Exception as error:
-            self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
+            self._bugs.report(ERROR, "failed", failure=error)
 
     def _reply(self, envelope: list[bytes], payload: bytes) -> None:
         try:
@@ -332,7 +331,7 @@ class Server:
                 self._drain()
                 self.dispatcher.tick()
             except Exception as error:
-                self._bugs.report(ERROR, "failed", error=repr(error), failure=error)
+                self._bugs.report(ERROR, "failed", failure=error)
 
 
 def _ip(host: str) -> str:

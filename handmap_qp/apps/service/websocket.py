@@ -17,7 +17,7 @@ import re
 import ssl
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from logging import ERROR
@@ -107,8 +107,7 @@ class WebSocketTransport:
             self._server.close()
             # Handshakes under way would hold it up for their own timeout.
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(_CLOSE_TIMEOUT):
-                    await self._server.wait_closed()
+                await asyncio.wait_for(self._server.wait_closed(), _CLOSE_TIMEOUT)
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return None to accept a handshake, or the response that rejects it.
@@ -118,20 +117,18 @@ class WebSocketTransport:
         if (page := page_response(request)) is not None:
             return page
         if self.token is not None:
-            if not _has_token(request, self.token):
-                return connection.respond(
-                    http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n"
-                )
-            return None
-        origins = request.headers.get_all("Origin")
-        if all(
-            _LOOPBACK_ORIGIN.fullmatch(origin) or origin in self.settings.web_origin
-            for origin in origins
-        ):
-            return None
-        return connection.respond(
-            http.HTTPStatus.FORBIDDEN, "pages of this origin may not connect\n"
-        )
+            is_admitted = _has_token(request, self.token)
+            refusal = http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n"
+        else:
+            is_admitted = all(
+                _LOOPBACK_ORIGIN.fullmatch(origin) or origin in self.settings.web_origin
+                for origin in request.headers.get_all("Origin")
+            )
+            refusal = (
+                http.HTTPStatus.FORBIDDEN,
+                "pages of this origin may not connect\n",
+            )
+        return None if is_admitted else connection.respond(*refusal)
 
     async def _handle(self, connection: ServerConnection) -> None:
         """Serve one connection, and release it however it ends.
@@ -159,7 +156,7 @@ class WebSocketTransport:
                 task.cancel()
             for result in await asyncio.gather(*tasks, return_exceptions=True):
                 if isinstance(result, Exception):
-                    report(ERROR, "failed", error=repr(result), failure=result)
+                    report(ERROR, "failed", failure=result)
 
     async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
         """Pass messages to the dispatcher until the connection closes."""
@@ -167,22 +164,27 @@ class WebSocketTransport:
             async for message in connection:
                 outbox.heard = time.monotonic()
                 is_json = isinstance(message, str)
+                form = _as_json if is_json else bytes
                 is_taken = self.dispatcher.receive(
                     _from_json(message) if isinstance(message, str) else message,
                     ("web", connection.id),
-                    partial(outbox.answer, is_json=is_json),
-                    subscribe=partial(outbox.subscribe, is_json=is_json),
+                    partial(outbox.answer, form),
+                    subscribe=partial(outbox.subscribe, form),
                     who=partial(_who, connection),
                 )
                 # Back-pressure: stop reading from clients that do not drain replies, and throttle
                 # those over the rate limit.
-                await outbox.answered()
+                await outbox.is_idle.wait()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
 
     def _publish(self, name: str, payload: bytes) -> None:
         for outbox in self._connections:
             outbox.offer(name, payload)
+
+
+_Form = Callable[[bytes], bytes | str]
+"""Turns a message into the form of a client's frames: msgpack or JSON."""
 
 
 class _Connection(ServerConnection, asyncio.BufferedProtocol):
@@ -218,17 +220,18 @@ class _Outbox:
     Attributes:
         connection: The connection.
         heard: Time of its last message, at first that of its handshake [s].
+        is_idle: Set while no answer waits.
     """
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
         self.connection = connection
         self._sessions = sessions
         self._answers: deque[bytes | str] = deque()
-        self._streams: dict[str, bool] = {}
+        self._streams: dict[str, _Form] = {}
         self._newest: dict[str, bytes] = {}
         self._has_work = asyncio.Event()
-        self._is_idle = asyncio.Event()
-        self._is_idle.set()
+        self.is_idle = asyncio.Event()
+        self.is_idle.set()
         self.heard = self._opened = time.monotonic()
 
     def use(self) -> tuple[bool, bool, float]:
@@ -243,26 +246,23 @@ class _Outbox:
         while self._streams or time.monotonic() - self.heard < longest:
             await asyncio.sleep(0.1 * longest)
 
-    def answer(self, payload: bytes, *, is_json: bool) -> None:
-        self._answers.append(_as_json(payload) if is_json else payload)
-        self._is_idle.clear()
+    def answer(self, form: _Form, payload: bytes) -> None:
+        self._answers.append(form(payload))
+        self.is_idle.clear()
         self._has_work.set()
 
-    def subscribe(self, name: str, *, is_json: bool) -> None:
+    def subscribe(self, form: _Form, name: str) -> None:
         if len(self._streams) >= MOST_SESSIONS:
             # Forget ended sessions. They could return under their names, but their number has no
             # bound.
             for ended in self._streams.keys() - set(self._sessions.names):
                 del self._streams[ended]
-        self._streams[name] = is_json
+        self._streams[name] = form
 
     def offer(self, name: str, payload: bytes) -> None:
         if name in self._streams:
             self._newest[name] = payload
             self._has_work.set()
-
-    async def answered(self) -> None:
-        await self._is_idle.wait()
 
     async def write(self) -> None:
         """Send waiting messages until the connection closes or accepts none for too long."""
@@ -272,18 +272,15 @@ class _Outbox:
                 self._has_work.clear()
                 while self._answers:
                     await self._send(self._answers.popleft())
-                self._is_idle.set()
+                self.is_idle.set()
                 newest = self._newest
                 self._newest = {}
                 for name, payload in newest.items():
-                    await self._send(
-                        _as_json(payload) if self._streams.get(name) else payload
-                    )
+                    await self._send(self._streams.get(name, bytes)(payload))
         self.connection.transport.abort()
 
     async def _send(self, message: bytes | str) -> None:
-        async with asyncio.timeout(_SEND_TIMEOUT):
-            await self.connection.send(message)
+        await asyncio.wait_for(self.connection.send(message), _SEND_TIMEOUT)
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
