@@ -34,8 +34,9 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.apps.offline.trajectory import map_recording
+from handmap_qp.apps.viewer import figure
 from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls
-from handmap_qp.apps.viewer.figure import HandFigure, Seen, link_meshes, state_text
+from handmap_qp.apps.viewer.figure import HandFigure, Seen, state_text
 from handmap_qp.apps.viewer.gauges import FIRST, InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
 from handmap_qp.apps.viewer.scene import Display, HandScene
@@ -152,7 +153,7 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
         ("human", replay.human, sample.human_points),
         ("robot", replay.robot, sample.robot_points),
     ):
-        meshes = link_meshes(hand)
+        meshes = figure.link_meshes(hand)
         for i, point in enumerate(hand.reference_points):
             sphere = pose_in_scene(server, f"/{side}/points/{i}")[:3, 3]
             expected = in_scene(server, f"/{side}", np.asarray(points)[[i]])[0]
@@ -168,13 +169,13 @@ def test_fingertips_of_the_drawn_hands_are_where_the_reference_points_are(
 @pytest.mark.parametrize("name", ["hey5", "tiago_arm"])
 def test_links_are_drawn_where_the_model_has_them(server: Any, name: str) -> None:
     hand = load_hand(name)
-    figure = HandFigure(server, "hand", hand)
+    shown_hand = HandFigure(server, "hand", hand)
     wrist = affine(
         rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 0.2, 0.3])
     )
     q = np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits)
-    figure.show(q, wrist)
-    links = list(link_meshes(hand))
+    shown_hand.show(q, wrist)
+    links = list(figure.link_meshes(hand))
     poses = hand.link_poses(links, q, wrist if hand.is_floating else None)
     for link, pose in zip(links, poses, strict=True):
         np.testing.assert_allclose(

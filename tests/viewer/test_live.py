@@ -320,14 +320,14 @@ def test_controls_keep_requested_values_while_the_source_is_busy(
 def test_the_plots_hold_the_last_seconds_whatever_the_rate(
     server: Any, source: Any
 ) -> None:
-    for i in range(2400):
+    for i in range(1200):
         source.given.put(
             replace(
-                source.samples[0], time=5e-3 * i, duration=1.0 if i == 1400 else 1e-4
+                source.samples[0], time=0.01 * i, duration=1.0 if i == 700 else 1e-4
             )
         )
     viewer = LiveViewer(server, source)
-    wait_until(lambda: viewer.sample.time >= 11.99)
+    wait_until(lambda: viewer.sample.time >= 11.985)
     viewer.tick()
     time, step = plotted(viewer.gauges.timing.content, FIRST)
     assert len(time) <= 600
