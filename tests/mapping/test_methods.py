@@ -355,6 +355,22 @@ def test_the_previous_reference_takes_the_wrist_along() -> None:
     np.testing.assert_allclose(moved, (0.1, 0.0, 0.0), atol=1e-5)
 
 
+@pytest.mark.parametrize(("reference", "left"), [("first", 1.0), ("previous", 0.1)])
+def test_a_chain_of_references_rests_in_the_posture_of_the_hand(
+    reference: Any, left: float
+) -> None:
+    # Each sample's targets are where the robot is, and nothing else moves it from its start.
+    mapper = HandMapper(
+        HUMAN, THREE, reference=reference, ik=IkOptions(rest_weight=1.0)
+    )
+    away = 0.3 * (THREE.upper_limits - THREE.rest)
+    mapper.reset(robot_q=THREE.rest + away)
+    for _ in range(200):
+        step = mapper.map_step(HUMAN.rest, np.eye(4))
+    found = np.linalg.norm(step.command.q - THREE.rest) / np.linalg.norm(away)
+    assert found == pytest.approx(left, abs=0.1)
+
+
 def test_residual_gain_one_cancels_gain_and_clamping() -> None:
     # With residual gain 1 on a hand mapped to itself the targets are the human's points, whatever
     # part of the stretch is imposed.
