@@ -91,6 +91,7 @@ class PalmKinematics:
 
     def __init__(self, hand: Jointed) -> None:
         self.hand = hand
+        self._model = hand.model
         self._data = hand.model.createData()
         self._vector = hand.configuration_vector(zero_posture(hand))
 
@@ -99,7 +100,7 @@ class PalmKinematics:
         rows = []
         for posture in np.reshape(q, (-1, np.shape(q)[-1])):
             self.hand.write_configuration(self._vector, posture)
-            pin.forwardKinematics(self.hand.model, self._data, self._vector)
+            pin.forwardKinematics(self._model, self._data, self._vector)
             to_palm = self._palm.inverse()
             rows.append(
                 [(to_palm * self._data.oMi[j]).act(offset) for j, offset in places]
@@ -119,9 +120,8 @@ class PalmKinematics:
         Returns:
             Unit vectors, zero of prismatic joints, and points [m]; shape (k, 3) each.
         """
-        model = self.hand.model
         palm = self._place(q)
-        turns = self._data.J[3:, [model.idx_vs[j] for j in joints]].T
+        turns = self._data.J[3:, [self._model.idx_vs[j] for j in joints]].T
         turns = turns @ palm.rotation
         points = np.array([palm.actInv(self._data.oMi[j].translation) for j in joints])
         if near is not None:
@@ -132,19 +132,18 @@ class PalmKinematics:
     def on_axis(self, q: np.ndarray, joint: int, near: Place) -> Place:
         """Return the point of a turning joint's axis that is nearest to another point."""
         self._place(q)
-        axis = self._data.J[3:, self.hand.model.idx_vs[joint]]
+        axis = self._data.J[3:, self._model.idx_vs[joint]]
         placed = self._data.oMi[joint]
         lever = self._data.oMi[near[0]].act(near[1]) - placed.translation
         return joint, placed.rotation.T @ ((lever @ axis) * axis)
 
     def motion(self, q: np.ndarray, place: Place) -> np.ndarray:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""
-        model = self.hand.model
         palm = self._place(q)
-        carrier = model.frames[self.hand.palm_frame_id].parentJoint
+        carrier = self._model.frames[self.hand.palm_frame_id].parentJoint
         # Columns of joints that move both are the same, and cancel.
         moves, carried = (
-            pin.getJointJacobian(model, self._data, joint, pin.WORLD)
+            pin.getJointJacobian(self._model, self._data, joint, pin.WORLD)
             for joint in (place[0], carrier)
         )
         linear, turns = np.split((moves - carried) @ joint_motion(self.hand), 2)
@@ -154,12 +153,12 @@ class PalmKinematics:
 
     def _place(self, q: np.ndarray) -> pin.SE3:
         self.hand.write_configuration(self._vector, q)
-        pin.computeJointJacobians(self.hand.model, self._data, self._vector)
+        pin.computeJointJacobians(self._model, self._data, self._vector)
         return self._palm
 
     @property
     def _palm(self) -> pin.SE3:
-        frame = self.hand.model.frames[self.hand.palm_frame_id]
+        frame = self._model.frames[self.hand.palm_frame_id]
         return self._data.oMi[frame.parentJoint] * frame.placement
 
 

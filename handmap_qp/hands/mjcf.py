@@ -20,12 +20,13 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 import numpy.typing as npt
+import trimesh
+from trimesh.exchange.stl import export_stl
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.mjcf_couplings import read_couplings
 from handmap_qp.hands.mjcf_shapes import (
     ShapeWriter,
-    binary_stl,
     file_name,
     pose_of,
     unique,
@@ -50,7 +51,7 @@ class ConvertedMjcf(NamedTuple):
 
     Attributes:
         text: The URDF.
-        meshes: Triangles of its meshes by file, relative to the URDF [m], shape (k, 3, 3).
+        meshes: Its meshes [m] by file, relative to the URDF.
         notes: What a URDF cannot express, one sentence each.
         model: The compiled model.
         links: Name of the link of each body, by the body's index.
@@ -58,7 +59,7 @@ class ConvertedMjcf(NamedTuple):
     """
 
     text: str
-    meshes: dict[str, np.ndarray]
+    meshes: dict[str, trimesh.Trimesh]
     notes: tuple[str, ...]
     model: mujoco.MjModel
     links: dict[int, str]
@@ -130,7 +131,7 @@ def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
         OSError: If a file cannot be written.
     """
     files = {
-        urdf.parent / name: binary_stl(mesh) for name, mesh in converted.meshes.items()
+        urdf.parent / name: export_stl(mesh) for name, mesh in converted.meshes.items()
     }
     for file, content in (files | {urdf: converted.text.encode()}).items():
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -303,17 +304,17 @@ class _Converter:
         model = self.model
         rule = self.rules.get(joint)
         low, high = model.jnt_range[joint]
-        # MuJoCo's range of a ball is [0, largest angle].
-        limits = [-high if model.jnt_type[joint] == _BALL else low, high]
-        is_limited = bool(model.jnt_limited[joint])
+        ends: dict[str, float] = {}
         if rule is not None and rule.leader is None:
-            limits = [rule.offset, rule.offset]
-            is_limited = True
-        kind = "revolute" if is_limited else "continuous"
+            ends = {"lower": rule.offset, "upper": rule.offset}
+        elif model.jnt_limited[joint]:
+            # MuJoCo's range of a ball is [0, largest angle].
+            is_ball = model.jnt_type[joint] == _BALL
+            ends = {"lower": -high if is_ball else low, "upper": high}
+        kind = "revolute" if ends else "continuous"
         element.set("name", name)
         element.set("type", "prismatic" if self._slides(joint) else kind)
         _add(element, "axis", xyz=np.round(direction, 14))
-        ends = {"lower": limits[0], "upper": limits[1]} if is_limited else {}
         _add(element, "limit", **ends, effort=self._effort(joint))
         dof = int(model.jnt_dofadr[joint])
         damping = np.ravel(model.dof_damping[dof])[:1]

@@ -9,8 +9,6 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 import trimesh
-from trimesh.exchange.stl import export_stl
-from trimesh.triangles import to_kwargs
 
 from handmap_qp.hands.urdf import set_numbers, set_origin
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz
@@ -36,7 +34,7 @@ class ShapeWriter:
         folder: Folder of the meshes, relative to the URDF.
 
     Attributes:
-        meshes: Triangles of each mesh file by its path relative to the URDF [m], shape (k, 3, 3).
+        meshes: Each mesh [m] by the path of its file relative to the URDF.
         omitted: Kinds of geoms that have no counterpart in URDF.
     """
 
@@ -45,7 +43,7 @@ class ShapeWriter:
         self._folder = folder
         self._files: dict[int, str] = {}
         self._names: set[str] = set()
-        self.meshes: dict[str, np.ndarray] = {}
+        self.meshes: dict[str, trimesh.Trimesh] = {}
         self.omitted: set[str] = set()
 
     def add_shapes(self, link: ET.Element, body: int) -> None:
@@ -90,7 +88,7 @@ class ShapeWriter:
                     yield pose @ end, set_numbers(ET.Element("sphere"), radius=size[0])
             case _GEOM.mjGEOM_ELLIPSOID:
                 file = f"{self._folder}/unit_sphere.stl"
-                self.meshes.setdefault(file, trimesh.creation.icosphere().triangles)
+                self.meshes.setdefault(file, trimesh.creation.icosphere())
                 yield pose, set_numbers(ET.Element("mesh", filename=file), scale=size)
             case kind:
                 self.omitted.add(kind.name.removeprefix("mjGEOM_").lower())
@@ -106,7 +104,7 @@ class ShapeWriter:
             first = model.mesh_faceadr[mesh]
             number = model.mesh_facenum[mesh]
             faces = model.mesh_face[first : first + number]
-            self.meshes[file] = vertices[faces]
+            self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
             self._files[mesh] = file
         return ET.Element("mesh", filename=self._files[mesh])
 
@@ -117,11 +115,6 @@ def unique(name: str, taken: set[str]) -> str:
     found = next(each for each in candidates if each.lower() not in taken)
     taken.add(found.lower())
     return found
-
-
-def binary_stl(triangles: np.ndarray) -> bytes:
-    """Return triangles [m], shape (k, 3, 3), as a binary STL file."""
-    return export_stl(trimesh.Trimesh(**to_kwargs(triangles), process=False))
 
 
 def file_name(name: str) -> str:

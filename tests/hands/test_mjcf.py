@@ -21,7 +21,6 @@ from handmap_qp.hands.mjcf import (
     convert_mjcf,
     write_converted,
 )
-from handmap_qp.hands.mjcf_shapes import binary_stl
 from handmap_qp.hands.sources import is_mjcf, root_tag
 
 HAND = """
@@ -292,17 +291,6 @@ def test_meshes_lie_where_mujoco_has_them(claw: tuple[ConvertedMjcf, Path]) -> N
     found = np.asarray(mesh.vertices) @ shape.origin[:3, :3].T + shape.origin[:3, 3]
     for corner in wanted:
         assert np.linalg.norm(found - corner, axis=1).min() < 1e-7
-
-
-def test_stl_triangles_survive(tmp_path: Path) -> None:
-    import trimesh
-
-    triangles = np.random.default_rng(3).normal(size=(7, 3, 3)).astype(np.float32)
-    (tmp_path / "a.stl").write_bytes(binary_stl(triangles))
-    mesh = trimesh.load_mesh(tmp_path / "a.stl", process=False)
-    np.testing.assert_array_equal(
-        np.asarray(mesh.triangles, dtype=np.float32), triangles
-    )
 
 
 @pytest.mark.parametrize(
