@@ -6,6 +6,7 @@ import zlib
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import filterfalse
 from pathlib import Path
 
 from handmap_qp.apps.datasets.workers import each_apart
@@ -176,22 +177,21 @@ def _paths_of(
         raise InvalidInputError(
             argument="INPUT", problem=f"{given}: no such file or folder"
         )
-    suffixes = known_suffixes()
     # Links come last, so that they do not change the names of the files they lead to.
     waiting, links = deque([given]), deque[Path]()
     while waiting or links:
         path = (waiting or links).popleft()
-        is_known = path is given or path.is_dir() or path.suffix.lower() in suffixes
-        if not is_known or _identity(path) == own:
-            continue
         identity = _identity(path)
+        if identity == own or not (path is given or _may_hold(path)):
+            continue
         if identity in seen:
             repeated.append(path)
         elif not path.is_dir() or _is_set(path):
             yield path
         else:
-            for inside in sorted(path.glob("[!.]*")):
-                (links if inside.is_symlink() else waiting).append(inside)
+            inside = sorted(path.glob("[!.]*"))
+            links.extend(filter(Path.is_symlink, inside))
+            waiting.extend(filterfalse(Path.is_symlink, inside))
         seen.add(identity)
 
 
@@ -201,6 +201,11 @@ def _identity(path: Path) -> object:
         return path
     stat = path.stat()
     return stat.st_dev, stat.st_ino
+
+
+def _may_hold(path: Path) -> bool:
+    """Tell whether a path is a folder, or a file of a known form."""
+    return path.is_dir() or path.suffix.lower() in known_suffixes()
 
 
 def _is_set(folder: Path) -> bool:

@@ -102,12 +102,13 @@ def markdown(comparison: Comparison) -> str:
         parts += ["## Notes", "\n".join(f"- {note}." for note in notes)]
     for take in comparison.takes:
         values = {run.method: run.values for run in comparison.runs if run.take is take}
-        mirrored = ", mirrored" if take.is_mirrored else ""
-        about = (
-            f"{len(take.recording)} samples, {_palm(take)}, "
-            f"contact gap {1e3 * take.human.contact_gap:.0f} mm{mirrored}."
-        )
-        parts += [f"## {take.name}", about, *_tables(values)]
+        about = [
+            f"{len(take.recording)} samples",
+            _palm(take),
+            f"contact gap {1e3 * take.human.contact_gap:.0f} mm",
+            *["mirrored"] * take.is_mirrored,
+        ]
+        parts += [f"## {take.name}", f"{', '.join(about)}.", *_tables(values)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -123,11 +124,9 @@ def notes_of(comparison: Comparison) -> list[str]:
         text = "palm fitted to its landmarks, without a tracker's wrist"
         notes.append(f"{text}: {', '.join(fitted)}")
     if pinches := _pinch_samples(comparison):
-        shown = [f"{count} in {name}" for name, count in pinches.items() if count]
-        notes.append(
-            "samples of pinches (tips nearer than 15 mm) of fingers that "
-            f"{robot.name} has: {', '.join(shown) or 'none'}"
-        )
+        found = "samples of pinches (tips nearer than 15 mm) of fingers that"
+        shown = (f"{count} in {name}" for name, count in pinches.items() if count)
+        notes.append(f"{found} {robot.name} has: {', '.join(shown) or 'none'}")
     return notes
 
 
@@ -141,11 +140,11 @@ def results_of(comparison: Comparison) -> dict[str, Any]:
     """
     pinches = _pinch_samples(comparison)
     methods = {method: {"about": ""} for method in comparison.methods}
-    runs: dict[str, dict[str, Any]] = {take.name: {} for take in comparison.takes}
+    runs: dict[str, dict[str, Any]] = {}
     for run in comparison.runs:
         if run.motion is not None:
             methods[run.method] = {"about": run.motion.about}
-        runs[run.take.name][run.method] = {
+        runs.setdefault(run.take.name, {})[run.method] = {
             "values": run.values,
             "fingers": run.fidelity.fingers if run.motion else None,
             "problem": run.problem,

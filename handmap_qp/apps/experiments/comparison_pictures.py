@@ -92,8 +92,8 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     """
     shown = _clearest(comparison)
     motions = _motions(comparison, {k for k, _ in shown.values()})
-    missing = [pose for pose in POSES if pose not in shown]
-    missing += [method for method in comparison.methods if method not in motions]
+    names = (*POSES, *comparison.methods)
+    missing = [name for name in names if name not in {*shown, *motions}]
     if not shown or not motions:
         return None, missing
     rows = _rows(comparison, shown, motions)

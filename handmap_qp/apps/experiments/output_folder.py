@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import make_folder, writing
@@ -35,11 +34,10 @@ def output_folder(out: Path) -> Iterator[Path]:
                 expected="a folder that can be written, or a new name",
                 got=str(out),
             )
-        temporary = Path(tempfile.mkdtemp(prefix=".handmap-", dir=out.parent))
-        try:
-            yield temporary
+        with TemporaryDirectory(
+            prefix=".handmap-", dir=out.parent, ignore_cleanup_errors=True
+        ) as temporary:
+            yield Path(temporary)
             out.mkdir(exist_ok=True)
-            for file in temporary.iterdir():
+            for file in Path(temporary).iterdir():
                 file.replace(out / file.name)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)

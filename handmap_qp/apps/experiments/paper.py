@@ -347,9 +347,8 @@ def figure_7_sensitivity() -> FigureRecord:
                 "point_rms_mm": 1e3 * run.point_rms,
             }
         )
-    by_gamma = _curves(rows, "gamma", "rigid")
-    growth, ends = [v[-1] / v[0] for v in by_gamma], [v[-1] for v in by_gamma]
-    ends_soft = [v[-1] for v in _curves(rows, "gamma", "quasi-static")]
+    rigid, soft = (np.array(_curves(rows, "gamma", model)) for model in MODELS)
+    growth, ends, ends_soft = rigid[:, -1] / rigid[:, 0], rigid[:, -1], soft[:, -1]
     change = _variations(rows, "rigid", 5)
     text = (
         f"From gamma 0.1 to 1 the error grows {listed(growth)}-fold for synergies 1 to 3, to "

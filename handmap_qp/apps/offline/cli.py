@@ -93,16 +93,11 @@ class Map:
         """Read, measure and map each hand, write the trajectories, and print summaries."""
         from handmap_qp.apps.offline.summary import notes, table_rows
 
-        pairs = self._pairs()
-        files = [self._out(recording, robot) for recording, robot in pairs]
-        summaries = [
-            self._map(recording, robot, file)
-            for (recording, robot), file in zip(pairs, files, strict=True)
-        ]
+        pairs = [(*pair, self._out(*pair)) for pair in self._pairs()]
+        summaries = [self._map(*pair) for pair in pairs]
         if self.json:
-            print(
-                json.dumps(summaries if self.robots else summaries[0], allow_nan=False)
-            )
+            found = summaries if self.robots else summaries[0]
+            print(json.dumps(found, allow_nan=False))
             return
         for summary in summaries:
             title = f"{summary['recording']} to {summary['robot']}"
@@ -164,11 +159,10 @@ class Map:
         from handmap_qp.human.person import read_person
         from handmap_qp.stream.measurement import measure_person
 
-        person = (
-            measure_person(recording)
-            if self.person is None
-            else read_person(self.person)
-        )
+        if self.person is None:
+            person = measure_person(recording)
+        else:
+            person = read_person(self.person)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
             _, trajectory = map_hand(
                 recording, robot, person, self.arguments, progress=advance

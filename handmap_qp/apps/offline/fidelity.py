@@ -113,8 +113,8 @@ def assess_fidelity(
         InvalidInputError: If the numbers of samples differ, no sample counts, or the hands have no
             finger in common.
     """
-    seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid)
     shared = [name for name in human.names if name in robot.names]
+    seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid)
     sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
     _check(sizes, len(time), shared)
     counts = _settled(seen.astype(bool), time)
@@ -136,12 +136,10 @@ def assess_fidelity(
     values["workspace"] = workspace_share(r, workspace or {})
     if step_time is not None:
         values["step_time_ms"] = 1e3 * step_time[counts].mean()
-    by_finger = {
-        name: {key: float(found[i]) for key, found in fingers.items()}
-        for i, name in enumerate(shared)
-    }
+    by_finger = zip(*fingers.values(), strict=True)
+    found = [dict(zip(fingers, map(float, row), strict=True)) for row in by_finger]
     values = {key: float(value) for key, value in values.items()}
-    return Fidelity(values, by_finger, pinch_samples)
+    return Fidelity(values, dict(zip(shared, found, strict=True)), pinch_samples)
 
 
 def _check(sizes: dict[str, int], count: int, shared: list[str]) -> None:
