@@ -23,9 +23,9 @@ from handmap_qp.hands.hand import Hand
 OBJECT, BASE, MOCAP = "object", "base", "mocap"
 """Names of bodies and constraints of the model."""
 
-# Who collides with whom, and colours.
-_HAND = {"contype": 1, "conaffinity": 2, "rgba": [0.75, 0.77, 0.8, 1.0]}
-_HELD = {"contype": 2, "conaffinity": 1, "rgba": [0.93, 0.55, 0.15, 1.0]}
+# Who collides with whom.
+_HAND = {"contype": 1, "conaffinity": 2}
+_HELD = {"contype": 2, "conaffinity": 1}
 # Least mass and inertia of a link [kg, kg m^2], and those of a floating base.
 _LEAST, _LEAST_OF_BASE = (2e-3, 1e-6), (1.0, 1e-3)
 # Stiff enough for a lag of the wrist of a few milliseconds.
@@ -144,7 +144,6 @@ def _empty_spec(physics: Physics) -> Any:
     spec.option.impratio = 100.0
     spec.option.noslip_iterations = 3
     spec.compiler.degree = False
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = 1280, 960
     return spec
 
 

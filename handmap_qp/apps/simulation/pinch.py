@@ -165,11 +165,6 @@ class PinchTrial:
     yaw: float = 0.0
 
     @property
-    def kind(self) -> str:
-        """Name of the kind of its shape, such as box."""
-        return type(self.shape).__name__.lower()
-
-    @property
     def size(self) -> float:
         """Width of the object along the pinch, about [m]."""
         match self.shape:

@@ -96,7 +96,7 @@ def _median(values: list[float]) -> float | str:
 def describe_trial(trial: PinchTrial) -> dict[str, Any]:
     """Describe an object and its place by plain values, in metres, kilograms and radians."""
     return {
-        "shape": trial.kind,
+        "shape": type(trial.shape).__name__.lower(),
         "width": trial.size,
         "mass": trial.mass,
         "friction": trial.friction,

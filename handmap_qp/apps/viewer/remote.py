@@ -190,21 +190,19 @@ class ServiceSession:
         if not self._is_read:
             self._client.close()
 
-    def request(self, name: str, *values: Any) -> None:
-        """Request what a method of `Client` does: `release`, `clutch`, `stop` or `clear`.
+    def request(self, name: str, *values: Any, **fields: Any) -> None:
+        """Request what a method of `Client` does, such as `release`, `stop` or `configure`.
 
         A stop works also where nothing else can be steered. After `clear`, the robot is released.
         """
-        self._requests.append(partial(getattr(self._client, name), *values))
+        self._requests.append(partial(getattr(self._client, name), *values, **fields))
 
     def configure(self, changes: dict[str, Any]) -> None:
         """Request another preset or other values of some options, as of `Choice`."""
         rest = dict(changes)
         preset = rest.pop("preset", None)
         ik = {name: rest.pop(name) for name in rest.keys() & IK_NAMES}
-        self._requests.append(
-            lambda: self._client.configure(preset=preset, options=rest, ik=ik)
-        )
+        self.request("configure", preset=preset, options=rest, ik=ik)
 
     def _carry_out_requests(self) -> None:
         """Carry out pending requests and record their outcome."""

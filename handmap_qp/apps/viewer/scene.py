@@ -78,12 +78,10 @@ class HandScene:
         self.display = Display()
         set_up_stage(server, floor=-0.22)
         self.cameras = BrowserCameras(server)
-        self._landmarks = self._human = None
+        self._people: tuple[LandmarkFigure, HumanFigure] | None = None
         if human is not None:
-            self._landmarks = LandmarkFigure(server)
-            self._human = HumanFigure(
-                server, human, variants[0].samples[0].human_points
-            )
+            points = variants[0].samples[0].human_points
+            self._people = LandmarkFigure(server), HumanFigure(server, human, points)
         self._robots: list[RobotFigure] = []
         self.set_variants(variants)
 
@@ -97,16 +95,11 @@ class HandScene:
         """
         for i in range(len(self._robots), len(variants)):
             self._robots.append(RobotFigure(self.server, variants[i], i))
-        upright = None
-        wrist = variants[0].samples[0].human_wrist
-        if (
-            self._human is not None
-            and self._landmarks is not None
-            and wrist is not None
-        ):
-            upright = (wrist @ self._human.hand.wrist_to_palm)[:3, :3].T
-            self._human.turn(upright)
-            self._landmarks.turn(upright)
+        upright, wrist = None, variants[0].samples[0].human_wrist
+        if self._people is not None and wrist is not None:
+            upright = (wrist @ self._people[1].hand.wrist_to_palm)[:3, :3].T
+            for figure in self._people:
+                figure.turn(upright)
         for robot, variant in zip(self._robots, variants, strict=False):
             robot.turn(_robot_axes(robot.hand, variant, upright))
             robot.label = variant.label
@@ -129,9 +122,10 @@ class HandScene:
         Args:
             samples: One sample for each variant; the human hand is that of the first.
         """
-        if self._human is not None and self._landmarks is not None:
-            self._landmarks.is_shown = self.display.has_landmarks
-            self._human.shape = self.display.shape
+        if self._people is not None:
+            landmarks, human = self._people
+            landmarks.is_shown = self.display.has_landmarks
+            human.shape = self.display.shape
         row = [
             figure for figure in self._figures if figure.is_shown and len(figure.extent)
         ]
@@ -162,8 +156,7 @@ class HandScene:
     @property
     def _figures(self) -> list[Figure]:
         """All figures from left to right."""
-        first = (self._landmarks, self._human)
-        return [*(figure for figure in first if figure is not None), *self._robots]
+        return [*(self._people or ()), *self._robots]
 
     def _lay_out(self, row: Sequence[Figure]) -> float:
         """Place the figures side by side, fit the cameras, and return the height of the names."""
