@@ -19,7 +19,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.person import read_person
+from handmap_qp.human.person import Person, read_person
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.presets import (
     PRESETS,
@@ -30,6 +30,7 @@ from handmap_qp.mapping.presets import (
     preset_with,
     read_options,
 )
+from handmap_qp.stream.measurement import measure_person
 from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.trackers.formats import read_hands, read_recording
 from handmap_qp.trackers.formats.base import SIDES
@@ -159,6 +160,11 @@ class InputArguments:
 
 def _lengths_of(person: Path | None) -> HumanLengths | None:
     return None if person is None else read_person(person).lengths
+
+
+def person_of(recording: Recording, file: Path | None) -> Person:
+    """Return the person of a recording: from a file, or measured if none is given."""
+    return measure_person(recording) if file is None else read_person(file)
 
 
 def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:

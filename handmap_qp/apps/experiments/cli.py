@@ -9,6 +9,10 @@ from typing import Annotated
 import tyro
 
 from handmap_qp.apps.arguments import HandName, InputArguments, PersonFile
+from handmap_qp.apps.experiments.compare import run_comparison
+from handmap_qp.apps.experiments.demo import run_demo, run_gestures
+from handmap_qp.apps.experiments.paper import run_figures
+from handmap_qp.apps.offline.summary import summarise, table_rows
 from handmap_qp.apps.tables import print_rows, print_table, progress
 
 
@@ -44,9 +48,6 @@ class Demo:
 
     def run(self) -> None:
         """Run the demo, and print its errors and files."""
-        from handmap_qp.apps.experiments.demo import run_demo, run_gestures
-        from handmap_qp.apps.offline.summary import summarise, table_rows
-
         with progress("mapping") as advance:
             if self.robot is None:
                 result = run_demo(self.out, progress=advance)
@@ -78,8 +79,6 @@ class Figures:
 
     def run(self) -> None:
         """Make the figures and print the table."""
-        from handmap_qp.apps.experiments.paper import run_figures
-
         with progress("figures") as advance:
             result = run_figures(
                 self.out, progress=lambda what, done, _: advance(done, what)
@@ -157,6 +156,4 @@ class Compare:
 
     def run(self) -> None:
         """Check everything, measure, print and write."""
-        from handmap_qp.apps.experiments.compare import run_comparison
-
         run_comparison(self)

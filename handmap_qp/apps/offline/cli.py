@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
@@ -14,14 +14,18 @@ from handmap_qp.apps.arguments import (
     MappingArguments,
     PersonFile,
     fit_side,
+    person_of,
 )
+from handmap_qp.apps.offline.look_ahead import map_hand
+from handmap_qp.apps.offline.summary import notes, summarise, table_rows
+from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.human.person import write_person
+from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import check_output, make_folder
-
-if TYPE_CHECKING:
-    from handmap_qp.hands.hand import Hand
-    from handmap_qp.human.recording import Recording
+from handmap_qp.stream.measurement import measure_person
 
 SIDES = ("left", "right")
 
@@ -91,8 +95,6 @@ class Map:
 
     def run(self) -> None:
         """Read, measure and map each hand, write the trajectories, and print summaries."""
-        from handmap_qp.apps.offline.summary import notes, table_rows
-
         pairs = [(*pair, self._out(*pair)) for pair in self._pairs()]
         summaries = [self._map(*pair) for pair in pairs]
         if self.json:
@@ -153,16 +155,7 @@ class Map:
 
     def _map(self, recording: Recording, robot: Hand, out: Path) -> dict[str, Any]:
         """Map one hand, write its trajectory, and return the summary."""
-        from handmap_qp.apps.offline.look_ahead import map_hand
-        from handmap_qp.apps.offline.summary import summarise
-        from handmap_qp.apps.offline.trajectory import save_npz
-        from handmap_qp.human.person import read_person
-        from handmap_qp.stream.measurement import measure_person
-
-        if self.person is None:
-            person = measure_person(recording)
-        else:
-            person = read_person(self.person)
+        person = person_of(recording, self.person)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
             _, trajectory = map_hand(
                 recording, robot, person, self.arguments, progress=advance
@@ -209,9 +202,6 @@ class Calibrate:
 
     def run(self) -> None:
         """Measure the person, write the file, and print the measures."""
-        from handmap_qp.human.person import write_person
-        from handmap_qp.stream.measurement import measure_person
-
         out = check_output("--out", self.out, (".yaml", ".yml"))
         if out.exists() and not self.overwrite:
             raise InvalidInputError(

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import tyro
 
+from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
 from handmap_qp.apps.tables import print_rows, print_table
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.output_files import check_output
-
-if TYPE_CHECKING:
-    from handmap_qp.trackers.layouts.base import Layout
+from handmap_qp.output_files import check_output, replaced_file
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.base import Layout
+from handmap_qp.trackers.layouts.tables import load_layout, table_text
 
 
 @dataclass(frozen=True)
@@ -56,9 +57,6 @@ class Layouts:
 
     def run(self) -> None:
         """Print the list or the layout, and write what is asked for."""
-        from handmap_qp.trackers.layouts import LAYOUTS
-        from handmap_qp.trackers.layouts.tables import load_layout
-
         if self.layout is None:
             self._list(list(map(_summary, LAYOUTS.values())))
             return
@@ -93,9 +91,6 @@ class Layouts:
 
     def _template(self, layout: Layout) -> Path | None:
         """Copy the table, with its comments."""
-        from handmap_qp.output_files import replaced_file
-        from handmap_qp.trackers.layouts.tables import table_text
-
         if self.template is None:
             return None
         out = check_output("--template", self.template, (".yaml", ".yml"))
@@ -110,7 +105,6 @@ class Layouts:
         return out
 
     def _picture(self, layout: Layout) -> Path | None:
-        from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
 
         if self.picture is None:
             return None

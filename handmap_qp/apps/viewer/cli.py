@@ -21,16 +21,15 @@ from handmap_qp.apps.arguments import (
     PersonFile,
     fit_side,
     hinted,
+    person_of,
 )
 from handmap_qp.apps.viewer.live import LiveViewer
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
 from handmap_qp.apps.viewer.serving import run_frames, serving
 from handmap_qp.errors import InvalidInputError, MissingExtraError, did_you_mean
 from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.person import read_person
 from handmap_qp.mapping.presets import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
-from handmap_qp.stream.measurement import measure_person
 
 if TYPE_CHECKING:
     import viser
@@ -209,11 +208,7 @@ class View:
         robot = self.arguments.load_robot(name)
         recording = self.inputs.read(file, robot.spec.side, self.person)
         recording = fit_side(recording, robot, mirror=self.mirror)
-        person = (
-            measure_person(recording)
-            if self.person is None
-            else read_person(self.person)
-        )
+        person = person_of(recording, self.person)
         motion = fit_recording(recording, lengths=person.lengths)
         human = motion.human.with_points(self.arguments.human_points)
         names = possible_presets(human, robot)
