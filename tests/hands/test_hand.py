@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from strategies import generators, poses
 
@@ -60,6 +60,7 @@ def test_the_hands_of_the_package_are_there() -> None:
 
 
 @each_kind
+@settings(max_examples=12)
 @given(data=st.data())
 def test_point_jacobian_is_the_derivative_of_the_points(
     hand: Hand, data: st.DataObject
@@ -78,6 +79,7 @@ def test_point_jacobian_is_the_derivative_of_the_points(
 
 
 @each_kind
+@settings(max_examples=12)
 @given(data=st.data())
 def test_the_wrist_pose_carries_every_point(hand: Hand, data: st.DataObject) -> None:
     if not hand.is_floating:

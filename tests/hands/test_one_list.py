@@ -20,11 +20,15 @@ from handmap_qp.cli import COMMANDS, main, parse
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands import library
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, list_hands, missing_hands
+from handmap_qp.hands.sources import urdf_path
+from handmap_qp.hands.spec import read_hand_spec
 
 INSTALLED = hand_names()
 ROBOTS = [name for name in INSTALLED if name not in HUMAN_HANDS]
-each_installed = pytest.mark.parametrize("name", INSTALLED)
-each_missing = pytest.mark.parametrize("name", sorted(missing_hands()))
+# One hand of each URDF.
+OF_URDFS = sorted(
+    {urdf_path(read_hand_spec(hand_files()[name])): name for name in INSTALLED}.values()
+)
 # One hand of a package for each way to install it: all others are refused alike.
 FOR_EACH_REASON = sorted(
     {reason: name for name, reason in missing_hands().items()}.values()
@@ -63,8 +67,8 @@ def test_it_is_the_installed_hands_and_the_missing_ones() -> None:
 
 
 @pytest.mark.slow
-@each_installed
-def test_every_installed_hand_loads_and_can_be_drawn(name: str) -> None:
+@pytest.mark.parametrize("name", OF_URDFS)
+def test_a_hand_of_every_urdf_loads_and_can_be_drawn(name: str) -> None:
     hand = load_hand(name)
     assert hand.name == name
     assert link_meshes(hand)
@@ -148,7 +152,7 @@ def test_installed_hands_open_over_the_wire(server: Server, name: str) -> None:
     assert (set(state.robots), state.missing) == (set(ROBOTS), missing_hands())
 
 
-@each_missing
+@pytest.mark.parametrize("name", FOR_EACH_REASON)
 def test_the_wire_says_what_installs_a_missing_hand(name: str) -> None:
     assert name not in CACHE.robots
     with pytest.raises(RefusedError) as caught:
