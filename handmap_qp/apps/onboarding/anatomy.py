@@ -439,11 +439,11 @@ def _find_side(
     if is_clear and not given and radial.confidence >= _LIKELY:
         how = f"{seen}; the names say {declared}"
         return dorsal, Clue("side", found, how, _DISPUTED)
-    why = "flexion is symmetric"
-    sure = min(_LIKELY, radial.confidence), 0.9 if given else min(_LIKELY, least)
-    if is_clear:
-        why = f"the ranges of the joints suggest {found}"
-        sure = (0.4, _DISPUTED)
+    why = f"the ranges of the joints suggest {found}"
+    sure = (0.4, _DISPUTED)
+    if not is_clear:
+        why = "flexion is symmetric"
+        sure = (min(_LIKELY, radial.confidence), 0.9 if given else min(_LIKELY, least))
     how = f"the back of a {declared} hand with its thumb there; {why}"
     turned = _Found(-dorsal.direction + 0.0, how, sure[0], 0.0)
     return turned, Clue("side", declared, f"{source}; {why}", sure[1])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -358,24 +358,21 @@ def _check_wrist(hand: Hand, tables: Tables) -> Findings:
 
 def _check_names(hand: Hand, tables: Tables) -> Findings:
     """Compare the fingers and the side with the names of links and joints."""
-    chains = find_fingers(hand)
-    names = [
-        [hand.model.names[joint] for joint in chain.joints]
-        + [point.link for point in hand.spec.points if point.finger == finger]
-        for finger, chain in chains.items()
-    ]
-    for finger, label in zip(chains, named_fingers(names), strict=True):
-        if label is not None and label != finger:
+    names = {
+        finger: [hand.model.names[joint] for joint in found.joints]
+        for finger, found in find_fingers(hand).items()
+    }
+    for point in hand.spec.points:
+        names.get(str(point.finger), []).append(point.link)
+    for finger, label in zip(names, named_fingers([*names.values()]), strict=True):
+        if label not in (None, finger):
             what = f"its links and joints are named {label}, but its finger is {finger}"
             change = f"finger: {label}, with a matching name and partner"
             yield Finding("warning", f"points.{finger}_tip", what, change)
-    side = named_side(
-        [hand.spec.palm.link, *(name for group in names for name in group)]
-    )
-    if side is not None and side != hand.side and not hand.spec.mirror:
-        yield Finding(
-            "warning", "side", f"links and joints are named {side}", f"side: {side}"
-        )
+    side = named_side([hand.spec.palm.link, *chain.from_iterable(names.values())])
+    if side not in (None, hand.side) and not hand.spec.mirror:
+        what = f"links and joints are named {side}"
+        yield Finding("warning", "side", what, f"side: {side}")
 
 
 def _check_order(hand: Hand, tables: Tables) -> Findings:

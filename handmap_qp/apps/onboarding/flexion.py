@@ -136,27 +136,32 @@ class HandFlexion:
             senses = {i: np.sign(slopes[i] @ slopes[alike[0]]) or 1.0 for i in alike}
             signs = {i: senses[i] * self._groups[i].signs for i in alike}
             slope = sum(senses[i] * slopes[i] for i in alike)
-            votes = (
-                (slope @ palmar, 0.7),
-                (0.5 * slope @ known, 0.6),
-                (self._side_of_others(alike, slope), 0.5),
-                (
-                    sum(
-                        self._nearing(i, self._groups[i].columns, signs[i])
-                        for i in alike
-                    ),
-                    0.4,
-                ),
-                (1.0, 0.1),
-            )
-            clear = min(0.1 * float(lengths(slope)), 0.5)
-            vote, confidence = next(pair for pair in votes if abs(pair[0]) > clear)
+            vote, confidence = self._vote(alike, signs, slope, (palmar, known))
             for i in alike:
                 columns = self._groups[i].columns
                 given = self.sign[columns]
                 own = np.sign(vote) * signs[i]
                 self.sign[columns] = np.where(given == 0.0, own, given)
                 self._settle(i, confidence)
+
+    def _vote(
+        self,
+        alike: list[int],
+        signs: dict[int, np.ndarray],
+        slope: np.ndarray,
+        towards: tuple[np.ndarray, np.ndarray],
+    ) -> tuple[float, float]:
+        """Return a number with the sense in which fingers flex alike, and the confidence in it."""
+        columns = {i: self._groups[i].columns for i in alike}
+        votes = (
+            (float(slope @ towards[0]), 0.7),
+            (0.5 * float(slope @ towards[1]), 0.6),
+            (self._side_of_others(alike, slope), 0.5),
+            (sum(self._nearing(i, columns[i], signs[i]) for i in alike), 0.4),
+            (1.0, 0.1),
+        )
+        clear = min(0.1 * float(lengths(slope)), 0.5)
+        return next(pair for pair in votes if abs(pair[0]) > clear)
 
     def _close_jaws(self) -> None:
         """Flex fingers without curling joints towards the other tips."""

@@ -8,7 +8,7 @@ are found in the URDF, as by `handmap hands init`.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
 import yaml
@@ -64,23 +64,12 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     Raises:
         HandError: If the file cannot be read, or is not a configuration of dex-retargeting.
     """
-    try:
-        document = yaml.safe_load(path.read_bytes())
-    except OSError as error:
-        raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
-    except (yaml.YAMLError, ValueError) as error:
-        problem = f"is not YAML: {' '.join(str(error).split())}"
-        raise HandError(problem, file=path) from error
-    table = document.get("retargeting") if isinstance(document, dict) else None
-    if not isinstance(table, dict):
-        raise HandError(
-            "expected a table `retargeting`, as in dex-retargeting's files", file=path
-        )
+    table = _read_table(path)
     kind = str(table.get("type")).lower()
     field = _LINKS.get(kind, "")
     key = "target_link_human_indices"
-    links = table.get(field)
-    indices = table.get(key)
+    links: Any = table.get(field)
+    indices: Any = table.get(key)
     count = len(links) if isinstance(links, list) else 0
     if kind == "vector" and isinstance(indices, list) and len(indices) == 2:
         # It has two rows of indices: where vectors begin, and where they end.
@@ -120,6 +109,22 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         if name in table
     )
     return DexConfiguration(path, table["urdf_path"], named, tuple(notes))
+
+
+def _read_table(path: Path) -> dict[str, Any]:
+    """Return the settings of a configuration's file."""
+    try:
+        document = yaml.safe_load(path.read_bytes())
+    except OSError as error:
+        raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
+    except (yaml.YAMLError, ValueError) as error:
+        problem = f"is not YAML: {' '.join(str(error).split())}"
+        raise HandError(problem, file=path) from error
+    table = document.get("retargeting") if isinstance(document, dict) else None
+    if not isinstance(table, dict):
+        problem = "expected a table `retargeting`, as in dex-retargeting's files"
+        raise HandError(problem, file=path)
+    return table
 
 
 def migrate(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -111,12 +111,11 @@ class Robot:
         self.name = robot.get("name") or self.file.stem
         for name in fix_free_joints(robot):
             self._remark(name, "has more than one coordinate: it is taken as fixed")
+        every = joints_by_name(robot)
         joints = {
-            name: joint
-            for name, joint in joints_by_name(robot).items()
-            if joint.get("type") in MOVABLE
+            n: joint for n, joint in every.items() if joint.get("type") in MOVABLE
         }
-        self.endless = {n for n, j in joints.items() if j.get("type") == "continuous"}
+        self.endless = {n for n in joints if joints[n].get("type") == "continuous"}
         self.dropped_rules = self._drop_rules(joints)
         self.assumed, equal = self._assume_limits(joints)
         self.locked = prepare_urdf(robot, None, {}, equal, self.assumed)
@@ -344,6 +343,7 @@ class Robot:
             one.upper - one.lower for one in given.values() if one.kind == "revolute"
         ]
         in_degrees = bool(turns and np.nanmedian(turns) > _LARGEST_TURN)
+        speeds = _usual_speeds(given.values())
         assumed = dict[str, LimitSpec]()
         equal = dict[str, float]()
         for name, one in given.items():
@@ -354,17 +354,14 @@ class Robot:
                 self._remark(name, "has equal limits: it is locked")
                 continue
             ends, what = _assumed_range(one, in_degrees=in_degrees)
-            alike = [other.speed for other in given.values() if other.kind == one.kind]
-            known = [speed for speed in alike if speed > 0.0]
-            usual = float(np.median(known or [_ASSUMED_SPEED[one.kind]]))
-            limit = LimitSpec(*ends, None if one.speed > 0.0 else usual)
             if what:
                 self._remark(name, what)
-            if limit.velocity:
-                what = f"has no speed limit in the URDF: {usual:.4g} is assumed"
+            speed = None if one.speed > 0.0 else speeds[one.kind]
+            if speed:
+                what = f"has no speed limit in the URDF: {speed:.4g} is assumed"
                 self._remark(name, what)
-            if limit != LimitSpec():
-                assumed[name] = limit
+            if speed or None not in ends:
+                assumed[name] = LimitSpec(*ends, speed)
         return assumed, equal
 
 
@@ -375,6 +372,18 @@ class _Limits(NamedTuple):
     lower: float
     upper: float
     speed: float
+
+
+def _usual_speeds(joints: Iterable[_Limits]) -> dict[str, float]:
+    """Return the median of the speeds that a URDF gives, by the type of joints [per s]."""
+    speeds: dict[str, list[float]] = {kind: [] for kind in MOVABLE}
+    for joint in joints:
+        if joint.speed > 0.0:
+            speeds[joint.kind].append(joint.speed)
+    return {
+        kind: float(np.median(given or [_ASSUMED_SPEED[kind]]))
+        for kind, given in speeds.items()
+    }
 
 
 def _limits(joint: ET.Element) -> _Limits:

@@ -7,7 +7,7 @@ metacarpal with two fingers, are not the palm.
 
 from __future__ import annotations
 
-import itertools
+from itertools import chain, compress, groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -109,16 +109,18 @@ def find_structure(robot: Robot) -> Structure:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
     """
     found = {body: _fingerlike(robot, body) for body in range(robot.model.njoints)}
-    roots = {body: {one.joints[0] for one in found[body]} for body in found}
     # Bodies inside the fingers of another palm are none.
+    found = {
+        body: fingers
+        for body, fingers in found.items()
+        if len({finger.joints[0] for finger in fingers}) > 1
+    }
     inside = {
         part
-        for starts in roots.values()
-        if len(starts) > 1
-        for start in starts
-        for part in robot.model.subtrees[start]
+        for finger in chain.from_iterable(found.values())
+        for part in robot.model.subtrees[finger.joints[0]]
     }
-    palms = [body for body in found if len(roots[body]) > 1 and body not in inside]
+    palms = [body for body in found if body not in inside]
     if len(palms) > 1:
         links = ", ".join(_palm_link(robot, found[body]) for body in palms[:8])
         problem = (
@@ -178,7 +180,7 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     group = np.linalg.matrix_power(near.astype(float), len(fingers))[0] > 0.0
     if min(group.sum(), (~group).sum()) < 2:
         return
-    parts = [list(itertools.compress(fingers, chosen)) for chosen in (group, ~group)]
+    parts = [list(compress(fingers, chosen)) for chosen in (group, ~group)]
     one, other = (_palm_link(robot, part) for part in parts)
     advice = "choose one with --root"
     if one == other:
@@ -197,7 +199,7 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
     chains = [
         RobotFinger(robot, leaf, body) for leaf in robot.leaves(body) if leaf != body
     ]
-    for _, group in itertools.groupby(chains, key=lambda chain: chain.joints[0]):
+    for _, group in groupby(chains, key=lambda chain: chain.joints[0]):
         branch = list(group)
         is_wheel = branch[0].joint_names[0] in robot.endless and all(
             len(chain.joints) == 1 for chain in branch

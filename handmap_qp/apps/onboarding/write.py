@@ -90,27 +90,31 @@ def check_free(path: Path, *, overwrite: bool) -> None:
 def hand_text(detection: Detection, folder: Path) -> str:
     """Return the text of a `hand.yaml`; the URDF's path is relative to `folder`."""
     spec = detection.spec
-    clues = {clue.what: clue for clue in detection.clues}
     document = {key: getattr(spec, key) for key in _KEYS}
     document["urdf"] = _urdf_reference(spec.urdf, folder)
     document["palm"] = msgspec.structs.asdict(spec.palm)
-    above = dict(_ABOVE)
-    for key, (name, what) in _FOUND.items():
-        above[key] = f"{what}{clues[name].how} ({clues[name].certainty})"
-    for i, point in enumerate(spec.points):
-        if clue := clues.get(point.name):
-            above[f"points.{i}"] = f"{clue.how} ({clue.certainty})"
-    for finger, chain in detection.chains.items():
-        first = next(i for i, joint in enumerate(spec.joints) if joint in chain)
-        moved = above.get(f"joints.{first}")
-        above[f"joints.{first}"] = f"{moved} and {finger}" if moved else finger
     intro = (
         f"{spec.name}: written by `handmap hands init`. Comments say how each value was found and "
         "how certain it is. Correct what is wrong, then run `handmap hands check`.",
         *(f"Note: {note}" for note in detection.notes),
     )
     lines = [line for note in intro for line in _comment(note, "")]
-    return "\n".join([*lines, *_lines(document, "", above)]) + "\n"
+    return "\n".join([*lines, *_lines(document, "", _comments(detection))]) + "\n"
+
+
+def _comments(detection: Detection) -> dict[str, str]:
+    """Return the comments above keys by their paths: evidence, and each finger's first joint."""
+    said = {clue.what: f"{clue.how} ({clue.certainty})" for clue in detection.clues}
+    above = dict(_ABOVE)
+    for key, (name, what) in _FOUND.items():
+        above[key] = f"{what}{said[name]}"
+    for i, point in enumerate(detection.spec.points):
+        above[f"points.{i}"] = said.get(point.name, "")
+    for finger, chain in detection.chains.items():
+        moved = (i for i, joint in enumerate(detection.spec.joints) if joint in chain)
+        first = f"joints.{next(moved)}"
+        above[first] = f"{above[first]} and {finger}" if first in above else finger
+    return above
 
 
 def _lines(values: Any, path: str, above: Mapping[str, str]) -> Iterator[str]:
