@@ -16,25 +16,24 @@ _WORDS = {
     "ring": re.compile(r"(?<![A-Za-z])[Rr]ing|Ring|RING"),
     "little": re.compile(r"little|pinky|pinkie|small_?finger", re.IGNORECASE),
 }
-# The abbreviations of the Shadow hand, before a phalanx or a joint number: `rh_FFJ4`, `ffmiddle`.
+# What stands behind the abbreviations of the Shadow hand, as in `rh_FFJ4` and `ffmiddle`: a phalanx
+# or the number of a joint.
 _PART = r"(?=[jJ]?_?\d|_|$|prox|mid|dist|knuck|meta|tip|base|hub|touch|biotac|seg)"
-_SHORT = {
-    "thumb": re.compile(rf"(?:^|[^a-zA-Z])(?:th|TH){_PART}"),
-    "index": re.compile(rf"(?:^|[^a-zA-Z])(?:ff|FF|if|IF){_PART}"),
-    "middle": re.compile(rf"(?:^|[^a-zA-Z])(?:mf|MF){_PART}"),
-    "ring": re.compile(rf"(?:^|[^a-zA-Z])(?:rf|RF){_PART}"),
-    "little": re.compile(rf"(?:^|[^a-zA-Z])(?:lf|LF|pf|PF){_PART}"),
+# Abbreviations, and single letters as in `hand_T-MP`; at the start of a name one may be a side.
+_BRIEF = {
+    "thumb": ("th|TH", "tT"),
+    "index": ("ff|FF|if|IF", "iI"),
+    "middle": ("mf|MF", "mM"),
+    "ring": ("rf|RF", "rR"),
+    "little": ("lf|LF|pf|PF", "pPlL"),
 }
-# Single letters, as in `hand_T-MP`; at the start of a name one may be a side.
+_SHORT = {
+    finger: re.compile(rf"(?:^|[^a-zA-Z])(?:{short}){_PART}")
+    for finger, (short, _) in _BRIEF.items()
+}
 _LETTERS = {
     finger: re.compile(rf"(?<=[^a-zA-Z])[{letters}](?![a-zA-Z])")
-    for finger, letters in (
-        ("thumb", "tT"),
-        ("index", "iI"),
-        ("middle", "mM"),
-        ("ring", "rR"),
-        ("little", "pPlL"),
-    )
+    for finger, (_, letters) in _BRIEF.items()
 }
 # A single letter counts only at the start or end of a name: `l3` is usually the third link, not a
 # left one.
