@@ -332,9 +332,8 @@ def _check_meshes(hand: Hand, tables: Tables) -> Findings:
         names = dict.fromkeys(mesh.get("filename", "") for mesh in meshes)
         missing = [name for name in names if not Path(name).is_file()]
         if missing:
-            shown = ", ".join(Path(name).name for name in missing[:_MOST_NAMES])
-            more = ", ..." if len(missing) > _MOST_NAMES else ""
-            what = f"{len(missing)} of {len(names)} {tag} meshes are missing: {shown}{more}; "
+            shown = _listed([Path(name).name for name in missing])
+            what = f"{len(missing)} of {len(names)} {tag} meshes are missing: {shown}; "
             change = (
                 f"put them where the URDF looks for them: {Path(missing[0]).parent}"
             )
@@ -504,7 +503,7 @@ def _check_collisions(hand: Hand, tables: Tables) -> Findings:
             )
     pairs = [f"{one} and {other}" for one, other in colliding_links(hand, hand.rest)]
     if pairs:
-        shown = ", ".join([*pairs[:4], *(["..."] if len(pairs) > 4 else [])])
+        shown = _listed(pairs)
         change = "open the hand or spread its fingers more"
         yield Finding("warning", "rest", f"at rest {shown} overlap", change)
     else:
@@ -561,8 +560,13 @@ def _check_motion(hand: Hand, tables: Tables) -> Findings:
         if part.error_mm > _OUT_OF_REACH:
             far = f"{part.worst_point} stays {part.error_mm:.0f} mm from its target"
             if stops := part.joints_at_a_position_limit:
-                far += f", {', '.join(stops.split(', ')[:3])} at a position limit"
+                far += f", {_listed(stops.split(', '))} at a position limit"
             yield Finding("advice", "reach", f"{part.posture}: {far}")
+
+
+def _listed(names: list[str]) -> str:
+    """Return the first few of some names as text."""
+    return ", ".join(names[:_MOST_NAMES]) + ", ..." * (len(names) > _MOST_NAMES)
 
 
 _CHECKS = (

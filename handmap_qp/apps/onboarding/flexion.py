@@ -79,7 +79,8 @@ class HandFlexion:
         self.sign = np.zeros(len(zero))
         self.certainty = np.zeros(len(fingers))
         self.ways, self.axes = np.zeros((2, len(fingers), 3))
-        self._groups, self.bases = dict[int, Flexion](), self.roots.copy()
+        self._groups: dict[int, Flexion] = {}
+        self.bases = self.roots.copy()
         for i, finger in enumerate(fingers):
             self.moves[i, finger.columns] = True
             if (group := finger.flexion) is not None and group.curls:

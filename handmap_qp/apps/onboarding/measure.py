@@ -275,7 +275,7 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
 
 
 def _spread(points: np.ndarray) -> float:
-    return float(np.sqrt(((points - points.mean(axis=0)) ** 2).sum(axis=1).mean()))
+    return float(np.sqrt(points.var(axis=0).sum()))
 
 
 def make_fist(hand: Hand) -> Fist | None:
