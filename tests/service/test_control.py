@@ -116,7 +116,7 @@ class World:
     def fork(self) -> World:
         """Return a copy that goes on by itself. What does not change is shared."""
         there, session = self.dispatcher.sessions, self.session
-        shared: list[Any] = [self._loop, CACHE, self.dispatcher._metrics]
+        shared: list[Any] = [self._loop, CACHE, self.dispatcher.metrics]
         shared += there._executor, there._works, there.settings
         if session is not None:
             hands, mapper = session._hands, session._hands.mapper

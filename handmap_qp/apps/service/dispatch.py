@@ -11,6 +11,7 @@ import math
 import re
 import time
 from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, field
 from functools import lru_cache
 from importlib.metadata import version
 from logging import ERROR, INFO
@@ -20,6 +21,7 @@ import msgspec
 
 from handmap_qp.apps.service.logs import AuditLog, Bucket, Metrics, Throttle
 from handmap_qp.apps.service.opening import HandCache
+from handmap_qp.apps.service.safety import refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import Settings
@@ -98,8 +100,8 @@ def decode_request(payload: bytes) -> AnyRequest | Error:
     is_newer = isinstance(request, Stop | Clear) and request.protocol < _STOP_PROTOCOL
     if request.protocol not in messages.PROTOCOLS or is_newer:
         return _wrong_protocol(request)
-    for field, message in _wrong_poses(request):
-        return Error(seq=request.seq, code="invalid", message=message, field=field)
+    for place, message in _wrong_poses(request):
+        return Error(seq=request.seq, code="invalid", message=message, field=place)
     return request
 
 
@@ -151,65 +153,59 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
 
 def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
     """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
-    for field in ("wrist", "robot_wrist"):
-        pose: Pose | None = getattr(request, field, None)
+    for name in ("wrist", "robot_wrist"):
+        pose: Pose | None = getattr(request, name, None)
         if pose is None:
             continue
         norm = math.hypot(*pose.quat_xyzw)
         far = math.hypot(*pose.position)
         if not abs(norm - 1.0) <= _QUAT_TOLERANCE:
-            yield f"{field}.quat_xyzw", f"expected a unit quaternion, got norm {norm:g}"
+            yield f"{name}.quat_xyzw", f"expected a unit quaternion, got norm {norm:g}"
         if not far <= LARGEST:
             message = f"expected at most {LARGEST:g} m from the origin, got {far:g} m"
-            yield f"{field}.position", message
+            yield f"{name}.position", message
 
 
+@dataclass(eq=False)
 class Dispatcher:
     """Answer messages.
 
-    Args:
+    Attributes:
         settings: Limits of what clients may do.
         cache: The hands that clients may open.
         metrics: Counters.
         store: Record of the postures commanded; in memory if omitted.
         audit: Record of who did what; none if omitted.
         clock: Monotonic clock [s].
-
-    Attributes:
         sessions: The open sessions.
         stream_port: Port of the stream, as `opened` reports it.
     """
 
-    def __init__(
-        self,
-        settings: Settings,
-        cache: HandCache,
-        metrics: Metrics,
-        *,
-        store: PostureStore | None = None,
-        audit: AuditLog | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        store = PostureStore(None) if store is None else store
-        self._audit = audit or AuditLog()
+    settings: Settings
+    cache: HandCache
+    metrics: Metrics
+    store: PostureStore = field(default_factory=lambda: PostureStore(None))
+    audit: AuditLog = field(default_factory=AuditLog)
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
+        """Begin without sessions."""
         self._who = Caller
-        self.sessions = Sessions(settings, cache, metrics, store, clock, self._audit)
+        self.sessions = Sessions(
+            self.settings, self.cache, self.metrics, self.store, self.clock, self.audit
+        )
         self.stream_port = 0
-        self._settings = settings
-        self._cache = cache
-        self._metrics = metrics
-        self._clock = clock
-        self._started = clock()
+        self._started = self.clock()
         self._version = version("handmap-qp")
-        self._configures = Bucket(settings.configures, clock())
+        self._configures = Bucket(self.settings.configures, self.clock())
         # There is no common limit, because a few clients above the rate would shut out the others.
         self._rates = lru_cache(_MOST_PEERS)(self._new_rates)
         self._pending: dict[str, tuple[Sample, Send]] = {}
         self._opening: dict[str, tuple[bytes, asyncio.Task[AnyReply]]] = {}
         self._refusals = Throttle()
         self._bugs = Throttle()
-        metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
-        metrics.gauges["uptime_seconds"] = lambda: self._clock() - self._started
+        self.metrics.gauges["sessions"] = lambda: len(self.sessions.entries)
+        self.metrics.gauges["uptime_seconds"] = lambda: self.clock() - self._started
 
     def receive(
         self,
@@ -239,11 +235,11 @@ class Dispatcher:
             answer(encode_reply(reply))
 
         samples, errors = self._rates(peer)
-        now = self._clock()
+        now = self.clock()
         self._who = who
-        self._metrics.counts["requests"] += 1
+        self.metrics.counts["requests"] += 1
         if not samples.take(now):
-            self._metrics.refusals["rate"] += 1
+            self.metrics.refusals["rate"] += 1
             if errors.take(now):
                 send(Error(code="rate", message="too many messages"))
             return False
@@ -269,10 +265,10 @@ class Dispatcher:
 
     def tick(self) -> None:
         """Let time pass: run the watchdogs, and close idle sessions."""
-        now = self._clock()
+        now = self.clock()
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
-            is_idle = now - session.last_request > self._settings.idle
+            is_idle = now - session.last_request > self.settings.idle
             if is_idle and not session.will_move:
                 reason = "closed: its client was silent too long"
                 self.sessions.end(secret, "no_session", reason)
@@ -293,13 +289,13 @@ class Dispatcher:
 
     def _new_rates(self, _peer: Hashable) -> tuple[Bucket, Bucket]:
         """Return the limits of a connection: of its messages, and of the errors that say so."""
-        now = self._clock()
-        return Bucket(self._settings.rate, now), Bucket(_ERRORS_PER_SECOND, now, 1.0)
+        now = self.clock()
+        return Bucket(self.settings.rate, now), Bucket(_ERRORS_PER_SECOND, now, 1.0)
 
     def _tick(self, session: Session, now: float) -> None:
         trips = session.counts["watchdog"]
         command = session.tick(now)
-        self._metrics.counts["watchdog"] += session.counts["watchdog"] - trips
+        self.metrics.counts["watchdog"] += session.counts["watchdog"] - trips
         if command is not None:
             self._send(session, command)
 
@@ -308,7 +304,7 @@ class Dispatcher:
         if not self._pending:
             asyncio.get_running_loop().call_soon(self.flush)
         elif sample.session in self._pending:
-            self._metrics.counts["replaced"] += 1
+            self.metrics.counts["replaced"] += 1
         self._pending[sample.session] = sample, send
 
     def _for_stream(self, sample: Sample) -> AnyReply:
@@ -319,7 +315,7 @@ class Dispatcher:
         else:
             entry.seq = sample.seq
             entry.payload = b""
-            now = self._clock()
+            now = self.clock()
             reply = self._attempt(sample, self._act, entry.session, sample, now)
             if isinstance(reply, Error):
                 self.sessions.send(entry.session.name, encode_reply(reply))
@@ -345,9 +341,8 @@ class Dispatcher:
         entry = self.sessions.find(request.session)
         if request.seq == entry.seq and payload == entry.payload:
             return entry.answer
-        if request.seq <= entry.seq:
-            message = f"expected a number above {entry.seq}, got {request.seq}"
-            raise RefusedError("stale", message, field="seq")
+        message = f"expected a number above {entry.seq}, got {request.seq}"
+        refuse_if(request.seq <= entry.seq, message, "seq", "stale")
         entry.seq = request.seq
         entry.payload = payload
         entry.answer = self._attempt(request, self._act, entry.session, request, now)
@@ -375,15 +370,14 @@ class Dispatcher:
                 raise RefusedError("invalid", message, field="type")
             subscribe(request.name)
             return Done(seq=request.seq)
-        if request.session:
-            message = "give session or name, not both"
-            raise RefusedError("invalid", message, field="name")
-        may_clear = by.key in self._settings.supervisor or by.owner("") == session.owner
+        has_both = bool(request.session)
+        refuse_if(has_both, "give session or name, not both", "name")
+        may_clear = by.key in self.settings.supervisor or by.owner("") == session.owner
         is_allowed = isinstance(request, Clear) and may_clear
         is_free = isinstance(request, Status | Stop)
-        if not (is_allowed or is_free or session.request.is_shared):
-            message = f"session {request.name!r} was not opened with is_shared: only its owner may"
-            raise RefusedError("denied", message, field="name")
+        is_alien = not (is_allowed or is_free or session.request.is_shared)
+        message = f"session {request.name!r} was not opened with is_shared: only its owner may"
+        refuse_if(is_alien, message, "name", "denied")
         return self._act(session, request, now)
 
     def _for_all(self, request: Status | Stop, now: float) -> AnyReply:
@@ -394,12 +388,12 @@ class Dispatcher:
                 version=self._version,
                 uptime=now - self._started,
                 names=self.sessions.names,
-                counts=dict(self._metrics.counts),
-                robots=self._cache.robots,
-                missing=self._cache.missing,
+                counts=dict(self.metrics.counts),
+                robots=self.cache.robots,
+                missing=self.cache.missing,
                 stream_port=self.stream_port,
             )
-        self._audit.note("stop", self._who(), **_changes(request))
+        self.audit.note("stop", self._who(), **_changes(request))
         for entry in list(self.sessions.entries.values()):
             self._attempt(request, self._act, entry.session, request, now)
         return Done(seq=request.seq)
@@ -421,8 +415,8 @@ class Dispatcher:
         """
         if isinstance(request, Step):
             command = session.step(request, now)
-            self._metrics.counts["steps"] += 1
-            self._metrics.steps.observe(self._clock() - now)
+            self.metrics.counts["steps"] += 1
+            self.metrics.steps.observe(self.clock() - now)
             self._send(session, command)
             return command
         if isinstance(request, Status):
@@ -438,9 +432,9 @@ class Dispatcher:
         """Engage, disengage, change or stop a session, or start it again."""
         match request:
             case Configure():
-                if not self._configures.take(now):
-                    limit = f"more than {self._settings.configures:g} changes of options a second"
-                    raise RefusedError("rate", f"{limit}: try again later")
+                limit = f"more than {self.settings.configures:g} changes of options a second"
+                is_due = self._configures.take(now)
+                refuse_if(not is_due, f"{limit}: try again later", code="rate")
                 session.configure(request)
             case Reset():
                 session.reset(request, now)
@@ -455,7 +449,7 @@ class Dispatcher:
                 # The stream must not wait for the next tick.
                 self._tick(session, now)
         event = type(request).__name__.lower()
-        self._audit.note(event, self._who(), session=session.name, **_changes(request))
+        self.audit.note(event, self._who(), session=session.name, **_changes(request))
         # A release must outlive the server as well as a posture.
         self.sessions.note(session)
 
@@ -466,7 +460,7 @@ class Dispatcher:
             send(entry.answer)
             return
         first, task = self._opening.get(request.session, (payload, None))
-        is_full = task is None and len(self._opening) >= self._settings.sessions
+        is_full = task is None and len(self._opening) >= self.settings.sessions
         if first != payload or is_full:
             busy = RefusedError("busy", "too many at once")
             send(self._failure(request.seq, busy))
@@ -510,7 +504,7 @@ class Dispatcher:
 
     def _counted(self, error: Error) -> Error:
         """Return an error, counted and logged."""
-        self._metrics.refusals[error.code] += 1
+        self.metrics.refusals[error.code] += 1
         self._refusals.report(
             INFO, "refused", code=error.code, field=error.field, message=error.message
         )

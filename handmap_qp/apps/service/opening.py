@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
+from handmap_qp.apps.service.safety import refuse_if
 from handmap_qp.client.messages import PROTECTING, Configure, Open, Step
 from handmap_qp.errors import (
     HandError,
@@ -182,12 +183,9 @@ class HandCache:
         Raises:
             RefusedError: If no hand has this name, or it cannot be loaded so.
         """
-        if name not in self._files:
-            raise RefusedError(
-                "invalid",
-                f"no hand {name!r:.80}; there are {', '.join(self.robots)}",
-                field="robot",
-            )
+        known = ", ".join(self.robots)
+        message = f"no hand {name!r:.80}; there are {known}"
+        refuse_if(name not in self._files, message, "robot")
         file = self._files[name]
         return with_field_errors(
             "robot", lambda: self._load(file, points=points, mount=mount)
@@ -249,10 +247,8 @@ def prepare_hands(
     Raises:
         RefusedError: With the field at fault.
     """
-    if request.hand_length is not None and request.lengths is not None:
-        raise RefusedError(
-            "invalid", "give hand_length or lengths, not both", field="lengths"
-        )
+    has_both = request.hand_length is not None and request.lengths is not None
+    refuse_if(has_both, "give hand_length or lengths, not both", "lengths")
     robot = cache.robot(request.robot, request.robot_points, request.mount)
     if lengths is None:
         lengths = with_field_errors("lengths", lambda: _human_lengths(request))
@@ -318,9 +314,8 @@ def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
             f"at most {MOST_ITERATIONS}",
         ),
     ):
-        if not is_allowed:
-            message = f"expected {expected}, got {request.ik[option]!r:.40}"
-            raise RefusedError("invalid", message, field=f"ik.{option}")
+        message = f"expected {expected}, got {request.ik.get(option)!r:.40}"
+        refuse_if(not is_allowed, message, f"ik.{option}")
     return Choice(name, method, ik)
 
 

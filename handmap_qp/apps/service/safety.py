@@ -361,18 +361,27 @@ class StepClock:
         return min(max(elapsed, SHORTEST_DT), self._max_dt)
 
 
+def refuse_if(
+    is_wrong: bool, message: str, field: str = "", code: str = "invalid"
+) -> None:
+    """Refuse a request.
+
+    Raises:
+        RefusedError: If something is wrong.
+    """
+    if is_wrong:
+        raise RefusedError(code, message, field=field)
+
+
 def start_angles(robot: Hand, robot_q: tuple[float, ...]) -> np.ndarray:
     """Return the joint angles that a client reports [rad], shape (n,).
 
     Raises:
         RefusedError: If the robot cannot be there.
     """
-    if len(robot_q) != len(robot.joint_names):
-        raise RefusedError(
-            "invalid",
-            f"expected {len(robot.joint_names)} angles, got {len(robot_q)}",
-            field="robot_q",
-        )
+    count = len(robot.joint_names)
+    message = f"expected {count} angles, got {len(robot_q)}"
+    refuse_if(len(robot_q) != count, message, "robot_q")
     q = np.array(robot_q)
     outside = np.maximum(robot.lower_limits - q, q - robot.upper_limits)
     worst = int(np.argmax(outside))

@@ -35,6 +35,7 @@ from handmap_qp.apps.service.safety import (
     StepClock,
     Watchdog,
     next_state,
+    refuse_if,
     start_angles,
 )
 from handmap_qp.apps.service.store import Record
@@ -51,7 +52,7 @@ from handmap_qp.client.messages import (
     State,
     Step,
 )
-from handmap_qp.errors import HandmapError, RefusedError
+from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.contact_gap import ContactGapMeter
@@ -81,12 +82,12 @@ class SampleForm:
         self._kind = request.input
         self._side = request.side
         name = request.layout
-        if name is not None and self._kind != "landmarks":
-            raise _invalid("layout", "needs input=landmarks")
+        is_apart = name is not None and self._kind != "landmarks"
+        refuse_if(is_apart, "needs input=landmarks", "layout")
         # Only layouts of the package: a name must not open files of the server.
-        if name is not None and name not in LAYOUTS:
-            known = ", ".join(LAYOUTS)
-            raise _invalid("layout", f"no layout {name!r}; there are {known}")
+        is_unknown = name is not None and name not in LAYOUTS
+        message = f"no layout {name!r}; there are {', '.join(LAYOUTS)}"
+        refuse_if(is_unknown, message, "layout")
         self._layout = None if name is None else load_layout(name)
         self._field = self._kind if name is None else "values"
         self._wanted = self._kind if name is None else f"values of {name}"
@@ -98,13 +99,13 @@ class SampleForm:
             RefusedError: With the field that is missing or must be left out.
         """
         given = {field for field in _FIELDS if getattr(sample, field) is not None}
-        if not sample.valid and self._kind != "landmarks":
-            raise _invalid("valid", "only landmarks may be invalid")
+        is_lost = not sample.valid and self._kind != "landmarks"
+        refuse_if(is_lost, "only landmarks may be invalid", "valid")
         if sample.valid or given:
             for field in sorted(given ^ {self._field}, key=_FIELDS.index):
-                raise _invalid(field, f"this session was opened for {self._wanted}")
-        if self._kind == "q" and sample.wrist is None:
-            raise _invalid("wrist", "missing; it must come with q")
+                refuse_if(True, f"this session was opened for {self._wanted}", field)
+        is_bare = self._kind == "q" and sample.wrist is None
+        refuse_if(is_bare, "missing; it must come with q", "wrist")
 
     def human_sample(self, sample: Step) -> HumanSample:
         """Convert a sample of landmarks that `check` accepted.
@@ -392,9 +393,8 @@ class Session:
         Raises:
             RefusedError: If no such stop is in force.
         """
-        if number != self._stop:
-            got = f"stop {self._stop} is" if self._stop else "no stop is"
-            raise _invalid("stop", f"{got} in force, not {number}")
+        got = f"stop {self._stop} is" if self._stop else "no stop is"
+        refuse_if(number != self._stop, f"{got} in force, not {number}", "stop")
         self._stop = 0
         self._handle(Event.CLEAR)
 
@@ -455,9 +455,9 @@ class Session:
         """
         if request.robot_q is not None:
             q = start_angles(self.robot, request.robot_q)
-        if request.robot_wrist is not None and not self.robot.is_floating:
-            message = f"{self.robot.name} has a fixed wrist: leave it out"
-            raise _invalid("robot_wrist", message)
+        is_moved = request.robot_wrist is not None and not self.robot.is_floating
+        message = f"{self.robot.name} has a fixed wrist: leave it out"
+        refuse_if(is_moved, message, "robot_wrist")
         return q, wrist if request.robot_wrist is None else request.robot_wrist.matrix
 
     def _place(
@@ -471,9 +471,8 @@ class Session:
         self._commanded.obey(self._hands.mapper.point_ik)
 
     def _check_not_stopped(self) -> None:
-        if self._state.is_stopped:
-            message = f"the robot was stopped: clear the stop {self._stop} first"
-            raise RefusedError("stopped", message)
+        message = f"the robot was stopped: clear the stop {self._stop} first"
+        refuse_if(self._state.is_stopped, message, code="stopped")
 
     def _stay(self, step: MapStep) -> None:
         """Bring a robot that is not led to a stop, as the mapper did if it leads the robot."""
@@ -642,10 +641,6 @@ class Session:
             dt=self._dt,
             **diagnostics,
         )
-
-
-def _invalid(field: str, message: str) -> RefusedError:
-    return RefusedError("invalid", message, field=field)
 
 
 def _trust(step: MapStep) -> dict[str, Any]:

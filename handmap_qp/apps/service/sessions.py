@@ -18,6 +18,7 @@ import msgspec
 
 from handmap_qp.apps.service.logs import AuditLog, Bucket, Metrics, report
 from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepare_hands
+from handmap_qp.apps.service.safety import refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record
@@ -142,10 +143,9 @@ class Sessions:
         if entry is not None:
             entry.session.last_request = self.clock()
             return entry
-        if self._ended.get(secret) == "taken":
-            raise RefusedError(
-                "taken", "another client took this session over", field="session"
-            )
+        is_taken = self._ended.get(secret) == "taken"
+        message = "another client took this session over"
+        refuse_if(is_taken, message, "session", "taken")
         raise RefusedError("no_session", "no such session; open one", field="session")
 
     def named(self, name: str) -> Session:
@@ -278,36 +278,36 @@ class Sessions:
         is_again = is_its_own and request.restore and not is_repeat
         is_replacing = last is not None and request.restore
         count = len(self.entries) + len(self._names_opening) - is_replacing
-        _refuse_if(
+        refuse_if(
             len(request.session) < _SHORTEST_SECRET,
             f"expected at least {_SHORTEST_SECRET} random characters",
             "session",
         )
-        _refuse_if(
+        refuse_if(
             held is not None and not is_again,
             "a session with this secret exists: choose another one",
             "session",
         )
-        _refuse_if(count >= most, f"all {most} sessions are taken", code="busy")
-        _refuse_if(
+        refuse_if(count >= most, f"all {most} sessions are taken", code="busy")
+        refuse_if(
             request.time_from == "client" and not self.settings.simulated_time,
             "the server uses its own clock (see handmap serve --simulated-time)",
             "time_from",
             "denied",
         )
         opening = f"session {name!r} is being opened"
-        _refuse_if(name in self._names_opening, opening, "name", "busy")
-        _refuse_if(
+        refuse_if(name in self._names_opening, opening, "name", "busy")
+        refuse_if(
             last is not None and not request.restore,
             f"session {name!r} exists: restore=true takes it over",
             "name",
         )
-        _refuse_if(
+        refuse_if(
             request.restore and name is None,
             "missing: restore needs the name of the session",
             "name",
         )
-        _refuse_if(
+        refuse_if(
             not self._opens.take(self.clock()),
             f"more than {self.settings.opens:g} sessions opened a second: try again later",
             code="rate",
@@ -333,12 +333,10 @@ class Sessions:
             return
         is_rival = running is not None and request.session not in self.entries
         client = by.owner(request.session)
-        if code := refusal(
-            held.owner, client, is_attended=is_attended, is_rival=is_rival
-        ):
-            busy = f"is in use until {LEASE:g} s after its owner's last request"
-            reason = busy if code == "busy" else "belongs to another key"
-            raise RefusedError(code, f"session {name!r} {reason}", field="name")
+        code = refusal(held.owner, client, is_attended=is_attended, is_rival=is_rival)
+        busy = f"is in use until {LEASE:g} s after its owner's last request"
+        reason = busy if code == "busy" else "belongs to another key"
+        refuse_if(bool(code), f"session {name!r} {reason}", "name", code)
 
     def _former(
         self, request: Open, name: str, robot: Hand, running: Session | None
@@ -349,7 +347,7 @@ class Sessions:
         if running is not None:
             self.store.note(running.record)
         found = self.store.find(name, robot.name, len(robot.joint_names))
-        _refuse_if(
+        refuse_if(
             found is None and request.robot_q is None,
             f"no record of a session {name!r}: give the robot's joint angles in robot_q",
             "restore",
@@ -360,10 +358,3 @@ class Sessions:
         """Return a name that is unique also over restarts, because others may watch it."""
         self._last_name += 1
         return f"session-{self._last_name}-{secrets.token_hex(3)}"
-
-
-def _refuse_if(
-    is_wrong: bool, message: str, field: str = "", code: str = "invalid"
-) -> None:
-    if is_wrong:
-        raise RefusedError(code, message, field=field)
