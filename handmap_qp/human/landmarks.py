@@ -10,7 +10,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from handmap_qp.errors import expect
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
@@ -69,9 +69,9 @@ class PalmShape:
             InvalidInputError: On a wrong shape, or anything but numbers.
         """
         array = as_floats(landmarks, "landmarks")
-        expected, got = f"shape (..., {LANDMARK_COUNT}, 3)", f"shape {array.shape}"
-        is_right = array.shape[-2:] == (LANDMARK_COUNT, 3)
-        expect(is_right, "landmarks", expected, got=got)
+        if array.shape[-2:] != (LANDMARK_COUNT, 3):
+            expected, got = f"shape (..., {LANDMARK_COUNT}, 3)", f"shape {array.shape}"
+            raise InvalidInputError(argument="landmarks", expected=expected, got=got)
         ratios = palm_sizes(array[..., PALM, :]) / self._size
         return np.asarray((ratios >= _PALM_RATIOS[0]) & (ratios <= _PALM_RATIOS[1]))
 

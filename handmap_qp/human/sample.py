@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handmap_qp.errors import expect
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.se3 import as_floats, check_pose, frozen
 
@@ -61,9 +61,10 @@ class HumanSample:
 
     def __post_init__(self) -> None:
         """Check the values, and replace arrays by read-only copies."""
-        is_time = isinstance(self.time, int | float | np.number)
-        is_time = is_time and math.isfinite(self.time)
-        expect(is_time, "time", "a finite instant", value=self.time)
+        numbers = int | float | np.number
+        if not isinstance(self.time, numbers) or not math.isfinite(self.time):
+            expected = "a finite instant"
+            raise InvalidInputError(argument="time", expected=expected, value=self.time)
         check_side(self.side)
         landmarks = as_floats(
             self.landmarks,
@@ -75,5 +76,10 @@ class HumanSample:
         if self.wrist is not None:
             wrist = check_pose(self.wrist, "wrist").copy()
             object.__setattr__(self, "wrist", frozen(wrist))
-        is_share = 0.0 <= self.confidence <= 1.0
-        expect(is_share, "confidence", "a number from 0 to 1", value=self.confidence)
+        share, expected = self.confidence, "a number from 0 to 1"
+        if not 0.0 <= share <= 1.0:
+            raise InvalidInputError(
+                argument="confidence",
+                expected=expected,
+                value=share,
+            )

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import expect
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.landmarks import PalmShape, landmarks_at_rest
@@ -109,13 +109,13 @@ class StreamGuard:
         Raises:
             InvalidInputError: If it is of the other hand.
         """
-        expect(
-            sample.side == self._side,
-            "side",
-            f"samples of a {self._side} hand",
-            value=sample.side,
-            got=f"one of a {sample.side} hand",
-        )
+        if sample.side != self._side:
+            raise InvalidInputError(
+                argument="side",
+                expected=f"samples of a {self._side} hand",
+                value=sample.side,
+                got=f"one of a {sample.side} hand",
+            )
         before = self.state
         tick, clock = before.clock.advance(sample.time)
         state = before._replace(clock=clock, now=before.now + tick.elapsed)

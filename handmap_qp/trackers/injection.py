@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.se3 import affine, transform_points
 
@@ -63,14 +63,6 @@ Change = Callable[[HumanSample, float, Onset], dict[str, Any]]
 """Takes a sample and the size of the fault, returns the fields that change."""
 
 
-def _jump(
-    sample: HumanSample,
-    size: float,
-    onset: Onset,
-) -> dict[str, Any]:
-    return _moved(sample, affine(np.eye(3), size * onset.direction))
-
-
 def _flip(
     sample: HumanSample,
     size: float,
@@ -89,15 +81,6 @@ def _mirror(
     wrist, _, normal = _palm_axes(sample.landmarks)
     reflection = np.eye(3) - 2.0 * np.outer(normal, normal)
     return {"landmarks": (sample.landmarks - wrist) @ reflection.T + wrist}
-
-
-def _zero(
-    sample: HumanSample,
-    size: float,
-    onset: Onset,
-) -> dict[str, Any]:
-    wrist = None if sample.wrist is None else np.eye(4)
-    return {"landmarks": np.zeros((LANDMARK_COUNT, 3)), "wrist": wrist}
 
 
 def _outlier(
@@ -120,6 +103,7 @@ def _noise(
 
 
 _NOWHERE = np.full((LANDMARK_COUNT, 3), np.nan)
+_FIELDS = ("landmarks", "wrist", "valid", "confidence")
 
 
 class FaultKind(NamedTuple):
@@ -148,24 +132,25 @@ FAULT_KINDS: dict[FaultName, FaultKind] = {
     "dropout": FaultKind(
         "The hand is not seen: landmarks NaN, no wrist, confidence 0.",
         0.5,
-        lambda *_: {
-            "landmarks": _NOWHERE,
-            "wrist": None,
-            "valid": False,
-            "confidence": 0.0,
-        },
+        lambda *_: dict(zip(_FIELDS, (_NOWHERE, None, False, 0.0), strict=True)),
     ),
     "silence": FaultKind("Nothing is sent.", 0.5, copies=0),
     "frozen": FaultKind(
         "The last valid sample that was sent before the fault, with new time stamps.",
         0.5,
         lambda sample, size, onset: {
-            name: getattr(onset.before, name)
-            for name in ("side", "landmarks", "wrist", "valid", "confidence")
+            name: getattr(onset.before, name) for name in ("side", *_FIELDS)
         },
     ),
     "jump": FaultKind(
-        "The whole hand is displaced.", 0.5, _jump, 0.2, "m", needs_hand=True
+        "The whole hand is displaced.",
+        0.5,
+        lambda sample, size, onset: _moved(
+            sample, affine(np.eye(3), size * onset.direction)
+        ),
+        0.2,
+        "m",
+        needs_hand=True,
     ),
     "flip": FaultKind(
         "The hand is turned by 180 degrees about its long axis: palm and back confused.",
@@ -182,7 +167,10 @@ FAULT_KINDS: dict[FaultName, FaultKind] = {
     "zero": FaultKind(
         "All landmarks and the wrist are at the origin, and still called valid.",
         0.2,
-        _zero,
+        lambda sample, size, onset: {
+            "landmarks": np.zeros((LANDMARK_COUNT, 3)),
+            "wrist": None if sample.wrist is None else np.eye(4),
+        },
     ),
     "outlier": FaultKind(
         "One landmark is displaced.", 0.1, _outlier, 0.1, "m", needs_hand=True
@@ -246,36 +234,24 @@ class Fault:
 
     def __post_init__(self) -> None:
         """Check the numbers, and fill in the usual ones."""
-        kind = FAULT_KINDS.get(self.name)
-        if kind is None:
-            expected = f"one of {', '.join(FAULT_NAMES)}"
-            raise InvalidInputError(
-                argument="fault",
-                expected=expected,
-                value=self.name,
-            )
+        names = f"one of {', '.join(FAULT_NAMES)}"
+        expect(self.name in FAULT_KINDS, "fault", names, value=self.name)
+        kind = FAULT_KINDS[self.name]
         duration = kind.duration if self.duration is None else self.duration
         size = kind.size if self.size is None else self.size
-        object.__setattr__(self, "duration", duration)
-        checks = (
+        for name, value, is_right, expected in (
             ("start", self.start, 0.0 <= self.start < math.inf, "a finite time >= 0 s"),
             ("duration", duration, duration > 0.0, "more than 0 s"),
             (
                 "size",
                 size,
-                self.size is None or bool(kind.unit),
+                kind.unit or self.size is None,
                 "none: this fault has no size",
             ),
             ("size", size, abs(size) <= _MOST_SIZE, f"a finite number of {kind.unit}"),
-        )
-        for name, value, is_right, expected in checks:
-            if not is_right:
-                argument = f"{self.name} {name}"
-                raise InvalidInputError(
-                    argument=argument,
-                    expected=expected,
-                    value=value,
-                )
+        ):
+            expect(is_right, f"{self.name} {name}", expected, value=value)
+        object.__setattr__(self, "duration", duration)
         object.__setattr__(self, "size", size)
 
     @property
@@ -329,31 +305,26 @@ def inject(
     before: HumanSample | None = None
     for sample in samples:
         start = sample.time if start is None else start
-        elapsed = sample.time - start
-        changed: tuple[HumanSample, ...] = (sample,)
+        sent = [sample]
         for number, fault in enumerate(faults):
-            if not fault.start <= elapsed < fault.end:
-                continue
-            if number not in onsets:
-                onsets[number] = _onset(before or sample, seed, number)
-            changed = tuple(
-                result
-                for each in changed
-                for result in _apply(fault, each, onsets[number])
-            )
-        before = next((each for each in reversed(changed) if each.valid), before)
-        yield from changed
+            if fault.start <= sample.time - start < fault.end:
+                if number not in onsets:
+                    onsets[number] = _onset(before or sample, seed, number)
+                sent = _altered(sent, fault, onsets[number])
+        before = next((each for each in reversed(sent) if each.valid), before)
+        yield from sent
 
 
-def _apply(
-    fault: Fault,
-    sample: HumanSample,
-    onset: Onset,
-) -> tuple[HumanSample, ...]:
-    kind = FAULT_KINDS[fault.name]
-    if kind.change is not None and (sample.valid or not kind.needs_hand):
-        sample = replace(sample, **kind.change(sample, fault.size or 0.0, onset))
-    return (sample,) * kind.copies
+def _altered(
+    samples: Sequence[HumanSample], fault: Fault, onset: Onset
+) -> list[HumanSample]:
+    """Return what is sent instead of samples while a fault is active."""
+    kind, sent = FAULT_KINDS[fault.name], []
+    for sample in samples:
+        if kind.change is not None and (sample.valid or not kind.needs_hand):
+            sample = replace(sample, **kind.change(sample, fault.size or 0.0, onset))
+        sent += [sample] * kind.copies
+    return sent
 
 
 def _digits(number: float) -> str:
@@ -374,19 +345,15 @@ def _onset(
 
 def _parse_fault(text: str) -> Fault:
     match = _SPEC.fullmatch(text)
-    expected = "NAME@START[+DURATION][:SIZE], such as dropout@2+0.5 or jump@4+1:0.3"
     try:
-        if match is None:
-            raise ValueError(text)
-        numbers = [None if part is None else float(part) for part in match.groups()[1:]]
+        name, *numbers = match.groups() if match else ()
+        values = [None if part is None else float(part) for part in numbers]
     except ValueError as error:
+        expected = "NAME@START[+DURATION][:SIZE], such as dropout@2+0.5 or jump@4+1:0.3"
         raise InvalidInputError(
-            argument="faults",
-            expected=expected,
-            value=text,
+            argument="faults", expected=expected, value=text
         ) from error
-    name, (start, duration, size) = match[1], numbers
-    return Fault(name, start, duration, size)  # ty: ignore[invalid-argument-type]
+    return Fault(name, *values)  # ty: ignore[invalid-argument-type]
 
 
 def _moved(sample: HumanSample, motion: np.ndarray) -> dict[str, Any]:

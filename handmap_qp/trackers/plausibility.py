@@ -162,10 +162,14 @@ class InputCheck:
         before = () if self._last_time is None else (self._last_time,)
         self._last_time = times[-1]
         has_wrists = all(pose is not None for pose in poses)
-        wrists = np.array(poses)[:, :3] if has_wrists else None
-        guess = find_time_unit(np.array([*before, *times])) or self._examine(
-            np.array(points), wrists
-        )
+        landmarks = np.array(points)
+        # Trackers send the same point 21 times where they lost the hand: that is no mistake of
+        # units or order, and has rules of its own.
+        is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
+        guess = find_time_unit(np.array([*before, *times]))
+        if guess is None and is_hand.any():
+            wrists = np.array(poses)[is_hand, :3] if has_wrists else None
+            guess = self._examine(landmarks[is_hand], wrists)
         # Two batches in a row must agree that something is wrong, or that nothing is.
         is_same = (guess is None) == (self._guess is None) and self._batches > 1
         self._calm = self._calm + 1 if is_same or self._calm < 0 else 0
@@ -177,33 +181,23 @@ class InputCheck:
         self, landmarks: np.ndarray, wrists: np.ndarray | None
     ) -> Finding | None:
         """Return what is wrong in one batch."""
-        # Trackers send the same point 21 times where they lost the hand: that is no mistake of
-        # units or order, and has rules of its own.
-        is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
-        landmarks = landmarks[is_hand]
-        wrists = None if wrists is None else wrists[is_hand]
-        if not len(landmarks):
-            return None
         distances, evidence = own_distances(landmarks), palmar_evidence(landmarks)
         own = float(misfit(distances))
         total = median(self._sign * evidence.total)
+        fingers = median(self._sign * evidence.fingers)
         is_known = own < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
         order = None if is_known else find_order(landmarks, self._sign, total)
-        if unit := find_length_unit(landmarks, distances, is_hand=order is None):
-            return unit
-        if order is not None:
-            return _other_order(order)
-        fingers = median(self._sign * evidence.fingers)
+        finding = find_length_unit(landmarks, distances, is_hand=order is None)
+        finding = finding or _other_order(order)
+        if finding is not None:
+            return finding
         if fingers <= _BACKWARDS and total - fingers > _OTHERWISE_RIGHT:
             return _BENT_BACK
         if total < -_SURE_SIDE:
             return self._other_side(landmarks, wrists)
-        if not is_known:
-            self._misfit = own
-        stuck = self._stuck(landmarks) or self._resized(log_size(distances))
-        if stuck is None and wrists is not None:
-            return self._wrist.examine(landmarks, wrists)
-        return stuck
+        self._misfit = self._misfit if is_known else own
+        finding = self._stuck(landmarks) or self._resized(log_size(distances))
+        return finding or self._wrist.examine(landmarks, wrists)
 
     def _stuck(self, landmarks: np.ndarray) -> Finding | None:
         """Tell whether a finger repeats, by this batch or by the last ones together."""
@@ -248,7 +242,9 @@ class InputCheck:
         return Finding("side", problem, advice)
 
 
-def _other_order(name: str) -> Finding:
+def _other_order(name: str | None) -> Finding | None:
+    if name is None:
+        return None
     found = (
         f"their order is {name}" if name else "they are no hand in any order known here"
     )

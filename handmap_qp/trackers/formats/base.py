@@ -234,17 +234,22 @@ def build_recording(
         seen = finite_samples(points)
         if valid is not None:
             seen &= as_flags(valid, "valid", len(points))
-        if wrist is None and wrist_pose is not None:
+        if wrist is None:
             wrist = _poses_of_sevens(wrist_pose, seen)
-        elif wrist is not None and wrist.shape[1:] == (12,):
-            rows = wrist.reshape(-1, 3, 4)
-            is_given = not np.isnan(rows).all()
-            wrist = affine(rows[..., :3], rows[..., 3]) if is_given else None
-        if confidence is not None:
-            shares = as_floats(confidence, "confidence")
-            confidence = None if np.isnan(shares).all() else shares
+        elif wrist.shape[1:] == (12,):
+            rows = _if_known(wrist.reshape(-1, 3, 4), "wrist")
+            wrist = None if rows is None else affine(rows[..., :3], rows[..., 3])
         own = name or entry_stem(path, entry)
-        return Recording(own, time, points, seen, entry.side, source, wrist, confidence)
+        return Recording(
+            own,
+            time,
+            points,
+            seen,
+            entry.side,
+            source,
+            wrist,
+            _if_known(confidence, "confidence"),
+        )
 
 
 def finite_samples(points: np.ndarray) -> np.ndarray:
@@ -270,8 +275,16 @@ def column(recording: Recording, name: str) -> np.ndarray:
     return (values[:, :3] if name == "wrist" else values).reshape(shape)
 
 
+def _if_known(values: Any, name: str) -> np.ndarray | None:
+    """Return an array; None if there is none, or all of it is NaN."""
+    numbers = np.nan if values is None else as_floats(values, name)
+    return None if np.isnan(numbers).all() else np.asarray(numbers)
+
+
 def _poses_of_sevens(values: Any, seen: np.ndarray) -> np.ndarray | None:
     """Return poses (T, 4, 4) of `wrist_pose`; None if a valid sample has none."""
+    if values is None:
+        return None
     rows = as_floats(values, "wrist_pose", shape=(len(seen), 7))
     if not np.isfinite(rows[seen]).all():
         return None

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from itertools import zip_longest
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -182,18 +182,23 @@ def _values_name(
     """Return the name of the array whose rows are samples of the layout."""
     long = {name: a for name, a in arrays.items() if a.shape[:1] == (count,)}
     known = (*layout.table.arrays, layout.name, *_VALUES)
-    chosen = [
-        name
-        for name, array in long.items()
-        if array.dtype.kind in "fiu" and layout.own_shape(array.shape[1:])
-    ]
-    for is_better in (known.__contains__, lambda name: name.startswith(side or "")):
+
+    def takes(name: str) -> bool:
+        array = long[name]
+        return array.dtype.kind in "fiu" and bool(layout.own_shape(array.shape[1:]))
+
+    def is_of_side(name: str) -> bool:
+        return name.startswith(side or "")
+
+    chosen = list(filter(takes, long))
+    for is_better in (known.__contains__, is_of_side):
         chosen = list(filter(is_better, chosen)) or chosen
     if len(chosen) == 1:
         return chosen[0]
-    how = "more than one" if chosen else "no"
-    hint = "" if chosen else _shaped_like(long)
     shapes = [", ".join(map(str, (count, *shape))) for shape in layout.shapes]
+    how, hint = "more than one", ""
+    if not chosen:
+        how, hint = "no", _shaped_like(long)
     problem = f"has {how} array of shape ({') or ('.join(shapes)})"
     raise RecordingError(f"{problem}; {hint or _listing(arrays)}", file=file)
 
@@ -225,13 +230,7 @@ def _read_csv(
     layout: Layout,
     side: Side | None,
 ) -> _Columns:
-    with (
-        damages(file, "cannot be read"),
-        file.open(newline="", encoding="utf-8-sig") as stream,
-    ):
-        table = [row for row in csv.reader(stream) if any(map(str.strip, row))]
-    if len(table) < 2:
-        raise RecordingError("has no rows below its header", file=file)
+    table = _read_table(file)
     header = [cell.strip() for cell in table[0]]
     columns: dict[str, list[str]] = {}
     for name, *cells in zip_longest(*table, fillvalue=""):
@@ -244,12 +243,24 @@ def _read_csv(
         problem = f"{error.what}; it has {', '.join(header)}"
         raise RecordingError(problem, file=file) from error
     times = {name: _numbers(file, name, columns) for name in _times_of(header, layout)}
-    given = layout.defaults | {
-        column: _numbers(file, name, columns) for column, name in found.items()
-    }
-    values = np.broadcast_arrays(*(given[column] for column in layout.columns))
+    given: dict[str, Any] = {**layout.defaults}
+    for column, name in found.items():
+        given[column] = _numbers(file, name, columns)
+    values = np.broadcast_arrays(*map(given.__getitem__, layout.columns))
     time = _time(file, times, layout)
     return _Columns(time, np.stack(values, axis=1), None, None, hand)
+
+
+def _read_table(file: Path) -> list[list[str]]:
+    """Return the rows of a CSV file that are not empty, the header first."""
+    with (
+        damages(file, "cannot be read"),
+        file.open(newline="", encoding="utf-8-sig") as stream,
+    ):
+        table = [row for row in csv.reader(stream) if any(map(str.strip, row))]
+    if len(table) < 2:
+        raise RecordingError("has no rows below its header", file=file)
+    return table
 
 
 _READERS = {".npz": _read_npz, ".csv": _read_csv}
