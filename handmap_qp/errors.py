@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copyreg
 import difflib
+import importlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -199,6 +200,23 @@ class MissingExtraError(HandmapError, ImportError):
         )
         self.package = package
         self.extra = extra
+
+
+def require(module: str, extra: str, package: str = "") -> Any:
+    """Import a module of an optional dependency.
+
+    Args:
+        module: Its name.
+        extra: The extra of `handmap-qp` that installs it.
+        package: Name of its package, if that is another one.
+
+    Raises:
+        MissingExtraError: If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(package or module, extra) from error
 
 
 class MissingPackageError(HandmapError, ImportError):

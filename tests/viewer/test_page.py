@@ -6,6 +6,7 @@ import base64
 import gzip
 import json
 import re
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -166,7 +167,7 @@ def test_a_mistake_is_reported_before_anything_is_shown(
 def test_without_viser_the_command_names_the_extra(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setitem(sys.modules, "viser", None)
     with pytest.raises(MissingExtraError, match=r"handmap-qp\[view\]"):
         View(recording, "three_finger").run()
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from handmap_qp.apps.grasp.checks import positive_number
 from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError, MissingExtraError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError, require
 from handmap_qp.hands.spec import Vector
 from handmap_qp.options import Options, number, text
 
@@ -186,7 +186,7 @@ def surface(shape: Shape | MeshShape) -> Any:
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    trimesh = _trimesh()
+    trimesh = require("trimesh", "plot")
     match shape:
         case Box():
             return trimesh.creation.box(extents=shape.size)
@@ -213,21 +213,12 @@ def turn_up(up: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
 
 
 def _mesh(file: Path) -> MeshShape:
+    trimesh = require("trimesh", "plot")
     try:
-        hull = _trimesh().load_mesh(file).convex_hull
-    except MissingExtraError:
-        raise
+        hull = trimesh.load_mesh(file).convex_hull
     # Mesh readers raise many types.
     except Exception as error:
         raise InvalidInputError(
             argument="--object", problem=f"{file}: cannot be read as a mesh ({error})"
         ) from error
     return MeshShape(np.asarray(hull.vertices) - np.asarray(hull.center_mass))
-
-
-def _trimesh() -> Any:
-    try:
-        import trimesh
-    except ImportError as error:
-        raise MissingExtraError("trimesh", "plot") from error
-    return trimesh

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from handmap_qp.apps.tables import progress
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Solid, Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Display
-from handmap_qp.errors import MissingExtraError
+from handmap_qp.errors import require
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import affine
 
@@ -83,7 +82,8 @@ def film(stage: Stage, path: Path, *, rate: float = 15.0) -> None:
         MissingExtraError: If Pillow is not installed.
         InvalidInputError: If the file cannot be written.
     """
-    pillow, time, pictures = _pillow(), stage.episode.at.time, []
+    pillow = require("PIL.Image", "plot", "pillow")
+    time, pictures = stage.episode.at.time, []
     with progress("rendering") as advance:
         for instant in np.arange(time[0], time[-1], 1.0 / rate):
             i = int(np.argmin(np.abs(time - instant)))
@@ -108,7 +108,7 @@ def picture(stage: Stage, path: Path, *, count: int = 4) -> None:
         MissingExtraError: If Pillow is not installed.
         InvalidInputError: If the file cannot be written.
     """
-    pillow = _pillow()
+    pillow = require("PIL.Image", "plot", "pillow")
     chosen = np.linspace(0, len(stage.episode.at.time) - 1, count).round().astype(int)
     strip = np.concatenate([stage.frame(int(i)) for i in chosen], axis=1)
     with replaced_file(path, "--picture") as file:
@@ -155,11 +155,3 @@ def _view_sample(episode: Episode, at: Instant) -> ViewSample:
         object_pose=at.object_pose,
         note=f"{at.normal_force:.1f} N, {at.links_touching} links touch",
     )
-
-
-def _pillow() -> Any:
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise MissingExtraError("pillow", "plot") from error
-    return Image

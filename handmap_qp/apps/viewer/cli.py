@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import webbrowser
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -26,7 +25,7 @@ from handmap_qp.apps.arguments import (
 from handmap_qp.apps.viewer.live import LiveViewer
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
 from handmap_qp.apps.viewer.serving import run_frames, serving
-from handmap_qp.errors import InvalidInputError, MissingExtraError, did_you_mean
+from handmap_qp.errors import InvalidInputError, did_you_mean, require
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.mapping.presets import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
@@ -110,8 +109,7 @@ class View:
     def run(self) -> None:
         """Map the recording or connect to the service, and show it until interrupted."""
         # Check first: mapping takes a while.
-        if importlib.util.find_spec("viser") is None:
-            raise MissingExtraError("viser", "view")
+        require("viser", "view")
         check_port("--port", self.port)
         if (self.recording is None) == (self.live is None):
             raise InvalidInputError(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from handmap_qp.apps.addresses import is_loopback, names_loopback
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import InvalidInputError, require
 
 if TYPE_CHECKING:
     import viser
@@ -38,10 +38,7 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
         InvalidInputError: If the host is empty or no address of this machine.
         MissingExtraError: If viser is not installed.
     """
-    try:
-        import viser
-    except ImportError as error:
-        raise MissingExtraError("viser", "view") from error
+    make_server = require("viser", "view").ViserServer
     if not host.strip():
         raise InvalidInputError(
             argument="--host",
@@ -61,9 +58,7 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
             value=host,
         ) from error
     with _own_pages_only(host), contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(
-            host=host, port=port, label="handmap view", verbose=False
-        )
+        server = make_server(host=host, port=port, label="handmap view", verbose=False)
     server.gui.configure_theme(
         control_width="medium", show_logo=False, show_share_button=False
     )
