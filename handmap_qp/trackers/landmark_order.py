@@ -11,8 +11,8 @@ from handmap_qp.hands.human import FINGERS
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.trackers.hand_geometry import (
     Distances,
+    distances_in_orders,
     misfit,
-    own_distances,
     palmar_evidence,
 )
 from handmap_qp.trackers.layouts import LAYOUTS
@@ -47,7 +47,7 @@ def find_order(
         plausible and none is much better.
     """
     names, orders = _known_orders()
-    distances = own_distances(landmarks[:, orders])
+    distances = distances_in_orders(landmarks, orders)
     misfits = misfit(distances)
     own = float(misfits[0])
     # The other hand is an explanation too, so an order of fingers must beat it only where our own

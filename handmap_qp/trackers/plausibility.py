@@ -187,17 +187,30 @@ class InputCheck:
         fingers = median(self._sign * evidence.fingers)
         is_known = own < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
         order = None if is_known else find_order(landmarks, self._sign, total)
-        finding = find_length_unit(landmarks, distances, is_hand=order is None)
-        finding = finding or _other_order(order)
+        finding = (
+            find_length_unit(landmarks, distances, is_hand=order is None)
+            or _other_order(order)
+            or self._wrong_side(total, fingers, landmarks, wrists)
+        )
         if finding is not None:
             return finding
-        if fingers <= _BACKWARDS and total - fingers > _OTHERWISE_RIGHT:
-            return _BENT_BACK
-        if total < -_SURE_SIDE:
-            return self._other_side(landmarks, wrists)
         self._misfit = self._misfit if is_known else own
         finding = self._stuck(landmarks) or self._resized(log_size(distances))
-        return finding or self._wrist.examine(landmarks, wrists)
+        if finding is not None or wrists is None:
+            return finding
+        return self._wrist.examine(landmarks, wrists)
+
+    def _wrong_side(
+        self,
+        total: float,
+        fingers: float,
+        landmarks: np.ndarray,
+        wrists: np.ndarray | None,
+    ) -> Finding | None:
+        """Tell whether the hand, or its fingers alone, bend to the other side of the palm."""
+        if fingers <= _BACKWARDS and total - fingers > _OTHERWISE_RIGHT:
+            return _BENT_BACK
+        return self._other_side(landmarks, wrists) if total < -_SURE_SIDE else None
 
     def _stuck(self, landmarks: np.ndarray) -> Finding | None:
         """Tell whether a finger repeats, by this batch or by the last ones together."""

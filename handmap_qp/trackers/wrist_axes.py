@@ -83,9 +83,7 @@ class WristCheck:
         self._start: tuple[np.ndarray, np.ndarray] | None = None
         self.is_proven = False
 
-    def examine(
-        self, landmarks: np.ndarray, wrists: np.ndarray | None
-    ) -> Finding | None:
+    def examine(self, landmarks: np.ndarray, wrists: np.ndarray) -> Finding | None:
         """Compare wrist poses with the palm that the landmarks show.
 
         The rotation from one to the other must be that of a known tracker, or at least be the same
@@ -93,13 +91,11 @@ class WristCheck:
 
         Args:
             landmarks: Some samples [m], shape (T, 21, 3).
-            wrists: The tracker's wrist poses, shape (T, 3, 4); nothing is told without them.
+            wrists: The tracker's wrist poses, shape (T, 3, 4).
 
         Returns:
             What is wrong; None if they belong together.
         """
-        if wrists is None:
-            return None
         mistake = self._mistake(landmarks, wrists)
         self.is_proven &= mistake is None
         return mistake and Finding("wrist", *mistake)

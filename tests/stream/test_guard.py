@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,7 @@ RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")
 
 
+@cache
 def moving(
     count: int = 240, rate: float = RATE, noise: float = 3e-4
 ) -> list[HumanSample]:
@@ -109,7 +111,7 @@ def test_a_single_bad_sample_costs_that_sample_alone(fault: str) -> None:
 
 @pytest.mark.parametrize("rate", [30.0, 60.0, 90.0, 200.0])
 def test_rules_count_in_time_and_not_in_samples(rate: float) -> None:
-    samples = moving(int(4.0 * rate), rate)
+    samples = moving(int(3.0 * rate), rate)
     assert {verdict.rule for verdict in judged(samples)} == {""}
     verdicts = faulty("dropout@2+0.5", samples)
     held = np.array([verdict.is_held for verdict in verdicts])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -30,6 +31,7 @@ HUMAN = load_hand("human", points="landmarks")
 ROBOT = load_hand("three_finger")
 
 
+@cache
 def still(count: int = 180, shift: float = 0.0, turn: float = 0.0) -> list[HumanSample]:
     """Return a hand that trembles; in the second half displaced and turned."""
     samples = []

@@ -506,8 +506,8 @@ def test_a_wrist_is_followed_at_full_speed_once_it_has_turned_with_the_palm(
 
 
 def test_a_wrong_wrist_is_never_followed_at_full_speed(lies: ModuleType) -> None:
-    for seed in range(3):
-        take = lies.model_take("left", 0.185, seed, duration=6.0)
+    for seed in range(2):
+        take = lies.model_take("left", 0.185, seed, duration=4.0)
         for lie in lies.live_lies():
             if lie.kind == "wrist":
                 verdicts = guarded(lie.tell(take))
