@@ -462,3 +462,18 @@ def test_the_weight_of_the_thumbs_extension_counts_for_the_thumb_alone() -> None
     assert errors[0] > 1.5 * errors[1] > 2.0 * errors[2]
     for finger in FINGERS[:3]:
         assert shares[2][finger] == pytest.approx(shares[0][finger], abs=0.01)
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "romeo_right", "panda_gripper"])
+def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_object(
+    name: str,
+) -> None:
+    method = Teleoperation().bind(HUMAN, load_hand(name))
+    pair = method.pair
+    narrow = np.full(len(method.aim_slopes), 0.06)
+    grown = (method.aims(narrow + 0.01) - method.aims(narrow))[len(pair.fingers) :]
+    ratio = 1.0 if pair.has_jaws else pair.reach_ratios.mean()
+    assert len(grown) > 0
+    np.testing.assert_allclose(grown, 0.01 * ratio, rtol=0.0, atol=1e-12)
+    assert pair.has_jaws == (name == "panda_gripper")
+    assert abs(ratio - 1.0) > 0.02 or pair.has_jaws
