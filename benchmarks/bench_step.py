@@ -238,7 +238,7 @@ def measure_contacts(
         geometry.removeAllCollisionPairs()
         for pair in list(every.geometry.collisionPairs)[:count]:
             geometry.addCollisionPair(pair)
-        pairs = ShapePairs(geometry, every.links[:count], every.fingers[:count])
+        pairs = ShapePairs(geometry, every.fingers[:count])
         ik = PointIk(robot, IkOptions(), contacts=pairs if count else None)
         ik.place(robot.configuration_vector(robot.rest))
         points = ik.configuration.points.copy()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -23,14 +23,24 @@ class ShapePairs(NamedTuple):
 
     Attributes:
         geometry: The shapes, with one collision pair for each of the pairs.
-        links: Links of both shapes of each pair.
         fingers: Finger whose distal link the pair brings together with the thumb's; empty for
             pairs that do not pinch.
     """
 
     geometry: pin.GeometryModel
-    links: tuple[tuple[str, str], ...]
     fingers: tuple[str, ...]
+
+    @property
+    def links(self) -> tuple[tuple[str, str], ...]:
+        """Links of both shapes of each pair."""
+        names = _links(self.geometry)
+        pairs = self.geometry.collisionPairs
+        return tuple((names[pair.first], names[pair.second]) for pair in pairs)
+
+
+def _links(geometry: pin.GeometryModel) -> list[str]:
+    """Return the link of each shape, which Pinocchio names `LINK_0`, `LINK_1`, and so on."""
+    return [shape.name.rpartition("_")[0] for shape in geometry.geometryObjects]
 
 
 def named_pairs(hand: Hand) -> ShapePairs:
@@ -42,27 +52,23 @@ def named_pairs(hand: Hand) -> ShapePairs:
     Raises:
         HandError: If a link does not exist or has no collision shape, or a shape cannot be read.
     """
-    geometry, spec = read_collision_shapes(hand), hand.spec.collision
-    shapes: dict[str, list[int]] = {}
-    for i, shape in enumerate(geometry.geometryObjects):
-        shapes.setdefault(hand.model.frames[shape.parentFrame].name, []).append(i)
-    links: list[tuple[str, str]] = []
+    geometry = read_collision_shapes(hand)
+    spec = hand.spec.collision
+    links = _links(geometry)
     for i, pair in enumerate(spec.pairs if spec else ()):
         for link in pair:
-            if link not in shapes:
+            if link not in links:
+                is_link = hand.model.existFrame(link, pin.FrameType.BODY)
                 what = (
-                    "has no collision shape"
-                    if hand.model.existFrame(link, pin.FrameType.BODY)
-                    else "is not a link of the URDF"
+                    "has no collision shape" if is_link else "is not a link of the URDF"
                 )
                 raise hand.spec.error(
                     f"{link!r} {what}", key=f"collision.pairs[{i}]", value=link
                 )
-        for first in shapes[pair[0]]:
-            for second in shapes[pair[1]]:
-                geometry.addCollisionPair(pin.CollisionPair(first, second))
-                links.append(pair)
-    return ShapePairs(geometry, tuple(links), ("",) * len(links))
+        shapes = ([k for k, name in enumerate(links) if name == link] for link in pair)
+        for ends in product(*shapes):
+            geometry.addCollisionPair(pin.CollisionPair(*ends))
+    return ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
 
 
 def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
@@ -79,33 +85,38 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     Raises:
         HandError: If a shape cannot be read.
     """
-    geometry, parents = read_collision_shapes(hand), hand.model.parents
-    shapes = geometry.geometryObjects
-    owner = {
-        joint: finger for finger, chain in chains.items() for joint in chain.joints
-    }
-
-    def may_touch(a: int, b: int) -> bool:
-        is_one_finger = a in owner and owner[a] == owner.get(b)
-        return a != b and parents[a] != b and parents[b] != a and not is_one_finger
-
-    for i, j in combinations(range(len(shapes)), 2):
-        if may_touch(shapes[i].parentJoint, shapes[j].parentJoint):
+    geometry = read_collision_shapes(hand)
+    parents = hand.model.parents
+    joints = [shape.parentJoint for shape in geometry.geometryObjects]
+    owner: dict[int, int | str] = {joint: joint for joint in joints}
+    owner |= {joint: name for name, chain in chains.items() for joint in chain.joints}
+    for i, j in combinations(range(len(joints)), 2):
+        a = joints[i]
+        b = joints[j]
+        if owner[a] != owner[b] and parents[a] != b and parents[b] != a:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
-    pairs, overlaps = list(geometry.collisionPairs), _overlaps(hand, geometry)
-    geometry.removeAllCollisionPairs()
-    kept = [pair for pair, overlap in zip(pairs, overlaps, strict=True) if not overlap]
-    for pair in kept:
-        geometry.addCollisionPair(pair)
-    distal = {
+    for pair in _overlapping(hand, geometry):
+        geometry.removeCollisionPair(pair)
+    return ShapePairs(geometry, _pinching_fingers(geometry, chains))
+
+
+def _pinching_fingers(
+    geometry: pin.GeometryModel, chains: dict[str, Finger]
+) -> tuple[str, ...]:
+    """Return the finger that each pair brings together with the thumb; empty where none."""
+    ends = {
         finger: set(distal_shapes(chain, geometry)) for finger, chain in chains.items()
     }
-    names = [hand.model.frames[shape.parentFrame].name for shape in shapes]
-    return ShapePairs(
-        geometry,
-        tuple((names[pair.first], names[pair.second]) for pair in kept),
-        tuple(_pinching_finger(pair, distal) for pair in kept),
-    )
+    thumb = ends.pop(_THUMB, set())
+    found = []
+    for pair in geometry.collisionPairs:
+        one = pair.first
+        other = pair.second
+        if one not in thumb:
+            one, other = other, one
+        pinching = (f for f, own in ends.items() if one in thumb and other in own)
+        found.append(next(pinching, ""))
+    return tuple(found)
 
 
 def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
@@ -126,19 +137,10 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
     return next(filter(None, found), [])
 
 
-def _pinching_finger(pair: pin.CollisionPair, distal: dict[str, set[int]]) -> str:
-    ends, thumb = {pair.first, pair.second}, distal.get(_THUMB, set())
-    pinches = (
-        finger
-        for finger, shapes in distal.items()
-        if finger != _THUMB and ends & thumb and ends & shapes
-    )
-    return next(pinches, "")
-
-
-def _overlaps(hand: Hand, geometry: pin.GeometryModel) -> np.ndarray:
-    """Return whether each pair overlaps at rest or with the hand stretched, shape (k,)."""
-    data, geometry_data = hand.model.createData(), geometry.createData()
+def _overlapping(hand: Hand, geometry: pin.GeometryModel) -> list[pin.CollisionPair]:
+    """Return the pairs that overlap at rest or with the hand stretched."""
+    data = hand.model.createData()
+    geometry_data = geometry.createData()
     overlaps = np.zeros(len(geometry.collisionPairs), dtype=bool)
     for posture in (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits)):
         vector = hand.configuration_vector(posture)
@@ -146,4 +148,5 @@ def _overlaps(hand: Hand, geometry: pin.GeometryModel) -> np.ndarray:
         pin.computeDistances(geometry, geometry_data)
         distances = [result.min_distance for result in geometry_data.distanceResults]
         overlaps |= np.array(distances, dtype=float) <= 0.0
-    return overlaps
+    pairs = zip(geometry.collisionPairs, overlaps, strict=True)
+    return [pin.CollisionPair(p.first, p.second) for p, overlap in pairs if overlap]

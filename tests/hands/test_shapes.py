@@ -247,8 +247,13 @@ def test_pairs_are_of_different_fingers_and_apart_at_rest(name: str) -> None:
         assert owners[0] is None or owners[0] != owners[1]
         if finger:
             assert set(owners) == {THUMB, finger}
+            ends = {pair.first, pair.second}
+            for each in (THUMB, finger):
+                assert ends & {*distal_shapes(chains[each], pairs.geometry)}
     assert set(pairs.fingers) - {""} == set(chains) - {THUMB}
-    assert len(pairs.links) == len(pairs.geometry.collisionPairs)
+    for pair, links in zip(pairs.geometry.collisionPairs, pairs.links, strict=True):
+        for i, link in zip((pair.first, pair.second), links, strict=True):
+            assert robot.model.frames[shapes[i].parentFrame].name == link
 
 
 def test_named_pairs_are_those_of_the_description() -> None:
