@@ -42,8 +42,7 @@ _BAR = "position:absolute;left:0;height"
 def legend(entries: Sequence[tuple[str, str]]) -> str:
     """Return a legend of coloured dots, of names and colours, as HTML."""
     dots = " ".join(
-        f'<span style="white-space:nowrap"><b style="color:{colour}">●</b> {escape(name)}'
-        "&ensp;</span>"
+        f'<b style="color:{colour}">●</b>&nbsp;{escape(name)}&ensp;'
         for name, colour in entries
     )
     return f'<div style="font-size:11px;line-height:15px;padding:0 14px;color:#666">{dots}</div>'
