@@ -477,3 +477,20 @@ def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_obje
     np.testing.assert_allclose(grown, 0.01 * ratio, rtol=0.0, atol=1e-12)
     assert pair.has_jaws == (name == "panda_gripper")
     assert abs(ratio - 1.0) > 0.02 or pair.has_jaws
+
+
+@pytest.mark.parametrize("gain", [0.0, 0.5, 1.0])
+def test_a_residual_counts_in_the_proportion_of_the_hands(gain: float) -> None:
+    method = Teleoperation(residual_gain=gain).bind(HUMAN, ALLEGRO)
+    pair = method.pair
+    still = method.estimator.estimate(pair.human_rest[pair.shape_points])
+    posture = RobotPosture(ALLEGRO.rest, method.robot.points(ALLEGRO.rest), np.eye(4))
+    mapped = method.start(HumanPose(HUMAN.points(HUMAN.rest), np.eye(4)), posture)
+    bent = pair.human_rest.copy()
+    bent[pair.partners[0]] += 0.01, -0.02, 0.03
+    # T is the same in both, so only the residual of one point moves its partner.
+    moved = mapped._moved(still, bent) - mapped._moved(still, pair.human_rest)
+    shift = gain * pair.finger_ratio * np.array([0.01, -0.02, 0.03])
+    np.testing.assert_allclose(moved[0], shift, rtol=0.0, atol=1e-12)
+    assert abs(moved[1:]).max() < 1e-12
+    assert abs(pair.finger_ratio - 1.0) > 0.1
