@@ -173,21 +173,26 @@ def _store() -> Any:
 
 def _hands(path: Path, bag: Any) -> dict[Side, dict[str, str]]:
     """Find the topics of each hand by their types and names: the first of each of `_KINDS`."""
-    found: dict[Side, dict[str, str]] = {}
-    for side in SIDES:
-        own = {
-            what: topic
-            for what, (kind, word) in _KINDS.items()
-            for topic, info in reversed([*bag.topics.items()])
-            if side in topic.lower() and info.msgtype == kind and word in topic
-        }
-        if "landmarks" in own or "joint_states" in own:
-            found[side] = own
+    hands = {side: _topics(bag, side) for side in SIDES}
+    found = {
+        side: own
+        for side, own in hands.items()
+        if "landmarks" in own or "joint_states" in own
+    }
     if not found:
         names = ", ".join(sorted(bag.topics)) or "none"
         problem = f"has no {_POSES} or {_STATE} with left or right in the topic's name; topics are "
         raise RecordingError(problem + names, file=path)
     return found
+
+
+def _topics(bag: Any, side: Side) -> dict[str, str]:
+    return {
+        what: topic
+        for what, (kind, word) in _KINDS.items()
+        for topic, info in reversed([*bag.topics.items()])
+        if side in topic.lower() and info.msgtype == kind and word in topic
+    }
 
 
 def _main(topics: dict[str, str]) -> str:

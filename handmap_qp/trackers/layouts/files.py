@@ -235,8 +235,7 @@ def _read_csv(
     columns: dict[str, list[str]] = {}
     for name, *cells in zip_longest(*table, fillvalue=""):
         columns.setdefault(name.strip(), cells)
-    named = [s for s in SIDES if s in "\n".join(header).lower()]
-    hand = side or (named[0] if len(named) == 1 else None)
+    hand = side or _side_of(" ".join(header).lower())
     try:
         found = layout.find_columns(header, hand or "right")
     except InvalidInputError as error:
@@ -249,6 +248,11 @@ def _read_csv(
     values = np.broadcast_arrays(*map(given.__getitem__, layout.columns))
     time = _time(file, times, layout)
     return _Columns(time, np.stack(values, axis=1), None, None, hand)
+
+
+def _side_of(header: str) -> Side | None:
+    named = [side for side in SIDES if side in header]
+    return named[0] if len(named) == 1 else None
 
 
 def _read_table(file: Path) -> list[list[str]]:
