@@ -1,4 +1,7 @@
-"""Shared by the tests of the view: a server for each file; meshes and presets are found once."""
+"""Shared by the tests of the view: a server for each file; meshes and presets are found once.
+
+Where no browser draws them, meshes are boxes of the same size, which are sent in less time.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,30 @@ def _meshes_once(hand: Hand) -> dict[str, list[Any]]:
     return _MESHES[hand.urdf_text]
 
 
+def _boxes_once(hand: Hand) -> dict[str, list[Any]]:
+    key = f"boxes {hand.urdf_text}"
+    if key not in _MESHES:
+        from trimesh.creation import box
+
+        _MESHES[key] = {
+            link: [box(bounds=mesh.bounds) for mesh in meshes]
+            for link, meshes in _meshes_once(hand).items()
+        }
+    return _MESHES[key]
+
+
 @cache
 def _presets_once(human: Hand, robot: Hand) -> tuple[str, ...]:
     return possible_presets(human, robot)
 
 
 @pytest.fixture(autouse=True)
-def _found_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(figure, "link_meshes", _meshes_once)
+def _found_once(
+    request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    is_drawn = request.path.name == "test_page.py"
+    meshes = _meshes_once if is_drawn else _boxes_once
+    monkeypatch.setattr(figure, "link_meshes", meshes)
     monkeypatch.setattr(replay, "possible_presets", _presets_once)
     monkeypatch.setattr(live, "possible_presets", _presets_once)
 
