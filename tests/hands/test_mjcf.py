@@ -12,13 +12,13 @@ import pytest
 import yourdfpy
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mjcf_kinematics import kinematics_difference
 
 from handmap_qp import HandError, load_hand
 from handmap_qp.hands.mjcf import (
     ConvertedMjcf,
     cached_urdf,
     convert_mjcf,
+    kinematics_difference,
     write_converted,
 )
 from handmap_qp.hands.sources import is_mjcf, root_tag

@@ -24,6 +24,7 @@ from handmap_qp.apps.onboarding.measure import (
     standard_postures,
 )
 from handmap_qp.apps.onboarding.picture import draw_hand, picture_path
+from handmap_qp.apps.onboarding.source import open_source
 from handmap_qp.apps.onboarding.write import hand_text, write_hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.hands.sources import urdf_directory, urdf_path
@@ -393,3 +394,18 @@ def test_init_takes_an_mjcf_file(
     with pytest.raises(HandError, match="no joint moves"):
         HandsInit(model, out=tmp_path / "other" / "claw.yaml").run()
     assert not (tmp_path / "other").exists()
+
+
+def test_a_conversion_that_moves_otherwise_than_mujoco_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mjcf = pytest.importorskip("handmap_qp.hands.mjcf")
+    monkeypatch.setattr(mjcf, "kinematics_difference", lambda _: 1e-3)
+    file = tmp_path / "arm.xml"
+    file.write_text(
+        "<mujoco><worldbody><body name='base'><body name='link' pos='0 0 .1'>"
+        "<joint name='hinge'/><geom size='.01'/></body></body></worldbody></mujoco>"
+    )
+    with pytest.raises(HandError, match="differ from MuJoCo's by 1.0e-03 m"):
+        open_source(file, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]

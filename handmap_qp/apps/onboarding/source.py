@@ -5,9 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.sources import is_mjcf, source_path
 from handmap_qp.output_files import writing
+
+# Allowed difference between the poses of a link in the URDF and in MuJoCo [m].
+_MOST_DIFFERENCE = 1e-9
 
 
 class RobotSource(NamedTuple):
@@ -47,7 +50,12 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     # MuJoCo takes a second to load.
     if not is_mjcf(path):
         return RobotSource(path, None if source is None else given)
-    from handmap_qp.hands.mjcf import cached_urdf, convert_mjcf, write_converted
+    from handmap_qp.hands.mjcf import (
+        cached_urdf,
+        convert_mjcf,
+        kinematics_difference,
+        write_converted,
+    )
 
     if source is not None:
         return RobotSource(cached_urdf(path), given, convert_mjcf(path).notes)
@@ -60,6 +68,10 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
             advice="give --overwrite to replace it, or another folder",
         )
     converted = convert_mjcf(path, f"{path.stem}_meshes")
+    difference = kinematics_difference(converted)
+    if not difference < _MOST_DIFFERENCE:
+        problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
+        raise HandError(f"{problem}: please report it", file=path)
     with writing(urdf, "--out"):
         write_converted(converted, urdf)
     return RobotSource(urdf, None, converted.notes, (urdf,))
