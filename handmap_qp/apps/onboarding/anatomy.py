@@ -301,7 +301,8 @@ class _Evidence:
         steps = np.diff([bases[label] for label in FINGERS if label in bases])
         named = 0.0
         if len(steps) and abs(np.sign(steps).sum()) == len(steps):
-            named = -np.sign(steps[0]) * (np.abs(steps).min() > 0.5 * _NARROW)
+            is_apart = np.abs(steps).min() > 0.5 * _NARROW
+            named = -np.sign(steps[0]) * is_apart
         if not place and not named:
             return _Found(across, "", 0.0)
         how = "the thumb's place"
@@ -330,7 +331,8 @@ class _Evidence:
         if thumb is None or len(rest) < 2:
             return 0.0, False
         row = flexion.bases[rest] @ across
-        width = max(float(np.ptp(row)) / 2.0, 0.25 * float(flexion.reach[rest].mean()))
+        least = 0.25 * float(flexion.reach[rest].mean())
+        width = max(float(np.ptp(row)) / 2.0, least)
         ends = np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
         ends = (ends - row.mean()) / width
         place = float(ends.mean())
@@ -381,7 +383,8 @@ def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarr
     sizes = lengths(lines)
     directions = unit(lines)
     along = unit(directions[:, None] + directions)
-    apart = np.abs(((flexion.roots[:, None] - flexion.roots) * along).sum(axis=2))
+    between = flexion.roots[:, None] - flexion.roots
+    apart = np.abs((between * along).sum(axis=2))
     longer = np.maximum(np.maximum(sizes[:, None], sizes), 1e-9)
     ahead = np.minimum(1.0, 2.0 * apart / longer)
     return ahead, 1.0 - directions @ directions.T, 1.0 - flexion.ways @ flexion.ways.T
@@ -477,7 +480,8 @@ def _widest(points: np.ndarray) -> np.ndarray:
 
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
     """Return the angle between two vectors [deg]; 90 if one is zero."""
-    return float(np.degrees(np.arccos(np.clip(unit(one) @ unit(other), -1.0, 1.0))))
+    cosine = np.clip(unit(one) @ unit(other), -1.0, 1.0)
+    return float(np.degrees(np.arccos(cosine)))
 
 
 def _snapped(

@@ -474,7 +474,10 @@ def _compare_detection(hand: Hand, tables: Tables) -> Findings:
 
 def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Findings:
     """Find points that name another finger than the one whose joints move them."""
-    owners = {j: finger for finger, chain in [*chains.items()][::-1] for j in chain}
+    owners: dict[str, str] = {}
+    for finger, joints in chains.items():
+        for joint in joints:
+            owners.setdefault(joint, finger)
     for point in hand.reference_points:
         owner = owners.get(hand.model.names[place_of(hand, point)[0]])
         if owner is not None and point.finger not in (None, owner):

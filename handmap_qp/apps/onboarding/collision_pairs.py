@@ -112,7 +112,9 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     joints = [shape.parentJoint for shape in shapes]
     near = {joint: _neighbours(model, joint, joints) for joint in joints}
     for i, j in itertools.combinations(range(len(shapes)), 2):
-        if joints[i] not in near[joints[j]] and joints[j] not in near[joints[i]]:
+        one = joints[i]
+        other = joints[j]
+        if one not in near[other] and other not in near[one]:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
     postures = np.vstack([q, random_postures(hand, _FEW)])
     overlaps = _distances(hand, geometry, postures) <= 0.0

@@ -247,7 +247,8 @@ class _FoundHand:
         q = np.clip(q.round(4) + 0.0, lower, upper)
         tips = [finger.tip for finger in self.fingers]
         points = PalmKinematics(robot).points(np.array([q, flexion.q_open]), tips)
-        share = float(np.mean((points[0] - points[1]) @ self.anatomy.dorsal < 0.0))
+        heights = (points[0] - points[1]) @ self.anatomy.dorsal
+        share = float(np.mean(heights < 0.0))
         self._add(
             "rest",
             "half open",

@@ -181,7 +181,8 @@ class HandFlexion:
         speeds = np.linalg.norm(self._motions, axis=1)
         along = np.einsum("fkn,fk->fn", self._motions, self.ways)
         mine = (speeds > 1e-4) & (self.certainty[:, None] > 0.0)
-        cosines = np.ma.array(along / np.maximum(speeds, 1e-9), mask=~mine).mean(axis=0)
+        ratios = along / np.maximum(speeds, 1e-9)
+        cosines = np.ma.array(ratios, mask=~mine).mean(axis=0)
         flexes = (self.sign == 0.0) & (np.abs(cosines.filled(0.0)) > _FLEXING)
         self.sign[flexes] = np.sign(cosines[flexes])
 
@@ -205,10 +206,9 @@ class HandFlexion:
             return 0.0
         tips = self._view.points(self.q_open, self._tips)
         places = 0.5 * (self.roots + tips)
-        to_others = np.delete(places, mine, axis=0).mean(axis=0) - places[mine].mean(
-            axis=0
-        )
-        height = float(to_others @ unit(slope))
+        others = np.delete(places, mine, axis=0).mean(axis=0)
+        own = places[mine].mean(axis=0)
+        height = float((others - own) @ unit(slope))
         reach = float(lengths(tips[mine] - self.roots[mine]).mean())
         return 0.0 if abs(height) < _LEAST_HEIGHT * reach else float(np.sign(height))
 
@@ -217,7 +217,8 @@ class HandFlexion:
     ) -> float:
         """Return how much joints bring a tip to another on average from end to end [m]."""
         ends = ends_of(self._robot, self.q_open, columns, signs)
-        return nearing(self._view, ends, self._tips, i) / max(1, len(self._tips) - 1)
+        others = max(1, len(self._tips) - 1)
+        return nearing(self._view, ends, self._tips, i) / others
 
 
 def _alike(slopes: dict[int, np.ndarray]) -> list[list[int]]:

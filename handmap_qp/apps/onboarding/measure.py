@@ -32,9 +32,8 @@ _LEAST_MOTION = 0.003
 _SAMPLES = 200
 # Random postures of an arm, directions in which its reach is measured, and cosine of their cones.
 _ARM_SAMPLES = 1500
-_DIRECTIONS = unit(
-    np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
-)
+_WAYS = [way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)]
+_DIRECTIONS = unit(np.array(_WAYS))
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
@@ -192,7 +191,8 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
         return None
     postures = random_postures(hand, _ARM_SAMPLES)
     start = hand.frame_pose("wrist", hand.rest)[:3, 3]
-    moved = np.array([hand.frame_pose("wrist", q)[:3, 3] - start for q in postures])
+    ends = [hand.frame_pose("wrist", q)[:3, 3] for q in postures]
+    moved = np.array(ends) - start
     sizes = lengths(moved)
     # In each direction, the farthest wrist within a cone.
     near = _DIRECTIONS @ unit(moved).T > _CONE
@@ -350,7 +350,8 @@ def _nearest(hand: Hand, pads: list[Pad], columns: np.ndarray, near: float) -> f
 
     def gap(positions: np.ndarray) -> np.ndarray:
         q[columns] = positions
-        return np.subtract(*view.points(q, [(pad.joint, pad.offset) for pad in pads]))
+        places = [(pad.joint, pad.offset) for pad in pads]
+        return np.subtract(*view.points(q, places))
 
     def slope(positions: np.ndarray) -> np.ndarray:
         q[columns] = positions

@@ -66,7 +66,8 @@ def draw_hand(hand: Hand, path: Path) -> None:
     from matplotlib.figure import Figure
 
     scene = _Scene(hand.with_points([point.name for point in hand.spec.points]))
-    figure = Figure(figsize=(2 * _PANEL[0] / 100, _PANEL[1] / 100 + 0.5), dpi=100)
+    size = (2 * _PANEL[0] / 100, _PANEL[1] / 100 + 0.5)
+    figure = Figure(figsize=size, dpi=100)
     FigureCanvasAgg(figure)
     height = _PANEL[1] / (_PANEL[1] + 50)
     for i, (title, azimuth) in enumerate(_VIEWS.items()):
@@ -129,7 +130,8 @@ class _Scene:
 
     def _label(self, axes: Any, places: np.ndarray) -> None:
         """Write the points' names at the panel's edges, each with a line to its point."""
-        is_right = places[:, 0] > 0.5 * (places[:, 0].min() + places[:, 0].max())
+        across = places[:, 0]
+        is_right = across > 0.5 * (across.min() + across.max())
         for side, edge in ((is_right, _PANEL[0] - 8), (~is_right, 8)):
             chosen = np.flatnonzero(side)
             chosen = chosen[np.argsort(places[chosen, 1])]
@@ -162,7 +164,8 @@ class _Scene:
             for i in range(len(self.points))
         ]
         for tip, colour in zip(self.axes, _AXIS_COLOURS, strict=True):
-            parts.append(tube(np.array([np.zeros(3), tip]), 0.008 * self.size, colour))
+            path = np.array([np.zeros(3), tip])
+            parts.append(tube(path, 0.008 * self.size, colour))
             parts.append(spheres(tip, 0.016 * self.size, colour))
         return merged(parts)
 

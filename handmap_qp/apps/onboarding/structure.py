@@ -213,7 +213,8 @@ def _palm_link(robot: Robot, fingers: list[RobotFinger]) -> str:
     """Return the outermost link of a body from which all its fingers branch."""
     ways = [robot.carriers(finger.joints[0]) for finger in fingers]
     # All begin with the body's first link.
-    return [links[0] for links in zip(*ways, strict=False) if len({*links}) == 1][-1]
+    shared = [links[0] for links in zip(*ways, strict=False) if len({*links}) == 1]
+    return shared[-1]
 
 
 def find_tip(robot: Robot, joints: list[int]) -> Tip:
@@ -287,7 +288,8 @@ def _poses(robot: Robot, finger: RobotFinger, other: int) -> np.ndarray:
         high = robot.upper_limits[columns]
         q[columns] = low + share * (high - low)
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
-        poses.append(data.oMi[other].actInv(data.oMi[finger.joints[-1]]).homogeneous)
+        last = data.oMi[finger.joints[-1]]
+        poses.append(data.oMi[other].actInv(last).homogeneous)
     return np.array(poses)
 
 
@@ -333,9 +335,11 @@ def _is_hinged(bar: RobotFinger, poses: np.ndarray) -> bool:
     """
     rotations = poses[:, :3, :3]
     shifts = -poses[:, :3, 3].ravel()
-    if np.linalg.norm(rotations - rotations[0], axis=(1, 2)).max() < _LEAST_PIVOT:
+    turned = np.linalg.norm(rotations - rotations[0], axis=(1, 2))
+    if turned.max() < _LEAST_PIVOT:
         return _travel(bar, poses) < _LINKAGE_SLACK
-    matrix = np.hstack([rotations.reshape(-1, 3), np.tile(-np.eye(3), (len(poses), 1))])
+    pivots = np.tile(-np.eye(3), (len(poses), 1))
+    matrix = np.hstack([rotations.reshape(-1, 3), pivots])
     # All points on the pivot's axis fit: the shortest solution is the one nearest to both origins.
     solution = np.linalg.lstsq(matrix, shifts, rcond=1e-6)[0]
     residuals = lengths((matrix @ solution - shifts).reshape(-1, 3))
