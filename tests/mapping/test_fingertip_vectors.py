@@ -10,6 +10,7 @@ from mapping_cases import little_pose, near_rest
 
 from handmap_qp import FingertipVectors, HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.spec import PointSpec
 from handmap_qp.se3 import inverse_pose, transform_points
 
 HUMAN = load_hand("human")
@@ -90,3 +91,13 @@ def test_knuckle_vectors_name_their_missing_requirement() -> None:
     with pytest.raises(InvalidOptionsError) as text:
         FingertipVectors(scale="1")  # ty: ignore[invalid-argument-type]
     assert text.value.option == "scale"
+
+
+def test_points_of_the_palm_have_no_vector_from_a_knuckle() -> None:
+    centre = PointSpec("centre", "palm_link", (0.0, 0.0, -0.03), partner="middle_tip")
+    robot = ALLEGRO.with_points((*ALLEGRO.reference_points, centre))
+    mapper = HandMapper(HUMAN, robot, KNUCKLE)
+    steps = [mapper.map_step(q, np.eye(4)) for q in (HUMAN.rest, straight())]
+    first, last = (targets_in_palm(step, mapper.robot) for step in steps)
+    np.testing.assert_allclose(first[-1], last[-1], rtol=0.0, atol=1e-12)
+    assert np.abs(first[:-1] - last[:-1]).max() > 0.01

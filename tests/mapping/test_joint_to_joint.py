@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -261,3 +262,16 @@ def test_joint_to_joint_names_its_missing_requirement() -> None:
     with pytest.raises(InvalidOptionsError, match="other joints") as other:
         HandMapper(ALLEGRO, ALLEGRO, JointToJoint())
     assert other.value.option == "human"
+
+
+def test_a_joint_that_fingers_share_takes_the_mean_of_what_they_ask() -> None:
+    bound: BoundJointToJoint = JointToJoint().bind(HUMAN, ALLEGRO)
+    angles = np.tile([0.0, 0.3, 0.2, 0.1], (len(bound.fingers), 1))
+    angles *= 1.0 + np.arange(len(bound.fingers))[:, None]
+    led = bound.links
+    asked = [
+        link.position(angles[bound.fingers.index(link.finger)]) for link in led[:3]
+    ]
+    bound.links = [replace(link, column=0) for link in led[:3]]
+    assert bound.positions(angles)[0] == pytest.approx(np.mean(asked), abs=1e-12)
+    assert max(asked) > min(asked) + 0.01

@@ -406,6 +406,6 @@ def test_a_conversion_that_moves_otherwise_than_mujoco_is_refused(
         "<mujoco><worldbody><body name='base'><body name='link' pos='0 0 .1'>"
         "<joint name='hinge'/><geom size='.01'/></body></body></worldbody></mujoco>"
     )
-    with pytest.raises(HandError, match="differ from MuJoCo's by 1.0e-03 m"):
+    with pytest.raises(HandError, match=r"differ from MuJoCo's by 1.0e-03 m"):
         open_source(file, tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
