@@ -27,7 +27,7 @@ import pinocchio as pin
 from handmap_qp import HandMapper, load_hand, read_recording
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import mirrored, recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice

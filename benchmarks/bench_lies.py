@@ -26,7 +26,8 @@ import numpy as np
 
 from handmap_qp import InvalidInputError, load_hand, read_recording
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import human_name, measure_hand
+from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import Verdict

@@ -81,7 +81,7 @@ PROGRAMS = {
     "measuring a person, per sample, us": (
         "from copy import copy\n"
         "from handmap_qp import read_recording\n"
-        "from handmap_qp.human.landmarks import measure_hand\n"
+        "from handmap_qp.human.measure import measure_hand\n"
         "recording = read_recording({recording!r})\n"
         "measure_hand(recording)\n"
         "start = cpu()\n"

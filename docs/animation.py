@@ -15,7 +15,7 @@ from PIL import Image
 from handmap_qp import HandMapper, load_hand, read_recording
 from handmap_qp.apps.drawing.contact_sheet import pose_pictures, sheet_rows
 from handmap_qp.apps.offline.trajectory import map_recording
-from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.measure import scaled_human
 
 ROBOTS = ("allegro_right", "benchmarks/hands/leap_right.yaml", "three_finger")
 START, SECONDS, RATE = 4.0, 8.0, 12.0

@@ -25,7 +25,7 @@ from handmap_qp.apps.drawing.contact_sheet import pose_pictures, sheet_rows
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
-from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.measure import scaled_human
 from handmap_qp.mapping.presets import default_preset, preset_choice
 from handmap_qp.trackers.formats import read_recording
 

@@ -401,11 +401,6 @@ class Finger:
             )
         return senses
 
-    def flexion_at(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return axis (3,), knuckle (3,) [m] and signs (k,) of the flexion in another posture."""
-        assert self.flexion is not None
-        return self._axis(PalmKinematics(self.hand), self.flexion.columns, q)[:3]
-
     def _turns(self, joints: Sequence[int]) -> np.ndarray:
         """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
         return PalmKinematics(self.hand).axes(zero_posture(self.hand), joints)[0]

@@ -9,7 +9,7 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.human.contact_gap import measure_contact_gap
-from handmap_qp.human.landmarks import measure_hand, scaled_human
+from handmap_qp.human.measure import measure_hand, scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording, mirrored, recording_samples
 from handmap_qp.stream.guard import StreamGuard

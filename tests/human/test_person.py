@@ -13,7 +13,7 @@ from person_cases import LENGTHS, worn
 
 from handmap_qp import HumanLengths, InvalidInputError, load_hand
 from handmap_qp.human.contact_gap import ContactGapMeter, tip_gaps
-from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person, read_person, write_person
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.stream.measurement import measure_person

@@ -11,7 +11,7 @@ import pytest
 from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_recording
 from handmap_qp.apps.offline.summary import count_rules, find_holds
 from handmap_qp.apps.offline.trajectory import Trajectory, trajectory_of
-from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import RULES, Rule, Verdict

@@ -23,7 +23,7 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
-from handmap_qp.human.landmarks import scaled_human
+from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import Verdict
 from handmap_qp.stream.guard import StreamGuard

@@ -33,7 +33,8 @@ from handmap_qp.apps.offline.trajectory import (
 )
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.landmarks import PALM, scaled_human
+from handmap_qp.human.landmarks import PALM
+from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.ik.options import IkOptions

@@ -15,7 +15,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import read_hand_spec
-from handmap_qp.human.landmarks import human_name, scaled_human
+from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.hand_pair import HandPair, resting_posture
 from handmap_qp.output_files import replaced_path

@@ -1,0 +1,117 @@
+"""A person's hand, measured in a recording, and the human hand scaled to it."""
+
+from __future__ import annotations
+
+import math
+from functools import cache, lru_cache
+
+import numpy as np
+
+from handmap_qp.errors import expect
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.landmarks import FIRST_JOINTS, PALM, check_length, human_name
+from handmap_qp.human.recording import Recording
+from handmap_qp.se3 import frozen, lengths, rigid_fit, transform_points
+
+_BENT = math.sin(math.radians(15.0))
+"""Sine of the angle between proximal bone and the line from PIP to tip, above which a finger spans
+a plane."""
+_FEWEST_BENT = 20
+"""Bent samples that a finger's roll needs."""
+
+
+def measure_hand(recording: Recording) -> HumanLengths:
+    """Measure a person's hand: medians of bones, palm and rolls over the valid samples.
+
+    Args:
+        recording: The recording.
+
+    Returns:
+        Lengths in the coordinates of a right hand, whichever hand was recorded. The palm's axes
+        are those that lay its shape best on the standard hand's.
+
+    Raises:
+        InvalidInputError: If the landmarks are not a plausible hand in metres.
+    """
+    is_recording = isinstance(recording, Recording)
+    expect(is_recording, "recording", "a Recording", value=recording)
+    return _measured_hand(recording)
+
+
+# A recording without faults is measured twice: before they are looked for, and after.
+@lru_cache(maxsize=2)
+def _measured_hand(recording: Recording) -> HumanLengths:
+    landmarks = recording.landmarks[recording.valid]
+    segments = check_length(landmarks)
+    if recording.side == "left":
+        landmarks = landmarks * (-1.0, 1.0, 1.0)
+    palm, palms = _standard_palm(), landmarks[:, PALM]
+    # Generalised Procrustes: lay every sample on the median shape, then take the median again.
+    # Three rounds are enough to converge.
+    for _ in range(3):
+        palm = np.median(transform_points(rigid_fit(palms, palm), palms), axis=0)
+        palm = palm - palm[0]
+    laid = transform_points(rigid_fit(palms, palm), landmarks)
+    bases = np.median(laid[:, FIRST_JOINTS], axis=0)
+    return HumanLengths(
+        bases=bases,
+        segments=segments,
+        rolls=_rolls(laid),
+    )
+
+
+def _rolls(landmarks: np.ndarray) -> np.ndarray:
+    """Measure how far the flexion axes of the fingers are turned about the palm's y axis [rad].
+
+    The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
+    about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
+
+    Args:
+        landmarks: Samples in the palm frame of a right hand [m], shape (T, 21, 3).
+
+    Returns:
+        Medians over the samples that bend the finger, shape (5,); 0 for the thumb, whose bones
+        bend about two axes, and for a finger that hardly bends.
+    """
+    joints = landmarks[:, 1:].reshape(-1, len(FINGERS), 4, 3)
+    proximal = joints[:, :, 1] - joints[:, :, 0]
+    beyond = joints[:, :, 3] - joints[:, :, 1]
+    normals = np.cross(proximal, beyond)
+    angles = np.arctan2(normals[..., 2], -normals[..., 0])
+    is_bent = lengths(normals) > _BENT * lengths(proximal) * lengths(beyond)
+    rolls = np.zeros(len(FINGERS))
+    for i in range(1, len(FINGERS)):
+        if is_bent[:, i].sum() >= _FEWEST_BENT:
+            rolls[i] = np.median(angles[is_bent[:, i], i])
+    return np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
+
+
+def scaled_human(
+    recording: Recording,
+    *,
+    points: str | None = None,
+    lengths: HumanLengths | None = None,
+) -> Hand:
+    """Load the human hand of a recording's side, scaled to the person.
+
+    Args:
+        recording: The recording.
+        points: Name of a set of reference points; the hand's own if omitted.
+        lengths: The person's lengths; measured in the recording if omitted.
+
+    Raises:
+        InvalidInputError: If the landmarks are not those of a hand in metres.
+        HandError: If there is no such set.
+    """
+    own = measure_hand(recording) if lengths is None else lengths
+    return load_hand(human_name(recording.side), points=points, lengths=own)
+
+
+@cache
+def _standard_palm() -> np.ndarray:
+    """Return the palm's landmarks of the standard right hand [m], shape (5, 3), read-only."""
+    right = load_hand("human", points="landmarks")
+    flat = np.clip(0.0, right.lower_limits, right.upper_limits)
+    return frozen(right.points(flat)[PALM])
