@@ -295,7 +295,8 @@ def parse(arguments: Sequence[str]) -> Command:
         re.sub(r"^--teleoperation\.", "--", word) for word in words[len(name.split()) :]
     ]
     about = (inspect.getdoc(command) or "").partition("\nAttributes:")[0]
-    page, message = _Page(sys.stdout), _Page(sys.stderr)
+    page = _Page(sys.stdout)
+    message = _Page(sys.stderr)
     try:
         with contextlib.redirect_stdout(page), contextlib.redirect_stderr(message):
             return _tyro().cli(
@@ -398,7 +399,8 @@ def _print_completion(shell: str) -> None:
     if shell not in ("bash", "zsh", "tcsh"):
         expected = "bash, zsh or tcsh"
         raise InvalidInputError(argument="--completion", expected=expected, value=shell)
-    words, page = ["--tyro-print-completion", shell], _Page(sys.stdout)
+    words = ["--tyro-print-completion", shell]
+    page = _Page(sys.stdout)
     with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
         _tyro().cli(_any_command(), prog="handmap", args=words)
     script = re.sub(
@@ -434,10 +436,8 @@ def _any_command() -> Any:
     single = {name: place for name, place in COMMANDS.items() if " " not in name}
     groups: list[Any] = []
     for group in _GROUPS:
-        members, named = (
-            union(_members(group)),
-            tyro.conf.subcommand(group, prefix_name=False),
-        )
+        members = union(_members(group))
+        named = tyro.conf.subcommand(group, prefix_name=False)
         groups.append(Annotated[members, named])  # ty: ignore[invalid-type-form]
     return reduce(or_, groups, union(single))
 

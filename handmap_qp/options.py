@@ -168,7 +168,8 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 @cache
 def options_of(kind: type[Options]) -> tuple[Option, ...]:
     """Return the options of a kind, in their order."""
-    hints, plain = get_type_hints(kind, include_extras=True), get_type_hints(kind)
+    hints = get_type_hints(kind, include_extras=True)
+    plain = get_type_hints(kind)
     return tuple(
         Option(
             field.name,

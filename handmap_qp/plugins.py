@@ -39,7 +39,9 @@ class Plugins(Mapping[str, T]):
     def __init__(
         self, group: str, own: Callable[[], Mapping[str, T]], check: Callable[[T], None]
     ) -> None:
-        self._group, self._make, self._check = group, own, check
+        self._group = group
+        self._make = own
+        self._check = check
 
     @cached_property
     def own(self) -> Mapping[str, T]:

@@ -156,7 +156,8 @@ def rigid_fit(
     """
     share = np.ones(points.shape[-2]) if weights is None else np.asarray(weights)
     share = share / share.sum()
-    centre, centre_onto = share @ points, share @ onto
+    centre = share @ points
+    centre_onto = share @ onto
     weighted = share[:, None] * (onto - centre_onto[..., None, :])
     rotation = nearest_rotation(
         weighted.swapaxes(-1, -2) @ (points - centre[..., None, :])
@@ -298,12 +299,12 @@ def check_pose(
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
     defect = _rotation_defect(pose) if pose.shape == (4, 4) else math.inf
-    expected, got, advice = "", "", ""
+    expected = ""
+    got = ""
+    advice = ""
     if pose.shape != (4, 4):
-        expected, got = (
-            "shape (4, 4), a pinocchio.SE3 or 7 numbers",
-            f"shape {pose.shape}",
-        )
+        expected = "shape (4, 4), a pinocchio.SE3 or 7 numbers"
+        got = f"shape {pose.shape}"
         if pose.shape == (7,):
             advice = "7 numbers need quat_order='wxyz' or 'xyzw'"
     # `<= FARTHEST` is also false for NaN.

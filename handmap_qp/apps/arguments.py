@@ -151,7 +151,8 @@ class InputArguments:
             raise InvalidInputError(
                 argument="RECORDING", expected="one file or two", got=f"{len(paths)}"
             )
-        layout, lengths = load_layout(self.layout), _lengths_of(person)
+        layout = load_layout(self.layout)
+        lengths = _lengths_of(person)
         return {
             side: read_with_layout(path, layout, side, lengths)
             for side, path in zip(SIDES, (paths[0], paths[-1]), strict=True)

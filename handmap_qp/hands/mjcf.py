@@ -146,10 +146,12 @@ def kinematics_difference(
 
     Hinges and slides are at random positions, independent of couplings; balls are at rest.
     """
-    model, random = converted.model, np.random.default_rng(seed)
+    model = converted.model
+    random = np.random.default_rng(seed)
     # MuJoCo has no speed limits, without which Pinocchio does not read a joint.
     text = converted.text.replace("<limit ", '<limit velocity="0" ')
-    data, robot = mujoco.MjData(model), pin.buildModelFromXML(text)
+    data = mujoco.MjData(model)
+    robot = pin.buildModelFromXML(text)
     robot_data = robot.createData()
     worst = 0.0
     for _ in range(postures):

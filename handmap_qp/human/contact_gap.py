@@ -133,7 +133,8 @@ class ContactGapMeter:
             )
         if self._least is not None and smallest > self._least + _RELEASE:
             self._touches.append(self._least)
-            self._least, self._is_due = None, True
+            self._least = None
+            self._is_due = True
         if not self._is_due or smallest < OPEN_GAP or len(self._touches) < _TOUCHES[0]:
             return False
         self._is_due = False

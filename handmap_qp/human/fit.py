@@ -40,7 +40,9 @@ _TIP_WEIGHT = 2.0
 """Weight of a fingertip, which the mapping uses most; other landmarks have 1, per 10 mm."""
 _REST_WEIGHT = 0.02
 """Pull of each joint to its rest angle, per rad: decides what the landmarks do not."""
-_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-6, 1e6
+_DAMPING = 1e-3
+_LEAST_DAMPING = 1e-6
+_MOST_DAMPING = 1e6
 """Levenberg-Marquardt damping at the start of a sample, and its bounds."""
 _BETTER, _WORSE = 0.1, 10.0
 """Change of the damping after a step that lowers the cost, and after one that does not."""
@@ -283,8 +285,10 @@ def fit_recording(
     expected = "a hand that keeps its size"
     got = "no sample as large as the median of all"
     expect(valid.any(), "landmarks", expected, got=got)
-    count, first = len(recording), int(np.argmax(valid))
-    q, wrist = np.empty((count, _SHAPE[0] * _SHAPE[1])), np.empty((count, 4, 4))
+    count = len(recording)
+    first = int(np.argmax(valid))
+    q = np.empty((count, _SHAPE[0] * _SHAPE[1]))
+    wrist = np.empty((count, 4, 4))
     error = np.full((count, LANDMARK_COUNT), np.nan)
     for i in range(first, count):
         if valid[i]:

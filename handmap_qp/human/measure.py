@@ -47,7 +47,8 @@ def _measured_hand(recording: Recording) -> HumanLengths:
     segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
-    palm, palms = _standard_palm(), landmarks[:, PALM]
+    palm = _standard_palm()
+    palms = landmarks[:, PALM]
     # Generalised Procrustes: lay every sample on the median shape, then take the median again.
     # Three rounds are enough to converge.
     for _ in range(3):

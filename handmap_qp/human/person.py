@@ -61,7 +61,8 @@ class Person:
     def hand_length(self) -> float:
         """Distance from wrist to middle fingertip along the bones [m]."""
         middle = FINGERS.index("middle")
-        base, bones = self.lengths.bases[middle], self.lengths.segments[middle]
+        base = self.lengths.bases[middle]
+        bones = self.lengths.segments[middle]
         return math.sqrt(float(base @ base)) + float(bones.sum())
 
     def session_fields(self) -> dict[str, Any]:

@@ -154,7 +154,8 @@ class HumanMotion:
         """Check the arrays, and replace them by read-only copies."""
         expect(isinstance(self.human, Hand), "human", "a Hand", value=self.human)
         time = as_floats(self.time, "time", shape=("T",), is_finite=True)
-        count, joints = len(time), len(self.human.joint_names)
+        count = len(time)
+        joints = len(self.human.joint_names)
         _set_read_only(
             self,
             time=time,

@@ -76,7 +76,8 @@ class HumanSample:
         if self.wrist is not None:
             wrist = check_pose(self.wrist, "wrist").copy()
             object.__setattr__(self, "wrist", frozen(wrist))
-        share, expected = self.confidence, "a number from 0 to 1"
+        share = self.confidence
+        expected = "a number from 0 to 1"
         if not 0.0 <= share <= 1.0:
             raise InvalidInputError(
                 argument="confidence",

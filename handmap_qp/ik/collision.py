@@ -120,12 +120,14 @@ class ShapeDistances:
     """
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
-        self._model, self._geometry = model, geometry
+        self._model = model
+        self._geometry = geometry
         self._data, self._shapes = model.createData(), geometry.createData()
         for request in self._shapes.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
         self.levers, self.turns = _pair_motions(model, geometry)
-        shapes, pairs = geometry.geometryObjects, geometry.collisionPairs
+        shapes = geometry.geometryObjects
+        pairs = geometry.collisionPairs
         self._placed = Placements(self._shapes.oMg)
         balls = [
             (*shape.geometry.aabb_center, shape.geometry.aabb_radius)
@@ -190,7 +192,8 @@ class ShapeDistances:
 
     def _ball_gaps(self) -> np.ndarray:
         """Return the distances of the bounding balls of all placed pairs [m], shape (k,)."""
-        centres, radii = self._placed.points(self._balls[:, :3]), self._balls[:, 3]
+        centres = self._placed.points(self._balls[:, :3])
+        radii = self._balls[:, 3]
         apart = centres[self._first] - centres[self._second]
         return _norms(apart) - radii[self._first] - radii[self._second]
 
@@ -231,21 +234,27 @@ class ShapeDistances:
         pairs = np.flatnonzero(end.is_open)
         if not len(pairs):
             return True
-        before, after = start.found[pairs], end.found[pairs]
+        before = start.found[pairs]
+        after = end.found[pairs]
         is_new = np.isnan(before[:, 0])
         if is_new.any():
             before[is_new] = self._found_at(start.q, pairs[is_new])
         is_apart = before[:, 0] > 0.0
-        pairs, before, after = pairs[is_apart], before[is_apart], after[is_apart]
+        pairs = pairs[is_apart]
+        before = before[is_apart]
+        after = after[is_apart]
         kept = np.minimum(before[:, 0], KEPT)
         if (after[:, 0] < kept).any():
             return False
-        travel, bend = self.levers[pairs].dot(turns), self.turns[pairs].dot(turns)
+        travel = self.levers[pairs].dot(turns)
+        bend = self.turns[pairs].dot(turns)
         # Parts of the path that are not shown to be clear: ends, pairs, and what was found there.
-        parts, taken = [(0.0, 1.0, np.arange(len(pairs)), before, after)], 0
+        parts = [(0.0, 1.0, np.arange(len(pairs)), before, after)]
+        taken = 0
         while parts:
             low, high, those, before, after = parts.pop()
-            nearest, length = np.minimum(before[:, 0], after[:, 0]), high - low
+            nearest = np.minimum(before[:, 0], after[:, 0])
+            length = high - low
             turned = 2.0 * _norms(after[:, 1:4] - before[:, 1:4])
             turned += length * bend[those]
             is_open = (
@@ -255,7 +264,9 @@ class ShapeDistances:
                 continue
             if taken == _MOST_POINTS:
                 return False
-            those, before, after = those[is_open], before[is_open], after[is_open]
+            those = those[is_open]
+            before = before[is_open]
+            after = after[is_open]
             middle, taken = 0.5 * (low + high), taken + 1
             between = self._found_at(
                 pin.integrate(self._model, start.q, middle * step), pairs[those]
@@ -277,10 +288,12 @@ def _pair_motions(
     model: pin.Model, geometry: pin.GeometryModel
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return levers and turns of `ShapeDistances`, shape (k, nv) each."""
-    shapes, pairs = geometry.geometryObjects, geometry.collisionPairs
+    shapes = geometry.geometryObjects
+    pairs = geometry.collisionPairs
     levers = np.array([_levers(model, shape) for shape in shapes]).reshape(-1, model.nv)
     moved = moved_by(model, [shape.parentJoint for shape in shapes])
-    first, second = [pair.first for pair in pairs], [pair.second for pair in pairs]
+    first = [pair.first for pair in pairs]
+    second = [pair.second for pair in pairs]
     is_between = moved[first] != moved[second]
     turning = np.concatenate(
         [_motions(joint)[3:].any(axis=0) for joint in list(model.joints)[1:]]
@@ -304,7 +317,9 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
     No lever is shorter than those of joints nearer to the shape. So times a turn of its joint, it
     bounds what that turn changes in the velocities due to those joints, too.
     """
-    levers, joint, longest = np.zeros(model.nv), shape.parentJoint, 0.0
+    levers = np.zeros(model.nv)
+    joint = shape.parentJoint
+    longest = 0.0
     points, radius = _extent(shape)
     # Largest distance of a point of the shape from the joint's origin.
     reach = float(np.linalg.norm(points, axis=1).max()) + radius
@@ -325,7 +340,8 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
             longest = max(longest, reach)
         levers[found.idx_v : found.idx_v + found.nv] = 1.0 if is_sliding else longest
         # From the parent's origin, the shape is within the joint's offset and that reach.
-        points, radius = model.jointPlacements[joint].translation[None], reach
+        points = model.jointPlacements[joint].translation[None]
+        radius = reach
         reach += float(np.linalg.norm(points))
         joint = model.parents[joint]
     return levers
@@ -338,11 +354,14 @@ def _extent(shape: pin.GeometryObject) -> tuple[np.ndarray, float]:
     """
     geometry, place = shape.geometry, shape.placement
     geometry.computeLocalAABB()
-    least, most = geometry.aabb_local.min_, geometry.aabb_local.max_
+    least = geometry.aabb_local.min_
+    most = geometry.aabb_local.max_
     if np.linalg.norm(most - least) / 2.0 > 1.001 * geometry.aabb_radius:
-        points, radius = geometry.aabb_center[None], float(geometry.aabb_radius)
+        points = geometry.aabb_center[None]
+        radius = float(geometry.aabb_radius)
     else:
-        points, radius = np.where(list(np.ndindex(2, 2, 2)), most, least), 0.0
+        points = np.where(list(np.ndindex(2, 2, 2)), most, least)
+        radius = 0.0
     return points @ place.rotation.T + place.translation, radius
 
 
@@ -379,14 +398,16 @@ class CollisionLimit:
             )
         self.margin = spec.margin if spec else 0.0
         found = named_pairs(hand) if pairs is None else pairs
-        self.pairs, self._horizon = found.links, horizon
+        self.pairs = found.links
+        self._horizon = horizon
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
         self._distances = ShapeDistances(hand.model, found.geometry)
         levers = self._distances.levers
         if self._expansion is not None:
             levers = levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
-        pairs_of, shapes = found.geometry.collisionPairs, found.geometry.geometryObjects
+        pairs_of = found.geometry.collisionPairs
+        shapes = found.geometry.geometryObjects
         supports = moved_by(hand.model, [shape.parentJoint for shape in shapes])
         first, second = (
             [getattr(pair, end) for pair in pairs_of] for end in ("first", "second")
@@ -421,7 +442,8 @@ class CollisionLimit:
                 expected to move as far.
         """
         reach = np.inf if self._horizon == np.inf else _NEAR + _APPROACH * dt
-        reach, bounds = max(min(reach, self._horizon), KEPT), -np.inf
+        reach = max(min(reach, self._horizon), KEPT)
+        bounds = -np.inf
         if before is not None:
             travel = self._distances.travel(before.q, q)
             bounds = before.bounds - travel
@@ -465,7 +487,8 @@ class CollisionLimit:
             nearer than the margin.
         """
         pairs = near.pairs
-        normals, points = near.found[pairs, 1:4], near.found[pairs, 4:]
+        normals = near.found[pairs, 1:4]
+        points = near.found[pairs, 4:]
         # np.cross takes five times as long.
         moments = (
             points[:, _YZX] * normals[:, _ZXY] - points[:, _ZXY] * normals[:, _YZX]

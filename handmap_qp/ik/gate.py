@@ -103,7 +103,9 @@ class Gate:
         max_acceleration: float | None = None,
         collisions: CollisionLimit | None = None,
     ) -> None:
-        self.motion, self.collisions, self._hand = motion, collisions, hand
+        self.motion = motion
+        self.collisions = collisions
+        self._hand = hand
         self.measured: NearPairs | None = None
         self._limits = BoxLimits(
             hand,
@@ -119,7 +121,8 @@ class Gate:
         Args:
             q: Pinocchio configuration, shape (nq,).
         """
-        self.motion, self.measured = Motion.at_rest(q, self._limits.size), None
+        self.motion = Motion.at_rest(q, self._limits.size)
+        self.measured = None
 
     def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of the next displacement, shape (nv,) each.
@@ -285,8 +288,10 @@ class Gate:
             first: The one that is shortened, likewise.
             dt: Its time [s].
         """
-        brake, left = self._braking(dt), np.maximum(self.motion.stop_times - dt, 0.0)
-        middle, change = self.motion.velocity * dt, self._limits.change(dt)
+        brake = self._braking(dt)
+        left = np.maximum(self.motion.stop_times - dt, 0.0)
+        middle = self.motion.velocity * dt
+        change = self._limits.change(dt)
         together = self._together
         # From a higher limit, the stop in force may brake harder than the limit allows.
         least = np.minimum(middle - change, brake)
@@ -303,7 +308,8 @@ class Gate:
             )
             can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
             brakes = ~(can_stop | together)
-            taken, times = np.where(brakes, brake, tried), np.where(brakes, left, times)
+            taken = np.where(brakes, brake, tried)
+            times = np.where(brakes, left, times)
             is_admitted = tried is not base and bool(can_stop[together].all())
             if is_admitted and self._is_clear(taken, times, dt):
                 return taken, times
@@ -330,7 +336,8 @@ class Gate:
     def _move(
         self, displacement: np.ndarray, stop_times: np.ndarray, dt: float
     ) -> None:
-        q, expansion = self.motion.q, self._hand.expansion
+        q = self.motion.q
+        expansion = self._hand.expansion
         step = displacement if expansion is None else expansion.matrix.dot(displacement)
         reached = self._limits.clipped(pin.integrate(self._hand.model, q, step), q)
         self.motion = Motion(reached, displacement, dt, stop_times)

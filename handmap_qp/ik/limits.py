@@ -104,7 +104,8 @@ class BoxLimits:
         self._lowest, self._highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
         self._lowest[hand.q_indices] = hand.lower_limits
         self._highest[hand.q_indices] = hand.upper_limits
-        joints, self._coordinates = hand.joint_columns, np.zeros(self.size, dtype=int)
+        joints = hand.joint_columns
+        self._coordinates = np.zeros(self.size, dtype=int)
         self._coordinates[joints] = hand.q_indices
         self._lower = self._lowest[self._coordinates]
         self._upper = self._highest[self._coordinates]
@@ -131,15 +132,15 @@ class BoxLimits:
             velocity: Displacement of the last sample divided by its time, shape (nv,). Matters only
                 to acceleration limits.
         """
-        here, farthest = q[self._coordinates], self.speeds * dt
+        here = q[self._coordinates]
+        farthest = self.speeds * dt
         down, up = self._lower - here, self._upper - here
-        lower, upper = (
-            clip(down, -farthest, farthest),
-            clip(up, -farthest, farthest),
-        )
+        lower = clip(down, -farthest, farthest)
+        upper = clip(up, -farthest, farthest)
         if self.acceleration == math.inf:
             return Box(lower, upper, lower, upper)
-        change, middle = self.change(dt), np.multiply(velocity, dt)
+        change = self.change(dt)
+        middle = np.multiply(velocity, dt)
         stretch = 1.0 + self.stopping(velocity, dt) * self.together
         # Faster than this, a stop would take too long.
         usable = self.acceleration * (LONGEST_STOP * dt)
@@ -151,7 +152,8 @@ class BoxLimits:
             return np.where(self.together, np.minimum(most, distance / stretch), most)
 
         least, most = -admissible(-down), admissible(up)
-        lowest, highest = middle - change, middle + change
+        lowest = middle - change
+        highest = middle + change
         slack = _ROUNDING * dt
         return Box(
             clip(clip(least, lowest, highest), lower, upper),

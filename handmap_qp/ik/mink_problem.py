@@ -151,7 +151,8 @@ class RowsLimit(mink.Limit):
     ) -> None:
         eye = np.eye(len(upper))
         further, least = (np.zeros((0, len(upper))), ()) if rows is None else rows
-        G, h = np.vstack([eye, -eye, further]), np.concatenate([upper, -lower, least])
+        G = np.vstack([eye, -eye, further])
+        h = np.concatenate([upper, -lower, least])
         finite = np.isfinite(h)
         self._rows = mink.Constraint()
         if finite.any():
@@ -178,7 +179,8 @@ def make_terms(hand: Hand, options: IkOptions, goal: Goal) -> list[Term]:
     followed = [point_term(goal.points, options.point_costs(hand))]
     if goal.wrist is not None:
         followed.append(wrist_term(goal.wrist, options.wrist_costs))
-    nv, free = len(hand.active_columns), 3 if hand.is_floating else 0
+    nv = len(hand.active_columns)
+    free = 3 if hand.is_floating else 0
     damping = damping_term(nv, options.damping, options.error_damping, followed, free)
     postures = [posture_term(hand, *posture) for posture in goal.postures]
     return [*followed, damping, *postures, *map(task_term, goal.tasks)]

@@ -86,7 +86,8 @@ class PseudoinverseIk(PointIk):
             numpy.linalg.LinAlgError: If the singular values cannot be found: the inputs hold
                 infinities or NaN.
         """
-        hand, configuration = self.hand, self.configuration
+        hand = self.hand
+        configuration = self.configuration
         A, b = weighted_task(hand, self.options, configuration, goal.points, goal.wrist)
         U, s, Vt = np.linalg.svd(A * self._scale, full_matrices=False)
         if self._damping > 0.0:

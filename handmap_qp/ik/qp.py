@@ -108,7 +108,8 @@ def weighted_task(
     twist, derivative = np.zeros(6), np.zeros((6, 6))
     if wrist is not None:
         offset = wrist.actInv(configuration.wrist)
-        twist, derivative = pin.log6(offset).vector, pin.Jlog6(offset)
+        twist = pin.log6(offset).vector
+        derivative = pin.Jlog6(offset)
     error = np.concatenate([(configuration.points - points).ravel(), twist])
     jacobian = (
         costs[:, None]
@@ -132,7 +133,8 @@ def direct_cost(
     jacobian, error = weighted_task(
         hand, options, configuration, goal.points, goal.wrist
     )
-    H, c = jacobian.T.dot(jacobian), error.dot(jacobian)
+    H = jacobian.T.dot(jacobian)
+    c = error.dot(jacobian)
     # Damp by error times lever, the curvature that the linearisation neglects. The root of the
     # diagonal is the lever. A floating wrist's translation has none.
     diagonal = (
@@ -140,7 +142,8 @@ def direct_cost(
     )
     diagonal[: 3 if hand.is_floating else 0] = 0.0
     diagonal += options.damping**2
-    joints, q = hand.joint_columns, configuration.q[hand.q_indices]
+    joints = hand.joint_columns
+    q = configuration.q[hand.q_indices]
     for weight, posture in goal.postures:
         diagonal[joints] += weight**2
         c[joints] += weight**2 * (q - posture)
@@ -183,7 +186,8 @@ class PointIk:
         *,
         contacts: ShapePairs | CollisionLimit | None = None,
     ) -> None:
-        self.hand, self.options = hand, options
+        self.hand = hand
+        self.options = options
         for name in ("rest_weight", "damping", "speed_weight", "acceleration_weight"):
             # A square that overflows is refused here, not at a sample.
             math.pow(getattr(options, name), 2.0)
@@ -267,7 +271,9 @@ class PointIk:
             The result. On `failed`, the configuration is the one before the call, except for
             joints outside their limits.
         """
-        configuration, gate, collisions = self.configuration, self.gate, self.collisions
+        configuration = self.configuration
+        gate = self.gate
+        collisions = self.collisions
         dt, start = max(dt, SHORTEST_DT), gate.motion.q
         self._catch_up()
         goal = self._goal(point_targets, wrist_target, dt, rest, tasks)
@@ -277,7 +283,9 @@ class PointIk:
             near = gate.near(collisions, dt, margins)
             linear = collisions.rows(configuration, near, margins)
         total = first = np.zeros(len(lower))
-        iterations, last_step, has_failed = 0, math.inf, False
+        iterations = 0
+        last_step = math.inf
+        has_failed = False
         while (
             last_step > self.options.step_tolerance
             and iterations < self.options.max_iterations
@@ -318,10 +326,8 @@ class PointIk:
         """
         displacement = self.gate.brake(dt)
         self._catch_up()
-        points, free = (
-            self.configuration.points.copy(),
-            np.full(len(displacement), np.inf),
-        )
+        points = self.configuration.points.copy()
+        free = np.full(len(displacement), np.inf)
         return self._result("released", points, displacement, -free, free, 0, 0.0)
 
     def _goal(
@@ -332,7 +338,9 @@ class PointIk:
         rest: np.ndarray | None,
         tasks: Sequence[Task],
     ) -> Goal:
-        hand, options, motion = self.hand, self.options, self.gate.motion
+        hand = self.hand
+        options = self.options
+        motion = self.gate.motion
         postures = [(options.rest_weight, hand.rest if rest is None else rest)]
         if options.speed_weight or options.acceleration_weight:
             # The whole displacement of a sample costs, and its difference from the last one's.
@@ -380,7 +388,8 @@ class PointIk:
         iterations: int,
         last_step: float,
     ) -> IkResult:
-        points, width = self.configuration.points.copy(), np.minimum(upper - lower, 1.0)
+        points = self.configuration.points.copy()
+        width = np.minimum(upper - lower, 1.0)
         is_high = upper - displacement <= _AT_BOUND * width
         is_low = displacement - lower <= _AT_BOUND * width
         active = is_high.astype(np.int8) - is_low

@@ -172,7 +172,9 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
     signs = np.sign(scales) * (
         1.0 if np.prod(scales) * np.linalg.det(rotation) > 0.0 else -1.0
     )
-    rotation, upper, scales = rotation * signs, upper * signs[:, None], scales * signs
+    rotation = rotation * signs
+    upper = upper * signs[:, None]
+    scales = scales * signs
     isotropic = float(np.cbrt(np.prod(scales)))
     shear_matrix = upper / scales
     zero = np.zeros(3)

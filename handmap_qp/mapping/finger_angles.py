@@ -77,7 +77,8 @@ class _FingerFrames:
     """One finger's joint frames at zero, in palm axes: x along the bones, z along the axis."""
 
     def __init__(self, human: Hand, finger: Finger, columns: np.ndarray) -> None:
-        view, zero = PalmKinematics(human), np.zeros(len(human.joint_names))
+        view = PalmKinematics(human)
+        zero = np.zeros(len(human.joint_names))
         axes, origins = view.axes(zero, finger.joints)
         bone = view.points(zero, [finger.tip])[0] - origins[-1]
         bone = bone / np.linalg.norm(bone)

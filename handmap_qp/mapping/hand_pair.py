@@ -119,9 +119,11 @@ class HandPair:
         self, human: Hand, robot: Hand, matched: np.ndarray | None = None
     ) -> None:
         self.human, self._measured = human, _robot_fingers(robot)
-        self.chains, self.pads = self._measured.chains, self._measured.pads
+        self.chains = self._measured.chains
+        self.pads = self._measured.pads
         self.contacts: ShapePairs = self._measured.contacts
-        self.fingers, self.has_jaws = self._measured.names, self._measured.has_jaws
+        self.fingers = self._measured.names
+        self.has_jaws = self._measured.has_jaws
         if not self.fingers:
             raise InvalidOptionsError(
                 option="method",
@@ -209,7 +211,8 @@ class HandPair:
 
     def _open_jaws(self) -> np.ndarray:
         """Solve the posture in which each jaw's gap to the thumb is the resting human's."""
-        robot, pads = self.robot, [self.pads[finger] for finger in self.fingers]
+        robot = self.robot
+        pads = [self.pads[finger] for finger in self.fingers]
         at_rest = self.human_rest[self.tips]
         gaps = np.linalg.norm(at_rest[1:] - at_rest[0], axis=1)
         between = [(0, k) for k in range(1, len(pads))]
@@ -231,7 +234,8 @@ class HandPair:
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
         """Place the thumb between where it pinches and where it is above the knuckles."""
-        others, gain = self._others, _THUMB_GAIN * self.finger_ratio
+        others = self._others
+        gain = _THUMB_GAIN * self.finger_ratio
         if self.fingers == (THUMB,):
             return knuckles[0] + gain * (tip - self.human_rest[self.knuckles[0]])
         middle = knuckles[others].mean(axis=0)
@@ -437,10 +441,8 @@ def _pinching_thumb(
     for k, finger in enumerate(others, start=2):
         touching = pads[THUMB].radius + pads[finger].radius
         ik.place(start)
-        wrist, points = (
-            ik.configuration.wrist.homogeneous,
-            ik.configuration.points.copy(),
-        )
+        wrist = ik.configuration.wrist.homogeneous
+        points = ik.configuration.points.copy()
         task = PointDistances(ends, [(1, k)], [touching], [3.0])
         for _ in range(_PINCH_STEPS):
             ik.solve(points, wrist, 1e3, tasks=[task])

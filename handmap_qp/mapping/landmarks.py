@@ -36,7 +36,8 @@ class PalmMethod:
     renews_reference = False
 
     def __init__(self, human: Hand, robot: Hand) -> None:
-        self.human, self.robot = human, robot
+        self.human = human
+        self.robot = robot
 
     def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm."""
@@ -77,7 +78,8 @@ class PalmMap:
         self._human_wrist_to_palm = human.wrist_to_palm
         self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
         self._is_still = not robot.has_moving_wrist
-        before, start = palm_of(sample, human), posture.wrist @ robot.wrist_to_palm
+        before = palm_of(sample, human)
+        start = posture.wrist @ robot.wrist_to_palm
         self._start = start
         self.robot_points = transform_points(inverse_pose(start), posture.points)
         self._rotation = before[:3, :3].T @ start[:3, :3]
@@ -85,7 +87,8 @@ class PalmMap:
         self._origin = human_anchor - self._rotation.dot(robot_anchor)
         self._human_start = transform_point(before, human_anchor)
         self._offset = transform_point(start, robot_anchor) - self._human_start
-        self._human_anchor, self._further = human_anchor, scale - 1.0
+        self._human_anchor = human_anchor
+        self._further = scale - 1.0
 
     def follow(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Move the robot's palm with a sample's, or with those of many along leading axes.

@@ -224,7 +224,8 @@ class HandMapper:
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        started, wrist = perf_counter(), self._wrist_of(wrist_pose)
+        started = perf_counter()
+        wrist = self._wrist_of(wrist_pose)
         if wrist is None and (needs := self._needs_wrist()):
             raise InvalidInputError(
                 argument="wrist_pose", problem=f"needed for {needs}"
@@ -262,7 +263,8 @@ class HandMapper:
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        started, wrist = perf_counter(), self._wrist_of(wrist_pose)
+        started = perf_counter()
+        wrist = self._wrist_of(wrist_pose)
         reader = self.landmarks
         points = as_floats(landmarks, "landmarks", shape=(LANDMARK_COUNT, 3))
         return self.map(reader.read(points, wrist), dt, started=started)
@@ -296,7 +298,8 @@ class HandMapper:
                 determine the motion.
         """
         started = perf_counter() if started is None else started
-        dt, plan = self.dt if dt is None else check_dt(dt), self._plan
+        dt = self.dt if dt is None else check_dt(dt)
+        plan = self._plan
         reference = self._reference or self._reference_at(sample)
         asked = reference.map.targets(sample) if targets is None else targets
         if plan.bound.renews_reference:
@@ -316,8 +319,10 @@ class HandMapper:
                 margins=asked.margins,
                 speed=speed,
             )
-        robot, configuration = plan.bound.robot, plan.ik.configuration
-        q, wrist = configuration.q[robot.q_indices], configuration.wrist.homogeneous
+        robot = plan.bound.robot
+        configuration = plan.ik.configuration
+        q = configuration.q[robot.q_indices]
+        wrist = configuration.wrist.homogeneous
         if plan.bound.renews_reference:
             kept = _copied(sample)
             posture = RobotPosture(q.copy(), result.points.copy(), wrist.copy())
@@ -353,7 +358,9 @@ class HandMapper:
         Returns:
             The step, whose targets and points are the robot's own.
         """
-        started, ik, robot = perf_counter(), self._plan.ik, self.robot
+        started = perf_counter()
+        ik = self._plan.ik
+        robot = self.robot
         held, start = ik.hold(check_dt(dt)), self._start
         # Before the first sample, a floating robot has no place yet.
         vector = ik.configuration.q if start is None else start.vector(robot, np.eye(4))
@@ -411,7 +418,9 @@ class HandMapper:
         reference = None
         if human_q is not None and wrist_pose is not None:
             reference = self._reference_at(self._pose_of(human_q, wrist_pose)[0], start)
-        self._start, self._is_released, self._reference = start, False, None
+        self._start = start
+        self._is_released = False
+        self._reference = None
         if reference is not None:
             self._begin(reference)
 
@@ -421,7 +430,8 @@ class HandMapper:
 
     def clutch(self) -> None:
         """Make the next sample the reference; the robot continues from its present posture."""
-        self._is_released, self._reference = False, None
+        self._is_released = False
+        self._reference = None
 
     def configure(
         self,
@@ -452,7 +462,8 @@ class HandMapper:
             chosen, weights = _method_of(method, {})
             ik = weights if ik is None and isinstance(method, str) else ik
             bound = chosen.bind(self.human, self._given_robot)
-            contacts, motion = bound.contacts, plan.ik.gate.motion
+            contacts = bound.contacts
+            motion = plan.ik.gate.motion
             solver = PointIk(bound.robot, plan.ik.options, motion, contacts=contacts)
             plan = replace(plan, method=chosen, bound=bound, ik=solver)
             reference = None if reference is None else _bound_again(reference, bound)
@@ -460,7 +471,8 @@ class HandMapper:
             plan = replace(plan, ik=plan.ik.with_options(ik))
         if tasks is not None:
             plan = replace(plan, tasks=tuple(tasks))
-        self._plan, self._reference = plan, reference
+        self._plan = plan
+        self._reference = reference
 
     # -- the reference
 
@@ -468,7 +480,8 @@ class HandMapper:
         self, sample: HumanPose, start: _Start | None = None
     ) -> _Reference:
         """Count from this sample, with the robot at its start, or where it is if it has started."""
-        start, bound = start or self._start, self._plan.bound
+        start = start or self._start
+        bound = self._plan.bound
         if start is None:
             vector = self._plan.ik.configuration.q
         else:
@@ -477,7 +490,8 @@ class HandMapper:
                 palm = bound.start_palm(sample)
             to_wrist = inverse_pose(bound.robot.wrist_to_palm)
             vector = start.vector(bound.robot, palm @ to_wrist)
-        kept, posture = _copied(sample), _posture(bound.robot, vector)
+        kept = _copied(sample)
+        posture = _posture(bound.robot, vector)
         begins_at = None if start is None else vector.copy()
         return _Reference(kept, posture, bound.start(kept, posture), begins_at)
 
@@ -485,13 +499,15 @@ class HandMapper:
         """Take a reference, and put the robot where it begins unless it is on its way."""
         if reference.begins_at is not None:
             self._plan.ik.place(reference.begins_at)
-        self._start, self._reference = None, reference
+        self._start = None
+        self._reference = reference
 
     def _needs_wrist(self) -> str:
         """Return what the next sample's wrist pose is needed for; empty if for nothing."""
         bound, needs = self._plan.bound, ""
         if self._reference is None or bound.renews_reference:
-            start, needs = self._start, bound.reference_needs_wrist
+            start = self._start
+            needs = bound.reference_needs_wrist
             if start is not None and start.wrist is None and self.robot.is_floating:
                 needs = needs or _PLACING
         return bound.needs_wrist or needs
@@ -509,7 +525,8 @@ class HandMapper:
         self, human_q: npt.ArrayLike, wrist_pose: PoseLike
     ) -> tuple[HumanPose, tuple[str, ...]]:
         """Compute the human's points (eq. 4); name the joints that are outside their limits."""
-        wrist, human = check_pose(wrist_pose, "wrist_pose", self.quat_order), self.human
+        wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
+        human = self.human
         angles, excess = _check_joints(human, human_q, "human_q", self.joint_tolerance)
         beyond = (excess > 0.0).nonzero()[0].tolist()
         outside = tuple(human.joint_names[i] for i in beyond)
@@ -563,7 +580,9 @@ class _Reference:
 
 def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None:
     """Count from the same reference by another method; None if it lacks what that needs."""
-    sample, robot, before = reference.sample, bound.robot, reference.posture
+    sample = reference.sample
+    robot = bound.robot
+    before = reference.posture
     if (bound.needs_wrist or bound.reference_needs_wrist) and sample.wrist is None:
         return None
     wrist = before.wrist if robot.is_floating else None
@@ -603,7 +622,8 @@ def _check_joints(
     hand: Hand, q: npt.ArrayLike, name: str, tolerance: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return joint positions, and how far each is outside its limits, at most a tolerance."""
-    lower, upper = hand.lower_limits, hand.upper_limits
+    lower = hand.lower_limits
+    upper = hand.upper_limits
     angles = as_floats(q, name, shape=lower.shape)
     excess = np.maximum(lower - angles, angles - upper)
     # `<=` is also false for NaN.

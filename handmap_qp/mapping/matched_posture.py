@@ -49,7 +49,8 @@ def nearest_posture(
     """
     distance = _Distance(hand, targets, costs, rest_cost)
     free = distance.free
-    lower, upper = hand.lower_limits[free], hand.upper_limits[free]
+    lower = hand.lower_limits[free]
+    upper = hand.upper_limits[free]
     x = np.clip(start[free], lower, upper)
     here = distance.at(x)
     for _ in range(_MOST_STEPS):
@@ -90,7 +91,8 @@ class _Distance:
     def __init__(
         self, hand: Hand, targets: np.ndarray, costs: np.ndarray, rest_cost: float
     ) -> None:
-        self._hand, self._targets = hand, targets
+        self._hand = hand
+        self._targets = targets
         self._costs, self._row_costs = costs[:, None] ** 2, np.repeat(costs, 3)[:, None]
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()

@@ -98,7 +98,8 @@ def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
         human: The hand that leads.
         robot: The hand that follows.
     """
-    first, wanted = default_preset(human, robot), set(names)
+    first = default_preset(human, robot)
+    wanted = set(names)
     able = (
         name
         for name in (first, *PRESETS)
@@ -171,7 +172,8 @@ class Choice(NamedTuple):
         """Return the changes that turn this choice into another one."""
         start, changes = self, {}
         if self.preset != other.preset:
-            start, changes = preset_choice(other.preset), {"preset": other.preset}
+            start = preset_choice(other.preset)
+            changes = {"preset": other.preset}
         return (
             changes
             | start.method.changes_to(other.method)
@@ -211,7 +213,8 @@ def read_options(path: Path | str) -> dict[str, Any]:
         InvalidInputError: If the file cannot be read, is not a table, or has an unknown name;
             `argument` is then that name.
     """
-    file, known = Path(path), {"preset", *known_options()}
+    file = Path(path)
+    known = {"preset", *known_options()}
     try:
         table = msgspec.yaml.decode(file.read_bytes(), type=dict[Any, Any])
     except OSError as error:

@@ -133,11 +133,14 @@ class RateCheck:
         elapsed = arrival - self._start
         if elapsed >= _RATE_WINDOW:
             # NaN, before there is a former half second, is no drift.
-            drift, before = (self._lead - self._former) / elapsed, self._drift
+            drift = (self._lead - self._former) / elapsed
+            before = self._drift
             is_off = (
                 drift * before > 0.0 and min(abs(drift), abs(before)) > _LARGEST_DRIFT
             )
             self._rate = 1.0 + drift if is_off else None
-            self._start, self._former, self._drift = arrival, self._lead, drift
+            self._start = arrival
+            self._former = self._lead
+            self._drift = drift
         self._lead = stamp - arrival
         return self._rate

@@ -64,7 +64,8 @@ class _Offset(NamedTuple):
         palm: float,
     ) -> HumanPose:
         """Add shares of the offset to a pose."""
-        points, wrist = pose.in_wrist + fingers * self.points, pose.wrist
+        points = pose.in_wrist + fingers * self.points
+        wrist = pose.wrist
         if wrist is not None:
             rotation = wrist[:3, :3] @ pin.exp3(palm * self.turn)
             wrist = affine(rotation, wrist[:3, 3] + palm * self.position)
@@ -176,7 +177,9 @@ class Follower:
                 expected=f"one of {kinds}",
                 value=rejoin,
             )
-        self.mapper, self.rejoin, self.smoothing = mapper, rejoin, smoothing
+        self.mapper = mapper
+        self.rejoin = rejoin
+        self.smoothing = smoothing
         self._guard = StreamGuard(mapper.human)
         self._return = Rejoin(rejoin)
         self._smooth: SmoothState | None = None
@@ -210,8 +213,10 @@ class Follower:
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        started, dt = perf_counter(), None if dt is None else check_dt(dt)
-        reader, before = self.mapper.landmarks, self._guard.state
+        started = perf_counter()
+        dt = None if dt is None else check_dt(dt)
+        reader = self.mapper.landmarks
+        before = self._guard.state
         verdict = self._guard.check(sample, arrival=arrival)
         if verdict.is_held:
             return self._hold(sample, verdict, dt)
@@ -241,7 +246,9 @@ class Follower:
         used = [sample for sample, verdict in judged if not verdict.is_held]
         points, wrists = self._read_all(used)
         poses = HumanPose(points, wrists)
-        reference, targets, place = None, None, 0
+        reference = None
+        targets = None
+        place = 0
         for sample, verdict in judged:
             if verdict.is_held:
                 yield self._hold(sample, verdict)
@@ -279,7 +286,8 @@ class Follower:
             before = None if self._has_new_reference else self._smooth
             pose, smooth = smooth_sample(self.smoothing, before, pose, check_dt(dt))
         step = self.mapper.map(pose, dt, targets=targets, speed=speed)
-        self._smooth, self._reference = smooth, self.mapper.reference
+        self._smooth = smooth
+        self._reference = self.mapper.reference
         return step
 
     def _follow(

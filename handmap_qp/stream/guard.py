@@ -163,7 +163,8 @@ class StreamGuard:
         was_late: bool,
     ) -> tuple[Verdict, GuardState]:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
-        fresh, last = first_track(state.now, sample.landmarks), state.last
+        fresh = first_track(state.now, sample.landmarks)
+        last = state.last
         consistency = math.sqrt(np.square(fresh.lengths - self._lengths).mean())
         verdict = Verdict("", False, False, tick.dt, consistency)
         if last is None or not is_same_hand(last, fresh):

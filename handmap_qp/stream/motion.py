@@ -167,4 +167,5 @@ def _angle(rotation: np.ndarray) -> tuple[float, np.ndarray]:
     return angle, axis * (angle / sine if sine > 1e-6 else 1.0)
 
 
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+_NEXT = np.array([1, 2, 0])
+_LAST = np.array([2, 0, 1])

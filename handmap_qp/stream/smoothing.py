@@ -78,7 +78,8 @@ def smooth_sample(
     if before is None or dt > _LONGEST_GAP or (before.wrist is None) != (wrist is None):
         still = np.zeros((count if wrist is None else count + 2, 3))
         return sample, SmoothState(points, wrist, still)
-    moves, levers = [*(points - before.points)], np.ones(len(before.speeds))
+    moves = [*(points - before.points)]
+    levers = np.ones(len(before.speeds))
     if before.wrist is not None and wrist is not None:
         turn = pin.log3(before.wrist[:3, :3].T @ wrist[:3, :3])
         moves += [wrist[:3, 3] - before.wrist[:3, 3], turn]

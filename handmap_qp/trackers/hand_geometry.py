@@ -213,7 +213,8 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
         without an arched palm.
     """
     offsets = landmarks - landmarks[:, :1]
-    along, palmar = offsets[:, 9], _unit(np.cross(offsets[:, 5], offsets[:, 17]))
+    along = offsets[:, 9]
+    palmar = _unit(np.cross(offsets[:, 5], offsets[:, 17]))
     heights = (offsets @ palmar[:, :, None])[:, :, 0] / _sizes(along)[:, None]
     fingers = landmarks[:, 5:].reshape(-1, 4, 4, 3)
     bones = _unit(np.diff(fingers[:, :, :3], axis=2))

@@ -139,7 +139,8 @@ class InputCheck:
             has_wrists = all(wrist is not None for _, _, wrist in self._batch)
             is_calm = self._wrist.is_proven or not has_wrists
             size = _CALM if is_calm and self._calm >= _CALM_BATCHES else _NEW
-        count, duration = len(self._batch), self._batch[-1][0] - self._batch[0][0]
+        count = len(self._batch)
+        duration = self._batch[-1][0] - self._batch[0][0]
         # A batch that began with wrists may have grown beyond the number of one without.
         return count >= size.most or (count >= size.least and duration >= size.time)
 
@@ -181,7 +182,8 @@ class InputCheck:
         self, landmarks: np.ndarray, wrists: np.ndarray | None
     ) -> Finding | None:
         """Return what is wrong in one batch."""
-        distances, evidence = own_distances(landmarks), palmar_evidence(landmarks)
+        distances = own_distances(landmarks)
+        evidence = palmar_evidence(landmarks)
         own = float(misfit(distances))
         total = median(self._sign * evidence.total)
         fingers = median(self._sign * evidence.fingers)
@@ -242,12 +244,11 @@ class InputCheck:
         say = f"say that the hand is the {other} one"
         negate = "negate one axis of the data if its coordinates are left-handed"
         if wrists is None:
-            what, advice = (
-                f"a {other} hand, or of a mirrored world",
-                f"{say}, or {negate}",
-            )
+            what = f"a {other} hand, or of a mirrored world"
+            advice = f"{say}, or {negate}"
         elif WristCheck(-self._sign).examine(landmarks, wrists) is None:
-            what, advice = f"a {other} hand, and so is the wrist's pose", say
+            what = f"a {other} hand, and so is the wrist's pose"
+            advice = say
         else:
             what = f"a mirrored {self.side} hand; the wrist's pose is not"
             advice = negate
@@ -305,7 +306,8 @@ def examine_recording(recording: Recording) -> Finding | None:
         that confuses the hand for a moment is left to the guard (`stream.guard`).
     """
     check = InputCheck(recording.side)
-    indices, times = np.flatnonzero(recording.valid), recording.time.tolist()
+    indices = np.flatnonzero(recording.valid)
+    times = recording.time.tolist()
     wrists = [None] * len(times) if recording.wrist is None else recording.wrist
     found = 0
     for i in indices.tolist():

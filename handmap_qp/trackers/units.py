@@ -61,7 +61,8 @@ def find_length_unit(
         What is wrong; None if they are in metres, or if they are no hand at all.
     """
     low, high = HAND_LENGTHS
-    wrist, length = landmarks[:, 0], distances.hand_length
+    wrist = landmarks[:, 0]
+    length = distances.hand_length
     if np.abs(wrist[:, 2]).max() < 1e-4 * length < np.ptp(wrist[:, :2], axis=0).max():
         # The z of MediaPipe's image landmarks is relative to the wrist's.
         return Finding(

@@ -108,7 +108,8 @@ class WristCheck:
         if apart > _FARTHEST_APART:
             problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
             return problem, "give both in metres and in the same world"
-        palms, rotations = palm_axes(landmarks, self._sign), wrists[:, :, :3]
+        palms = palm_axes(landmarks, self._sign)
+        rotations = wrists[:, :, :3]
         mean, steadiness = _mean_relative(palms, rotations)
         palm = nearest_rotation(palms.sum(axis=0))
         start = self._start or (palm, mean)
@@ -142,7 +143,8 @@ def _mean_relative(
     """
     relative = palms.swapaxes(1, 2) @ rotations
     half = len(palms) // 2
-    first, second = relative[:half].sum(axis=0), relative[half:].sum(axis=0)
+    first = relative[:half].sum(axis=0)
+    second = relative[half:].sum(axis=0)
     mean = nearest_rotation(first + second)
     if half == 0:
         return mean, 1.0

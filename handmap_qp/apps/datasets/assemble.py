@@ -32,7 +32,9 @@ from handmap_qp.trackers.formats.lerobot import Feature, LeRobotWriter
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
 """Names of the wrist's position [m] and quaternion in the state."""
 _NO_WRIST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-_STATE, _ACTION, _VALID = "observation.state", "action", "observation.valid"
+_STATE = "observation.state"
+_ACTION = "action"
+_VALID = "observation.valid"
 
 
 class Episode(NamedTuple):
@@ -181,7 +183,8 @@ def _episodes(
     for _, group in groupby(sorted(known, key=lambda line: line.key), key=_file_of):
         pairs = [(line, read_episode(folder, line)) for line in group]
         sides = {line.side for line, _ in pairs}
-        first, last = pairs[0][1]["time"], pairs[-1][1]["time"]
+        first = pairs[0][1]["time"]
+        last = pairs[-1][1]["time"]
         if len(pairs) == len(sides) == 2 and np.array_equal(first, last):
             yield _episode(pairs, fps, hands)
         else:

@@ -95,12 +95,17 @@ def plan_batch(
     digest = options.digest
     make_folder(folder / "episodes", "--out")
     files, repeated = find_files(inputs, folder)
-    tasks, state = tasks_of(files, shard), read_manifests(folder)
+    tasks = tasks_of(files, shard)
+    state = read_manifests(folder)
     if shard == (1, 1):
         # What is torn was being written when a batch was killed; shards may be writing now.
         for torn in (folder / "episodes").rglob(".*.part"):
             torn.unlink(missing_ok=True)
-    jobs, done, damaged, left_alone, kills = [], [], [], [], {}
+    jobs = []
+    done = []
+    damaged = []
+    left_alone = []
+    kills = {}
     for task in tasks:
         line = state.get(task.key)
         if line is None or not _is_same(line, task, digest):

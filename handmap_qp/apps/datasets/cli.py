@@ -173,7 +173,9 @@ class Batch:
 
     def run(self) -> None:
         """List, map, and say what was done."""
-        shard, engine, options = _shard(self.shard), self._engine(), self._options()
+        shard = _shard(self.shard)
+        engine = self._engine()
+        options = self._options()
         plan, tally = self._map(options, engine, shard)
         try:
             written = self._assemble(options, plan, tally)
@@ -229,10 +231,8 @@ class Batch:
         for name in self.robot:
             side = self.arguments.load_robot(name).spec.side
             if side in robots:
-                got, expected = (
-                    f"{robots[side]} and {name}, both {side}",
-                    "one robot for each side",
-                )
+                got = f"{robots[side]} and {name}, both {side}"
+                expected = "one robot for each side"
                 raise InvalidInputError(argument="--robot", expected=expected, got=got)
             robots[side] = name
         if self.look_ahead and self.arguments.smooth:
@@ -337,8 +337,10 @@ class Report:
             )
         quality = assess(self.folder, self.keep)
         files = write_report(self.folder, quality, self.worst, draws=self.pictures)
-        count, kept = len(quality.lines), int(quality.is_kept.sum())
-        measures, worst = summary_rows(quality), worst_rows(quality, self.worst)
+        count = len(quality.lines)
+        kept = int(quality.is_kept.sum())
+        measures = summary_rows(quality)
+        worst = worst_rows(quality, self.worst)
         if self.json:
             counts = {"episodes": count, "kept": kept, "failed": len(quality.failed)}
             result = {**counts, "measures": measures, "worst": worst, "files": files}

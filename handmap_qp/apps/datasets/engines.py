@@ -111,7 +111,8 @@ class Engine(ABC):
                 if not flying:
                     return
                 for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                    jobs, lines = flying.pop(future), _result(future, workers.death)
+                    jobs = flying.pop(future)
+                    lines = _result(future, workers.death)
                     if lines is None:
                         suspects.extend(jobs)
                     else:

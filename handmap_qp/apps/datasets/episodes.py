@@ -162,7 +162,8 @@ def _run(job: Job, started: float) -> Line:
         recording = task.source.read()
     check_recording(recording)
     robot = _robot(job.options.robots[task.side], job.options.arguments.robot_points)
-    person, options = measure_person(recording), job.options
+    person = measure_person(recording)
+    options = job.options
     recording, trajectory = map_hand(
         recording, robot, person, options.arguments, smoother=options.smoother
     )

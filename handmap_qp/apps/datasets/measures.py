@@ -131,7 +131,8 @@ def measure_episode(
 
 def _longest_gap(recording: Recording) -> float:
     """Return the longest time between valid samples beyond the usual step [s]."""
-    times, whole = recording.time[recording.valid], recording.time
+    times = recording.time[recording.valid]
+    whole = recording.time
     inside = np.diff(times).max(initial=0.0) - np.median(recording.steps)
     return max(0.0, inside, times[0] - whole[0], whole[-1] - times[-1])
 
@@ -145,7 +146,8 @@ def _surfaces(
     recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
 ) -> dict[str, float]:
     """Measure pinches and self-penetration in some of the samples."""
-    tips, count = recording.landmarks[:, TIPS], len(recording)
+    tips = recording.landmarks[:, TIPS]
+    count = len(recording)
     pinching = lengths(tips[:, 1:] - tips[:, :1]) < contact_gap + _PINCHING
     pinching &= trajectory.valid[:, None]
     pinches = np.flatnonzero(pinching.any(axis=1))

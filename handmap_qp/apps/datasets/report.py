@@ -75,7 +75,8 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     rows = [[line.metrics.get(measure.key) for measure in MEASURES] for line in lines]
     values = np.array(rows, dtype=float)
     ranks = _ranks(values)
-    badness, mean = ranks.max(axis=1), ranks.mean(axis=1)
+    badness = ranks.max(axis=1)
+    mean = ranks.mean(axis=1)
     order = np.lexsort((np.arange(len(lines)), -mean, -badness))
     return Quality(
         lines=tuple(lines[i] for i in order),

@@ -58,7 +58,8 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
     for axes, (measure, values) in zip(grid.flat, shown, strict=False):
-        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        low = float(np.nanmin(values))
+        high = float(np.nanmax(values))
         # NaN is in no bin.
         axes.hist(
             [values[quality.is_kept], values[~quality.is_kept]],

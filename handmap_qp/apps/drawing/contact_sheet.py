@@ -57,9 +57,14 @@ CELL = (170, 190)
 """Width and height of one view [pixel]."""
 
 _DPI = 100
-_LEFT, _TOP, _BOTTOM = 118, 54, 30
+_LEFT = 118
+_TOP = 54
+_BOTTOM = 30
 _MARGIN = 0.05
-_BONE, _JOINT, _TIP, _PALM_BONE = 0.0062, 0.0068, 0.0072, 0.0052
+_BONE = 0.0062
+_JOINT = 0.0068
+_TIP = 0.0072
+_PALM_BONE = 0.0052
 _PALM_COLOUR = (0.80, 0.72, 0.66)
 _ROBOT_COLOUR = (0.66, 0.68, 0.72)
 _HUMAN_BACKGROUND = 0.965
@@ -176,7 +181,8 @@ def contact_sheet(
     """
     pictures = pose_pictures(columns, rows, side=side)
     (width, height), (count, wide) = CELL, pictures.shape[:2]
-    bottom, span = _TOP + count * height, len(VIEWS) * width
+    bottom = _TOP + count * height
+    span = len(VIEWS) * width
     canvas = np.ones((bottom + _BOTTOM, _LEFT + wide * span, 3))
     canvas[_TOP:bottom, _LEFT:] = np.moveaxis(pictures, 3, 1).reshape(
         count * height, -1, 3

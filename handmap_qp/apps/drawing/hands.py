@@ -214,7 +214,8 @@ def tube(
         ring += np.outer(np.sin(angles), np.cross(tangent, normal))
     pieces = np.moveaxis(np.mgrid[: len(points) - 1, :sides], 0, -1)
     rows, columns = np.moveaxis(pieces.reshape(-1, 1, 1, 2) + _TWO_TRIANGLES, -1, 0)
-    rows, columns = rows.reshape(-1, 3), columns.reshape(-1, 3) % sides
+    rows = rows.reshape(-1, 3)
+    columns = columns.reshape(-1, 3) % sides
     surface = points[:, None] + radius * rings
     vertices = surface[rows, columns]
     return Triangles(
@@ -357,8 +358,11 @@ def _simplified(
     vertices: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
-    low, size = vertices.min(axis=0), float(np.ptp(vertices, axis=0).max())
-    cells, coarse, cell_of = 96, faces, np.arange(len(vertices))
+    low = vertices.min(axis=0)
+    size = float(np.ptp(vertices, axis=0).max())
+    cells = 96
+    coarse = faces
+    cell_of = np.arange(len(vertices))
     while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
         _, cell_of = np.unique(
             np.floor((vertices - low) * (cells / size)).astype(np.int64),

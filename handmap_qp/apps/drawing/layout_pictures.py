@@ -173,7 +173,8 @@ def _entries(
     if not isinstance(layout, PointLayout | MarkerLayout):
         expected = "points, angles or markers"
         raise InvalidInputError(argument="layout", expected=expected, value=layout)
-    table, written = layout.table, layout.write_posture(human, q, np.eye(4))
+    table = layout.table
+    written = layout.write_posture(human, q, np.eye(4))
     # Rows are points, poses, or a position and a quaternion.
     read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
     places = read * table.reflection * UNITS[table.unit]

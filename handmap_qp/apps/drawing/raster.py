@@ -27,7 +27,11 @@ _CHUNK = 100_000
 # upper left, fill light from the right.
 _KEY_DIRECTION = np.array([-0.45, -0.75, -0.5])
 _FILL_DIRECTION = np.array([0.8, -0.05, -0.45])
-_KEY, _FILL, _SKY, _GROUND, _HIGHLIGHT = 0.72, 0.16, 0.30, 0.12, 0.10
+_KEY = 0.72
+_FILL = 0.16
+_SKY = 0.30
+_GROUND = 0.12
+_HIGHLIGHT = 0.10
 # Minimum albedo, so that black parts still show their shape.
 _DARKEST = 0.03
 _CREASE_RADIUS = 0.007
@@ -111,7 +115,8 @@ class Camera:
         )
         seen = transform_points(world_to_camera, points)
         tangents = seen[:, :2] / seen[:, 2:]
-        low, high = tangents.min(axis=0), tangents.max(axis=0)
+        low = tangents.min(axis=0)
+        high = tangents.max(axis=0)
         room = np.array(size) - 2.0 * margin * min(size)
         focal_length = float((room / np.maximum(high - low, 1e-9)).min())
         centre = 0.5 * np.array(size) - 0.5 * focal_length * (low + high)
@@ -271,7 +276,8 @@ def _spans(
     rows = np.maximum(bottom - top, 0)
     triangle = np.repeat(seen, rows)
     row = np.repeat(top, rows) + _ramps(rows)
-    low, high = np.full(len(row), 0.5), np.full(len(row), width - 0.5)
+    low = np.full(len(row), 0.5)
+    high = np.full(len(row), width - 0.5)
     for corner in range(3):
         slope, across, constant = planes[triangle, corner].T
         level = across * (row + 0.5) + constant
@@ -303,7 +309,8 @@ def _shaded(
     """Return linear light and opacity at every pixel, shape (height, width, 4)."""
     width, height = camera.size
     picture = np.zeros((height * width, 4))
-    pixels, triangle = surface.pixels, surface.triangle
+    pixels = surface.pixels
+    triangle = surface.triangle
     rotation = camera.world_to_camera[:3, :3]
     x, y = pixels % width, pixels // width
     corners = triangles.normals[triangle] @ rotation.T
@@ -312,7 +319,8 @@ def _shaded(
     rays = np.full((len(x), 3), camera.focal_length)
     rays[:, 0] = x + 0.5 - camera.centre[0]
     rays[:, 1] = y + 0.5 - camera.centre[1]
-    key, fill = unit(_KEY_DIRECTION), unit(_FILL_DIRECTION)
+    key = unit(_KEY_DIRECTION)
+    fill = unit(_FILL_DIRECTION)
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
     light += _KEY * np.maximum((normals @ key + 0.2) / 1.2, 0.0)
@@ -322,7 +330,8 @@ def _shaded(
     highlight = _HIGHLIGHT * shine**40
     if has_creases:
         shade = 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x]
-        light, highlight = light * shade, highlight * shade
+        light = light * shade
+        highlight = highlight * shade
     albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
     picture[pixels, :3] = albedo * light[:, None] + highlight[:, None]
     picture[pixels, 3] = 1.0
@@ -352,7 +361,8 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     stride, padded = padded.shape[1], padded.ravel()
     rows, columns = np.nonzero(is_solid)
     places = (rows + room) * stride + columns + room
-    solid, total = depth[is_solid], np.zeros(len(rows))
+    solid = depth[is_solid]
+    total = np.zeros(len(rows))
     for radius, turn in product((0.3, 0.65, 1.0), range(4)):
         angle = turn * np.pi / 4 + radius
         dx, dy = (round(radius * reach * turned(angle)) for turned in (np.cos, np.sin))

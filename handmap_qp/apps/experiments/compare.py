@@ -114,7 +114,8 @@ def markdown(comparison: Comparison) -> str:
 
 def notes_of(comparison: Comparison) -> list[str]:
     """Return footnotes: what methods did not do, and what was done to recordings."""
-    notes, robot = comparison.notes(), comparison.robot
+    notes = comparison.notes()
+    robot = comparison.robot
     if turned := [take.name for take in comparison.takes if take.is_mirrored]:
         side = robot.spec.side
         notes.append(

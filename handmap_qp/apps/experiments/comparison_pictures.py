@@ -25,7 +25,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _COLUMNS = 8
-_OWN, _OUTSIDE, _SAMPLE, _INK = "#c8452f", "#3f6fb5", "#b8bec6", "#222831"
+_OWN = "#c8452f"
+_OUTSIDE = "#3f6fb5"
+_SAMPLE = "#b8bec6"
+_INK = "#222831"
 _BAND = 6  # Methods side by side on the contact sheet; more are drawn below.
 _HINTS = {"high": "higher is better", "low": "lower is better", "one": "best near 1"}
 _WIDEST = 6.0  # Values beyond this multiple of the median value are drawn at the edge.
@@ -174,7 +177,8 @@ def _draw_panel(
     panel: Axes, metric: Metric, comparison: Comparison, *, has_names: bool
 ) -> None:
     """Draw one metric: methods from top to bottom."""
-    methods, own = comparison.methods, set(own_methods())
+    methods = comparison.methods
+    own = set(own_methods())
     means = [comparison.overall(method)[metric.key] for method in methods]
     best = metric.best(means)
     low, high = _range(metric, means)

@@ -45,7 +45,8 @@ def hands_figure(motion: HumanMotion, trajectory: Trajectory) -> Figure:
     Returns:
         The picture, 1600 x 672 pixels.
     """
-    figure, size = new_figure(figsize=(10.0, 4.2)), (800, 672)
+    figure = new_figure(figsize=(10.0, 4.2))
+    size = (800, 672)
     instants = [0, len(motion.time) // 2, len(motion.time) - 1]
     human, robot = motion.human, trajectory.robot
     hands = [
@@ -109,7 +110,8 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     points, wrist, step = figure.subplots(
         3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0)
     )
-    time, cpu = trajectory.time, 1e6 * trajectory.step_cpu
+    time = trajectory.time
+    cpu = 1e6 * trajectory.step_cpu
     specs = zip(trajectory.robot.reference_points, COLOURS, strict=False)
     for point, (spec, colour) in enumerate(specs):
         error = 1e3 * trajectory.point_error[:, point]

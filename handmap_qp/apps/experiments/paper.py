@@ -45,7 +45,8 @@ GAMMAS = tuple(round(0.1 * k, 1) for k in range(1, 11))
 """The paper's range of gamma."""
 STEPS = (2, 3, 5, 10, 20, 50, 100, 200)
 """Numbers of steps of the sweep."""
-TABLE_GAMMAS, TABLE_STEPS = (0.1, 0.5, 1.0), (5, 50, 200)
+TABLE_GAMMAS = (0.1, 0.5, 1.0)
+TABLE_STEPS = (5, 50, 200)
 """What the table of final errors has of them."""
 SYNERGIES = (1, 2, 3)
 MODELS: dict[str, Stiffnesses | None] = {"rigid": None, "quasi-static": UNIT}
@@ -157,7 +158,8 @@ def figure_4_grasps() -> FigureRecord:
             zip(grasp.contacts, grasp.points, strict=True), 1
         )
     ]
-    human, robot = len(scene.human.contacts), len(scene.robot.contacts)
+    human = len(scene.human.contacts)
+    robot = len(scene.robot.contacts)
     text = (
         f"The human hand holds the 50 mm cube with {human} contacts and the three-fingered hand "
         f"with {robot}. These are the reference grasps of the package, computed with the paper's "
@@ -274,7 +276,8 @@ def figure_6_first_step(steps: int = 50) -> FigureRecord:
         for forces in (step.human_forces, step.robot_forces)
     ]
     balance = max(np.abs(one.sum(axis=0)).max() / np.abs(one).max() for one in changes)
-    human, robot = len(scene.human.contacts), len(scene.robot.contacts)
+    human = len(scene.human.contacts)
+    robot = len(scene.robot.contacts)
     claims = [
         _claim(
             "the directions of the object's in-hand motion are quite comparable (Fig. 6)",
@@ -348,7 +351,9 @@ def figure_7_sensitivity() -> FigureRecord:
             }
         )
     rigid, soft = (np.array(_curves(rows, "gamma", model)) for model in MODELS)
-    growth, ends, ends_soft = rigid[:, -1] / rigid[:, 0], rigid[:, -1], soft[:, -1]
+    growth = rigid[:, -1] / rigid[:, 0]
+    ends = rigid[:, -1]
+    ends_soft = soft[:, -1]
     change = _variations(rows, "rigid", 5)
     text = (
         f"From gamma 0.1 to 1 the error grows {listed(growth)}-fold for synergies 1 to 3, to "

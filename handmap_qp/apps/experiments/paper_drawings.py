@@ -116,7 +116,8 @@ class _Panel:
 @styled
 def draw_grasps(scene: Scene) -> Figure:
     """Draw both hands on the cube, and the contacts on its faces."""
-    figure, pixels = new_figure(figsize=(10.0, 3.9)), (533, 549)
+    figure = new_figure(figsize=(10.0, 3.9))
+    pixels = (533, 549)
     hands = (
         ("Human hand", scene.human, HUMAN_COLOUR),
         ("Three-fingered robot hand", scene.robot, ROBOT_COLOUR),
@@ -150,7 +151,8 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
     Returns:
         The picture.
     """
-    figure, poses = new_figure(figsize=(10.0, 5.4)), object_poses(run)
+    figure = new_figure(figsize=(10.0, 5.4))
+    poses = object_poses(run)
     steps = len(poses[0]) - 1
     hands = ((run.scene.human, run.human), (run.scene.robot, run.robot))
     solids = [

@@ -220,7 +220,8 @@ def human_motion(
     Returns:
         The motion in these steps.
     """
-    grasp, arc = scene.human, wrist_arc(setting.steps) if arc is None else arc
+    grasp = scene.human
+    arc = wrist_arc(setting.steps) if arc is None else arc
     share = np.linspace(0.0, 1.0, setting.steps + 1)[: len(arc), None]
     q = grasp.q + setting.gamma * share * _synergy(setting).T
     wrist = np.tile(grasp.wrist, (len(arc), 1, 1))
@@ -235,7 +236,8 @@ def about_centroid(
     scene: Scene, human: HandMotion, start: int, end: int, robot_points: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return T and T_rb with rotation and deformation about the centroid; see `Transfer`."""
-    before, after = human.points[start], human.points[end]
+    before = human.points[start]
+    after = human.points[end]
     motion = estimate_motion(before, after).motion
     return motion, decompose(motion, pivot=before.mean(axis=0)).rigid
 
@@ -274,7 +276,9 @@ def run_experiment(
             three points never do.
     """
     human = human or human_motion(scene, setting)
-    hand, q, wrist = scene.robot_points, [scene.robot.q], [scene.robot.wrist]
+    hand = scene.robot_points
+    q = [scene.robot.q]
+    wrist = [scene.robot.wrist]
     points = [hand.points(q[0], wrist[0])]
     for k in range(1, len(human.q)):
         start = k - 1 if setting.start == "previous" else 0
@@ -349,11 +353,13 @@ def _carried(
     """
     scene, setting = run.scene, run.setting
     share = np.full((len(run.human.q) - 1, 1), setting.gamma / setting.steps)
-    robot_joints, moved = np.eye(len(scene.robot.q)), np.diff(run.robot.q, axis=0)
+    robot_joints = np.eye(len(scene.robot.q))
+    moved = np.diff(run.robot.q, axis=0)
     if stiffnesses is None:
         soft = stiff = None
     else:
-        soft, stiff = stiffnesses, stiffnesses._replace(synergy=np.inf)
+        soft = stiffnesses
+        stiff = stiffnesses._replace(synergy=np.inf)
     return [
         _carry(scene.human, run.human, _synergy(setting), share, soft),
         _carry(scene.robot, run.robot, robot_joints, moved, stiff),
@@ -380,7 +386,9 @@ def _carry(
         Poses of the object, shape (N + 1, 4, 4), and the change of the forces on it in the first
         step [N], shape (n_c, 3); without stiffnesses, shape (0, 3).
     """
-    hand, poses, forces = grasp.contact_hand, [grasp.object_pose], np.zeros((0, 3))
+    hand = grasp.contact_hand
+    poses = [grasp.object_pose]
+    forces = np.zeros((0, 3))
     for k, (q, wrist) in enumerate(zip(motion.q[:-1], motion.wrist[1:], strict=True)):
         pose = wrist @ inverse_pose(motion.wrist[k]) @ poses[-1]
         jacobian = hand.point_jacobian(q, wrist)

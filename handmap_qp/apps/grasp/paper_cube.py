@@ -74,10 +74,13 @@ def reference_grasp(hand: str = "human", *, is_toolbox: bool = False) -> Referen
     published = figures.get("published", figures)
     spec = read_hand_spec(urdf_directory() / hand / "hand.yaml")
     model = Hand(spec, points="contacts", mount="floating")
-    wrist, q = np.array(figures["wrist_pose"]), np.array(figures["q"])
-    rows, object_pose = figures["contacts"], np.array(figures["object"]["pose"])
+    wrist = np.array(figures["wrist_pose"])
+    q = np.array(figures["q"])
+    rows = figures["contacts"]
+    object_pose = np.array(figures["object"]["pose"])
     if is_toolbox:
-        model, q = _toolbox_hand(model), np.array(published["q"])
+        model = _toolbox_hand(model)
+        q = np.array(published["q"])
     links = model.link_poses([row["link"] for row in rows], q, wrist)
     contacts = tuple(
         Contact(
@@ -105,7 +108,8 @@ def _toolbox_hand(hand: Hand) -> Hand:
     shift = float(read_cube_figures("three_finger")["published"]["finger_shift"])
     robot = parse_urdf(hand.urdf_text)
     for joint in robot.iterfind("joint"):
-        azimuth, origin = _AZIMUTHS.get(joint.get("name", "")), joint.find("origin")
+        azimuth = _AZIMUTHS.get(joint.get("name", ""))
+        origin = joint.find("origin")
         if azimuth is not None and origin is not None:
             outwards = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
             xyz = get_numbers(origin, "xyz", 3) + shift * outwards

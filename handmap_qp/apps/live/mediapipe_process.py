@@ -89,7 +89,8 @@ class HandTracker:
             from mediapipe.python.solutions.hands import Hands
         except ImportError as error:
             _stop(f"mediapipe cannot be imported: {error}")
-        self._side, self._fov = side, fov
+        self._side = side
+        self._fov = fov
         self._hands = Hands(max_num_hands=2, model_complexity=1)
 
     def find(self, pixels: np.ndarray) -> TrackedHand | None:
@@ -125,7 +126,9 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
     import cv2
 
-    source, name, patience = str(arguments.video), f"video {arguments.video}", 0
+    source = str(arguments.video)
+    name = f"video {arguments.video}"
+    patience = 0
     if not (is_file := arguments.video is not None):
         source, patience = arguments.camera, _LOST
         name = f"camera {source}"

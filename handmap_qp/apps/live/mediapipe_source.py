@@ -71,7 +71,8 @@ def install_environment(report: Callable[[str], object]) -> Path:
     Raises:
         InvalidInputError: If there is no Python that MediaPipe runs on, or pip fails.
     """
-    folder, python = environment_folder(), _find_python()
+    folder = environment_folder()
+    python = _find_python()
     report(f"making {folder}")
     folder.parent.mkdir(parents=True, exist_ok=True)
     _run(

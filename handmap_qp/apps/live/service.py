@@ -196,7 +196,8 @@ class ServiceSink:
             return
         if command is None:
             return
-        self._heard, self.command = time.monotonic(), command
+        self._heard = time.monotonic()
+        self.command = command
         if "watchdog" not in command.flags:
             self._counts.update(commands=1, accepted=not command.rule)
             self._statuses[command.status] += 1
@@ -204,7 +205,8 @@ class ServiceSink:
 
     def _note_refusal(self, error: ServiceError) -> None:
         """Count a refusal by code and field; keep its text."""
-        code, field = error.error.code, error.error.field.partition("[")[0]
+        code = error.error.code
+        field = error.error.field.partition("[")[0]
         self._refusals[f"{code} {field}".strip()] += 1
         self._refusal = str(error)
 

@@ -139,10 +139,14 @@ class Replay:
             raise InvalidInputError(
                 argument="speed", expected=f"a factor from {low} to {high}", value=speed
             )
-        self.name, self.side = recording.name, recording.side
+        self.name = recording.name
+        self.side = recording.side
         self.rate = speed / float(np.median(recording.steps))
-        self._recording, self._speed, self._loop = recording, speed, loop
-        self._faults, self._seed = faults, seed
+        self._recording = recording
+        self._speed = speed
+        self._loop = loop
+        self._faults = faults
+        self._seed = seed
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield each sample when its time has come.
@@ -190,7 +194,8 @@ class Recorder:
     """
 
     def __init__(self, file: Path, argument: str = "file") -> None:
-        self.file, self._argument = check_output(argument, file, SUFFIXES), argument
+        self.file = check_output(argument, file, SUFFIXES)
+        self._argument = argument
         self._samples: list[HumanSample] = []
         self._disordered = 0
 

@@ -233,7 +233,8 @@ def prepare_take(
     is_mirrored = recording.side != side
     if is_mirrored:
         recording = mirrored(recording)
-    held, poses = held_samples(recording.valid), recording.wrist
+    held = held_samples(recording.valid)
+    poses = recording.wrist
     person = person or measure_person(recording)
     lengths = person.lengths
     human = load_hand(human_name(side), lengths=lengths)
@@ -410,9 +411,11 @@ def _map_outside(
     folder: Path, listed: _Listed, hand: str, take: Take, robot: Hand
 ) -> RobotMotion:
     """Run an outside program on a take."""
-    recording, count = take.recording, len(take.recording)
+    recording = take.recording
+    count = len(take.recording)
     with tempfile.TemporaryDirectory(prefix="handmap-") as temporary:
-        given, made = Path(temporary) / f"{take.name}.npz", Path(temporary) / "made.npz"
+        given = Path(temporary) / f"{take.name}.npz"
+        made = Path(temporary) / "made.npz"
         np.savez(
             given,
             time=recording.time,

@@ -118,7 +118,8 @@ def assess_fidelity(
     sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
     _check(sizes, len(time), shared)
     counts = _settled(seen.astype(bool), time)
-    h, r = human.part(counts, shared), robot.part(counts, shared)
+    h = human.part(counts, shared)
+    r = robot.part(counts, shared)
     fingers = finger_metrics(h, r)
     values = dict.fromkeys((metric.key for metric in METRICS), np.nan)
     values |= _over_fingers(shared, fingers)
@@ -167,7 +168,8 @@ def _settled(seen: np.ndarray, time: np.ndarray) -> np.ndarray:
 
 def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> Values:
     """Return metrics of the whole hand: correlations weighted by the human's range, and means."""
-    correlations, weights = fingers["extension_correlation"], fingers["extension_range"]
+    correlations = fingers["extension_correlation"]
+    weights = fingers["extension_range"]
     found: Values = {
         "extension_rms": _rms(fingers["extension_rms"]),
         "finger_direction_deg": fingers["direction_deg"].mean(),
@@ -366,7 +368,8 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
     count = len(human.names)
     other = _palm_points(robot)
     aligned = _laid_on(_palm_points(human), other)
-    starts, ends = [0] * count, list(range(1, 1 + count))
+    starts = [0] * count
+    ends = list(range(1, 1 + count))
     if THUMB in human.names:
         thumb = 1 + human.names.index(THUMB)
         ends += [i for i in range(1, 1 + count) if i != thumb]
@@ -460,7 +463,8 @@ def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
 def _lagged_correlation(a: np.ndarray, b: np.ndarray, lag: int) -> float:
     """Correlation of centred a(t) with b(t + lag), all rows together; shape (n, T) each."""
     count = a.shape[1] - abs(lag)
-    one, other = a[:, max(0, -lag) :][:, :count], b[:, max(0, lag) :][:, :count]
+    one = a[:, max(0, -lag) :][:, :count]
+    other = b[:, max(0, lag) :][:, :count]
     return float(_cosines(one.ravel(), other.ravel()))
 
 

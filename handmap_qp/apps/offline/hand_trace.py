@@ -51,7 +51,8 @@ class HandTrace(NamedTuple):
     @property
     def local(self) -> np.ndarray:
         """The points in the palm frame [m], shape (T, k, 3, 3)."""
-        rotations, origins = self.palm[:, None, :3, :3], self.palm[:, None, None, :3, 3]
+        rotations = self.palm[:, None, :3, :3]
+        origins = self.palm[:, None, None, :3, 3]
         return (self.points - origins) @ rotations
 
     @property
@@ -65,7 +66,8 @@ class HandTrace(NamedTuple):
     def part(self, samples: np.ndarray, names: Sequence[str]) -> HandTrace:
         """Return some of the samples, by index or mask, and some of the fingers."""
         chosen = [self.names.index(name) for name in names]
-        points, palm = self.points[samples][:, chosen], self.palm[samples]
+        points = self.points[samples][:, chosen]
+        palm = self.palm[samples]
         return HandTrace(tuple(names), points, self.reach[chosen], palm, self.size)
 
 
@@ -123,8 +125,10 @@ def trace_robot(
     """
     chains = chains or find_fingers(hand)
     wrists = np.broadcast_to(np.eye(4), (len(q), 4, 4)) if wrist is None else wrist
-    data, vector = hand.model.createData(), np.zeros(hand.model.nq)
-    palm, points = np.empty((len(q), 4, 4)), np.empty((len(q), len(chains), 3, 3))
+    data = hand.model.createData()
+    vector = np.zeros(hand.model.nq)
+    palm = np.empty((len(q), 4, 4))
+    points = np.empty((len(q), len(chains), 3, 3))
     places = [(chain.knuckle, chain.middle, chain.tip) for chain in chains.values()]
     for t, angles in enumerate(q):
         hand.write_configuration(vector, angles, wrists[t])

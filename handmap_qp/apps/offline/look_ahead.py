@@ -154,9 +154,11 @@ def whittaker(
     # Imported when used: it takes a quarter of the start of a worker, and most look at the past.
     from scipy.linalg import solveh_banded
 
-    before, after = np.diff(time)[:-1], np.diff(time)[1:]
+    before = np.diff(time)[:-1]
+    after = np.diff(time)[1:]
     # Second derivative by divided differences: rows of three factors over three samples.
-    first, last = 2.0 / (before * (before + after)), 2.0 / (after * (before + after))
+    first = 2.0 / (before * (before + after))
+    last = 2.0 / (after * (before + after))
     factors = (first, -(first + last), last)
     penalty = 0.5 * (before + after) * (2.0 * np.pi * cutoff) ** -4
     weights = weight * np.gradient(time)
@@ -260,8 +262,11 @@ def map_both_ways(
     )
     bound = method.bind(human, robot)
     solver = PointIk(bound.robot, ik.replaced(**_FOLLOW), contacts=bound.contacts)
-    mean, dt, margins = 0.5 * (forward.q + backward.q[::-1]), recording.steps, None
-    q, points = np.empty_like(mean), np.empty_like(forward.points)
+    mean = 0.5 * (forward.q + backward.q[::-1])
+    dt = recording.steps
+    margins = None
+    q = np.empty_like(mean)
+    points = np.empty_like(forward.points)
     at_bound = np.zeros(q.shape, dtype=bool)
     robot = forward.robot
     solver.place(robot.configuration_vector(mean[0], forward.wrist[0]))
@@ -305,10 +310,12 @@ def _smoothed(
     seen = landmarks[valid]
     points = seen[:, PALM]
     turns = rigid_fit(points[0], points)[:, :3, :3]
-    palms, local = np.zeros((len(time), 4, 4)), np.zeros((len(time), 21, 3))
+    palms = np.zeros((len(time), 4, 4))
+    local = np.zeros((len(time), 21, 3))
     palms[valid] = affine(turns, points.mean(axis=1))
     local[valid] = transform_points(inverse_pose(palms[valid]), seen)
-    columns, weight = local.reshape(len(time), -1), valid.astype(float)
+    columns = local.reshape(len(time), -1)
+    weight = valid.astype(float)
     inside = whittaker(time, columns, weight, options.cutoff)
     poses = smooth_poses(time, palms, valid, options)
     return transform_points(poses, inside.reshape(local.shape))

@@ -65,7 +65,8 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
     """
     points = as_floats(landmarks, "landmarks", shape=("T", 21, 3))
     # Chains of wrist, MCP, PIP, DIP and tip, shape (T, 4, 5, 3).
-    wrist, fingers = points[:, 0], points[:, 5:].reshape(-1, 4, 4, 3)
+    wrist = points[:, 0]
+    fingers = points[:, 5:].reshape(-1, 4, 4, 3)
     starts = np.broadcast_to(wrist[:, None, None], (len(points), 4, 1, 3))
     bones = np.diff(np.concatenate([starts, fingers], axis=2), axis=2)
     normal = np.cross(bones[:, 0, 0], bones[:, 3, 0])
@@ -97,9 +98,11 @@ POSES = (
 def _scores(posture: Posture) -> dict[str, np.ndarray]:
     """Return how clearly every sample shows each of `POSES`, shape (T,); NaN where it does not."""
     flexion, gaps, spread = posture
-    most, least = flexion.max(axis=1), flexion.min(axis=1)
+    most = flexion.max(axis=1)
+    least = flexion.min(axis=1)
     others = flexion[:, 1:].min(axis=1)
-    is_open, is_fist = most < STRAIGHT, least > CURLED
+    is_open = most < STRAIGHT
+    is_fist = least > CURLED
     is_pointing = (flexion[:, 0] < STRAIGHT) & (others > CURLED)
     found = {
         "open": (is_open, STRAIGHT - most),

@@ -95,7 +95,9 @@ def notes(summary: dict[str, Any]) -> list[str]:
     Args:
         summary: Result of `summarise`.
     """
-    lines, share, arm = [], summary["speed_limited_share"], summary["arm_out_of_reach"]
+    lines = []
+    share = summary["speed_limited_share"]
+    arm = summary["arm_out_of_reach"]
     if share > SLOW_SHARE:
         joints = ", ".join(
             f"{row['joint']} ({row['limit']:.3g} per s)"
@@ -162,7 +164,8 @@ def _arm(trajectory: Trajectory) -> dict[str, float] | None:
     robot, seen = trajectory.robot, trajectory.valid
     if robot.is_floating or not robot.has_moving_wrist or not seen.any():
         return None
-    places, errors = trajectory.wrist[seen, :3, 3], trajectory.wrist_error[seen]
+    places = trajectory.wrist[seen, :3, 3]
+    errors = trajectory.wrist_error[seen]
     late = errors > _WRIST_OFF
     if not late.mean() > _LATE_SHARE:
         return None

@@ -109,7 +109,8 @@ class GapMeter:
             q: Joint angles [rad], shape (T, n).
             most: Distance up to which it is measured, and that stands for larger ones [m].
         """
-        smallest, pairs = _smallest_distance(self._hand, self._colliding), slice(None)
+        smallest = _smallest_distance(self._hand, self._colliding)
+        pairs = slice(None)
         return np.array([smallest(angles, pairs, most) for angles in q])
 
     @cached_property
@@ -134,7 +135,8 @@ def _smallest_distance(
     pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
     first, second = np.array(pairs, dtype=int).reshape(-1, 2).T
     touching = radii[first] + radii[second]
-    data, geometry_data = hand.model.createData(), geometry.createData()
+    data = hand.model.createData()
+    geometry_data = geometry.createData()
     vector = hand.configuration_vector(hand.rest)
 
     def smallest(q: np.ndarray, chosen: slice, most: float) -> float:

@@ -21,10 +21,14 @@ from handmap_qp.se3 import lengths
 FINGERS = human.FINGERS[1:]
 """The fingers from the thumb's side outwards; additional fingers are numbered."""
 # Confidence with two kinds of evidence that agree, with one, and with two that disagree.
-_CERTAIN, _LIKELY, _DISPUTED = 0.95, 0.75, 0.5
+_CERTAIN = 0.95
+_LIKELY = 0.75
+_DISPUTED = 0.5
 # Score margins above which an answer is clear, or better than none; fingers agree if the mean of
 # their unit vectors is this long.
-_CLEAR, _VISIBLE, _AGREED = 0.3, 0.1, 0.85
+_CLEAR = 0.3
+_VISIBLE = 0.1
+_AGREED = 0.85
 # Largest angles at which a direction counts as the palm link's axis: alone, and if the knuckles lie
 # in that direction from the link's origin [deg].
 _SNAP, _SNAP_WITH_PALM = 5.0, 16.0

@@ -50,7 +50,8 @@ from handmap_qp.se3 import lengths
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME, _FIST_ANGLE = 0.5, 1.5
 # A larger range is in degrees or millimetres [rad or m].
-_LARGEST_TURN, _LARGEST_SLIDE = 2.0 * np.pi + 0.01, 2.0
+_LARGEST_TURN = 2.0 * np.pi + 0.01
+_LARGEST_SLIDE = 2.0
 # Allowed distance of a reference point from its link's shape, for example a sensor's frame [m].
 _OFF_THE_LINK = 0.02
 # Names in one finding.

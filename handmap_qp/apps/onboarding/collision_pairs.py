@@ -28,7 +28,9 @@ _SAMPLES, _NEAR = 60, 0.01
 _BY_DESIGN = 0.5
 # The same of a few postures; links of a compact joint are shorter than this and overlap when it
 # bends [m].
-_FEW, _IN_FEW, _SHORT = 8, 0.8, 0.025
+_FEW = 8
+_IN_FEW = 0.8
+_SHORT = 0.025
 
 
 def with_collision_pairs(found: Detection, hand: Hand) -> Detection:

@@ -26,7 +26,8 @@ from handmap_qp.se3 import affine, inverse_pose, lengths, transform_points
 _PANEL = (760, 820)
 # From the end of an axis to the middle of its label, to the side and up [pixel].
 _AXIS_GAP = np.array([38.0, -14.0])
-_GREY, _OTHER_COLOUR = (0.62, 0.64, 0.67), (0.25, 0.25, 0.28)
+_GREY = (0.62, 0.64, 0.67)
+_OTHER_COLOUR = (0.25, 0.25, 0.28)
 _AXES = ("x, across", "y, distal", "z, dorsal")
 _AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 # Title and azimuth [deg] of the two views; the second azimuth is that of a right hand.

@@ -32,7 +32,9 @@ from handmap_qp.output_files import check_output
 from handmap_qp.trackers.formats import read_recording
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
-_OBJECT, _MASS, _FRICTION = "box:0.03", 0.05, 0.8
+_OBJECT = "box:0.03"
+_MASS = 0.05
+_FRICTION = 0.8
 
 
 @dataclass(frozen=True)
@@ -178,18 +180,17 @@ class Simulate:
     def _simulate(self) -> tuple[dict[str, list[PinchOutcome]], list[PinchTrial]]:
         """Pinch every object by every mapping."""
         assert self.recording is not None
-        body, physics, robot = (
-            Body(parse_object(self.object), self.mass),
-            self._physics(),
-            load_hand(self.robot),
-        )
+        body = Body(parse_object(self.object), self.mass)
+        physics = self._physics()
+        robot = load_hand(self.robot)
         nominal = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
         trials = [nominal]
         if self.trials:
             trials = random_trials(self.trials, self.seed, self.objects, nominal)
         read = read_recording(self.recording)
         methods = chosen_methods(self.methods, self.peers, self.robot)
-        window, take = find_pinch(read), prepare_take(read, robot.spec.side)
+        window = find_pinch(read)
+        take = prepare_take(read, robot.spec.side)
         outcomes: dict[str, list[PinchOutcome]] = {}
         for method in methods:
             scene = PinchScene(map_commands(method, take, robot), window, physics)
@@ -224,7 +225,8 @@ class Simulate:
 
     def _write(self, episodes: dict[str, Episode]) -> None:
         """Write the files: of the first mapping; the page shows all."""
-        up, episode = -np.array(self._physics().gravity), next(iter(episodes.values()))
+        up = -np.array(self._physics().gravity)
+        episode = next(iter(episodes.values()))
         title = f"{self.robot}, simulated"
         for path, write in (
             (self.out, lambda path: save_npz(path, episode.columns)),

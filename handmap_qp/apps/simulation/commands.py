@@ -88,7 +88,8 @@ def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
         hand: The robot hand.
     """
     motion = method.map_take(take, hand)
-    time, wrist = np.asarray(take.recording.time), motion.wrist_in(take, hand)
+    time = np.asarray(take.recording.time)
+    wrist = motion.wrist_in(take, hand)
     return Commands(hand, time, motion.q, wrist)
 
 
@@ -98,7 +99,8 @@ def find_pinch(recording: Recording) -> PinchWindow:
     Raises:
         InvalidInputError: If there is no pinch of half a second.
     """
-    time, landmarks = recording.time, recording.landmarks
+    time = recording.time
+    landmarks = recording.landmarks
     gap = np.linalg.norm(landmarks[:, 4] - landmarks[:, 8], axis=1)
     # Samples without landmarks interrupt nothing.
     runs, _ = ndimage.label(~(gap > _OPEN))

@@ -20,14 +20,17 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
 
-OBJECT, BASE, MOCAP = "object", "base", "mocap"
+OBJECT = "object"
+BASE = "base"
+MOCAP = "mocap"
 """Names of bodies and constraints of the model."""
 
 # Who collides with whom.
 _HAND = {"contype": 1, "conaffinity": 2}
 _HELD = {"contype": 2, "conaffinity": 1}
 # Least mass and inertia of a link [kg, kg m^2], and those of a floating base.
-_LEAST, _LEAST_OF_BASE = (2e-3, 1e-6), (1.0, 1e-3)
+_LEAST = (2e-3, 1e-6)
+_LEAST_OF_BASE = (1.0, 1e-3)
 # Stiff enough for a lag of the wrist of a few milliseconds.
 _STIFF = {"solref": [4e-3, 1.0], "solimp": [0.99, 0.999, 1e-3, 0.5, 2.0]}
 # Limits beyond this stand for none [rad or m].
@@ -239,11 +242,14 @@ def _set_geom(spec: Any, geom: Any, shape: Any, physics: Physics) -> None:
         case coal.Sphere() | Sphere():
             kind, size = "SPHERE", [shape.radius, 0.0, 0.0]
         case coal.Capsule():
-            kind, size = "CAPSULE", [shape.radius, shape.halfLength, 0.0]
+            kind = "CAPSULE"
+            size = [shape.radius, shape.halfLength, 0.0]
         case coal.Cylinder():
-            kind, size = "CYLINDER", [shape.radius, shape.halfLength, 0.0]
+            kind = "CYLINDER"
+            size = [shape.radius, shape.halfLength, 0.0]
         case Cylinder():
-            kind, size = "CYLINDER", [shape.radius, shape.length / 2.0, 0.0]
+            kind = "CYLINDER"
+            size = [shape.radius, shape.length / 2.0, 0.0]
         case _:
             _set_hull(spec, geom, shape)
             return
@@ -309,7 +315,8 @@ def _install_actuators(
         stiffness = np.linalg.inv(np.linalg.inv(stiffness) + compliance)
     damping = _critical(stiffness, model.dof_M0[joint_v])
     is_torque = ~is_arm & (physics.actuators == "torque")
-    gains, joints = np.diag(stiffness), model.dof_jntid[joint_v]
+    gains = np.diag(stiffness)
+    joints = model.dof_jntid[joint_v]
     bias = np.column_stack([np.zeros_like(gains), -gains, -np.diag(damping)])
     model.actuator_gainprm[:, 0] = np.where(is_torque, 1.0, gains)
     model.actuator_biasprm[:, :3] = np.where(is_torque[:, None], 0.0, bias)

@@ -47,10 +47,8 @@ _LAG = 1.0
 # Instants between two samples at which the closing is looked at.
 _PARTS = 4
 # The object of that simulation, far from the hand.
-_NOTHING, _FAR = (
-    Body(Sphere(0.01), 0.01),
-    affine(np.eye(3), np.array([0.0, 0.0, 100.0])),
-)
+_NOTHING = Body(Sphere(0.01), 0.01)
+_FAR = affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
 # Step of the numerical Jacobian [rad].
 _STEP = 1e-6
 
@@ -123,11 +121,9 @@ class Pads:
             command: Mapped command [rad], shape (n,).
             force: The force, f_0 [N].
         """
-        q, wrist, stiffness = (
-            simulator.q,
-            simulator.wrist,
-            simulator.physics.joint_stiffness,
-        )
+        q = simulator.q
+        wrist = simulator.wrist
+        stiffness = simulator.physics.joint_stiffness
         gap = self.gap(q, wrist)
         steps = q + _STEP * np.eye(len(q))
         row = np.array([(self.gap(step, wrist) - gap) / _STEP for step in steps])
@@ -229,7 +225,9 @@ class PinchScene:
     def __init__(
         self, commands: Commands, window: PinchWindow, physics: Physics
     ) -> None:
-        self.commands, self.window, self.physics = commands, window, physics
+        self.commands = commands
+        self.window = window
+        self.physics = physics
         self.pads = Pads(commands.hand)
 
     def run(self, trial: PinchTrial, grip: float | None = None) -> PinchOutcome:
@@ -247,7 +245,9 @@ class PinchScene:
         """
         if grip is not None:
             positive_number(grip, "grip")
-        commands, window, pads = self.commands, self.window, self.pads
+        commands = self.commands
+        window = self.window
+        pads = self.pads
         met = self.meeting(trial.size)
         place = pads.middle(met.q, met.wrist) + np.array(trial.offset)
         simulator = self._start(
@@ -307,18 +307,17 @@ class PinchScene:
     @cached_property
     def _closing(self) -> tuple[list[Meeting], np.ndarray]:
         """The robot's own motion while the human's pinch closes, and its gaps [m], shape (k,)."""
-        commands, window, shares = (
-            self.commands,
-            self.window,
-            np.arange(1, _PARTS + 1) / _PARTS,
-        )
+        commands = self.commands
+        window = self.window
+        shares = np.arange(1, _PARTS + 1) / _PARTS
         simulator = self._start(_NOTHING, self.physics, _FAR)
         last = np.searchsorted(commands.time, commands.time[window.closed] + _LAG)
         instants = []
         for i in range(window.start + 1, min(int(last), window.end)):
             (q, wrist), (start, _) = commands.at(i), commands.at(i - 1)
             places = poses_between(commands.wrist[i - 1], commands.wrist[i], shares)
-            before, step = commands.time[i - 1], commands.time[i] - commands.time[i - 1]
+            before = commands.time[i - 1]
+            step = commands.time[i] - commands.time[i - 1]
             for share, place in zip(shares, places, strict=True):
                 goal = start + share * (q - start)
                 simulator.follow(goal, None if wrist is None else place, step / _PARTS)

@@ -130,7 +130,8 @@ class Simulator:
         physics: Physics | None = None,
         compliance: np.ndarray | None = None,
     ) -> None:
-        self.hand, self.body = hand, body
+        self.hand = hand
+        self.body = body
         self.physics = physics or Physics()
         self.parts = build_model(hand, body, self.physics, compliance)
         self.data = mujoco.MjData(self.parts.model)
@@ -169,10 +170,8 @@ class Simulator:
         contacts = self.contacts()
         pressing = contacts.normal_forces
         sliding = contacts.forces - pressing[:, None] * contacts.normals
-        allowed, used = (
-            self.physics.friction * pressing.sum(),
-            np.linalg.norm(sliding, axis=1).sum(),
-        )
+        allowed = self.physics.friction * pressing.sum()
+        used = np.linalg.norm(sliding, axis=1).sum()
         return Instant(
             time=np.array(self.time),
             q=self.q,
@@ -267,7 +266,8 @@ class Simulator:
     def contacts(self) -> Contacts:
         """Return the contacts between the hand and the object."""
         model, data = self.parts.model, self.data
-        contact, is_object = data.contact, data.contact.geom == model.geom(OBJECT).id
+        contact = data.contact
+        is_object = data.contact.geom == model.geom(OBJECT).id
         rows = np.flatnonzero(is_object.any(axis=1) & (contact.efc_address >= 0))
         forces = np.zeros((len(rows), 6))
         for row, force in zip(rows, forces, strict=True):

@@ -59,11 +59,13 @@ class StandIn:
     """
 
     def __init__(self, simulator: Simulator, client: Client, session: str) -> None:
-        self.simulator, self._client = simulator, client
+        self.simulator = simulator
+        self._client = client
         self._pads = Pads(simulator.hand)
         client.watch(session)
         self._goal: tuple[np.ndarray, np.ndarray | None] | None = None
-        self._epoch, self._count = 0, 0
+        self._epoch = 0
+        self._count = 0
         self._is_standing = True
 
     def run(self, duration: float, report: Callable[[Report], None]) -> None:
@@ -109,7 +111,8 @@ class StandIn:
             self.simulator.reset(q, wrist, place)
             self.simulator.set_stand(holds=True)
             self._is_standing = True
-        self._goal, self._epoch = (q, wrist), command.epoch
+        self._goal = (q, wrist)
+        self._epoch = command.epoch
         self._count += 1
 
     def _advance(

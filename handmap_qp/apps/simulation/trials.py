@@ -19,7 +19,9 @@ Objects = Literal["nominal", "varied"]
 
 # Standard deviation of the place along each axis [m], and largest turn about the vertical [rad].
 _PLACE, _YAW = 0.004, math.radians(20.0)
-_SIZES, _MASSES, _FRICTIONS = (0.02, 0.045), (0.02, 0.2), (0.5, 1.0)
+_SIZES = (0.02, 0.045)
+_MASSES = (0.02, 0.2)
+_FRICTIONS = (0.5, 1.0)
 
 
 def random_trials(

@@ -129,7 +129,8 @@ class View:
 
     def _refuse_unused_options(self) -> None:
         """Refuse options that would have no effect."""
-        changed, usual = self.arguments.changed(), vars(View())
+        changed = self.arguments.changed()
+        usual = vars(View())
         given = {name for name, value in vars(self).items() if value != usual[name]}
         given.update(name for name, value in vars(self.inputs).items() if value)
         given.update(changed)

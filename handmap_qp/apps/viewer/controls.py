@@ -29,7 +29,9 @@ LEFT_OUT = ("step_tolerance", "point_tolerance", "tasks")
 """Options without a control: tolerances, and names of tasks."""
 _GIVEN = "as given"
 # Largest value of a slider without a bound, in units of its default; and where that is 0 or none.
-_SPAN, _UNKNOWN, _OPTIONAL = 4.0, 20.0, 200.0
+_SPAN = 4.0
+_UNKNOWN = 20.0
+_OPTIONAL = 200.0
 # How long a browser may take to draw a picture [s].
 _PATIENCE = 60.0
 
@@ -60,7 +62,9 @@ class _Control:
         to_shown: Callable[[Any], Any] = lambda value: value,
         to_value: Callable[[Any], Any] = lambda value: value,
     ) -> None:
-        self.handle, self._to_shown, self._to_value = handle, to_shown, to_value
+        self.handle = handle
+        self._to_shown = to_shown
+        self._to_value = to_value
         self._taken = handle.value
 
     @property
@@ -284,7 +288,8 @@ class OptionControls:
 
     def _control(self, option: Option) -> _Control:
         """Make the control that suits an option's values."""
-        label, hint = option.name.replace("_", " "), option.about
+        label = option.name.replace("_", " ")
+        hint = option.about
         if option.plain is bool:
             return _Control(
                 self._gui.add_checkbox(label, bool(option.default), hint=hint)
@@ -445,7 +450,8 @@ class ExportControls:
 
 def _picture(client: Any) -> bytes:
     """Let the browser draw the hands, and return the picture."""
-    height, width = client.camera.image_height, client.camera.image_width
+    height = client.camera.image_height
+    width = client.camera.image_width
     return on_white(
         client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
     )

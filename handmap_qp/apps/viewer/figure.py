@@ -344,12 +344,14 @@ class HandFigure(Figure):
             if not is_on_arm:
                 # On an arm, fit the view to the hand; parts of the arm may lie outside.
                 bounds = np.array([mesh.bounds for mesh in meshes])
-                low, high = bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)
+                low = bounds[:, 0].min(axis=0)
+                high = bounds[:, 1].max(axis=0)
                 size = high - low + 2.0 * _PADDING
                 self._corners[link] = low - _PADDING + _UNIT_BOX * size
         wrist = hand.frame_pose("wrist", hand.rest)
         corners = transform_points(inverse_pose(wrist), self._box(hand.rest, wrist))
-        low, high = corners.min(axis=0), corners.max(axis=0)
+        low = corners.min(axis=0)
+        high = corners.max(axis=0)
         self._focus = 0.5 * (low + high)
         self.radius = 0.4 * float(np.linalg.norm(high - low))
         self._points = Spheres(
@@ -505,7 +507,8 @@ class RobotFigure(HandFigure):
     def __init__(self, server: viser.ViserServer, variant: Variant, index: int) -> None:
         node = f"robot_{index + 1}" if index else "robot"
         super().__init__(server, node, variant.robot, ROBOT_COLOUR, index)
-        self.label, solid = "", variant.solid
+        self.label = ""
+        solid = variant.solid
         self._solid: Any = solid and server.scene.add_mesh_simple(
             f"/{node}/object",
             solid.vertices.astype(np.float32),
@@ -563,7 +566,8 @@ def link_meshes(hand: Hand) -> dict[str, list[Any]]:
     urdf = URDF.load(
         text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec))
     )
-    graph, shapes = urdf.scene.graph, defaultdict(list)
+    graph = urdf.scene.graph
+    shapes = defaultdict(list)
     for node in graph.nodes_geometry:
         link = graph.transforms.parents[node]
         pose, name = graph.get(node, link)

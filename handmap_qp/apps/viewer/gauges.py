@@ -24,10 +24,14 @@ from handmap_qp.human.contact_gap import tip_gaps
 if TYPE_CHECKING:
     import viser
 
-HUMAN, FIRST, SECOND = "#8a8f98", "#2166d8", "#0b8f7c"
+HUMAN = "#8a8f98"
+FIRST = "#2166d8"
+SECOND = "#0b8f7c"
 ROBOTS = (FIRST, SECOND, "#a83e9b", "#8a5a00")
 """The robot's values, and those of the robots that it is compared with."""
-GREY, RED, ORANGE = "#9aa0a8", "#d62929", "#f08c00"
+GREY = "#9aa0a8"
+RED = "#d62929"
+ORANGE = "#f08c00"
 # Gaps longer than this fill the whole bar [m].
 _LONGEST_GAP = 0.15
 # Points of a line of a plot: two for each pixel.
@@ -106,11 +110,9 @@ class InstantGauges:
 
     def read(self, sample: ViewSample) -> Readings:
         """Return the numbers of a robot's sample."""
-        errors, wrist, wanted = (
-            sample.point_error,
-            sample.robot_wrist,
-            sample.wrist_target,
-        )
+        errors = sample.point_error
+        wrist = sample.robot_wrist
+        wanted = sample.wrist_target
         shift = angle = np.nan
         if wanted is not None and self._robot.has_moving_wrist:
             shift = np.linalg.norm(wrist[:3, 3] - wanted[:3, 3])
@@ -165,7 +167,9 @@ class InstantGauges:
         second robot's is a narrow bar below.
         """
         robot, (sample, *others) = self._robot, samples[:2]
-        low, high, q = robot.lower_limits, robot.upper_limits, sample.robot_q
+        low = robot.lower_limits
+        high = robot.upper_limits
+        q = sample.robot_q
         postures = [q, robot.rest, *(other.robot_q for other in others)]
         shares = 100.0 * np.clip((np.array(postures) - low) / (high - low), 0.0, 1.0)
         held = (

@@ -121,7 +121,8 @@ class LiveViewer(Window):
         self.clear.visible = self._stop_number != 0 and source.is_shared
         # The copy is one operation, so the thread that reads needs no lock.
         recent = tuple(self.recent)
-        sample, rows = recent[-1][0], [row for _, row in recent]
+        sample = recent[-1][0]
+        rows = [row for _, row in recent]
         self.scene.make_room([sample])
         self.draw([sample])
         if self.is_time_for_gauges():
@@ -152,7 +153,8 @@ class LiveViewer(Window):
         # While requests are pending, the controls keep the requested values.
         if source.is_busy:
             return
-        in_force, preset = source.choice, steering.take_lists().get("preset")
+        in_force = source.choice
+        preset = steering.take_lists().get("preset")
         if preset is None:
             steering.show_choice(in_force)
         # Send only what was changed here: other clients may have changed other options.
@@ -171,7 +173,8 @@ class LiveViewer(Window):
 
     def _variant(self) -> Variant:
         """Return the robot as it is moved now."""
-        source, choice = self._source, self._source.choice
+        source = self._source
+        choice = self._source.choice
         return Variant(choice.preset, source.robot, choice, [self.sample])
 
     def _page(self) -> bytes:

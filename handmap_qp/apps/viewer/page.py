@@ -59,7 +59,8 @@ def make_page(
             serializer.insert_sleep(samples[0].time - shown)
             scene.draw(samples)
             shown = samples[0].time
-        page, view = serializer.as_html(), scene.cameras.view
+        page = serializer.as_html()
+        view = scene.cameras.view
     body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), human)
     head = _part("page_head.html").replace("__VIEW__", json.dumps(view))
     page = page.replace(

@@ -101,11 +101,14 @@ class ServiceSession:
         patience: float = 10.0,
     ) -> None:
         self._host = host
-        self._is_closed, self._is_read = threading.Event(), False
+        self._is_closed = threading.Event()
+        self._is_read = False
         self._start: float | None = None
         self._detail: dict[str, Any] = {}
         self._requests: deque[Callable[[], Any]] = deque()
-        self.is_outdated, self.is_released, self.stop_number = False, False, 0
+        self.is_outdated = False
+        self.is_released = False
+        self.stop_number = 0
         self.last_error: HandmapError | None = None
         address = service_address("--live", host)
         self._client = self._try(Client, address, timeout=_FIRST_TIMEOUT, keys=keys)
@@ -148,7 +151,8 @@ class ServiceSession:
         Raises:
             InvalidInputError: If the session's robot is not `robot`.
         """
-        self._is_read, next_status = True, -np.inf
+        self._is_read = True
+        next_status = -np.inf
         with self._client as client:
             while not self._is_closed.is_set():
                 self._carry_out_requests()
@@ -224,12 +228,14 @@ class ServiceSession:
             if self.is_shared and about["is_shared"] and not about["has_detail"]:
                 self._client.configure(has_detail=True)
             self.is_outdated = {name: about[name] for name in _HANDS} != self._about
-            before, self.choice = self.choice, _choice(about)
+            before = self.choice
+            self.choice = _choice(about)
             if type(before.method) is not type(self.choice.method):
                 self.robot = self._with_method_points()
         except (*_FAILURES, LookupError):
             return
-        self.is_released, self.stop_number = state.is_released, state.stop
+        self.is_released = state.is_released
+        self.stop_number = state.stop
 
     def _find_session(self, session: str | None, end: float) -> dict[str, Any]:
         """Wait until a session is open and its human hand is measured; return its properties."""
@@ -288,8 +294,10 @@ class ServiceSession:
         if not detail or command.wrist is None:
             return None
         self._start = self._start or command.server_time
-        q, wrist = np.array(command.q), command.wrist.matrix
-        targets, landmarks = np.array(detail["targets"]), detail["landmarks"]
+        q = np.array(command.q)
+        wrist = command.wrist.matrix
+        targets = np.array(detail["targets"])
+        landmarks = detail["landmarks"]
         human_q, human_wrist = self._human_posture(detail)
         # The last detail of a held robot may be of another method.
         has_targets = (

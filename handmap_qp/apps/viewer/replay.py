@@ -81,7 +81,9 @@ class Replay:
         self.human = human
         self.time = motion.time - motion.time[0]
         self.switches: dict[int, bool] = {}
-        self._recording, self._motion, self._given_robot = recording, motion, robot
+        self._recording = recording
+        self._motion = motion
+        self._given_robot = robot
         self._smoothing = smoothing
         self.other: Variant | None = None
         self.remap(choice)
@@ -131,7 +133,8 @@ class Replay:
         """
         is_changed = bool(self.preset(choice.preset).changes_to(choice))
         label = f"{choice.preset}, changed" if is_changed else choice.preset
-        variant, other = self._map(choice, label), self.other
+        variant = self._map(choice, label)
+        other = self.other
         if (
             other is not None
             and other.choice is not None
@@ -139,7 +142,9 @@ class Replay:
         ):
             # Both robots are released and clutched at the same samples.
             other = self._map(other.choice, other.label)
-        self.variant, self.choice, self.other = variant, choice, other
+        self.variant = variant
+        self.choice = choice
+        self.other = other
         self._other_switches = dict(self.switches)
 
     def compare(self, choice: Choice | None, label: str = "") -> None:
@@ -193,11 +198,9 @@ class Replay:
 
     def _sample(self, i: int, step: MapStep, is_seen: bool) -> ViewSample:
         """Return what the view shows of one step of a mapper."""
-        results, is_released, recording = (
-            step.diagnostics,
-            step.status == "released",
-            self._recording,
-        )
+        results = step.diagnostics
+        is_released = step.status == "released"
+        recording = self._recording
         has_motion = "motion" in results
         return ViewSample(
             time=float(self.time[i]),
@@ -233,7 +236,8 @@ class ReplayViewer(Window):
     """
 
     def __init__(self, server: viser.ViserServer, replay: Replay) -> None:
-        self.server, self.replay = server, replay
+        self.server = server
+        self.replay = replay
         super().__init__(
             server, replay.human, replay.variants, replay.options_text, replay.page
         )
@@ -288,13 +292,15 @@ class ReplayViewer(Window):
         A slider moved during the mapping takes effect with its value after the mapping.
         """
         steering, replay = self.steering, self.replay
-        chosen, changes = steering.take_lists(), steering.options.take_changes()
+        chosen = steering.take_lists()
+        changes = steering.options.take_changes()
         requests = steering.take_requests()
         if "preset" in chosen or "reset" in requests:
             self._base = (
                 self._start if "reset" in requests else replay.preset(chosen["preset"])
             )
-            self._changes, changes = {}, {}
+            self._changes = {}
+            changes = {}
             steering.show_choice(self._base)
         for request in requests:
             replay.switch(request, self.index)

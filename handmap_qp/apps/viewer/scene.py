@@ -95,7 +95,8 @@ class HandScene:
         """
         for i in range(len(self._robots), len(variants)):
             self._robots.append(RobotFigure(self.server, variants[i], i))
-        upright, wrist = None, variants[0].samples[0].human_wrist
+        upright = None
+        wrist = variants[0].samples[0].human_wrist
         if self._people is not None and wrist is not None:
             upright = (wrist @ self._people[1].hand.wrist_to_palm)[:3, :3].T
             for figure in self._people:
@@ -219,8 +220,10 @@ class BrowserCameras:
         """
         views = {}
         for name, client in self._server.get_clients().items():
-            camera, is_new = client.camera, name not in self._views
-            columns, rows = camera.image_width, max(camera.image_height, 1)
+            camera = client.camera
+            is_new = name not in self._views
+            columns = camera.image_width
+            rows = max(camera.image_height, 1)
             if columns < _NARROW and name not in self._folded:
                 # The main panel holds the gauges; the controls have one of their own.
                 client.gui.main_panel.minimize()

@@ -198,7 +198,9 @@ class BoundHomogeneous:
     contacts: ShapePairs | None = None
 
     def __init__(self, options: Homogeneous, human: Hand, robot: Hand) -> None:
-        self.options, self.human, self.robot = options, human, robot
+        self.options = options
+        self.human = human
+        self.robot = robot
         self.renews_reference = options.reference == "previous"
         self.needs_wrist = "rigid_from='wrist'" if options.rigid_from == "wrist" else ""
         needs = [
@@ -238,7 +240,8 @@ class BoundHomogeneous:
             raise InvalidInputError(
                 argument="wrist_pose", problem="needed for reference='rest'"
             )
-        hand, points = self.robot, self.human.points(self.human.rest, sample.wrist)
+        hand = self.robot
+        points = self.human.points(self.human.rest, sample.wrist)
         to_here = robot.wrist @ inverse_pose(hand.frame_pose("wrist", hand.rest))
         placed = transform_points(to_here, hand.points(hand.rest))
         posture = RobotPosture(hand.rest, placed, robot.wrist)
@@ -246,7 +249,9 @@ class BoundHomogeneous:
 
     def _check_hands(self) -> None:
         """Reject choices that these two hands cannot carry out."""
-        options, human, robot = self.options, self.human, self.robot
+        options = self.options
+        human = self.human
+        robot = self.robot
         if options.rigid_from != "none" and not robot.has_moving_wrist:
             raise InvalidOptionsError(
                 option="rigid_from",
@@ -254,7 +259,8 @@ class BoundHomogeneous:
                 value=options.rigid_from,
                 advice="give rigid_from='none', or load the robot with mount='floating'",
             )
-        count, needed = len(human.reference_points), 4 if options.ridge == 0.0 else 3
+        count = len(human.reference_points)
+        needed = 4 if options.ridge == 0.0 else 3
         if count < needed and not (options.ridge > 0.0 and self.needs_wrist):
             raise InvalidOptionsError(
                 option="ridge",
@@ -270,8 +276,11 @@ class HomogeneousMap:
     def __init__(
         self, method: BoundHomogeneous, sample: HumanPose, robot: RobotPosture
     ) -> None:
-        options, human, hand = method.options, method.human, method.robot
-        self._options, self._wrist = options, sample.wrist
+        options = method.options
+        human = method.human
+        hand = method.robot
+        self._options = options
+        self._wrist = sample.wrist
         # A chain of references has no posture to come back to but the hand's own.
         self.rest = hand.rest if method.renews_reference else robot.q
         self._estimator = MotionEstimator(
@@ -288,7 +297,8 @@ class HomogeneousMap:
             pivot = self._estimator.centroid
             robot_pivot = hand.point_weights @ robot.points / hand.point_weights.sum()
         elif options.pivot == "palm" and human_palm is not None:
-            pivot, robot_pivot = human_palm[:3, 3].copy(), robot_palm[:3, 3]
+            pivot = human_palm[:3, 3].copy()
+            robot_pivot = robot_palm[:3, 3]
         else:
             pivot = robot_pivot = np.array(options.pivot_point or (0.0, 0.0, 0.0))
         self._pivot = frozen(pivot)
@@ -306,10 +316,13 @@ class HomogeneousMap:
 
     def targets(self, sample: HumanPose) -> Targets:
         """Estimate T, split it about the pivot, and impose both parts on the robot."""
-        options, pivot, Q = self._options, self._pivot, self._alignment
+        options = self._options
+        pivot = self._pivot
+        Q = self._alignment
         turn, rigid_image = self._wrist_motion(sample)
         estimate = self._estimator.estimate(sample.points, turn)
-        linear, image = estimate.linear, estimate.image(pivot)
+        linear = estimate.linear
+        image = estimate.image(pivot)
         factors = polar(linear)
         stretches = np.minimum(
             np.maximum(factors.stretches, options.stretch_min), options.stretch_max

@@ -100,7 +100,8 @@ class JointLink:
     def position(self, angles: np.ndarray) -> float:
         """Return the robot joint's position for the finger's human angles, shape (4,)."""
         angle = float(self.human.dot(angles)) - self.zero
-        share, end = angle / self.human_range[angle >= 0.0], self.ends[angle >= 0.0]
+        share = angle / self.human_range[angle >= 0.0]
+        end = self.ends[angle >= 0.0]
         return self.robot_zero + min(max(share, 0.0), 1.0) * (end - self.robot_zero)
 
 
@@ -168,7 +169,8 @@ class BoundJointToJoint(PalmMethod):
     def positions(self, angles: np.ndarray) -> np.ndarray:
         """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share."""
         of_finger = dict(zip(self.fingers, angles, strict=True))
-        q, count = self.robot.rest.copy(), np.zeros(len(self.robot.rest))
+        q = self.robot.rest.copy()
+        count = np.zeros(len(self.robot.rest))
         for link in self.links:
             count[link.column] += 1.0
             by = link.position(of_finger[link.finger]) - q[link.column]
@@ -210,7 +212,8 @@ def _finger_links(
     human_columns: np.ndarray,
 ) -> list[JointLink]:
     """Find which joints of one finger correspond, from where to where they go, and which way."""
-    is_thumb, columns = finger.name == THUMB, finger.columns.tolist()
+    is_thumb = finger.name == THUMB
+    columns = finger.columns.tolist()
     flexes = [column for column in columns if finger.closing[column]] or columns[:1]
     spreads = [column for column in columns if column not in flexes]
     if is_thumb and spreads:
@@ -272,11 +275,9 @@ def _closed_end(
     human_columns: np.ndarray,
     senses: np.ndarray,
 ) -> _ClosedEnd:
-    is_thumb, flexion, view = (
-        finger.name == THUMB,
-        finger.flexion,
-        PalmKinematics(robot),
-    )
+    is_thumb = finger.name == THUMB
+    flexion = finger.flexion
+    view = PalmKinematics(robot)
     if flexion is not None and finger.closing[column] and not is_thumb:
         start = float(flexion.straight[flexion.columns == column][0])
         return _ClosedEnd(start, bool(finger.closing[column] > 0.0))
@@ -290,10 +291,8 @@ def _closed_end(
     motion = view.motion(robot.rest, finger.tip)[:, column]
     if not motion[3:].any():
         # A jaw closes towards the other fingertips.
-        ends, tips = (
-            ends_of(robot, robot.rest, [column]),
-            [each.tip for each in (finger, *others)],
-        )
+        ends = ends_of(robot, robot.rest, [column])
+        tips = [each.tip for each in (finger, *others)]
         is_upper = nearing(view, ends, tips, 0) >= 0.0
         return _ClosedEnd(float(ends[int(not is_upper), column]), is_upper, is_thumb)
     leader = int(np.flatnonzero(senses)[0])

@@ -44,12 +44,10 @@ _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _SQUEEZE = 0.003
 # Margin between thumb and finger: least, per human gap beyond where it begins, most [m].
-_CONTACT_MARGIN, _CONTACT_SLOPE, _CONTACT_FROM, _CONTACT_MOST = (
-    0.0005,
-    0.25,
-    0.018,
-    0.005,
-)
+_CONTACT_MARGIN = 0.0005
+_CONTACT_SLOPE = 0.25
+_CONTACT_FROM = 0.018
+_CONTACT_MOST = 0.005
 # Levenberg-Marquardt factors of the distance rows: with less, gloves and coupled fingers shake.
 _EXTENSION_DAMPING, _PINCH_DAMPING = 1.5, 3.0
 # Margin between all other links [m].
@@ -242,7 +240,9 @@ class BoundTeleoperation(PalmMethod):
 
     def _prepare_aims(self) -> None:
         """Make the wanted distance of each row a linear function of the human's, within bounds."""
-        pair, choices, human = self.pair, self.choices, self.pair.human_rest
+        pair = self.pair
+        choices = self.choices
+        human = self.pair.human_rest
         at_rest = np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1)
         posture = pair.robot_extension - at_rest / pair.human_reach
         radii = [pair.pads[f].radius for f in (THUMB, *self.pinched) if self.pinched]
@@ -250,7 +250,8 @@ class BoundTeleoperation(PalmMethod):
         touching = np.array([radii[0] + radius - _SQUEEZE for radius in radii[1:]])
         # Between jaws, an object is as large as between the human's fingers.
         ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
-        many, few = np.ones(len(pair.fingers)), np.ones(len(touching))
+        many = np.ones(len(pair.fingers))
+        few = np.ones(len(touching))
         self.aim_slopes = np.concatenate([pair.reach_ratios, ratio * few])
         self.aim_offsets = np.concatenate(
             [pair.robot_reach * posture, touching - ratio * choices.contact_gap]
@@ -302,7 +303,8 @@ class TeleoperationMap(PalmMap):
         anchors = pair.human_knuckles, pair.robot_knuckles
         super().__init__(method, sample, robot, *anchors, scale)
         self.rest = pair.matched
-        self._method, self._pair = method, pair
+        self._method = method
+        self._pair = pair
         self._palm_before = palm_of(sample, method.human)
         # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
         # thumb's.
@@ -318,12 +320,16 @@ class TeleoperationMap(PalmMap):
 
     def targets_of(self, samples: HumanPose) -> list[Targets]:
         """Return the targets of many samples along a leading axis; see `TargetMap`."""
-        method, pair, count = self._method, self._pair, len(self._pair.fingers)
+        method = self._method
+        pair = self._pair
+        count = len(self._pair.fingers)
         human_palms, palms, now = self.follow(samples)
         estimate = method.estimator.estimate(now[:, pair.shape_points])
         distances = lengths(now[:, self._to] - now[:, self._from])
-        extensions, gaps = distances[:, :count] / pair.human_reach, distances[:, count:]
-        aims, pinching = method.aims(distances), method.pinching(gaps)
+        extensions = distances[:, :count] / pair.human_reach
+        gaps = distances[:, count:]
+        aims = method.aims(distances)
+        pinching = method.pinching(gaps)
         points, wrists = self.placed(palms, self._moved(estimate, now))
         extending = np.broadcast_to(method.extension_weights, extensions.shape)
         weights = np.hstack([extending, method.choices.pinch_weight * pinching])
@@ -354,10 +360,8 @@ class TeleoperationMap(PalmMap):
         `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
         """
         pair, ratio = self._pair, self._pair.finger_ratio
-        gain, centroid = (
-            self._method.choices.residual_gain * ratio,
-            estimate.centroid_before,
-        )
+        gain = self._method.choices.residual_gain * ratio
+        centroid = estimate.centroid_before
         shift = estimate.centroid_after[..., None, :]
         offsets = (
             pair.robot_rest

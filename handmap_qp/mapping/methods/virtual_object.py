@@ -167,7 +167,9 @@ class Enclosing:
         size: float,
         ridge: float,
     ) -> None:
-        self.centre, self.axes, self.size = centre, axes, size
+        self.centre = centre
+        self.axes = axes
+        self.size = size
         self._mean = points.mean(axis=0)
         self._offsets = (points - self._mean) @ axes
         self._squares = np.einsum("ij,ij->j", self._offsets, self._offsets)
@@ -370,13 +372,15 @@ def _ellipsoid_shares(points: np.ndarray) -> np.ndarray:
     """Return each point's share in the smallest ellipsoid, adding up to 1, shape (n,)."""
     count, rank = points.shape
     lifted = np.column_stack([points, np.ones(count)])
-    shares, full = np.full(count, 1.0 / count), rank + 1
+    shares = np.full(count, 1.0 / count)
+    full = rank + 1
     for _ in range(_MOST_STEPS):
         inverse = np.linalg.inv((lifted.T * shares) @ lifted)
         distances = np.einsum("ij,jk,ik->i", lifted, inverse, lifted)
         most = int(np.argmax(distances))
         least = int(np.argmin(np.where(shares > 0.0, distances, np.inf)))
-        above, below = distances[most] - full, full - distances[least]
+        above = distances[most] - full
+        below = full - distances[least]
         if max(above, below) <= _ACCURACY * full:
             break
         chosen = most if above >= below else least

@@ -63,7 +63,8 @@ def numbers(
     Raises:
         RecordingError: If it is missing, of another shape or type, or impossibly large.
     """
-    item, place = group.get(name), f"{group.name.rstrip('/')}/{name}"
+    item = group.get(name)
+    place = f"{group.name.rstrip('/')}/{name}"
     if not hasattr(item, "dtype"):
         shown = ", ".join(sorted(group)[:6]) + (", ..." if len(group) > 6 else "")
         raise RecordingError(

@@ -147,8 +147,10 @@ class LeRobotWriter:
                 problem=f"{root} exists already",
                 advice="remove it first",
             )
-        self._root, self._argument = root, argument
-        self._fps, self._robot_type = fps, robot_type
+        self._root = root
+        self._argument = argument
+        self._fps = fps
+        self._robot_type = robot_type
         indices = dict.fromkeys(_INDICES, Feature("int64"))
         self._features = {**features, "timestamp": Feature("float32"), **indices}
         self._tasks: dict[str, int] = {}
@@ -215,7 +217,8 @@ class LeRobotWriter:
             InvalidInputError: If the disk is full.
         """
         frames = np.arange(len(next(iter(columns.values()))))
-        start, end = self._frame_count, self._frame_count + len(frames)
+        start = self._frame_count
+        end = self._frame_count + len(frames)
         episode = self._episode_count
         number = self._tasks.setdefault(task, len(self._tasks))
         indices = (frames, 0 * frames + episode, start + frames, 0 * frames + number)
@@ -267,7 +270,8 @@ class LeRobotWriter:
         """Write an episode as a row group of its own, so that it is found without the others."""
         if self._data is not None and self._file_size + table.nbytes > DATA_FILE_SIZE:
             self._data.close()
-            self._data, self._file_size = None, 0
+            self._data = None
+            self._file_size = 0
             self._file_index += 1
         if self._data is None:
             chunk, file = divmod(self._file_index, CHUNK_FILES)

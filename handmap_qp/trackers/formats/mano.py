@@ -73,7 +73,8 @@ class ManoFormat(RecordingFormat):
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the hand."""
-        arrays, shape = read_archive(path), ("T", LANDMARK_COUNT, 3)
+        arrays = read_archive(path)
+        shape = ("T", LANDMARK_COUNT, 3)
         with reading(path):
             if "joints" in arrays:
                 joints = as_floats(arrays["joints"], "joints", shape=shape)
@@ -162,7 +163,8 @@ class ManoFormat(RecordingFormat):
         shape = given("betas", 10, default=np.zeros(10))
         shift = given("transl", count, 3, default=np.zeros((count, 3)))
         model = load_model(entry.side, self._model)
-        components, most = fingers.shape[1], len(model.hands_components)
+        components = fingers.shape[1]
+        most = len(model.hands_components)
         if components > most:
             problem = f"expected at most {most} numbers, got {components}"
             raise RecordingError(

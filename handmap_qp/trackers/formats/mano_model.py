@@ -22,7 +22,9 @@ ENVIRONMENT = "HANDMAP_MANO"
 """Environment variable with the model file, or the folder of MANO_LEFT.pkl and MANO_RIGHT.pkl."""
 TIP_VERTICES = (744, 320, 443, 554, 671)
 """Vertices of the fingertips, thumb to little (those of the smplx package)."""
-_JOINTS, _VERTICES, _SHAPES = 16, 778, 10
+_JOINTS = 16
+_VERTICES = 778
+_SHAPES = 10
 _TURNS = 3 * (_JOINTS - 1)
 _SHAPES_OF = {
     "v_template": (_VERTICES, 3),
@@ -74,7 +76,8 @@ class ManoModel(NamedTuple):
         offsets = (rotations[:, 1:] - np.eye(3)).reshape(len(turns), -1)
         posed = vertices[tips] + np.einsum("vck,tk->tvc", self.posedirs[tips], offsets)
         parents = self.kintree_table[0].astype(int)
-        turn, place = np.empty_like(rotations), np.empty((len(turns), _JOINTS, 3))
+        turn = np.empty_like(rotations)
+        place = np.empty((len(turns), _JOINTS, 3))
         turn[:, 0], place[:, 0] = rotations[:, 0], rest[0]
         for joint in range(1, _JOINTS):
             up = parents[joint]

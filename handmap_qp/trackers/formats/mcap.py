@@ -30,8 +30,10 @@ from handmap_qp.trackers.formats.base import (
     require,
 )
 
-_POSES, _STATE = "geometry_msgs/msg/PoseArray", "sensor_msgs/msg/JointState"
-_POSE, _NUMBER = "geometry_msgs/msg/PoseStamped", "std_msgs/msg/Float64"
+_POSES = "geometry_msgs/msg/PoseArray"
+_STATE = "sensor_msgs/msg/JointState"
+_POSE = "geometry_msgs/msg/PoseStamped"
+_NUMBER = "std_msgs/msg/Float64"
 # Message types of a hand's topics, and a word of the topic's name.
 _KINDS = {
     "landmarks": (_POSES, ""),
@@ -156,7 +158,8 @@ class McapFormat(RecordingFormat):
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Open a bag, and turn what rosbags raises inside the block into `RecordingError`."""
-    bags, serde = require("rosbags.rosbag2"), require("rosbags.serde")
+    bags = require("rosbags.rosbag2")
+    serde = require("rosbags.serde")
     with damages(path, "cannot be read as MCAP"):
         try:
             with bags.Reader(path) as bag:
@@ -202,7 +205,8 @@ def _main(topics: dict[str, str]) -> str:
 
 def _messages(bag: Any, topic: str) -> Iterator[tuple[int, Any]]:
     """Yield the messages of a topic with the times at which they were logged [ns]."""
-    store, connections = _store(), [c for c in bag.connections if c.topic == topic]
+    store = _store()
+    connections = [c for c in bag.connections if c.topic == topic]
     for connection, log, raw in bag.messages(connections=connections):
         yield log, store.deserialize_cdr(raw, connection.msgtype)
 
@@ -214,7 +218,8 @@ def _instant(message: Any) -> float:
 
 def _seven(message: Any) -> tuple[float, ...]:
     """Return position and quaternion w, x, y, z of a pose."""
-    p, q = message.pose.position, message.pose.orientation
+    p = message.pose.position
+    q = message.pose.orientation
     return p.x, p.y, p.z, q.w, q.x, q.y, q.z
 
 
@@ -266,7 +271,9 @@ def _forward(
 
 def _write_hand(writer: Any, recording: Recording) -> None:
     """Write all topics of a recording."""
-    store, motion, topics = _store(), fit_recording(recording), {}
+    store = _store()
+    motion = fit_recording(recording)
+    topics = {}
     for what, (kind, _) in _KINDS.items():
         # Landmarks and joint states are always there.
         if getattr(recording, what, ()) is not None:
@@ -286,7 +293,8 @@ def _write_hand(writer: Any, recording: Recording) -> None:
             made("geometry_msgs/msg/Quaternion", x, y, z, w),
         )
 
-    names, none = list(motion.human.joint_names), np.zeros(0)
+    names = list(motion.human.joint_names)
+    none = np.zeros(0)
     landmarks = np.where(recording.valid[:, None, None], recording.landmarks, np.nan)
     for i, time in enumerate(recording.time.tolist()):
         stamp = round(1e9 * time)

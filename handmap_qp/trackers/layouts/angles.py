@@ -158,9 +158,11 @@ class AngleLayout(Layout[AngleTable]):
 
     def _check(self, values: np.ndarray, q: np.ndarray) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
-        largest, unit = float(np.abs(values).max(initial=0.0)), self.table.unit
+        largest = float(np.abs(values).max(initial=0.0))
+        unit = self.table.unit
         if unit == "rad":
-            is_other, got = largest > 2.0 * _LARGEST_ANGLE, f"{largest:.4g}"
+            is_other = largest > 2.0 * _LARGEST_ANGLE
+            got = f"{largest:.4g}"
         else:
             is_other = len(values) > 1 and 0.0 < largest < _STRAIGHTEST
             got = f"none above {largest:.3g}"

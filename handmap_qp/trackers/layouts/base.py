@@ -323,7 +323,8 @@ class Layout(abc.ABC, Generic[Table]):
         beside = None
         if wrists is not None:
             beside = self._own_wrists(np.asarray(wrists), side, seen)[seen]
-        landmarks, poses = np.full((count, 21, 3), np.nan), None
+        landmarks = np.full((count, 21, 3), np.nan)
+        poses = None
         if seen.any():
             landmarks[seen], found = self.hands(array[seen], side, beside, lengths)
             if found is not None:

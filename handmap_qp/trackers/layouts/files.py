@@ -162,7 +162,8 @@ def _read_npz(
 ) -> _Columns:
     arrays = read_archive(file)
     time = _time(file, arrays, layout)
-    valid, hand = arrays.get("valid"), arrays.get("handedness")
+    valid = arrays.get("valid")
+    hand = arrays.get("handedness")
     return _Columns(
         time,
         arrays[_values_name(file, arrays, layout, side, len(time))].astype(float),
@@ -288,7 +289,8 @@ def _numbers(
 
 def _times_of(names: Iterable[str], layout: Layout) -> dict[str, float]:
     """Return the first name of a time among names, with its unit [s]; nothing if there is none."""
-    units, known = _TIMES | layout.table.time, set(names)
+    units = _TIMES | layout.table.time
+    known = set(names)
     found = [name for name in (*layout.table.time, *_TIMES) if name in known]
     return {name: units[name] for name in found[:1]}
 

@@ -145,7 +145,8 @@ class PointLayout(Layout[PointTable]):
         lengths: HumanLengths | None = None,
     ) -> Hands:
         """Turn joints into landmarks and wrist poses; see `Layout.hands`."""
-        reflection, form = self.table.reflection, values.shape[2:]
+        reflection = self.table.reflection
+        form = values.shape[2:]
         positions = values[..., :3, 3] if form == (4, 4) else values[..., :3]
         landmarks = positions[:, self.order(side)] * (self._scale * reflection)
         if self.table.is_relative:
@@ -192,7 +193,8 @@ class PointLayout(Layout[PointTable]):
         joints[self.order(side)] = landmarks
         places = dict(zip(LANDMARK_NAMES, landmarks, strict=True))
         for index, between in self.table.between.items():
-            start, end = places[between.start], places[between.end]
+            start = places[between.start]
+            end = places[between.end]
             joints[index] = start + between.share * (end - start)
         size = self.table.poses[0]
         if self.table.is_relative:
