@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations, product
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -43,19 +44,23 @@ def _links(geometry: pin.GeometryModel) -> list[str]:
     return [shape.name.rpartition("_")[0] for shape in geometry.geometryObjects]
 
 
-def named_pairs(hand: Hand) -> ShapePairs:
-    """Pair the shapes of the links that the hand's description names.
+def named_pairs(
+    hand: Hand, pairs: Sequence[tuple[str, str]] | None = None
+) -> ShapePairs:
+    """Pair the shapes of links.
 
     Args:
-        hand: The hand; its `spec.collision` must not be None.
+        hand: The hand.
+        pairs: Names of both links of each pair; those of the hand's description if omitted.
 
     Raises:
         HandError: If a link does not exist or has no collision shape, or a shape cannot be read.
     """
     geometry = read_collision_shapes(hand)
-    spec = hand.spec.collision
     links = _links(geometry)
-    for i, pair in enumerate(spec.pairs if spec else ()):
+    if pairs is None:
+        pairs = () if hand.spec.collision is None else hand.spec.collision.pairs
+    for i, pair in enumerate(pairs):
         for link in pair:
             if link not in links:
                 is_link = hand.model.existFrame(link, pin.FrameType.BODY)

@@ -13,10 +13,12 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import Hand, HandMapper, hand_names, load_hand, read_recording
+from handmap_qp.apps.onboarding.collision_pairs import find_collision_pairs
 from handmap_qp.apps.onboarding.detect import detect
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.recording import HumanMotion
+from handmap_qp.ik.collision import CollisionLimit
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -156,3 +158,23 @@ def test_it_follows_a_recorded_hand_within_all_limits(
     check_limits(
         robot, follow(motion.human, robot, motion.q, motion.wrist, motion.dt), motion.dt
     )
+
+
+@pytest.mark.parametrize("name", hand_names())
+def test_links_that_are_to_stay_apart_are_apart_at_rest(name: str) -> None:
+    hand = load_hand(name)
+    if hand.spec.collision is None:
+        pytest.skip("names no pairs of links")
+    placed = hand.configuration()
+    placed.place_frames(hand.configuration_vector(hand.rest))
+    limit = CollisionLimit(hand)
+    assert limit.distances(placed).min() > limit.margin
+
+
+@pytest.mark.parametrize("name", ["hey5", "romeo_right"])
+def test_the_pairs_of_a_description_are_those_that_are_found(name: str) -> None:
+    hand = load_hand(name)
+    found = find_collision_pairs(hand)
+    assert found is not None
+    assert hand.spec.collision is not None
+    assert set(hand.spec.collision.pairs) == set(found.pairs)

@@ -15,7 +15,7 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.shape_pairs import all_pairs
+from handmap_qp.hands.shape_pairs import all_pairs, named_pairs
 from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.se3 import lengths
 
@@ -75,13 +75,16 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     distances = _distances(hand, pairs.geometry, postures)
     pinches = np.array([bool(finger) for finger in pairs.fingers], dtype=bool)
     is_near = pinches | (distances.min(axis=0) < _NEAR)
-    touches = distances[0] < 2.0 * MARGIN
     overlaps = (distances <= 0.0).mean(axis=0) > _BY_DESIGN
     named = [(min(links), max(links)) for links in pairs.links]
-    # A link has several shapes: its pair is left out if one pair of them touches.
-    bad = {*itertools.compress(named, touches | overlaps)}
+    bad = {*itertools.compress(named, overlaps)}
     near = dict.fromkeys(itertools.compress(named, is_near))
-    found = tuple(pair for pair in near if pair not in bad and is_wanted(pair))
+    wanted = [pair for pair in near if pair not in bad and is_wanted(pair)]
+    # A link has several shapes: its pair is left out if one pair of them touches at rest.
+    every = named_pairs(hand, wanted)
+    (at_rest,) = _distances(hand, every.geometry, hand.rest[None])
+    touching = {*itertools.compress(every.links, at_rest < 2.0 * MARGIN)}
+    found = tuple(pair for pair in wanted if pair not in touching)
     return CollisionSpec(found, MARGIN) if found else None
 
 
