@@ -35,6 +35,7 @@ from common import (
 )
 
 import handmap_qp.apps.datasets.episodes as job_module
+import handmap_qp.apps.offline.look_ahead as mapping_module
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import PoolEngine
 from handmap_qp.apps.datasets.episodes import Job, JobOptions, run_job
@@ -160,15 +161,19 @@ def stage_times(jobs: tuple[Job, ...]) -> dict[str, float]:
 
 @contextmanager
 def timed_stages(clock: dict[str, float]) -> Any:
-    """Take the time of the functions that a job calls."""
+    """Take the time of the functions that a job calls; of those within others, the outer ones."""
+    running: list[str] = []
 
     def timed(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
         def run(*values: Any, **named: Any) -> Any:
             started = thread_time()
+            running.append(name)
             try:
                 return call(*values, **named)
             finally:
-                clock[name] += thread_time() - started
+                running.pop()
+                if not running:
+                    clock[name] += thread_time() - started
 
         return run
 
@@ -183,10 +188,10 @@ def timed_stages(clock: dict[str, float]) -> Any:
         "measure_episode": "measure",
         "save_episode": "write",
     }
-    patches = [
-        patch.object(job_module, name, timed(stage, getattr(job_module, name)))
-        for name, stage in places.items()
-    ]
+    patches = []
+    for name, stage in places.items():
+        module = job_module if hasattr(job_module, name) else mapping_module
+        patches.append(patch.object(module, name, timed(stage, getattr(module, name))))
     patches.append(patch.object(Source, "read", timed("read", Source.read)))
     for one in patches:
         one.start()
