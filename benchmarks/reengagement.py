@@ -253,11 +253,12 @@ def measure(
 ) -> list[Any]:
     """Measure all events with one robot and limit; return rows of the table."""
     rows, hand = [], Run.cache.robot(robot, None, None)
+    spec = hand.spec.collision
     for name, cause in EVENTS.items():
         worst, violations, jerk = dict[str, float](), 0, 0.0
         for place in range(places):
             run = Run(robot, recording, limit, 0.5 + 1.37 * place, robot_wrist=_HERE)
-            judge = Judge(run, named_pairs(hand))
+            judge = Judge(run, named_pairs(hand, spec.pairs if spec else ()))
             run.lead(_BEFORE)
             judge.take()
             cause(run)

@@ -194,7 +194,9 @@ def main(words: Sequence[str] | None = None) -> None:
     for hand in map(load, arguments.hands):
         runs.append((hand, "all", all_pairs(hand, find_fingers(hand))))
         if hand.spec.collision is not None:
-            runs.append((hand, "hand.yaml", named_pairs(hand)))
+            runs.append(
+                (hand, "hand.yaml", named_pairs(hand, hand.spec.collision.pairs))
+            )
     with common.progress("hands", len(runs)) as advance:
         for i, (hand, kind, shapes) in enumerate(runs):
             tally = wild(hand, shapes, steps // len(runs), arguments.seed + i)

@@ -44,25 +44,23 @@ def _links(geometry: pin.GeometryModel) -> list[str]:
     return [shape.name.rpartition("_")[0] for shape in geometry.geometryObjects]
 
 
-def named_pairs(
-    hand: Hand, pairs: Sequence[tuple[str, str]] | None = None
-) -> ShapePairs:
+def named_pairs(hand: Hand, pairs: Sequence[tuple[str, str]]) -> ShapePairs:
     """Pair the shapes of links.
 
     Args:
         hand: The hand.
-        pairs: Names of both links of each pair; those of the hand's description if omitted.
+        pairs: Names of both links of each pair, such as `hand.spec.collision.pairs`.
 
     Raises:
         HandError: If a link does not exist or has no collision shape, or a shape cannot be read.
     """
     geometry = read_collision_shapes(hand)
-    links = _links(geometry)
-    if pairs is None:
-        pairs = () if hand.spec.collision is None else hand.spec.collision.pairs
+    shapes: dict[str, list[int]] = {}
+    for k, link in enumerate(_links(geometry)):
+        shapes.setdefault(link, []).append(k)
     for i, pair in enumerate(pairs):
         for link in pair:
-            if link not in links:
+            if link not in shapes:
                 is_link = hand.model.existFrame(link, pin.FrameType.BODY)
                 what = (
                     "has no collision shape" if is_link else "is not a link of the URDF"
@@ -70,8 +68,7 @@ def named_pairs(
                 raise hand.spec.error(
                     f"{link!r} {what}", key=f"collision.pairs[{i}]", value=link
                 )
-        shapes = ([k for k, name in enumerate(links) if name == link] for link in pair)
-        for ends in product(*shapes):
+        for ends in product(shapes[pair[0]], shapes[pair[1]]):
             geometry.addCollisionPair(pin.CollisionPair(*ends))
     return ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
 

@@ -390,24 +390,25 @@ class CollisionLimit:
         self, hand: Hand, *, pairs: ShapePairs | None = None, horizon: float = np.inf
     ) -> None:
         spec = hand.spec.collision
-        if pairs is None and spec is None:
-            raise InvalidOptionsError(
-                option="avoids_self_collision",
-                problem=f"{hand.name} names no links to keep apart",
-                advice="add collision.pairs to its hand.yaml",
-            )
+        if pairs is None:
+            if spec is None:
+                raise InvalidOptionsError(
+                    option="avoids_self_collision",
+                    problem=f"{hand.name} names no links to keep apart",
+                    advice="add collision.pairs to its hand.yaml",
+                )
+            pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
-        found = named_pairs(hand) if pairs is None else pairs
-        self.pairs = found.links
+        self.pairs = pairs.links
         self._horizon = horizon
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
-        self._distances = ShapeDistances(hand.model, found.geometry)
+        self._distances = ShapeDistances(hand.model, pairs.geometry)
         levers = self._distances.levers
         if self._expansion is not None:
             levers = levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
-        pairs_of = found.geometry.collisionPairs
-        shapes = found.geometry.geometryObjects
+        pairs_of = pairs.geometry.collisionPairs
+        shapes = pairs.geometry.geometryObjects
         supports = moved_by(hand.model, [shape.parentJoint for shape in shapes])
         first, second = (
             [getattr(pair, end) for pair in pairs_of] for end in ("first", "second")

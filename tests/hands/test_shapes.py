@@ -259,7 +259,8 @@ def test_pairs_are_of_different_fingers_and_apart_at_rest(name: str) -> None:
 def test_named_pairs_are_those_of_the_description() -> None:
     robot = hand("allegro_right")
     assert robot.spec.collision is not None
-    assert set(named_pairs(robot).links) == set(robot.spec.collision.pairs)
+    pairs = robot.spec.collision.pairs
+    assert set(named_pairs(robot, pairs).links) == set(pairs)
 
 
 def test_placements_follow_every_placing() -> None:

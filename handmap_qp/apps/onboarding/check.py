@@ -500,7 +500,7 @@ def _check_reach(hand: Hand, tables: Tables) -> Findings:
 def _check_collisions(hand: Hand, tables: Tables) -> Findings:
     if hand.spec.collision is not None:
         try:
-            named_pairs(hand)
+            named_pairs(hand, hand.spec.collision.pairs)
         except HandError as error:
             yield Finding(
                 "warning", error.key or "collision", error.problem, "correct the pair"

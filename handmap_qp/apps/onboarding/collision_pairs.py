@@ -62,24 +62,25 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     """
     fingers = find_fingers(hand)
     pairs = all_pairs(hand, fingers)
-    row = {finger: i for i, finger in enumerate(f for f in fingers if f != THUMB)}
+    others = [finger for finger in fingers if finger != THUMB]
+    beside = [*map(set, itertools.pairwise(others))]
 
     def is_wanted(links: tuple[str, str]) -> bool:
-        one, other = (_owner(hand, fingers, link) for link in links)
-        if one == other or "bar" in (one, other):
+        owners = {_owner(hand, fingers, link) for link in links}
+        if len(owners) == 1 or "bar" in owners:
             return False
-        is_beside = {one, other} <= row.keys() and abs(row[one] - row[other]) == 1
-        return is_beside or THUMB in (one, other)
+        return THUMB in owners or owners in beside
 
     postures = np.vstack([hand.rest, random_postures(hand, _SAMPLES)])
     distances = _distances(hand, pairs.geometry, postures)
-    pinches = np.array([bool(finger) for finger in pairs.fingers], dtype=bool)
+    pinches = np.array(pairs.fingers, dtype=object).astype(bool)
     is_near = pinches | (distances.min(axis=0) < _NEAR)
     overlaps = (distances <= 0.0).mean(axis=0) > _BY_DESIGN
     named = [(min(links), max(links)) for links in pairs.links]
-    bad = {*itertools.compress(named, overlaps)}
     near = dict.fromkeys(itertools.compress(named, is_near))
-    wanted = [pair for pair in near if pair not in bad and is_wanted(pair)]
+    for bad in itertools.compress(named, overlaps):
+        near.pop(bad, None)
+    wanted = [*filter(is_wanted, near)]
     # A link has several shapes: its pair is left out if one pair of them touches at rest.
     every = named_pairs(hand, wanted)
     (at_rest,) = _distances(hand, every.geometry, hand.rest[None])
