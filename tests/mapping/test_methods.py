@@ -13,6 +13,7 @@ import pytest
 from mapping_cases import little_pose, near_rest
 
 from handmap_qp import (
+    DegeneratePointsError,
     HandMapper,
     IkOptions,
     InvalidInputError,
@@ -353,6 +354,16 @@ def test_the_previous_reference_takes_the_wrist_along() -> None:
     last = [mapper.map_step(HUMAN.rest, pose) for pose in poses][-1]
     moved = last.command.wrist[:3, 3] - first.command.wrist[:3, 3]
     np.testing.assert_allclose(moved, (0.1, 0.0, 0.0), atol=1e-5)
+
+
+def test_points_that_cannot_be_the_next_reference_move_nothing() -> None:
+    mapper = HandMapper(HUMAN, THREE, reference="previous")
+    mapper.map_step(HUMAN.rest, np.eye(4))
+    before = mapper.motion
+    line = np.outer(np.linspace(0.0, 0.1, len(HUMAN.reference_points)), [1.0, 0.0, 0.0])
+    with pytest.raises(DegeneratePointsError):
+        mapper.map_points(line)
+    assert mapper.motion is before
 
 
 @pytest.mark.parametrize(("reference", "left"), [("first", 1.0), ("previous", 0.1)])
