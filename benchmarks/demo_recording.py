@@ -10,7 +10,7 @@ compressed.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 from typing import NamedTuple
 
@@ -223,4 +223,6 @@ def _seven(pose: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    write_demo(Path(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("out", type=Path, help="file to write, .npz")
+    write_demo(parser.parse_args().out)
