@@ -8,8 +8,8 @@ A method says how a human sample becomes targets of the robot. It goes through t
       .targets(sample)       -> Targets: of one sample, for the QP
 
 `handmap_qp.mapping.methods` has the methods of the package; `Homogeneous` is the paper's. A method
-of another package is one file: its options (a subclass of `Options` with `bind`), and presets that
-its entry points of the group `handmap_qp.presets` name (`handmap_qp.mapping.presets`).
+of another package is one file: its options (a subclass of `MethodOptions` with `bind`), and presets
+that its entry points of the group `handmap_qp.presets` name (`handmap_qp.mapping.presets`).
 """
 
 from __future__ import annotations

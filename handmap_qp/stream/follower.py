@@ -1,8 +1,8 @@
 """`Follower`: maps the samples of a tracker that make sense, and holds the robot at all others.
 
 The guard judges every sample by named rules. After a hold the robot comes back to the human without
-a snap, and samples may be smoothed before they are mapped. The service, `handmap map`, `view` and
-`track` all follow in this way.
+a snap, and samples may be smoothed before they are mapped. The sessions of the service, `handmap
+map` and `handmap view` all follow in this way.
 """
 
 from __future__ import annotations

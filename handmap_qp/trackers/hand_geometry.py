@@ -2,7 +2,8 @@
 
 All of them are ratios or angles, so that they hold for every hand and in every unit of length:
 
-- the distances between neighbouring landmarks, which bones and palm keep (`own_misfit`),
+- the distances between neighbouring landmarks, which bones and palm keep (`own_distances`,
+  `misfit`),
 - the side of the palm's plane on which thumb and bent fingers lie (`palmar_evidence`), which is
   opposite on a left hand, in a mirrored world and where fingers bend backwards.
 """

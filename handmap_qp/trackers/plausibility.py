@@ -65,8 +65,8 @@ class InputCheck:
 
     Samples are collected into batches of 16, or of a quarter of a second for a slow tracker, and
     of twice as many once nothing changes any more. Two batches in a row must agree before the
-    finding changes, so one bad sample changes nothing. A sample costs 20 us on average
-    (benchmarks/bench_lies.py).
+    finding changes, so one bad sample changes nothing. A sample costs 24 to 43 us on
+    average (benchmarks/bench_lies.py).
 
     Args:
         side: The hand that the samples are said to be of.

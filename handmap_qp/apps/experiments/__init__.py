@@ -1,1 +1,1 @@
-"""Experiments of the paper's Section IV, on embedded data."""
+"""The paper's Section IV, the demo, and the comparison of methods."""
