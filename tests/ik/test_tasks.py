@@ -300,3 +300,21 @@ def test_every_solver_takes_rows(name: str) -> None:
         assert x is not None
         assert exact is not None
         np.testing.assert_allclose(x, exact, atol=1e-5)
+
+
+def test_points_in_one_place_are_parted() -> None:
+    hand = load_hand("three_finger")
+    joint, other = (hand.model.getJointId(f"f{k}_distal") for k in (1, 2))
+    configuration = hand.configuration()
+    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    # The second point lies on another finger, where the first one is.
+    (place,) = AttachedPoints(hand, [(joint, np.zeros(3))]).positions(configuration)
+    data = hand.model.createData()
+    pin.forwardKinematics(hand.model, data, hand.configuration_vector(hand.rest))
+    points = AttachedPoints(
+        hand, [(joint, np.zeros(3)), (other, data.oMi[other].actInv(place))]
+    )
+    task = PointDistances(points, [(0, 1)], 0.05)
+    residual, rows, _ = task.linearise(configuration)
+    assert residual == pytest.approx(-5.0)
+    assert np.abs(rows).max() > 0.1
