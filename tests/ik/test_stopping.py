@@ -392,6 +392,34 @@ def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
     assert distances.is_clear(near, np.array([0.02]))
 
 
+def test_the_bound_of_a_way_counts_what_turning_does_to_what_slides() -> None:
+    # A ball slides out on an arm that turns, through its pivot. At both ends it is 8 mm above a
+    # floor, and 2 mm inside it between, by the Coriolis acceleration alone.
+    turn, out, radius, gap = 0.2, 0.05, 0.01, 8e-3
+    model, geometry = pin.Model(), pin.GeometryModel()
+    pivot = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "pivot")
+    slide = model.addJoint(pivot, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.lowerPositionLimit[1] = -out
+    model.upperPositionLimit[1] = out
+    top = out * np.sin(turn) - radius - gap
+    floor = pin.SE3(np.eye(3), np.array([0.0, top - 0.05, 0.0]))
+    shapes = (
+        (slide, pin.SE3.Identity(), coal.Sphere(radius)),
+        (0, floor, coal.Box(1.0, 0.1, 1.0)),
+    )
+    for i, (parent, placement, shape) in enumerate(shapes):
+        shape.computeLocalAABB()
+        geometry.addGeometryObject(
+            pin.GeometryObject(f"shape {i}", parent, placement, shape)
+        )
+    geometry.addCollisionPair(pin.CollisionPair(0, 1))
+    distances = ShapeDistances(model, geometry)
+    near = distances.measure(np.array([-turn, -out]))
+    assert near.bounds[0] == pytest.approx(gap, abs=1e-6)
+    assert distances.measure(np.zeros(2)).bounds[0] < -1e-3
+    assert not distances.is_clear(near, np.array([2.0 * turn, 2.0 * out]))
+
+
 @pytest.mark.parametrize("half_turn", [0.1, 0.3, 0.7])
 @pytest.mark.parametrize("share", [0.5, 0.9, 1.3])
 def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
