@@ -356,6 +356,22 @@ def test_the_previous_reference_takes_the_wrist_along() -> None:
     np.testing.assert_allclose(moved, (0.1, 0.0, 0.0), atol=1e-5)
 
 
+def test_after_a_reset_the_next_sample_is_the_reference() -> None:
+    mapper = HandMapper(HUMAN, THREE)
+    here, there = np.eye(4), affine(np.eye(3), np.array([0.3, -0.2, 0.1]))
+    first = mapper.map_step(HUMAN.rest, here)
+    mapper.reset()
+    assert mapper.reference is None
+    again = mapper.map_step(HUMAN.rest, there)
+    assert mapper.reference is not None
+    np.testing.assert_array_equal(mapper.reference.wrist, there)
+    # The robot starts over on the human's palm, with the same fingers.
+    np.testing.assert_allclose(again.command.q, first.command.q, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        again.command.wrist, there @ first.command.wrist, rtol=0.0, atol=1e-9
+    )
+
+
 def test_points_that_cannot_be_the_next_reference_move_nothing() -> None:
     mapper = HandMapper(HUMAN, THREE, reference="previous")
     mapper.map_step(HUMAN.rest, np.eye(4))
