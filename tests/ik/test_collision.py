@@ -351,3 +351,12 @@ def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
         # GJK is warm-started, so both agree to its tolerance only.
         np.testing.assert_allclose(some_h, h[near.pairs], atol=1e-6)
         np.testing.assert_allclose(some_G, G[near.pairs], atol=1e-4)
+
+
+@pytest.mark.parametrize("stopping", [0.0, 1.0, 3.0])
+def test_a_row_leaves_room_for_the_stop_behind_a_displacement(stopping: float) -> None:
+    G, h = np.array([[1.0, 2.0]]), np.array([0.3])
+    bounds = np.full(2, 1.0)
+    _, kept = feasible((G, h), -bounds, bounds, stopping=stopping)
+    # The farthest displacement and the stop behind it, on one line, end where the row does.
+    np.testing.assert_allclose((1.0 + stopping) * kept, h, rtol=0.0, atol=1e-15)
