@@ -50,12 +50,9 @@ class Checker:
 
     def start(self, q: np.ndarray) -> None:
         """Begin at a Pinocchio configuration, at rest."""
-        self._q, self._last, self._dt, self._force = (
-            q.copy(),
-            np.zeros(len(self._speed)),
-            1.0,
-            0.0,
-        )
+        self._q = q.copy()
+        self._last = np.zeros(len(self._speed))
+        self._dt, self._force = 1.0, 0.0
 
     def take(self, q: np.ndarray, dt: float, limit: float | None = None) -> None:
         """Judge the command of a configuration, its time [s], and the limit configured [rad/s^2].
@@ -64,10 +61,9 @@ class Checker:
         """
         hand, before, dt = self._hand, self._q, max(dt, 1e-6)
         joints, start = q[hand.q_indices], before[hand.q_indices]
-        beyond = np.maximum(
-            np.minimum(hand.lower_limits, start) - joints,
-            joints - np.maximum(hand.upper_limits, start),
-        )
+        low = np.minimum(hand.lower_limits, start)
+        high = np.maximum(hand.upper_limits, start)
+        beyond = np.maximum(low - joints, joints - high)
         self._note("position", float(beyond.max()), 0.0)
         moved = joints - start
         if hand.is_floating:
@@ -84,19 +80,13 @@ class Checker:
         self._note("acceleration", float(np.fmax.reduce(change)), 1.0 + _SHARE)
         if self._meter is not None and moved.any():
             count = int(np.abs(moved).max() / _STEP) + 2
-            parts = [
-                pin.interpolate(hand.model, before, q, i / count)
-                for i in range(1, count)
-            ]
+            shares = np.arange(1, count) / count
+            parts = [pin.interpolate(hand.model, before, q, share) for share in shares]
             self._note("overlap", max(map(self._meter.depth, (*parts, q))), OVERLAP)
         if (np.abs(moved) <= self._rounding).all():
             self._force = 0.0
-        self._q, self._last, self._dt, self.commands = (
-            q.copy(),
-            velocity,
-            dt,
-            self.commands + 1,
-        )
+        self._q, self._last, self._dt = q.copy(), velocity, dt
+        self.commands += 1
 
     def _note(self, what: str, value: float, most: float) -> None:
         self.worst[what] = max(self.worst.get(what, -np.inf), value)
