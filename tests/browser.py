@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import inspect
 import json
 import os
 import shutil
@@ -95,13 +96,16 @@ class Browser:
         """Open a page and attach to it."""
         from websockets.sync.client import connect
 
+        # Before websockets 15 there is no proxy to leave out.
+        has_proxy = "proxy" in inspect.signature(connect).parameters
+        settings: dict[str, Any] = {"proxy": None} if has_proxy else {}
         self._wait(
             lambda: port_file.is_file() and port_file.read_text().count("\n") >= 1,
             "Chromium does not start",
         )
         port, path = port_file.read_text().split("\n")[:2]
         self._socket = connect(
-            f"ws://127.0.0.1:{port}{path}", max_size=None, proxy=None
+            f"ws://127.0.0.1:{port}{path}", max_size=None, **settings
         )
         self._number = 0
         self.errors: list[str] = []

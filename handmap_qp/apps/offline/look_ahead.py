@@ -297,7 +297,9 @@ def continuous_quats(rotations: np.ndarray) -> np.ndarray:
     # Imported when used: it takes a quarter of the start of a worker, and most look at the past.
     from scipy.spatial.transform import Rotation
 
-    quats = Rotation.from_matrix(rotations).as_quat(canonical=True, scalar_first=True)
+    # A copy: SciPy before 1.16 takes no array that is read-only.
+    turns = Rotation.from_matrix(rotations.copy())
+    quats = turns.as_quat(canonical=True, scalar_first=True)
     flips = (quats[1:] * quats[:-1]).sum(axis=1) < 0.0
     quats[1:][np.cumsum(flips) % 2 == 1] *= -1.0
     return quats
