@@ -119,9 +119,6 @@ class HandPair:
         self, human: Hand, robot: Hand, matched: np.ndarray | None = None
     ) -> None:
         self.human, self._measured = human, _robot_fingers(robot)
-        self.chains = self._measured.chains
-        self.pads = self._measured.pads
-        self.contacts: ShapePairs = self._measured.contacts
         self.fingers = self._measured.names
         self.has_jaws = self._measured.has_jaws
         if not self.fingers:
@@ -133,6 +130,10 @@ class HandPair:
         needed = finger_landmarks(self.fingers)
         points = require_points(human, needed, "this method").reshape(-1, 3)
         self.tips, self.knuckles = points[:, 0], points[:, 2]
+        # Shapes are read only for hands that can be a pair: it takes longest.
+        self.chains = self._measured.chains
+        self.pads = self._measured.pads
+        self.contacts: ShapePairs = self._measured.contacts
         self.robot = copy(self._measured.with_points)
         names = point_indices(human)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
@@ -257,7 +258,6 @@ class _RobotFingers:
     def __init__(self, robot: Hand) -> None:
         self.hand = robot
         self.chains = find_fingers(robot)
-        self.pads = find_pads(robot, self.chains)
         self.names = tuple(
             f for f in FINGERS if f in self.chains and self.chains[f].joints
         )
@@ -265,6 +265,11 @@ class _RobotFingers:
         self.has_jaws = (
             len(used) > 1 and THUMB in self.names and all(c.is_jaw for c in used)
         )
+
+    @cached_property
+    def pads(self) -> dict[str, Pad]:
+        """The pads of the fingers, by name."""
+        return find_pads(self.hand, self.chains)
 
     @cached_property
     def with_points(self) -> Hand:
