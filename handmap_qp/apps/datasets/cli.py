@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from handmap_qp.apps.arguments import MappingArguments
+from handmap_qp.apps.arguments import MappingArguments, hinted
 from handmap_qp.apps.datasets.assemble import assemble
 from handmap_qp.apps.datasets.batch import (
     Plan,
@@ -75,7 +75,7 @@ class Convert:
     paths: tyro.conf.Positional[
         Annotated[
             tuple[Path, ...],
-            tyro.conf.arg(metavar="IN... OUT", help_behavior_hint="(required)"),
+            hinted("IN... OUT", "(required)"),
         ]
     ]
     format: Annotated[
@@ -87,7 +87,7 @@ class Convert:
     ] = None
     mano: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="FILE", help_behavior_hint="(default: $HANDMAP_MANO)"),
+        hinted("FILE", "(default: $HANDMAP_MANO)"),
     ] = None
     json: bool = False
 
@@ -150,7 +150,7 @@ class Batch:
     inputs: tyro.conf.Positional[
         Annotated[
             tuple[Path, ...],
-            tyro.conf.arg(metavar="INPUT...", help_behavior_hint="(required)"),
+            hinted("INPUT...", "(required)"),
         ]
     ]
     robot: Annotated[tuple[str, ...], tyro.conf.arg(metavar="HAND [HAND]")]
@@ -164,7 +164,7 @@ class Batch:
     engine: Literal["pool", "ray"] = "pool"
     shard: Annotated[
         str | None,
-        tyro.conf.arg(metavar="I/N", help_behavior_hint="(default: everything)"),
+        hinted("I/N", "(default: everything)"),
     ] = None
     json: bool = False
     arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from handmap_qp.apps.arguments import HandName, InputArguments, PersonFile
+from handmap_qp.apps.arguments import HandName, InputArguments, PersonFile, hinted
 from handmap_qp.apps.experiments.compare import run_comparison
 from handmap_qp.apps.experiments.demo import run_demo, run_gestures
 from handmap_qp.apps.experiments.paper import run_figures
@@ -42,7 +42,7 @@ class Demo:
 
     robot: Annotated[
         str | None,
-        tyro.conf.arg(metavar="HAND", help_behavior_hint="(default: the paper's arc)"),
+        hinted("HAND", "(default: the paper's arc)"),
     ] = None
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("demo")
 
@@ -128,24 +128,18 @@ class Compare:
     recordings: tyro.conf.Positional[
         Annotated[
             tuple[Path, ...],
-            tyro.conf.arg(metavar="RECORDING...", help_behavior_hint="(required)"),
+            hinted("RECORDING...", "(required)"),
         ]
     ]
     robot: HandName
     methods: Annotated[
         tuple[str, ...],
-        tyro.conf.arg(
-            metavar="METHOD...",
-            help_behavior_hint="(default: every preset, and the first one +smooth)",
-        ),
+        hinted("METHOD...", "(default: every preset, and the first one +smooth)"),
     ] = ()
     peers: bool = False
     peers_from: Annotated[
         Path | None,
-        tyro.conf.arg(
-            metavar="FOLDER",
-            help_behavior_hint="(default: benchmarks/peers of the checkout)",
-        ),
+        hinted("FOLDER", "(default: benchmarks/peers of the checkout)"),
     ] = None
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     person: PersonFile = None

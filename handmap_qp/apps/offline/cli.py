@@ -14,6 +14,7 @@ from handmap_qp.apps.arguments import (
     MappingArguments,
     PersonFile,
     fit_side,
+    hinted,
     person_of,
 )
 from handmap_qp.apps.offline.look_ahead import map_hand
@@ -64,24 +65,20 @@ class Map:
     recordings: tyro.conf.Positional[
         Annotated[
             tuple[Path, ...],
-            tyro.conf.arg(
-                metavar="RECORDING [RECORDING]", help_behavior_hint="(required)"
-            ),
+            hinted("RECORDING [RECORDING]", "(required)"),
         ]
     ]
     robot: Annotated[
         str | None,
-        tyro.conf.arg(metavar="HAND", help_behavior_hint="(or give --robots)"),
+        hinted("HAND", "(or give --robots)"),
     ] = None
     robots: Annotated[
         tuple[str, str] | None,
-        tyro.conf.arg(metavar="LEFT RIGHT", help_behavior_hint="(or give --robot)"),
+        hinted("LEFT RIGHT", "(or give --robot)"),
     ] = None
     out: Annotated[
         Path | None,
-        tyro.conf.arg(
-            metavar="FILE.npz", help_behavior_hint="(default: RECORDING_ROBOT.npz)"
-        ),
+        hinted("FILE.npz", "(default: RECORDING_ROBOT.npz)"),
     ] = None
     mirror: bool = False
     person: PersonFile = None
@@ -190,7 +187,7 @@ class Calibrate:
     recordings: tyro.conf.Positional[
         Annotated[
             tuple[Path, ...],
-            tyro.conf.arg(metavar="RECORDING...", help_behavior_hint="(required)"),
+            hinted("RECORDING...", "(required)"),
         ]
     ]
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("person.yaml")

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from handmap_qp.apps.arguments import hinted
 from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
 from handmap_qp.apps.tables import print_rows, print_table
 from handmap_qp.errors import InvalidInputError
@@ -42,16 +43,16 @@ class Layouts:
     layout: tyro.conf.Positional[
         Annotated[
             str | None,
-            tyro.conf.arg(metavar="[LAYOUT]", help_behavior_hint="(default: list all)"),
+            hinted("[LAYOUT]", "(default: list all)"),
         ]
     ] = None
     template: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="FILE.yaml", help_behavior_hint="(default: none)"),
+        hinted("FILE.yaml"),
     ] = None
     picture: Annotated[
         Path | None,
-        tyro.conf.arg(metavar="FILE.png", help_behavior_hint="(default: none)"),
+        hinted("FILE.png"),
     ] = None
     json: bool = False
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
-from handmap_qp.apps.arguments import HandName, InputArguments
+from handmap_qp.apps.arguments import HandName, InputArguments, hinted
 from handmap_qp.apps.onboarding.check import check_hand
 from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
 from handmap_qp.apps.onboarding.detect import Detection, detect
@@ -41,11 +41,6 @@ def _print_found(hand: Hand, found: Detection, rows: list[dict[str, Any]]) -> No
     )
     for note in found.notes:
         print(f"note: {note}")
-
-
-def _optional(metavar: str, default: str) -> Any:
-    """Describe an optional argument by a placeholder and its effect if omitted."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
 
 
 @dataclass(frozen=True)
@@ -133,11 +128,13 @@ class HandsInit:
     """
 
     urdf: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROBOT")]]
-    root: Annotated[str | None, _optional("LINK", "the root of the URDF")] = None
-    base: Annotated[str | None, _optional("LINK", "the wrist floats")] = None
-    side: Annotated[Side | None, _optional("{right,left}", "found")] = None
-    thumb: Annotated[str | None, _optional("LINK", "found")] = None
-    name: Annotated[str | None, _optional("NAME", "the robot's name")] = None
+    root: Annotated[str | None, hinted("LINK", "(default: the root of the URDF)")] = (
+        None
+    )
+    base: Annotated[str | None, hinted("LINK", "(default: the wrist floats)")] = None
+    side: Annotated[Side | None, hinted("{right,left}", "(default: found)")] = None
+    thumb: Annotated[str | None, hinted("LINK", "(default: found)")] = None
+    name: Annotated[str | None, hinted("NAME", "(default: the robot's name)")] = None
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
     overwrite: bool = False
     json: bool = False
@@ -203,9 +200,9 @@ class HandsMigrate:
     config: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CONFIG.yml")]]
     urdf: Annotated[
         Path | None,
-        _optional("ROBOT.urdf", "as the configuration says, from its folder"),
+        hinted("ROBOT.urdf", "(default: as the configuration says, from its folder)"),
     ] = None
-    name: Annotated[str | None, _optional("NAME", "the robot's name")] = None
+    name: Annotated[str | None, hinted("NAME", "(default: the robot's name)")] = None
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
     overwrite: bool = False
 
@@ -247,7 +244,9 @@ class HandsCheck:
     hand: tyro.conf.Positional[HandName]
     picture: Annotated[
         Path | None,
-        _optional("FILE", "beside the hand.yaml; none for a hand of the package"),
+        hinted(
+            "FILE", "(default: beside the hand.yaml; none for a hand of the package)"
+        ),
     ] = None
     motion: bool = True
     json: bool = False
@@ -298,12 +297,12 @@ class HandsMatch:
 
     hand: tyro.conf.Positional[HandName]
     human_length: Annotated[
-        float | None, _optional("METRES", "the standard hand's")
+        float | None, hinted("METRES", "(default: the standard hand's)")
     ] = None
-    recording: Annotated[Path | None, _optional("RECORDING", "the standard hand")] = (
-        None
-    )
-    picture: Annotated[Path | None, _optional("FILE.png", "none")] = None
+    recording: Annotated[
+        Path | None, hinted("RECORDING", "(default: the standard hand)")
+    ] = None
+    picture: Annotated[Path | None, hinted("FILE.png", "(default: none)")] = None
     write: bool = False
     json: bool = False
 
