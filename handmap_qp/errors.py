@@ -208,7 +208,7 @@ def require(module: str, extra: str, package: str = "") -> Any:
     Args:
         module: Its name.
         extra: The extra of `handmap-qp` that installs it.
-        package: Name of its package, if that is another one.
+        package: Name of its package, if that is not the first part of the module's.
 
     Raises:
         MissingExtraError: If it is not installed.
@@ -216,7 +216,8 @@ def require(module: str, extra: str, package: str = "") -> Any:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        raise MissingExtraError(package or module, extra) from error
+        package = package or module.partition(".")[0]
+        raise MissingExtraError(package, extra) from error
 
 
 class MissingPackageError(HandmapError, ImportError):

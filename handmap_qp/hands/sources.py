@@ -21,6 +21,7 @@ from handmap_qp.errors import (
     MissingExtraError,
     MissingPackageError,
     did_you_mean,
+    require,
 )
 from handmap_qp.hands.spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
 
@@ -100,10 +101,7 @@ def _described(name: str) -> Path:
 
 
 def _module(name: str) -> ModuleType:
-    try:
-        package = importlib.import_module("robot_descriptions")
-    except ImportError as error:
-        raise MissingExtraError("robot_descriptions", "descriptions") from error
+    package = require("robot_descriptions", "descriptions")
     known = [module.name for module in pkgutil.iter_modules(package.__path__)]
     if name not in known and f"robot_descriptions.{name}" not in sys.modules:
         advice = did_you_mean(name, known) or "see its list of robots"

@@ -15,14 +15,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
 from functools import partial
-from importlib import import_module
 from itertools import islice
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from handmap_qp.apps.datasets.episodes import Job, run_job, synced
 from handmap_qp.apps.datasets.manifest import MOST_KILLS, Line
 from handmap_qp.apps.datasets.workers import ONE_THREAD, started_pool
-from handmap_qp.errors import HandmapError, MissingExtraError
+from handmap_qp.errors import HandmapError, require
 from handmap_qp.output_files import remove_torn
 
 GROUP_FRAMES = 1024
@@ -188,10 +187,7 @@ class RayEngine(Engine):
 
     def __init__(self, workers: int = 1) -> None:
         super().__init__(workers)
-        try:
-            self._ray: Any = import_module("ray")
-        except ImportError as error:
-            raise MissingExtraError("ray", "cluster") from error
+        self._ray = require("ray", "cluster")
 
     @contextmanager
     def start(self, count: int) -> Iterator[Workers]:

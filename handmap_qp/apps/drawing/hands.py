@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render, unit
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import InvalidInputError, require
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import HandSpec
@@ -107,7 +107,7 @@ def load_shape(
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    trimesh = _trimesh()
+    trimesh = require("trimesh", "plot")
     from yourdfpy import URDF
 
     robot = URDF.load(
@@ -145,7 +145,9 @@ def solid(
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    return _triangles(_trimesh().Trimesh(vertices, faces, process=False), colour)
+    return _triangles(
+        require("trimesh", "plot").Trimesh(vertices, faces, process=False), colour
+    )
 
 
 def spheres(
@@ -164,7 +166,7 @@ def spheres(
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    ball = _trimesh().creation.icosphere(subdivisions=3, radius=1.0)
+    ball = require("trimesh", "plot").creation.icosphere(subdivisions=3, radius=1.0)
     corners = np.asarray(ball.vertices)[ball.faces]
     places = np.asarray(centres, dtype=float).reshape(-1, 1, 1, 3)
     vertices = (places + radius * corners).reshape(-1, 3, 3)
@@ -275,11 +277,7 @@ def require_matplotlib() -> ModuleType:
     Raises:
         MissingExtraError: If it is not installed.
     """
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise MissingExtraError("matplotlib", "plot") from error
-    return matplotlib
+    return require("matplotlib", "plot")
 
 
 def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
@@ -301,14 +299,6 @@ def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
             problem=f"cannot write {path}: {error}",
             value=str(path),
         ) from error
-
-
-def _trimesh() -> Any:
-    try:
-        import trimesh
-    except ImportError as error:
-        raise MissingExtraError("trimesh", "plot") from error
-    return trimesh
 
 
 def _geometry(trimesh: Any, geometry: Any, spec: HandSpec) -> Any:
@@ -383,7 +373,7 @@ def _simplified(
 
 def _triangles(mesh: Any, colour: tuple[float, float, float]) -> Triangles:
     """Return the triangles of a mesh of trimesh; its surface breaks at edges."""
-    shade = _trimesh().graph.smooth_shade
+    shade = require("trimesh", "plot").graph.smooth_shade
     smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
     corners = smooth.vertices[smooth.faces]
     normals = unit(smooth.vertex_normals[smooth.faces])

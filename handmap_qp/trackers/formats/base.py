@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import abc
-import importlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 
 from handmap_qp.errors import (
     InvalidInputError,
-    MissingExtraError,
     RecordingError,
     expect,
 )
@@ -128,18 +126,6 @@ class RecordingFormat(abc.ABC):
 def _has(recording: Recording, field: str) -> bool:
     value = getattr(recording, field)
     return value is not None and len(value) > 0
-
-
-def require(package: str) -> Any:
-    """Import a package of the extra `files`.
-
-    Raises:
-        MissingExtraError: If it is not installed.
-    """
-    try:
-        return importlib.import_module(package)
-    except ImportError as error:
-        raise MissingExtraError(package.partition(".")[0], "files") from error
 
 
 @contextmanager

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import RecordingError
+from handmap_qp.errors import RecordingError, require
 from handmap_qp.output_files import replaced_path
 from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE, damages
-from handmap_qp.trackers.formats.base import require
 
 SUFFIXES = (".hdf5", ".h5")
 _OVERHEAD = 1 << 20
@@ -33,7 +32,7 @@ def opened(path: Path) -> Iterator[Any]:
         RecordingError: If the file is damaged.
         MissingExtraError: If h5py is not installed.
     """
-    h5py = require("h5py")
+    h5py = require("h5py", "files")
     with damages(path, "cannot be read as HDF5"), h5py.File(path, "r") as file:
         yield file
 
@@ -105,7 +104,7 @@ def created(path: Path, argument: str = "path") -> Iterator[Any]:
         InvalidInputError: If the file cannot be written.
         MissingExtraError: If h5py is not installed.
     """
-    h5py = require("h5py")
+    h5py = require("h5py", "files")
     with replaced_path(path, argument) as temporary, h5py.File(temporary, "w") as file:
         yield file
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_qp.errors import InvalidInputError, RecordingError, expect, require
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import make_folder, sync, writing
 from handmap_qp.trackers.formats.base import (
@@ -27,7 +27,6 @@ from handmap_qp.trackers.formats.base import (
     RecordingFormat,
     column,
     known_columns,
-    require,
 )
 
 VERSION = "v3.0"
@@ -140,7 +139,10 @@ class LeRobotWriter:
         robot_type: str,
         argument: str = "path",
     ) -> None:
-        self._pa, self._pq = require("pyarrow"), require("pyarrow.parquet")
+        self._pa, self._pq = (
+            require("pyarrow", "files"),
+            require("pyarrow.parquet", "files"),
+        )
         if root.exists() and (not root.is_dir() or any(root.iterdir())):
             raise InvalidInputError(
                 argument=argument,

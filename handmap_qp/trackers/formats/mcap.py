@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_qp.errors import InvalidInputError, RecordingError, expect, require
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -27,7 +27,6 @@ from handmap_qp.trackers.formats.base import (
     RecordingFormat,
     build_recording,
     reading,
-    require,
 )
 
 _POSES = "geometry_msgs/msg/PoseArray"
@@ -130,7 +129,7 @@ class McapFormat(RecordingFormat):
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both; a bag of one file, without the folder around it."""
         self.check_one_per_hand(recordings)
-        bags = require("rosbags.rosbag2")
+        bags = require("rosbags.rosbag2", "files")
         for recording in recordings:
             start, end = recording.time[[0, -1]]
             expected = "instants from 0 to 2^31 s, as ROS 2 has them"
@@ -158,8 +157,8 @@ class McapFormat(RecordingFormat):
 @contextmanager
 def _opened(path: Path) -> Iterator[Any]:
     """Open a bag, and turn what rosbags raises inside the block into `RecordingError`."""
-    bags = require("rosbags.rosbag2")
-    serde = require("rosbags.serde")
+    bags = require("rosbags.rosbag2", "files")
+    serde = require("rosbags.serde", "files")
     with damages(path, "cannot be read as MCAP"):
         try:
             with bags.Reader(path) as bag:
@@ -170,7 +169,7 @@ def _opened(path: Path) -> Iterator[Any]:
 
 
 def _store() -> Any:
-    typesys = require("rosbags.typesys")
+    typesys = require("rosbags.typesys", "files")
     return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 
 
