@@ -220,11 +220,6 @@ class MethodOptions(Options, frozen=True):
         )
 
 
-def _nobody(human: Hand, robot: Hand) -> bool:
-    del human, robot
-    return False
-
-
 class Preset(NamedTuple):
     """A method with its options and QP weights that go together.
 
@@ -243,4 +238,4 @@ class Preset(NamedTuple):
     purpose: str
     weakness: str
     rank: int = 2
-    suits: Callable[[Hand, Hand], bool] = _nobody
+    suits: Callable[[Hand, Hand], bool] = lambda *_: False

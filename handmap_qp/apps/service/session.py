@@ -102,8 +102,9 @@ class SampleForm:
         is_lost = not sample.valid and self._kind != "landmarks"
         refuse_if(is_lost, "only landmarks may be invalid", "valid")
         if sample.valid or given:
-            for field in sorted(given ^ {self._field}, key=_FIELDS.index):
-                refuse_if(True, f"this session was opened for {self._wanted}", field)
+            wrong = sorted(given ^ {self._field}, key=_FIELDS.index)
+            message = f"this session was opened for {self._wanted}"
+            refuse_if(bool(wrong), message, next(iter(wrong), ""))
         is_bare = self._kind == "q" and sample.wrist is None
         refuse_if(is_bare, "missing; it must come with q", "wrist")
 
