@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import coal
 import numpy as np
 import pinocchio as pin
@@ -366,25 +368,31 @@ def test_a_displacement_that_is_not_a_number_is_not_taken(case: Case) -> None:
     assert np.isfinite(gate.motion.q).all()
 
 
-def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
-    # A pendulum passes a floor: apart at both ends, 2.5 mm inside it between. Its normal never
-    # turns, so the bound is as large as the bend itself.
-    length, radius, angle, gap = 0.1, 0.01, 0.3, 2e-3
-    model, geometry = pin.Model(), pin.GeometryModel()
-    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "pivot")
-    inertia = pin.Inertia.FromSphere(1.0, radius)
-    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
-    height = -length * np.cos(angle) - radius - gap
-    down = pin.SE3(np.eye(3), np.array([0.0, 0.0, -length]))
-    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, height - 0.05]))
-    shapes = ((joint, down, coal.Sphere(radius)), (0, floor, coal.Box(1.0, 1.0, 0.1)))
+def distances_of(model: pin.Model, *shapes: tuple[int, pin.SE3, Any]) -> ShapeDistances:
+    """Pair two shapes, each with its joint and its placement there."""
+    geometry = pin.GeometryModel()
     for i, (parent, placement, shape) in enumerate(shapes):
         shape.computeLocalAABB()
         geometry.addGeometryObject(
             pin.GeometryObject(f"shape {i}", parent, placement, shape)
         )
     geometry.addCollisionPair(pin.CollisionPair(0, 1))
-    distances = ShapeDistances(model, geometry)
+    return ShapeDistances(model, geometry)
+
+
+def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
+    # A pendulum passes a floor: apart at both ends, 2.5 mm inside it between. Its normal never
+    # turns, so the bound is as large as the bend itself.
+    length, radius, angle, gap = 0.1, 0.01, 0.3, 2e-3
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "pivot")
+    inertia = pin.Inertia.FromSphere(1.0, radius)
+    model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())
+    height = -length * np.cos(angle) - radius - gap
+    down = pin.SE3(np.eye(3), np.array([0.0, 0.0, -length]))
+    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, height - 0.05]))
+    ball, wall = coal.Sphere(radius), coal.Box(1.0, 1.0, 0.1)
+    distances = distances_of(model, (joint, down, ball), (0, floor, wall))
     near = distances.measure(np.array([-angle]))
     assert near.bounds[0] == pytest.approx(gap, abs=1e-6)
     assert not distances.is_clear(near, np.array([2.0 * angle]))
@@ -396,24 +404,16 @@ def test_the_bound_of_a_way_counts_what_turning_does_to_what_slides() -> None:
     # A ball slides out on an arm that turns, through its pivot. At both ends it is 8 mm above a
     # floor, and 2 mm inside it between, by the Coriolis acceleration alone.
     turn, out, radius, gap = 0.2, 0.05, 0.01, 8e-3
-    model, geometry = pin.Model(), pin.GeometryModel()
+    model = pin.Model()
     pivot = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "pivot")
     slide = model.addJoint(pivot, pin.JointModelPX(), pin.SE3.Identity(), "slide")
     model.lowerPositionLimit[1] = -out
     model.upperPositionLimit[1] = out
     top = out * np.sin(turn) - radius - gap
     floor = pin.SE3(np.eye(3), np.array([0.0, top - 0.05, 0.0]))
-    shapes = (
-        (slide, pin.SE3.Identity(), coal.Sphere(radius)),
-        (0, floor, coal.Box(1.0, 0.1, 1.0)),
-    )
-    for i, (parent, placement, shape) in enumerate(shapes):
-        shape.computeLocalAABB()
-        geometry.addGeometryObject(
-            pin.GeometryObject(f"shape {i}", parent, placement, shape)
-        )
-    geometry.addCollisionPair(pin.CollisionPair(0, 1))
-    distances = ShapeDistances(model, geometry)
+    ball, wall = coal.Sphere(radius), coal.Box(1.0, 0.1, 1.0)
+    here = pin.SE3.Identity()
+    distances = distances_of(model, (slide, here, ball), (0, floor, wall))
     near = distances.measure(np.array([-turn, -out]))
     assert near.bounds[0] == pytest.approx(gap, abs=1e-6)
     assert distances.measure(np.zeros(2)).bounds[0] < -1e-3
