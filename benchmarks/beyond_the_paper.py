@@ -41,20 +41,20 @@ from experiment_variants import (
 )
 from grasp_closing import default_preshape
 from grasp_planning import PlannedGrasp, contact_counts, plan_grasps
-
-from handmap_qp.apps.experiments.paper import (
-    GAMMAS,
-    SYNERGIES,
-    Row,
-    write_csv,
-)
-from handmap_qp.apps.experiments.section_four import (
+from section_four.cube import REFERENCE_HANDS, reference_grasp
+from section_four.experiment import (
     Scene,
     Setting,
     object_error,
     paper_scene,
 )
-from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
+from section_four.figures import (
+    GAMMAS,
+    SYNERGIES,
+    Row,
+    write_csv,
+)
+
 from handmap_qp.errors import DegeneratePointsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand

@@ -21,8 +21,8 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-
-from handmap_qp.apps.experiments.section_four import (
+from section_four.contacts import Grasp
+from section_four.experiment import (
     Follow,
     HandMotion,
     Run,
@@ -31,7 +31,7 @@ from handmap_qp.apps.experiments.section_four import (
     equation_8,
     run_experiment,
 )
-from handmap_qp.apps.grasp.contacts import Grasp
+
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.pseudoinverse import PseudoinverseIk

@@ -24,15 +24,15 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
+from section_four.contacts import Grasp
+from section_four.statics import grasp_matrix
 
-from handmap_qp.apps.grasp.checks import (
+from handmap_qp.apps.simulation.checks import (
     finite_array,
     one_of,
     positive_number,
     whole_number,
 )
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.statics import grasp_matrix
 
 QUALITIES = ("ferrari_canny", "msvg", "gii", "vew", "dtsc", "mev", "uot", "centroid")
 """Names of the measures."""

@@ -21,10 +21,10 @@ from grasp_measures import (
     grasp_quality,
 )
 from scipy.spatial.transform import Rotation
+from section_four.contacts import Grasp
 
-from handmap_qp.apps.grasp.checks import one_of, positive_number, whole_number
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape
+from handmap_qp.apps.simulation.checks import one_of, positive_number, whole_number
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import PoseLike, affine, check_pose, inverse_pose

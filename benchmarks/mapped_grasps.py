@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 from experiment_variants import moved_grasp
+from section_four.experiment import HandMotion, Scene
 
-from handmap_qp.apps.experiments.section_four import HandMotion, Scene
 from handmap_qp.apps.offline.comparison import ComparedMethod, prepare_take
 from handmap_qp.apps.simulation.commands import map_commands
 from handmap_qp.apps.simulation.simulator import poses_between

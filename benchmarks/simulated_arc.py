@@ -24,12 +24,12 @@ import numpy as np
 from arc import ArcOptions, ArcOutcome, carry, planned_scene, soft_synergy
 from experiment_variants import FingerMode, Variant
 from mapped_grasps import map_grasp, with_equal_palms
+from section_four.contacts import Grasp
+from section_four.experiment import HandMotion, Scene, Setting
+from section_four.statics import Stiffness, quasistatic
 
-from handmap_qp.apps.experiments.section_four import HandMotion, Scene, Setting
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.objects import Box
-from handmap_qp.apps.grasp.statics import Stiffness, quasistatic
 from handmap_qp.apps.simulation.commands import chosen_methods
+from handmap_qp.apps.simulation.objects import Box
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands.library import load_hand

@@ -24,11 +24,11 @@ import numpy as np
 from arc import ArcOptions, Carried, carry, planned_scene
 from mapped_grasps import map_grasp, with_equal_palms
 from scipy.spatial.transform import Rotation
+from section_four.experiment import HandMotion, Scene
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions
-from handmap_qp.apps.experiments.section_four import HandMotion, Scene
-from handmap_qp.apps.grasp.objects import Box
 from handmap_qp.apps.simulation.commands import chosen_methods
+from handmap_qp.apps.simulation.objects import Box
 from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands.library import load_hand

@@ -55,7 +55,7 @@ class _Place(NamedTuple):
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
 COMMANDS: dict[str, _Place] = {
     "demo": _Place(
-        "experiments.cli",
+        "demo.cli",
         "Demo",
         "Map a human hand's motion to a robot hand; needs no data of your own.",
     ),
@@ -81,7 +81,7 @@ COMMANDS: dict[str, _Place] = {
         "Report the quality of the episodes of a batch, and write a filter.",
     ),
     "compare": _Place(
-        "experiments.cli",
+        "offline.compare",
         "Compare",
         "Compare mapping methods on recordings of a human hand, by what the robot's hand shows.",
     ),
@@ -122,11 +122,6 @@ COMMANDS: dict[str, _Place] = {
         "offline.layouts_cli",
         "Layouts",
         "List the layouts of trackers, or show one: order, frame and units.",
-    ),
-    "figures": _Place(
-        "experiments.cli",
-        "Figures",
-        "Repeat the paper's numerical experiment (Sec. IV) and draw its figures.",
     ),
     "simulate": _Place(
         "simulation.cli",

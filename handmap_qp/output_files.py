@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import IO
 
 from handmap_qp.errors import DiskFullError, InvalidInputError
@@ -186,3 +187,34 @@ def replaced_file(
         file.open("wb") as stream,
     ):
         yield stream
+
+
+@contextmanager
+def output_folder(out: Path) -> Iterator[Path]:
+    """Yield a temporary folder, and move its files into `out` if the block succeeds.
+
+    Args:
+        out: Final folder of the files; created if it does not exist. Files of the same names are
+            replaced.
+
+    Yields:
+        The folder to write to.
+
+    Raises:
+        InvalidInputError: If `out` cannot be written.
+    """
+    make_folder(out.parent, "out")
+    with writing(out, "out"):
+        if out.exists() and not (out.is_dir() and os.access(out, os.W_OK)):
+            raise InvalidInputError(
+                argument="out",
+                expected="a folder that can be written, or a new name",
+                got=str(out),
+            )
+        with TemporaryDirectory(
+            prefix=".handmap-", dir=out.parent, ignore_cleanup_errors=True
+        ) as temporary:
+            yield Path(temporary)
+            out.mkdir(exist_ok=True)
+            for file in Path(temporary).iterdir():
+                file.replace(out / file.name)

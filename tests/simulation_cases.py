@@ -5,10 +5,10 @@ from __future__ import annotations
 from functools import cache
 
 from grasp_planning import plan_grasps
+from section_four.contacts import Grasp
 
 from handmap_qp import load_hand
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.objects import Box
+from handmap_qp.apps.simulation.objects import Box
 
 CUBE = Box((0.05, 0.05, 0.05))
 

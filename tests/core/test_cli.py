@@ -279,7 +279,7 @@ COMMANDS = (
 )
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "hands", "figures", "serve", "keys"])
+@pytest.mark.parametrize("command", [*COMMANDS, "hands", "serve", "keys"])
 def test_help_has_examples_and_fits_the_terminal(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

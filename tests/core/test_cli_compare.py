@@ -208,7 +208,7 @@ def test_sheet_of_many_methods_has_bands(
 ) -> None:
     # Another test looks at the picture of the metrics, which takes half of the time.
     monkeypatch.setattr(
-        "handmap_qp.apps.experiments.comparison_pictures.draw_metrics", lambda *_: None
+        "handmap_qp.apps.offline.comparison_pictures.draw_metrics", lambda *_: None
     )
     out = tmp_path / "out"
     words = ["compare", files[0], "--robot", "three_finger", "--out", str(out)]

@@ -15,11 +15,11 @@ from grasp_closing import (
 )
 from grasp_measures import cone_wrenches, ferrari_canny, grasp_quality
 from grasp_planning import plan_grasps
+from section_four.contacts import Contact, Grasp
+from section_four.cube import reference_grasp
+from section_four.statics import grasp_matrix, quasistatic
 
-from handmap_qp.apps.grasp.contacts import Contact, Grasp
-from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
-from handmap_qp.apps.grasp.paper_cube import reference_grasp
-from handmap_qp.apps.grasp.statics import grasp_matrix, quasistatic
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Sphere
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 

@@ -12,11 +12,11 @@ from experiment_variants import moved_grasp
 from grasp_cases import coupled_hand
 from hypothesis import given
 from hypothesis import strategies as st
+from section_four.contacts import Contact, Grasp
+from section_four.cube import REFERENCE_HANDS, reference_grasp
+from section_four.statics import QuasiStatic, grasp_matrix, quasistatic
 from strategies import generators, poses
 
-from handmap_qp.apps.grasp.contacts import Contact, Grasp
-from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.apps.grasp.statics import QuasiStatic, grasp_matrix, quasistatic
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.synergies import load_synergies

@@ -28,11 +28,11 @@ from grasp_measures import (
 from grasp_planning import PlannedGrasp, circumradius, contact_counts, plan_grasps
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from section_four.contacts import Grasp
+from section_four.cube import reference_grasp
 from strategies import generators, motion_of, poses, rotations
 
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
-from handmap_qp.apps.grasp.paper_cube import reference_grasp
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand

@@ -8,9 +8,9 @@ import json
 import numpy as np
 import pytest
 from grasp_measures import grasp_quality
+from section_four.cube import REFERENCE_HANDS, reference_grasp
+from section_four.statics import grasp_matrix
 
-from handmap_qp.apps.grasp.paper_cube import REFERENCE_HANDS, reference_grasp
-from handmap_qp.apps.grasp.statics import grasp_matrix
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.sources import urdf_directory
 

@@ -15,10 +15,8 @@ from experiment_variants import (
     limit_excess,
     moved_scene,
 )
-
-from handmap_qp import HandMapper
-from handmap_qp.apps.experiments.paper import GAMMAS
-from handmap_qp.apps.experiments.section_four import (
+from section_four.cube import reference_grasp
+from section_four.experiment import (
     UNIT,
     Run,
     Scene,
@@ -32,7 +30,9 @@ from handmap_qp.apps.experiments.section_four import (
     rms,
     wrist_arc,
 )
-from handmap_qp.apps.grasp.paper_cube import reference_grasp
+from section_four.figures import GAMMAS
+
+from handmap_qp import HandMapper
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

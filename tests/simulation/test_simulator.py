@@ -11,12 +11,12 @@ import pytest
 from arc import holding_forces, squeeze, take_hold
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from section_four.contacts import Contact, Grasp
+from section_four.statics import quasistatic
 from simulation_cases import CUBE, cube_grasp
 
 from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
-from handmap_qp.apps.grasp.contacts import Contact, Grasp
-from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
-from handmap_qp.apps.grasp.statics import quasistatic
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Sphere
 from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.se3 import affine

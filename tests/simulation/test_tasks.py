@@ -12,8 +12,8 @@ import pytest
 from simulation_cases import CUBE
 
 from handmap_qp import HandError, InvalidInputError, cli, load_hand
-from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow, find_pinch
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Sphere
 from handmap_qp.apps.simulation.physics import (
     Body,
     MeshShape,

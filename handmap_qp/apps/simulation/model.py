@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.grasp.objects import Box, Cylinder, Sphere
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Sphere
 from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.collision_shapes import read_collision_shapes

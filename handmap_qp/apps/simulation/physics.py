@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from handmap_qp.apps.grasp.checks import positive_number
-from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
+from handmap_qp.apps.simulation.checks import positive_number
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, require
 from handmap_qp.hands.spec import Vector
 from handmap_qp.options import Options, number, text

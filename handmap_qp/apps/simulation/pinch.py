@@ -15,9 +15,9 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.grasp.checks import positive_number
-from handmap_qp.apps.grasp.objects import Box, Cylinder, Shape, Sphere
+from handmap_qp.apps.simulation.checks import positive_number
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics, turn_up
 from handmap_qp.apps.simulation.simulator import (
     Episode,

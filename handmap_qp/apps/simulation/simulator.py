@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.grasp.checks import finite_array
+from handmap_qp.apps.simulation.checks import finite_array
 from handmap_qp.apps.simulation.model import BASE, OBJECT, build_model
 from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.errors import InvalidInputError

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import binomtest
 
-from handmap_qp.apps.grasp.checks import whole_number
+from handmap_qp.apps.simulation.checks import whole_number
 from handmap_qp.apps.simulation.physics import KINDS, named_shape
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchTrial
 

@@ -14,13 +14,13 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from handmap_qp.apps.grasp.checks import one_of
-from handmap_qp.apps.grasp.contacts import Contact, Grasp
-from handmap_qp.apps.grasp.objects import Box
+from handmap_qp.apps.simulation.checks import one_of
+from handmap_qp.apps.simulation.objects import Box
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import read_hand_spec
 from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_numbers
+from section_four.contacts import Contact, Grasp
 
 REFERENCE_HANDS = ("human", "three_finger")
 """Names of the hands that have a reference grasp."""

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
 import msgspec
+import tyro
 
 import handmap_qp
+from handmap_qp.apps.arguments import HandName, InputArguments, PersonFile, hinted
 from handmap_qp.apps.drawing.hands import require_matplotlib
-from handmap_qp.apps.experiments import comparison_pictures
+from handmap_qp.apps.offline import comparison_pictures
 from handmap_qp.apps.offline.comparison import (
     LOOK_AHEAD,
     SMOOTH,
@@ -35,9 +38,6 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.human.person import Person, read_person
 from handmap_qp.output_files import make_folder, writing
 
-if TYPE_CHECKING:
-    from handmap_qp.apps.experiments.cli import Compare
-
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""
 _PACKAGES = ("handmap-qp", "pin", "daqp", "numpy")
@@ -48,38 +48,97 @@ _LEGEND = (
 )
 
 
-def run_comparison(request: Compare) -> None:
-    """Compare, print the result and write the files.
+@dataclass(frozen=True)
+class Compare:
+    """Compare mapping methods on recordings of a human hand, by what the robot's hand shows.
 
-    Raises:
-        HandmapError: If a recording, hand, method or folder cannot be used; before any mapping.
+    Maps every recording by every method, and measures fingers, object, palm, pinches and smoothness
+    against the raw landmarks. Prints the means over the recordings. A left recording is mirrored
+    for a right robot, and the other way round.
+
+    --out writes table.md (overall and each recording), results.json, metrics.png (a panel for each
+    metric) and poses.png (human and methods side by side in open, pointing, fist, pinches, spread).
+
+    --peers adds retargeting libraries by others, dex-retargeting and dexi-rs. They are run in
+    environments of their own, which `make peers` builds in a checkout. Hands outside the package
+    are given by path; benchmarks/hands/leap_right.yaml and svh_right.yaml need HANDMAP_HANDS, the
+    folder of their URDFs.
+
+    Examples:
+        handmap compare recording.npz --robot allegro_right
+        handmap compare *.npz --robot allegro_right --peers --out comparison
+        handmap compare a.npz b.npz --robot my_hand.yaml --methods object paper
+
+    Attributes:
+        recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
+            used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
+        methods: Methods to run: presets and other mappings by name, with +smooth for smoothed
+            samples, with +look-ahead for smoothing with the future too. Peers may be named too,
+            such as dex-vector; then --peers runs those only.
+        peers: Run the peers too.
+        peers_from: Folder of the program that runs the peers, compare.py.
+        out: Folder to write to; created if it does not exist.
+        person: File of the person's hand, of `handmap calibrate`, if all recordings are of one.
+        json: Print JSON instead of tables.
+        inputs: How the recordings are to be read.
     """
-    if not request.recordings:
-        raise InvalidInputError(
-            argument="RECORDING", expected="at least one file", got="none"
-        )
-    robot = load_hand(request.robot)
-    person = None if request.person is None else read_person(request.person)
-    methods = _methods(request)
-    if request.out is not None:
-        require_matplotlib()
-        make_folder(request.out, "--out")
-    with progress("comparing") as advance:
 
-        def say(what: str, done: int, total: int) -> None:
-            advance(done, f"{what} ({done} of {total})")
+    recordings: tyro.conf.Positional[
+        Annotated[
+            tuple[Path, ...],
+            hinted("RECORDING...", "(required)"),
+        ]
+    ]
+    robot: HandName
+    methods: Annotated[
+        tuple[str, ...],
+        hinted("METHOD...", "(default: every preset, and the first one +smooth)"),
+    ] = ()
+    peers: bool = False
+    peers_from: Annotated[
+        Path | None,
+        hinted("FOLDER", "(default: benchmarks/peers of the checkout)"),
+    ] = None
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
+    person: PersonFile = None
+    json: bool = False
+    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
+        default_factory=InputArguments
+    )
 
-        takes = _takes(request, robot, person, say)
-        comparison = compare_methods(takes, robot, methods, say)
-        written = [] if request.out is None else _write(request.out, comparison, say)
-    if request.json:
-        print(msgspec.json.encode(results_of(comparison)).decode())
-        return
-    _print_tables(comparison)
-    for note in notes_of(comparison):
-        print(f"- {note}")
-    for file in written:
-        print(f"wrote {file}")
+    def run(self) -> None:
+        """Check everything, measure, print and write.
+
+        Raises:
+            HandmapError: If a recording, hand, method or folder cannot be used; before any mapping.
+        """
+        if not self.recordings:
+            raise InvalidInputError(
+                argument="RECORDING", expected="at least one file", got="none"
+            )
+        robot = load_hand(self.robot)
+        person = None if self.person is None else read_person(self.person)
+        methods = _methods(self)
+        if self.out is not None:
+            require_matplotlib()
+            make_folder(self.out, "--out")
+        with progress("comparing") as advance:
+
+            def say(what: str, done: int, total: int) -> None:
+                advance(done, f"{what} ({done} of {total})")
+
+            takes = _takes(self, robot, person, say)
+            comparison = compare_methods(takes, robot, methods, say)
+            written = [] if self.out is None else _write(self.out, comparison, say)
+        if self.json:
+            print(msgspec.json.encode(results_of(comparison)).decode())
+            return
+        _print_tables(comparison)
+        for note in notes_of(comparison):
+            print(f"- {note}")
+        for file in written:
+            print(f"wrote {file}")
 
 
 def markdown(comparison: Comparison) -> str:

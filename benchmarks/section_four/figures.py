@@ -1,6 +1,6 @@
-"""The paper's Sec. IV as figures, numbers and claims: `run_figures`, the command `handmap figures`.
+"""The paper's Sec. IV as figures, numbers and claims: `run_figures`.
 
-`section_four` is the experiment, `paper_drawings` draws its figures.
+`experiment` has the runs, `drawings` draws the figures.
 """
 
 from __future__ import annotations
@@ -12,16 +12,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from handmap_qp.apps.demo.figures import STYLE
 from handmap_qp.apps.drawing.hands import require_matplotlib
-from handmap_qp.apps.experiments.output_folder import output_folder
-from handmap_qp.apps.experiments.paper_drawings import (
+from handmap_qp.apps.tables import csv_text, markdown_table
+from handmap_qp.mapping.estimation import estimate_motion
+from handmap_qp.output_files import output_folder
+from section_four.drawings import (
     draw_first_step,
     draw_grasps,
     draw_sensitivity,
     draw_ways,
     selected,
 )
-from handmap_qp.apps.experiments.section_four import (
+from section_four.experiment import (
     UNIT,
     InHandStep,
     Setting,
@@ -34,9 +37,6 @@ from handmap_qp.apps.experiments.section_four import (
     rms,
     run_experiment,
 )
-from handmap_qp.apps.experiments.style import STYLE
-from handmap_qp.apps.tables import csv_text, markdown_table
-from handmap_qp.mapping.estimation import estimate_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,7 +103,7 @@ class FiguresResult(NamedTuple):
 def run_figures(
     directory: Path | str = Path("figures"),
     *,
-    progress: Callable[[str, int, int], None] = lambda *_: None,
+    progress: Callable[[], None] = lambda: None,
 ) -> FiguresResult:
     """Repeat the paper's numerical experiment (Sec. IV) and write figures, numbers and a report.
 
@@ -113,7 +113,7 @@ def run_figures(
     Args:
         directory: Folder to write to; created if it does not exist. Files of the same names are
             replaced.
-        progress: Called with the present task, the number of tasks done and their total.
+        progress: Called after each figure.
 
     Returns:
         The tables and the files.
@@ -125,12 +125,11 @@ def run_figures(
     require_matplotlib()
     directory = Path(directory)
     made: list[FigureRecord] = []
-    total = len(FIGURES)
     with output_folder(directory) as folder:
-        for i, (name, make) in enumerate(FIGURES.items()):
-            progress(name, i, total)
+        for make in FIGURES.values():
             made.append(make())
             made[-1].save(folder)
+            progress()
         claims = [claim for record in made for claim in record.claims]
         numbers = number_rows(made)
         write_csv(folder / "claims.csv", claims)
@@ -139,7 +138,6 @@ def run_figures(
             _report(made, claims, numbers), encoding="utf-8"
         )
         files = sorted(path.name for path in folder.iterdir())
-    progress("done", total, total)
     return FiguresResult(claims, numbers, tuple(directory / name for name in files))
 
 

@@ -1,6 +1,6 @@
 """A grasp as a value: a hand, an object and their contacts (Sec. IV of the paper).
 
-Conventions are those of `apps.grasp.statics`: hard-finger contacts, world axes, torques about
+Conventions are those of `statics`: hard-finger contacts, world axes, torques about
 the object's centre.
 """
 
@@ -11,13 +11,13 @@ from functools import cached_property
 
 import numpy as np
 
-from handmap_qp.apps.grasp.checks import finite_array
-from handmap_qp.apps.grasp.objects import Shape
-from handmap_qp.apps.grasp.statics import grasp_matrix
+from handmap_qp.apps.simulation.checks import finite_array
+from handmap_qp.apps.simulation.objects import Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec, Vector
 from handmap_qp.se3 import check_pose
+from section_four.statics import grasp_matrix
 
 
 @dataclass(frozen=True, slots=True)

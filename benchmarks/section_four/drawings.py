@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from handmap_qp.apps.demo.figures import COLOURS, INK, PALE, new_figure, styled
 from handmap_qp.apps.drawing.hands import (
     HUMAN_COLOUR,
     ROBOT_COLOUR,
@@ -20,16 +21,15 @@ from handmap_qp.apps.drawing.hands import (
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
-from handmap_qp.apps.experiments.section_four import (
+from handmap_qp.apps.simulation.objects import Box
+from handmap_qp.se3 import transform_points
+from section_four.contacts import Grasp
+from section_four.experiment import (
     InHandStep,
     Run,
     Scene,
     object_poses,
 )
-from handmap_qp.apps.experiments.style import COLOURS, INK, PALE, new_figure, styled
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.objects import Box
-from handmap_qp.se3 import transform_points
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from handmap_qp.apps.grasp.checks import finite_array, positive_number
+from handmap_qp.apps.simulation.checks import finite_array, positive_number
 from handmap_qp.hands.spec import Vector
 
 

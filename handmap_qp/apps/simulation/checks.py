@@ -1,4 +1,4 @@
-"""Checks of the arguments of public functions of `handmap_qp.apps.grasp`."""
+"""Checks of the arguments of public functions of simulation, and of the grasps of benchmarks."""
 
 from __future__ import annotations
 

@@ -22,14 +22,14 @@ from typing import Literal, NamedTuple, Self
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.grasp.contacts import Grasp
-from handmap_qp.apps.grasp.paper_cube import reference_grasp
-from handmap_qp.apps.grasp.statics import grasp_matrix, quasistatic
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.mapping.decomposition import decompose
 from handmap_qp.mapping.estimation import estimate_motion
 from handmap_qp.se3 import affine, inverse_pose, transform_points
+from section_four.contacts import Grasp
+from section_four.cube import reference_grasp
+from section_four.statics import grasp_matrix, quasistatic
 
 ARC_LENGTH = 0.47
 """Length of the wrist's arc along x [m]."""

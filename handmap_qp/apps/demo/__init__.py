@@ -1,0 +1,1 @@
+"""The demo: a recorded hand mapped to a robot hand, as a trajectory and pictures."""

@@ -1,1 +1,0 @@
-"""The paper's Section IV, the demo, and the comparison of methods."""
