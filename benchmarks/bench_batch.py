@@ -42,7 +42,7 @@ from handmap_qp.apps.datasets.episodes import Job, JobOptions, run_job
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.trackers.formats import Source, read_recording, write_recordings
-from handmap_qp.trackers.formats.egodex import EgoDexFormat
+from handmap_qp.trackers.formats.hdf5 import EgoDexFormat
 
 HOURS, EPISODES, RATE = 829.0, 338_000, 30.0
 """EgoDex as published (Hoque et al. 2025): hours, episodes, frames per second."""

@@ -48,7 +48,7 @@ from handmap_qp.apps.offline.fidelity import SETTLING
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.cli import main
 from handmap_qp.trackers.formats import write_recordings
-from handmap_qp.trackers.formats.robomimic import RobomimicFormat
+from handmap_qp.trackers.formats.hdf5 import RobomimicFormat
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -35,7 +35,7 @@ from handmap_qp.trackers.formats import (
     write_recordings,
 )
 from handmap_qp.trackers.formats.base import RecordingFormat
-from handmap_qp.trackers.formats.egodex import joint_names
+from handmap_qp.trackers.formats.hdf5 import joint_names
 from handmap_qp.trackers.formats.mano import FROM_MANO
 
 h5py = pytest.importorskip("h5py")

@@ -17,12 +17,11 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.plugins import Plugins
 from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
 from handmap_qp.trackers.formats.csv_files import CsvFormat
-from handmap_qp.trackers.formats.egodex import EgoDexFormat
+from handmap_qp.trackers.formats.hdf5 import EgoDexFormat, RobomimicFormat
 from handmap_qp.trackers.formats.lerobot import LeRobotFormat
 from handmap_qp.trackers.formats.mano import ManoFormat
 from handmap_qp.trackers.formats.mcap import McapFormat
 from handmap_qp.trackers.formats.npz import NpzFormat
-from handmap_qp.trackers.formats.robomimic import RobomimicFormat
 
 _OWN = (
     NpzFormat(),

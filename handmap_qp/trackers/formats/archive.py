@@ -5,11 +5,8 @@ The size of an archive is bounded before it is read, and nothing in it is unpick
 
 from __future__ import annotations
 
-import struct
-import tokenize
 import warnings
 import zipfile
-import zlib
 from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,24 +18,6 @@ from handmap_qp.errors import HandmapError, RecordingError
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
-DAMAGES = (
-    ArithmeticError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    NotImplementedError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
-"""What zipfile, zlib, numpy's header parser and other readers raise on damaged files."""
 
 
 def member_names(file: Path) -> set[str]:
@@ -68,9 +47,8 @@ def read_archive(
         members = [m for m in archive.infolist() if names is None or _name(m) in names]
         if (size := sum(member.file_size for member in members)) > LARGEST_ARCHIVE:
             most = f"{LARGEST_ARCHIVE >> 20} MB"
-            raise RecordingError(
-                f"holds {size >> 20} MB, more than the {most} that are read", file=file
-            )
+            problem = f"holds {size >> 20} MB, more than the {most} that are read"
+            raise RecordingError(problem, file=file)
         return {
             _name(member): _read_member(file, archive, member) for member in members
         }
@@ -93,40 +71,21 @@ def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_member(
-    file: Path,
-    archive: zipfile.ZipFile,
-    member: zipfile.ZipInfo,
+    file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo
 ) -> np.ndarray:
-    """Read one array, whose header must agree with the size of the member."""
     with (
         damages(file, "is not a plain array", _name(member)),
         archive.open(member) as stream,
+        warnings.catch_warnings(),
     ):
-        with warnings.catch_warnings():
-            # numpy warns of headers that Python 2 wrote.
-            warnings.simplefilter("ignore")
-            version = npy.read_magic(stream)
-            read = (
-                npy.read_array_header_1_0
-                if version == (1, 0)
-                else npy.read_array_header_2_0
-            )
-            shape, is_fortran, dtype = read(stream)
-        if dtype.hasobject:
-            raise ValueError("holds Python objects, which are not read")
-        # A header may ask for anything; this takes what is there, at most `member.file_size`.
-        content = stream.read()
-        array = np.frombuffer(content, dtype=dtype)
-        return array.reshape(shape, order="F" if is_fortran else "C")
+        # numpy warns of headers that Python 2 wrote.
+        warnings.simplefilter("ignore")
+        return npy.read_array(stream, allow_pickle=False)
 
 
 @contextmanager
-def damages(
-    file: Path,
-    problem: str,
-    array: str = "",
-) -> Iterator[None]:
-    """Turn what readers raise on damaged files into `RecordingError`.
+def damages(file: Path, problem: str, array: str = "") -> Iterator[None]:
+    """Turn what readers raise on damaged files, which may be anything, into `RecordingError`.
 
     Args:
         file: The file.
@@ -137,13 +96,9 @@ def damages(
         yield
     except HandmapError:
         raise
-    except DAMAGES as error:
+    except Exception as error:
+        text = " ".join(str(error).split())[:160]
         if isinstance(error, OSError) and error.strerror:
             problem, text = "cannot be read", error.strerror
-        else:
-            text = " ".join(str(error).split())[:160]
-        raise RecordingError(
-            f"{problem}: {text}".rstrip(": "),
-            file=file,
-            array=array,
-        ) from error
+        problem = f"{problem}: {text}".rstrip(": ")
+        raise RecordingError(problem, file=file, array=array) from error

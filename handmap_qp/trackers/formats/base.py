@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import (
-    InvalidInputError,
-    RecordingError,
-    expect,
-)
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
-from handmap_qp.se3 import affine, as_floats, poses_from_quats
+from handmap_qp.se3 import affine, as_floats, pose_from_xyz_quat
 
 SIDES: tuple[Side, ...] = ("left", "right")
 COLUMNS: dict[str, tuple[str, ...]] = {
@@ -32,12 +28,43 @@ COLUMNS: dict[str, tuple[str, ...]] = {
 
 Of the wrist's pose they are the upper three rows, row by row.
 """
-_WORDS = {
-    "wrist": "the wrist's orientation",
-    "confidence": "the confidence",
-    "source": "the words about the source",
+
+
+def _is_apart(recording: Recording) -> bool:
+    """Tell whether the wrist's pose is elsewhere than the first landmark in a valid sample."""
+    if recording.wrist is None:
+        return False
+    apart = recording.wrist[:, :3, 3] != recording.landmarks[:, 0]
+    return bool(apart[recording.valid].any())
+
+
+LOSSES: dict[str, tuple[str, Callable[[Recording], bool]]] = {
+    "wrist": ("the wrist's orientation", lambda r: r.wrist is not None),
+    "confidence": ("the confidence", lambda r: r.confidence is not None),
+    "source": ("the words about the source", lambda r: r.source != ""),
+    "no wrist": (
+        "that the wrist's orientation is unknown",
+        lambda r: r.wrist is None,
+    ),
+    "wrist position": (
+        "the wrist's position where it is not its landmark",
+        _is_apart,
+    ),
+    "no confidence": (
+        "that the confidence is unknown",
+        lambda r: r.confidence is None,
+    ),
+    "digits of time": ("instants beyond whole nanoseconds", lambda r: True),
+    "unseen": (
+        "landmarks of samples without a hand",
+        lambda r: not r.valid.all(),
+    ),
+    "digits of wrist": (
+        "the last digit of the wrist's rotation, as a quaternion",
+        lambda r: r.wrist is not None,
+    ),
 }
-"""What a format may be unable to hold of a recording, in words."""
+"""What a format may be unable to hold: in words, and whether a recording has it."""
 
 
 class Entry(NamedTuple):
@@ -68,7 +95,7 @@ class RecordingFormat(abc.ABC):
         name: Short name, as of `handmap convert --format`.
         suffixes: Suffixes of its files, the usual one first; empty for folders.
         about: What it is, in one line.
-        lacks: Fields of `Recording` that it cannot hold: some of `wrist`, `confidence`, `source`.
+        lacks: What of a recording it cannot hold: names of `LOSSES`.
     """
 
     name: str
@@ -94,8 +121,8 @@ class RecordingFormat(abc.ABC):
 
     def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
         """Name what of these recordings the format cannot hold."""
-        held = {field for r in recordings for field in _WORDS if _has(r, field)}
-        return tuple(_WORDS[field] for field in self.lacks if field in held)
+        lacks = (LOSSES[name] for name in self.lacks)
+        return tuple(words for words, is_lost in lacks if any(map(is_lost, recordings)))
 
     @abc.abstractmethod
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
@@ -123,11 +150,6 @@ class RecordingFormat(abc.ABC):
         )
 
 
-def _has(recording: Recording, field: str) -> bool:
-    value = getattr(recording, field)
-    return value is not None and len(value) > 0
-
-
 @contextmanager
 def reading(file: Path, prefix: str = "") -> Iterator[None]:
     """Turn errors about values that come from a file into `RecordingError`.
@@ -143,19 +165,11 @@ def reading(file: Path, prefix: str = "") -> Iterator[None]:
         yield
     except InvalidInputError as error:
         name = "handedness" if error.argument == "side" else error.argument
-        raise RecordingError(
-            error.what,
-            file=file,
-            array=prefix + name,
-        ) from error
+        problem = f"{error.what}: {error.advice}" if error.advice else error.what
+        raise RecordingError(problem, file=file, array=prefix + name) from error
 
 
-def side_of(
-    value: object,
-    file: Path,
-    array: str,
-    line: int | None = None,
-) -> Side:
+def side_of(value: object, file: Path, array: str, line: int | None = None) -> Side:
     """Return the side that a value of a file names.
 
     Raises:
@@ -165,12 +179,7 @@ def side_of(
     if text == "left" or text == "right":
         return text
     problem = f"expected right or left, got {text[:20]!r}"
-    raise RecordingError(
-        problem,
-        file=file,
-        array=array,
-        line=line,
-    )
+    raise RecordingError(problem, file=file, array=array, line=line)
 
 
 def entry_stem(path: Path, entry: Entry) -> str:
@@ -220,20 +229,23 @@ def build_recording(
         seen = finite_samples(points)
         if valid is not None:
             seen &= as_flags(valid, "valid", len(points))
-        if wrist is None:
-            wrist = _poses_of_sevens(wrist_pose, seen)
-        elif wrist.shape[1:] == (12,):
-            rows = _if_known(wrist.reshape(-1, 3, 4), "wrist")
-            wrist = None if rows is None else affine(rows[..., :3], rows[..., 3])
-        own = name or entry_stem(path, entry)
+        poses = _if_known(wrist, "wrist")
+        if poses is not None and poses.shape[1:] == (12,):
+            rows = poses.reshape(-1, 3, 4)
+            poses = affine(rows[..., :3], rows[..., 3])
+        if wrist is None and wrist_pose is not None:
+            sevens = as_floats(wrist_pose, "wrist_pose", shape=(len(seen), 7))[seen]
+            if np.isfinite(sevens).all():
+                poses = np.tile(np.eye(4), (len(seen), 1, 1))
+                poses[seen] = pose_from_xyz_quat(sevens, "wxyz", "wrist_pose")
         return Recording(
-            own,
+            name or entry_stem(path, entry),
             time,
             points,
             seen,
             entry.side,
             source,
-            wrist,
+            poses,
             _if_known(confidence, "confidence"),
         )
 
@@ -253,9 +265,10 @@ def known_columns(*recordings: Recording) -> list[str]:
 
 
 def column(recording: Recording, name: str) -> np.ndarray:
-    """Return one of `COLUMNS` for all samples, NaN if the recording has none, shape (T, n)."""
-    shape = len(recording), len(COLUMNS[name])
+    """Return one of `COLUMNS` for all samples, NaN if there is none, shape (T, n); (T,) for one."""
     values = getattr(recording, name)
+    count = len(COLUMNS[name])
+    shape = (len(recording), count) if count > 1 else (len(recording),)
     if values is None:
         return np.full(shape, np.nan)
     return (values[:, :3] if name == "wrist" else values).reshape(shape)
@@ -265,15 +278,3 @@ def _if_known(values: Any, name: str) -> np.ndarray | None:
     """Return an array; None if there is none, or all of it is NaN."""
     numbers = np.nan if values is None else as_floats(values, name)
     return None if np.isnan(numbers).all() else np.asarray(numbers)
-
-
-def _poses_of_sevens(values: Any, seen: np.ndarray) -> np.ndarray | None:
-    """Return poses (T, 4, 4) of `wrist_pose`; None if a valid sample has none."""
-    if values is None:
-        return None
-    rows = as_floats(values, "wrist_pose", shape=(len(seen), 7))
-    if not np.isfinite(rows[seen]).all():
-        return None
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[seen] = poses_from_quats(rows[seen, :3], rows[seen, 3:], "wrist_pose")
-    return poses

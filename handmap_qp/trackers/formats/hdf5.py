@@ -1,22 +1,51 @@
-"""What the HDF5 forms share: opening files, and errors of damaged ones."""
+"""Recordings as HDF5, in the forms of robomimic and of EgoDex; and opening HDF5 files.
+
+Written from the documentation of robomimic (robomimic.github.io/docs/datasets/overview.html): the
+group `data` has the attributes `total` and `env_args` (JSON); `data/demo_0` has the attribute
+`num_samples`, and `obs` with an array (N, ...) for each observation.
+
+And from that of EgoDex (Hoque et al. 2025, arXiv 2505.11709, and the README of apple/ml-egodex):
+`transforms/NAME (N, 4, 4)` has the pose of a joint in the world of the session [m],
+`confidences/NAME (N,)` its confidence from 0 to 1, and a frame is 1/30 s. Names are those of ARKit:
+`leftHand` is the wrist, `leftIndexFingerKnuckle` the MCP joint, `...IntermediateBase` the PIP and
+`...IntermediateTip` the DIP joint; the thumb's knuckle is its CMC joint.
+"""
 
 from __future__ import annotations
 
-import math
+import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import RecordingError, require
+from handmap_qp.errors import RecordingError, expect, require
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_path
 from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE, damages
+from handmap_qp.trackers.formats.base import (
+    COLUMNS,
+    SIDES,
+    Entry,
+    RecordingFormat,
+    build_recording,
+    column,
+    finite_samples,
+    known_columns,
+    side_of,
+)
+from handmap_qp.trackers.wrist_axes import palm_axes
 
 SUFFIXES = (".hdf5", ".h5")
+RATE = 30.0
+"""Frames per second of EgoDex."""
+_LINKS = ("Knuckle", "IntermediateBase", "IntermediateTip", "Tip")
+_FINGERS = ("Thumb", "IndexFinger", "MiddleFinger", "RingFinger", "LittleFinger")
 _OVERHEAD = 1 << 20
 """Room for names, attributes and tables of what `check_room` is asked for [bytes]."""
 
@@ -57,35 +86,25 @@ def numbers(
         path: The file, for errors.
         group: The group that holds it.
         name: Its name there.
-        shape: Its shape.
+        shape: Its shape, or the first part of it.
 
     Raises:
         RecordingError: If it is missing, of another shape or type, or impossibly large.
     """
     item = group.get(name)
-    place = f"{group.name.rstrip('/')}/{name}"
+    problem = ""
     if not hasattr(item, "dtype"):
         shown = ", ".join(sorted(group)[:6]) + (", ..." if len(group) > 6 else "")
-        raise RecordingError(
-            f"is missing; there are {shown or 'none'}",
-            file=path,
-            array=place,
-        )
-    if item.shape != shape or item.dtype.kind not in "biuf":
+        problem = f"is missing; there are {shown or 'none'}"
+    elif item.shape[: len(shape)] != shape or item.dtype.kind not in "biuf":
         sizes = ", ".join(map(str, shape))
-        problem = f"expected numbers of shape ({sizes}), got {item.dtype} of shape {item.shape}"
-        raise RecordingError(
-            problem,
-            file=path,
-            array=place,
-        )
-    if math.prod(shape) * item.dtype.itemsize > LARGEST_ARCHIVE:
+        got = f"{item.dtype} of shape {item.shape}"
+        problem = f"expected numbers of shape ({sizes}), got {got}"
+    elif item.nbytes > LARGEST_ARCHIVE:
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
-        raise RecordingError(
-            problem,
-            file=path,
-            array=place,
-        )
+    if problem:
+        place = f"{group.name.rstrip('/')}/{name}"
+        raise RecordingError(problem, file=path, array=place)
     return item[()].astype(float, copy=False)
 
 
@@ -122,3 +141,180 @@ def check_room(file: Any, size: int) -> None:
     file.flush()
     with tempfile.TemporaryFile(dir=Path(file.filename).parent) as room:
         os.posix_fallocate(room.fileno(), 0, size + _OVERHEAD)
+
+
+class RobomimicFormat(RecordingFormat):
+    """A file with one demonstration for each hand and recording; lossless.
+
+    `obs` of each demonstration has `landmarks (N, 63)` [m], `time (N,)` [s], `valid (N,)`, and
+    where they are known `confidence (N,)` and `wrist (N, 12)`, the upper three rows of its pose.
+    Name, side and source are attributes.
+    """
+
+    name = "robomimic"
+    suffixes = SUFFIXES
+    about = "HDF5 in the form of robomimic; lossless, any number of recordings"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the file has demonstrations."""
+        return has_group(path, "data")
+
+    def entries(self, path: Path) -> tuple[Entry, ...]:
+        """List the demonstrations by their numbers."""
+        with opened(path) as file:
+            demos = file["data"]
+            # demo_2 is before demo_10.
+            names = sorted(demos, key=lambda name: (len(name), name))
+            return tuple(self._entry(path, name, demos[name]) for name in names)
+
+    def _entry(self, path: Path, name: str, demo: Any) -> Entry:
+        if "obs/landmarks" not in demo:
+            problem = f"has no obs/landmarks; it has {', '.join(sorted(demo))}"
+            raise RecordingError(problem, file=path, array=f"data/{name}")
+        side = side_of(demo.attrs.get("side"), path, f"data/{name}")
+        return Entry(name, side, len(demo["obs/landmarks"]))
+
+    def read(self, path: Path, entry: Entry) -> Recording:
+        """Read one demonstration."""
+        with opened(path) as file:
+            demo = file["data"][entry.name]
+            obs = demo["obs"]
+            columns: dict[str, Any] = {
+                name: numbers(path, obs, name, (entry.samples,))
+                for name in COLUMNS
+                if name in obs or name == "time"
+            }
+            for key in ("name", "source"):
+                columns[key] = str(demo.attrs.get(key, ""))
+        prefix = f"data/{entry.name}/obs/"
+        return build_recording(path, entry, **columns, prefix=prefix)
+
+    def unread(self, path: Path) -> tuple[str, ...]:
+        """Name the arrays that a recording cannot hold."""
+        with opened(path) as file:
+            found: set[str] = set()
+            for demo in file["data"].values():
+                found |= {name for name in demo if name != "obs"}
+                found |= {f"obs/{name}" for name in set(demo["obs"]) - set(COLUMNS)}
+            return tuple(sorted(found))
+
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+        """Write each recording as a demonstration."""
+        expect(recordings, "recordings", "at least one", got="none")
+        with created(path) as file:
+            data = file.create_group("data")
+            data.attrs["total"] = sum(len(recording) for recording in recordings)
+            env = {"env_name": "human_hand", "env_type": 2, "env_kwargs": {}}
+            data.attrs["env_args"] = json.dumps(env)
+            for i, recording in enumerate(recordings):
+                demo = data.create_group(f"demo_{i}")
+                demo.attrs["num_samples"] = len(recording)
+                for key in ("name", "side", "source"):
+                    demo.attrs[key] = getattr(recording, key)
+                obs = demo.create_group("obs")
+                for name in known_columns(recording):
+                    obs[name] = column(recording, name)
+
+
+def joint_names(side: Side) -> tuple[str, ...]:
+    """Return the names of the 21 landmarks of a hand."""
+    return (
+        f"{side}Hand",
+        *(f"{side}{finger}{link}" for finger in _FINGERS for link in _LINKS),
+    )
+
+
+class EgoDexFormat(RecordingFormat):
+    """Both hands as poses of ARKit's joints.
+
+    A sample is valid where all 21 poses are finite and the wrist's confidence is above 0. Its
+    confidence is the mean over the 21 joints. Files of this package have the tracker's instants in
+    a further array `time (N,)`; others have 30 frames a second.
+    """
+
+    name = "egodex"
+    suffixes = SUFFIXES
+    about = "EgoDex's HDF5, poses of ARKit's joints; one recording of each hand"
+    lacks = ("source", "no wrist", "wrist position", "no confidence")
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the file has poses of joints."""
+        return has_group(path, "transforms")
+
+    def entries(self, path: Path) -> tuple[Entry, ...]:
+        """List the hands whose wrist the file has."""
+        with opened(path) as file:
+            group = file["transforms"]
+            found = [side for side in SIDES if f"{side}Hand" in group]
+            if not found:
+                problem = "has neither 'leftHand' nor 'rightHand'"
+                raise RecordingError(problem, file=path, array="transforms")
+            return tuple(Entry(side, side, len(group[f"{side}Hand"])) for side in found)
+
+    def read(self, path: Path, entry: Entry) -> Recording:
+        """Read one hand."""
+        names = joint_names(entry.side)
+        count = entry.samples
+        columns: dict[str, Any] = {}
+        with opened(path) as file:
+            group = file["transforms"]
+            poses = np.array([numbers(path, group, n, (count, 4, 4)) for n in names])
+            is_seen = finite_samples(poses[0])
+            if "confidences" in file:
+                given = file["confidences"]
+                shares = np.array([numbers(path, given, n, (count,)) for n in names])
+                is_seen &= shares[0] > 0.0
+                columns["confidence"] = shares.mean(axis=0)
+            time = np.arange(count) / RATE
+            if "time" in file:
+                time = numbers(path, file, "time", (count,))
+        return build_recording(
+            path,
+            entry,
+            time,
+            poses[:, :, :3, 3].swapaxes(0, 1),
+            prefix=f"{entry.side} hand: ",
+            valid=is_seen,
+            source="EgoDex",
+            wrist=poses[0],
+            **columns,
+        )
+
+    def unread(self, path: Path) -> tuple[str, ...]:
+        """Name the joints and groups that a recording cannot hold."""
+        with opened(path) as file:
+            known = {name for side in SIDES for name in joint_names(side)}
+            others = len(set(file["transforms"]) - known)
+            rest = sorted(set(file) - {"transforms", "confidences", "time"})
+        poses = (f"{others} other poses",) if others else ()
+        return (*poses, *rest, "orientations of the fingers' joints")
+
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+        """Write one hand or both; the fingers' joints have no orientation of their own.
+
+        Where the tracker gave no wrist pose, the wrist's orientation is that of the palm.
+        """
+        self.check_one_per_hand(recordings)
+        expect(
+            len({recording.time.tobytes() for recording in recordings}) == 1,
+            "recordings",
+            "both hands at the same instants, as EgoDex has them",
+            got="others",
+            advice="write one file for each hand",
+        )
+        with created(path) as file:
+            file["time"] = recordings[0].time
+            for recording in recordings:
+                given = 1.0 if recording.confidence is None else recording.confidence
+                poses = np.tile(np.eye(4), (21, len(recording), 1, 1))
+                poses[:, :, :3, 3] = recording.landmarks.transpose(1, 0, 2)
+                if recording.wrist is None:
+                    seen = recording.valid
+                    sign = 1.0 if recording.side == "right" else -1.0
+                    palms = palm_axes(recording.landmarks[seen], sign)
+                    poses[0, seen, :3, :3] = palms
+                else:
+                    poses[0, :, :3, :3] = recording.wrist[:, :3, :3]
+                for name, pose in zip(joint_names(recording.side), poses, strict=True):
+                    file[f"transforms/{name}"] = pose
+                    file[f"confidences/{name}"] = np.where(recording.valid, given, 0.0)

@@ -1,19 +1,27 @@
-"""Recordings of the MANO hand model as `.npz`: by its 21 joints, or by its parameters."""
+"""Recordings of the MANO hand model as `.npz`: by its 21 joints, or by its parameters.
+
+Parameters go through the user's own copy of the licensed model file (Romero, Tzionas and Black,
+Embodied Hands, SIGGRAPH Asia 2017: linear blend skinning with shape and pose offsets). Only the
+joints and the five fingertips are computed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+import os
+import pickle
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import as_floats
-from handmap_qp.trackers.formats.archive import member_names, read_archive
+from handmap_qp.trackers.formats.archive import damages, member_names, read_archive
 from handmap_qp.trackers.formats.base import (
     Entry,
     RecordingFormat,
@@ -21,7 +29,6 @@ from handmap_qp.trackers.formats.base import (
     reading,
     side_of,
 )
-from handmap_qp.trackers.formats.mano_model import load_model
 
 FROM_MANO = np.array(
     [0, 13, 14, 15, 16, 1, 2, 3, 17, 4, 5, 6, 18, 10, 11, 12, 19, 7, 8, 9, 20]
@@ -67,20 +74,26 @@ class ManoFormat(RecordingFormat):
         if "side" not in arrays:
             raise RecordingError("has no array 'side': right or left", file=path)
         main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
-        return (
-            Entry("", side_of(arrays["side"], path, "side"), len(np.atleast_1d(main))),
-        )
+        side = side_of(arrays["side"], path, "side")
+        return (Entry("", side, len(np.atleast_1d(main))),)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the hand."""
         arrays = read_archive(path)
-        shape = ("T", LANDMARK_COUNT, 3)
         with reading(path):
             if "joints" in arrays:
+                shape = ("T", LANDMARK_COUNT, 3)
                 joints = as_floats(arrays["joints"], "joints", shape=shape)
             else:
-                joints = self._forward(path, arrays, entry)
-            time = self._time(path, arrays, len(joints))
+                model = _load_model(entry.side, self._model)
+                joints = _joints_of_parameters(model, arrays, entry.samples)
+            time = arrays.get("time")
+            if time is None:
+                if "fps" not in arrays:
+                    raise InvalidInputError("has neither 'time' nor 'fps'")
+                fps = float(as_floats(arrays["fps"], "fps", shape=(), is_finite=True))
+                expect(fps > 0.0, "fps", "a rate > 0", value=fps)
+                time = np.arange(len(joints)) / fps
         return build_recording(
             path,
             entry,
@@ -107,74 +120,168 @@ class ManoFormat(RecordingFormat):
         with replaced_file(path, "path") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
 
-    @staticmethod
-    def _time(
-        path: Path,
-        arrays: dict[str, np.ndarray],
-        count: int,
-    ) -> np.ndarray:
-        if "time" in arrays:
-            return arrays["time"]
-        if "fps" not in arrays:
-            raise RecordingError("has neither 'time' nor 'fps'", file=path)
-        fps = float(
-            as_floats(
-                arrays["fps"],
-                "fps",
-                shape=(),
-                is_finite=True,
-            )
+
+def _joints_of_parameters(
+    model: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray], count: int
+) -> np.ndarray:
+    """Return the joints of parameters in MANO's order [m], shape (T, 21, 3)."""
+    if "flat_hand_mean" not in arrays:
+        problem = "has no array 'flat_hand_mean'"
+        meaning = "which says whether a pose of 0 is the flat hand"
+        raise InvalidInputError(f"{problem}, {meaning}")
+
+    def given(name: str, *shape: int | str, default: Any = None) -> np.ndarray:
+        values = arrays.get(name, default)
+        return as_floats(values, name, shape=shape, is_finite=True)
+
+    if "pose" in arrays:
+        root, fingers = np.split(given("pose", count, 48), [3], axis=1)
+    else:
+        root = given("global_orient", count, 3)
+        fingers = given("hand_pose", count, "k")
+    shape = given("betas", _SHAPES, default=np.zeros(_SHAPES))
+    shift = given("transl", count, 3, default=np.zeros((count, 3)))
+    components = fingers.shape[1]
+    at_most = f"at most {_TURNS} numbers"
+    expect(components <= _TURNS, "hand_pose", at_most, got=f"{components}")
+    if components < _TURNS:
+        fingers = fingers @ model["hands_components"][:components]
+    if not bool(arrays["flat_hand_mean"]):
+        fingers = fingers + model["hands_mean"]
+    turns = np.hstack([root, fingers]).reshape(count, _JOINTS, 3)
+    return _posed_joints(model, turns, shape) + shift[:, None]
+
+
+ENVIRONMENT = "HANDMAP_MANO"
+"""Environment variable with the model file, or the folder of MANO_LEFT.pkl and MANO_RIGHT.pkl."""
+TIP_VERTICES = [744, 320, 443, 554, 671]
+"""Vertices of the fingertips, thumb to little (those of the smplx package)."""
+_JOINTS = 16
+_VERTICES = 778
+_SHAPES = 10
+_TURNS = 3 * (_JOINTS - 1)
+_MODEL = {
+    "v_template": (_VERTICES, 3),
+    "shapedirs": (_VERTICES, 3, _SHAPES),
+    "posedirs": (_VERTICES, 3, 3 * _TURNS),
+    "J_regressor": (_JOINTS, _VERTICES),
+    "weights": (_VERTICES, _JOINTS),
+    "hands_mean": (_TURNS,),
+    "hands_components": (_TURNS, _TURNS),
+    "kintree_table": (2, _JOINTS),
+}
+"""The arrays of a model file, and their shapes."""
+
+
+def _posed_joints(
+    model: Mapping[str, np.ndarray], turns: np.ndarray, shape: np.ndarray
+) -> np.ndarray:
+    """Compute joints and fingertips.
+
+    Args:
+        model: The arrays of the model.
+        turns: Rotation vectors of the 16 joints, the wrist's first [rad], shape (T, 16, 3).
+        shape: Shape coefficients, shape (10,).
+
+    Returns:
+        The 16 joints in MANO's order, then the tips from thumb to little [m], shape (T, 21, 3).
+    """
+    from scipy.spatial.transform import Rotation
+
+    vertices = model["v_template"] + model["shapedirs"] @ shape
+    rest = model["J_regressor"] @ vertices
+    rotations = Rotation.from_rotvec(turns.reshape(-1, 3)).as_matrix()
+    rotations = rotations.reshape(*turns.shape, 3)
+    offsets = (rotations[:, 1:] - np.eye(3)).reshape(len(turns), -1)
+    directions = model["posedirs"][TIP_VERTICES]
+    tips = vertices[TIP_VERTICES] + np.einsum("vck,tk->tvc", directions, offsets)
+    turn = np.empty_like(rotations)
+    place = np.empty((len(turns), _JOINTS, 3))
+    turn[:, 0], place[:, 0] = rotations[:, 0], rest[0]
+    for joint, up in enumerate(model["kintree_table"][0, 1:].astype(int), start=1):
+        turn[:, joint] = turn[:, up] @ rotations[:, joint]
+        place[:, joint] = place[:, up] + turn[:, up] @ (rest[joint] - rest[up])
+    # Skin the tips: each joint carries the vertex from its place at rest to its place now.
+    carried = np.einsum("tjab,tvjb->tvja", turn, tips[:, :, None] - rest)
+    carried += place[:, None]
+    weights = model["weights"][TIP_VERTICES]
+    return np.hstack([place, np.einsum("vj,tvja->tva", weights, carried)])
+
+
+def _load_model(side: str, given: Path | None) -> dict[str, np.ndarray]:
+    """Load the user's model file.
+
+    Args:
+        side: Which hand.
+        given: The file, or its folder; that of the environment variable `HANDMAP_MANO` if omitted.
+
+    Returns:
+        The arrays of `_MODEL`.
+
+    Raises:
+        RecordingError: If there is none, it cannot be read, or an array has another shape. A pickle
+            is read without running code in it: it may hold arrays only.
+    """
+    name = f"MANO_{side.upper()}.pkl"
+    found = given or os.environ.get(ENVIRONMENT)
+    if not found:
+        raise RecordingError(
+            "MANO parameters need the licensed model (mano.is.tue.mpg.de): give the path of "
+            f"{name} by --mano, or set {ENVIRONMENT}; joints need no model",
+            file=Path(name),
         )
-        if not fps > 0.0:
-            raise RecordingError(
-                f"expected a rate > 0, got {fps:g}",
-                file=path,
-                array="fps",
-            )
-        return np.arange(count) / fps
+    file = Path(found)
+    file = file / name if file.is_dir() else file
+    values = read_archive(file) if file.suffix == ".npz" else _read_pickle(file)
+    with reading(file):
+        arrays = {
+            name: as_floats(_dense(values.get(name)), name, shape=shape)
+            for name, shape in _MODEL.items()
+        }
+        parents = arrays["kintree_table"][0, 1:]
+        are_known = (parents < np.arange(1, _JOINTS)).all()
+        expect(are_known, "kintree_table", "parents before children")
+    return arrays
 
-    def _forward(
-        self,
-        path: Path,
-        arrays: dict[str, np.ndarray],
-        entry: Entry,
-    ) -> np.ndarray:
-        """Return the joints of parameters, by the user's model."""
-        if "flat_hand_mean" not in arrays:
-            problem = "has no array 'flat_hand_mean'"
-            meaning = "which says whether a pose of 0 is the flat hand"
-            raise RecordingError(f"{problem}, {meaning}", file=path)
-        count = entry.samples
 
-        def given(name: str, *shape: int | str, default: Any = None) -> np.ndarray:
-            values = arrays.get(name, default)
-            return as_floats(
-                values,
-                name,
-                shape=shape,
-                is_finite=True,
-            )
+def _dense(values: Any) -> Any:
+    return values.toarray() if hasattr(values, "toarray") else values
 
-        if "pose" in arrays:
-            root, fingers = np.split(given("pose", count, 48), [3], axis=1)
-        else:
-            root = given("global_orient", count, 3)
-            fingers = given("hand_pose", count, "k")
-        shape = given("betas", 10, default=np.zeros(10))
-        shift = given("transl", count, 3, default=np.zeros((count, 3)))
-        model = load_model(entry.side, self._model)
-        components = fingers.shape[1]
-        most = len(model.hands_components)
-        if components > most:
-            problem = f"expected at most {most} numbers, got {components}"
-            raise RecordingError(
-                problem,
-                file=path,
-                array="hand_pose",
-            )
-        if components < most:
-            fingers = fingers @ model.hands_components[:components]
-        if not bool(arrays["flat_hand_mean"]):
-            fingers = fingers + model.hands_mean
-        turns = np.hstack([root, fingers]).reshape(count, 16, 3)
-        return model.joints(turns, shape, shift)
+
+class _Shell:
+    """Stands for chumpy's classes, which wrap the model's arrays; holds their state."""
+
+    x: Any = None
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+        return np.asarray(self.x, dtype=dtype)
+
+
+_ALLOWED = {
+    "numpy.core.multiarray": ("_reconstruct", "scalar"),
+    "numpy._core.multiarray": ("_reconstruct", "scalar"),
+    "numpy": ("ndarray", "dtype"),
+    "_codecs": ("encode",),
+    "scipy.sparse.csc": ("csc_matrix",),
+    "scipy.sparse._csc": ("csc_matrix",),
+}
+
+
+class _ArrayUnpickler(pickle.Unpickler):
+    """Unpickles arrays, and nothing that could run code."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if module.partition(".")[0] == "chumpy":
+            return _Shell
+        if name not in _ALLOWED.get(module, ()):
+            raise pickle.UnpicklingError(f"holds {module}.{name}, which is not read")
+        return super().find_class(module, name)
+
+
+def _read_pickle(file: Path) -> dict[str, Any]:
+    with damages(file, "cannot be read as a MANO model"):
+        content = io.BytesIO(file.read_bytes())
+        values = _ArrayUnpickler(content, encoding="latin1").load()
+        if not isinstance(values, dict):
+            raise TypeError("it is no table")
+        return values

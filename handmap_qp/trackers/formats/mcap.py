@@ -19,7 +19,7 @@ from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_path
-from handmap_qp.se3 import poses_from_quats, quat_wxyz_from_rotation
+from handmap_qp.se3 import pose_from_xyz_quat, quat_wxyz_from_rotation
 from handmap_qp.trackers.formats.archive import damages
 from handmap_qp.trackers.formats.base import (
     SIDES,
@@ -59,6 +59,7 @@ class McapFormat(RecordingFormat):
     about = (
         "a ROS 2 bag: sensor_msgs/JointState, and landmarks as geometry_msgs/PoseArray"
     )
+    lacks = ("digits of time", "source", "unseen", "digits of wrist")
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a file, or the folder of a bag."""
@@ -74,28 +75,25 @@ class McapFormat(RecordingFormat):
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand."""
+        columns: dict[str, Any] = {}
         with _opened(path) as bag:
             topics = _hands(path, bag)[entry.side]
             name = _main(topics)
-            pairs = list(_messages(bag, name))
-            messages = [message for _, message in pairs]
+            logs, messages = zip(*_messages(bag, name), strict=True)
             times = [_instant(message) for message in messages]
-            wrists = confidence = None
+            wrists = None
             if "wrist" in topics:
-                found = {
-                    _instant(m): _seven(m) for _, m in _messages(bag, topics["wrist"])
-                }
-                rows = [found.get(time, (np.nan,) * 7) for time in times]
-                wrists = np.array(rows).reshape(-1, 7)
+                given = (message for _, message in _messages(bag, topics["wrist"]))
+                sevens = {_instant(message): _seven(message) for message in given}
+                wrists = np.array([sevens.get(time, (np.nan,) * 7) for time in times])
             if "confidence" in topics:
                 shares = {
                     log: m.data for log, m in _messages(bag, topics["confidence"])
                 }
-                confidence = np.array([shares.get(log, np.nan) for log, _ in pairs])
+                columns["confidence"] = [shares.get(log, np.nan) for log in logs]
             with reading(path, name):
                 if "landmarks" in topics:
-                    rows = [_points(message, i) for i, message in enumerate(messages)]
-                    landmarks = np.array(rows).reshape(-1, LANDMARK_COUNT, 3)
+                    landmarks = np.array([_points(m) for m in messages])
                 else:
                     landmarks = _forward(messages, entry.side, wrists)
         return build_recording(
@@ -106,7 +104,7 @@ class McapFormat(RecordingFormat):
             prefix=f"{name}: ",
             source=f"ROS 2 bag, {name}",
             wrist_pose=wrists,
-            confidence=confidence,
+            **columns,
         )
 
     def unread(self, path: Path) -> tuple[str, ...]:
@@ -116,15 +114,6 @@ class McapFormat(RecordingFormat):
             for topics in _hands(path, bag).values():
                 rest -= set(topics.values())
             return tuple(f"topic {topic}" for topic in sorted(rest))
-
-    def losses(self, recordings: Sequence[Recording]) -> tuple[str, ...]:
-        """Name what messages cannot hold."""
-        lost = ["instants beyond whole nanoseconds", "the words about the source"]
-        if any(not recording.valid.all() for recording in recordings):
-            lost.append("landmarks of samples without a hand")
-        if any(recording.wrist is not None for recording in recordings):
-            lost.append("the last digit of the wrist's rotation, as a quaternion")
-        return tuple(lost)
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both; a bag of one file, without the folder around it."""
@@ -158,14 +147,8 @@ class McapFormat(RecordingFormat):
 def _opened(path: Path) -> Iterator[Any]:
     """Open a bag, and turn what rosbags raises inside the block into `RecordingError`."""
     bags = require("rosbags.rosbag2", "files")
-    serde = require("rosbags.serde", "files")
-    with damages(path, "cannot be read as MCAP"):
-        try:
-            with bags.Reader(path) as bag:
-                yield bag
-        # rosbags asserts on damaged records.
-        except (bags.ReaderError, serde.SerdeError, AssertionError) as error:
-            raise ValueError(*error.args) from error
+    with damages(path, "cannot be read as MCAP"), bags.Reader(path) as bag:
+        yield bag
 
 
 def _store() -> Any:
@@ -222,34 +205,26 @@ def _seven(message: Any) -> tuple[float, ...]:
     return p.x, p.y, p.z, q.w, q.x, q.y, q.z
 
 
-def _points(message: Any, i: int) -> list[tuple[float, float, float]]:
-    """Return the landmarks of message i [m]."""
-    if len(message.poses) != LANDMARK_COUNT:
-        problem = (
-            f"expected {LANDMARK_COUNT} poses, got {len(message.poses)} in message {i}"
-        )
-        raise InvalidInputError(problem)
+def _points(message: Any) -> list[tuple[float, float, float]]:
+    """Return the landmarks of a message [m]."""
+    count = len(message.poses)
+    poses = f"{LANDMARK_COUNT} poses in every message"
+    expect(count == LANDMARK_COUNT, "", poses, got=f"{count}")
     return [(p.position.x, p.position.y, p.position.z) for p in message.poses]
 
 
-def _posture(
-    message: Any,
-    i: int,
-    side: Side,
-) -> np.ndarray:
-    """Return the joint angles of message i, in the order of `HUMAN_JOINTS` [rad]."""
-    names = [name.removeprefix(f"{side}_") for name in message.name]
-    missing = [name for name in HUMAN_JOINTS if name not in names]
-    if missing:
-        raise InvalidInputError(f"message {i} has no position of joint {missing[0]!r}")
-    if len(message.position) != len(names):
-        counts = f"{len(names)} names and {len(message.position)} positions"
-        raise InvalidInputError(f"message {i} has {counts}")
-    return message.position[[names.index(name) for name in HUMAN_JOINTS]]
+def _posture(message: Any, side: Side) -> np.ndarray:
+    """Return the joint angles of a message, in the order of `HUMAN_JOINTS` [rad]."""
+    pairs = zip(message.name, message.position, strict=False)
+    angles = {name.removeprefix(f"{side}_"): angle for name, angle in pairs}
+    for name in HUMAN_JOINTS:
+        if name not in angles:
+            raise InvalidInputError(f"a message has no position of joint {name!r}")
+    return np.array([angles[name] for name in HUMAN_JOINTS])
 
 
 def _forward(
-    messages: list[Any],
+    messages: Sequence[Any],
     side: Side,
     wrists: np.ndarray | None,
 ) -> np.ndarray:
@@ -257,12 +232,12 @@ def _forward(
     human = load_hand(human_name(side), points="landmarks")
     rows = np.full((len(messages), LANDMARK_COUNT, 3), np.nan)
     for i, message in enumerate(messages):
-        q, pose = _posture(message, i, side), np.eye(4)
+        q = _posture(message, side)
+        pose = np.eye(4)
         if wrists is not None:
-            seven = wrists[i]
-            if not np.isfinite(seven).all():
+            if not np.isfinite(wrists[i]).all():
                 continue
-            pose = poses_from_quats(seven[:3], seven[3:], "wrist")
+            pose = pose_from_xyz_quat(wrists[i], "wxyz", "wrist")
         if np.isfinite(q).all():
             rows[i] = human.points(q, pose)
     return rows

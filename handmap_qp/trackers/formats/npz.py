@@ -21,6 +21,7 @@ from handmap_qp.trackers.formats.base import (
     side_of,
 )
 
+_NEEDED = ("time", "landmarks")
 _KNOWN = (*COLUMNS, "wrist_pose", "source")
 _PREFIXES = tuple(f"{side}_" for side in SIDES)
 
@@ -49,22 +50,19 @@ class NpzFormat(RecordingFormat):
         """List the one hand, or both."""
         names = member_names(path)
         sides = [side for side in SIDES if f"{side}_landmarks" in names]
-        times = [f"{side}_time" for side in sides]
-        _check_has(path, names, times or ("time", "landmarks", "handedness"))
-        arrays = read_archive(path, {"time", "handedness", *times})
-        if sides:
-            return tuple(Entry(s, s, np.size(arrays[f"{s}_time"])) for s in sides)
-        side = side_of(arrays["handedness"], path, "handedness")
-        return (Entry("", side, np.size(arrays["time"])),)
+        if not sides:
+            arrays = _read(path, ("time", "handedness"))
+            side = side_of(arrays["handedness"], path, "handedness")
+            return (Entry("", side, np.size(arrays["time"])),)
+        times = _read(path, [f"{side}_time" for side in sides])
+        return tuple(Entry(s, s, np.size(times[f"{s}_time"])) for s in sides)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand; samples with numbers that are not finite are not valid."""
         prefix = f"{entry.name}_" if entry.name else ""
-        arrays = read_archive(path, {prefix + name for name in _KNOWN})
-        _check_has(path, arrays, [prefix + name for name in ("time", "landmarks")])
-        own: dict[str, Any] = {
-            name.removeprefix(prefix): array for name, array in arrays.items()
-        }
+        needed, known = ([prefix + n for n in names] for names in (_NEEDED, _KNOWN))
+        arrays = _read(path, needed, known)
+        own: dict[str, Any] = {n.removeprefix(prefix): arrays[n] for n in arrays}
         own["source"] = str(own.get("source", ""))
         return build_recording(path, entry, **own, prefix=prefix)
 
@@ -91,13 +89,13 @@ class NpzFormat(RecordingFormat):
             np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def _check_has(
-    path: Path,
-    arrays: Iterable[str],
-    names: Sequence[str],
-) -> None:
-    arrays = sorted(arrays)
-    for name in names:
+def _read(
+    path: Path, needed: Iterable[str], names: Iterable[str] = ()
+) -> dict[str, np.ndarray]:
+    """Read those arrays that are needed, and those of others that the file has."""
+    arrays = read_archive(path, {*needed, *names})
+    for name in needed:
         if name not in arrays:
-            problem = f"has no array {name!r}; it has {', '.join(arrays) or 'none'}"
-            raise RecordingError(problem, file=path)
+            found = ", ".join(sorted(member_names(path))) or "none"
+            raise RecordingError(f"has no array {name!r}; it has {found}", file=path)
+    return arrays
