@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp.hands.spec import Side
-from handmap_qp.trackers.layouts.base import Layout, from_own_axes
+from handmap_qp.trackers.layouts.base import Layout
 
 
 def wrist_beside(layout: Layout, wrist: np.ndarray, side: Side) -> np.ndarray | None:
@@ -13,8 +13,7 @@ def wrist_beside(layout: Layout, wrist: np.ndarray, side: Side) -> np.ndarray | 
 
     None for a tracker that has none beside its values.
     """
-    table = layout.wrist_table
-    if table is None or layout.has_wrist:
+    if layout.wrist_table is None or layout.has_wrist:
         return None
-    axes = table.axes(side)
-    return from_own_axes(wrist[None], axes, layout.table.reflection, layout._length)[0]
+    world, axes = np.linalg.inv([layout.world, layout.wrist_axes(side)])
+    return world @ wrist @ axes

@@ -10,6 +10,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
+from importlib import import_module
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import msgspec
@@ -25,8 +26,8 @@ from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample
+from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import QuatOrder, affine, check_poses, pose_from_xyz_quat
-from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import axes_convention
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
@@ -151,6 +152,7 @@ class Layout(abc.ABC, Generic[Table]):
         aliases: Further names of columns.
         defaults: What stands for columns that may be missing.
         has_wrist: Whether the values hold a wrist pose.
+        world: Takes points of the tracker's world to ours [m], shape (4, 4).
     """
 
     def __init__(self, table: Table) -> None:
@@ -160,6 +162,8 @@ class Layout(abc.ABC, Generic[Table]):
         self.aliases: dict[str, tuple[str, ...]] = {}
         self.defaults: dict[str, float] = {}
         self.has_wrist = False
+        length = 1.0 if table.unit in ("deg", "rad") else UNITS[table.unit]
+        self.world = np.diag([*(length * table.reflection), 1.0])
 
     @property
     def name(self) -> str:
@@ -175,6 +179,16 @@ class Layout(abc.ABC, Generic[Table]):
     def wrist_table(self) -> WristTable | None:
         """How a wrist pose is obtained; None if it cannot be."""
         return getattr(self.table, "wrist", None)
+
+    def wrist_axes(self, side: Side) -> np.ndarray:
+        """Return what takes points in our wrist's frame [m] to the tracker's own, shape (4, 4).
+
+        A wrist pose of the tracker is ours as `world @ pose @ wrist_axes`.
+        """
+        turn = np.eye(3)
+        if self.wrist_table is not None:
+            turn = self.wrist_table.axes(side).rotation(self.table.reflection)
+        return np.linalg.inv(self.world) @ affine(turn.T, np.zeros(3))
 
     def order(self, side: Side) -> np.ndarray | None:
         """Return the index of each of our landmarks among joints; None if there are no joints."""
@@ -261,9 +275,7 @@ class Layout(abc.ABC, Generic[Table]):
                 that have their shape.
         """
         if isinstance(values, Mapping):
-            found = self.find_columns(tuple(values), side)
-            given = {column: values[name] for column, name in found.items()}
-            values = [(self.defaults | given)[column] for column in self.columns]
+            values = self.from_columns(values, side)
         landmarks, wrists, seen = self._convert(
             np.asarray(values)[None] if np.ndim(values) else values,
             side,
@@ -322,7 +334,7 @@ class Layout(abc.ABC, Generic[Table]):
             seen = np.logical_and(seen, valid)
         beside = None
         if wrists is not None:
-            beside = self._own_wrists(np.asarray(wrists), side, seen)[seen]
+            beside = self._wrists_beside(np.asarray(wrists), side, seen)
         landmarks = np.full((count, 21, 3), np.nan)
         poses = None
         if seen.any():
@@ -361,15 +373,30 @@ class Layout(abc.ABC, Generic[Table]):
                 expect(False, "values", f"a column {column}", got=got)
         return found
 
+    def from_columns(
+        self, given: Mapping[str, npt.ArrayLike], side: Side
+    ) -> np.ndarray:
+        """Put named numbers into the order of `columns`.
+
+        Args:
+            given: Numbers or columns of equal length by name, as of `find_columns`.
+            side: Which hand.
+
+        Returns:
+            Values of one sample, shape (n,), or of T samples, shape (T, n).
+
+        Raises:
+            InvalidInputError: If one is missing.
+        """
+        found = self.find_columns(tuple(given), side)
+        by_column = self.defaults | {c: given[name] for c, name in found.items()}
+        ordered = [by_column[column] for column in self.columns]
+        return np.stack(np.broadcast_arrays(*ordered), axis=-1)
+
     def own_shape(self, shape: tuple[int, ...]) -> tuple[int, ...] | None:
         """Return which of `shapes` a sample has that may be flat; None if it has another one."""
         flat = {(int(np.prod(own)),): own for own in self.shapes}
         return shape if shape in self.shapes else flat.get(shape)
-
-    @property
-    def _length(self) -> float:
-        """The unit of lengths [m]."""
-        return 1.0 if self.table.unit in ("deg", "rad") else UNITS[self.table.unit]
 
     def _checked(self, values: npt.ArrayLike) -> np.ndarray:
         """Return samples as floats in one of the shapes of this layout."""
@@ -393,13 +420,13 @@ class Layout(abc.ABC, Generic[Table]):
             advice=f"that is the shape of {', '.join(others)}" if others else "",
         )
 
-    def _own_wrists(
+    def _wrists_beside(
         self,
         values: np.ndarray,
         side: Side,
         seen: np.ndarray,
     ) -> np.ndarray:
-        """Return poses that came beside the values, with our axes, shape (T, 4, 4)."""
+        """Return poses that came beside the values, with our axes, of the samples seen."""
         table = self.wrist_table
         if table is None:
             expected = f"none: {self.name} says nothing about its axes"
@@ -408,49 +435,27 @@ class Layout(abc.ABC, Generic[Table]):
             poses = pose_from_xyz_quat(values, table.quaternion, "wrist")
         else:
             poses = check_poses(values, "wrist", seen)
-        reflection = self.table.reflection
-        return to_own_axes(poses, table.axes(side), reflection, self._length)
+        return self.world @ poses[seen] @ self.wrist_axes(side)
+
+
+def _own_layouts() -> Mapping[str, Layout]:
+    return import_module("handmap_qp.trackers.layouts.tables").read_tables()
+
+
+def _check_layout(layout: Layout) -> None:
+    if not isinstance(layout, Layout):
+        raise TypeError("expected a Layout")
+
+
+LAYOUTS: Mapping[str, Layout] = Plugins(
+    "handmap_qp.layouts", _own_layouts, _check_layout
+)
+"""All layouts by name, loaded at the first use."""
 
 
 def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:
     """Return the names of the layouts whose samples may have a shape."""
     return [name for name, layout in LAYOUTS.items() if shape in layout.shapes]
-
-
-def to_own_axes(
-    poses: np.ndarray,
-    axes: AxesTable,
-    reflection: np.ndarray,
-    scale: float,
-) -> np.ndarray:
-    """Turn a tracker's wrist poses into poses with our axes (+y distal, +z dorsal).
-
-    Args:
-        poses: In the tracker's unit and world, shape (T, 4, 4).
-        axes: The anatomical directions in the wrist's own axes.
-        reflection: Diagonal that makes the coordinates right-handed, shape (3,).
-        scale: The tracker's unit [m].
-
-    Returns:
-        Poses [m], shape (T, 4, 4).
-    """
-    own = poses.copy()
-    rotations = reflection[:, None] * poses[..., :3, :3] * reflection
-    own[..., :3, :3] = rotations @ axes.rotation(reflection).T
-    own[..., :3, 3] *= scale * reflection
-    return own
-
-
-def from_own_axes(
-    poses: np.ndarray,
-    axes: AxesTable,
-    reflection: np.ndarray,
-    scale: float,
-) -> np.ndarray:
-    """Undo `to_own_axes`."""
-    rotations = poses[..., :3, :3] @ axes.rotation(reflection)
-    theirs = reflection[:, None] * rotations * reflection
-    return affine(theirs, poses[..., :3, 3] * (reflection / scale))
 
 
 @lru_cache(maxsize=8)  # lengths hash by identity

@@ -5,12 +5,9 @@ Files in the package's own forms need no layout; `handmap_qp.trackers.formats` r
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,10 +16,10 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.trackers.formats.archive import damages, read_archive
-from handmap_qp.trackers.formats.base import SIDES, side_of
-from handmap_qp.trackers.layouts import LAYOUTS
-from handmap_qp.trackers.layouts.base import Layout, layouts_of_shape
+from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.base import SIDES, reading, side_of
+from handmap_qp.trackers.formats.csv_files import numbers, opened_table
+from handmap_qp.trackers.layouts.base import LAYOUTS, Layout, layouts_of_shape
 from handmap_qp.trackers.plausibility import examine_recording
 
 _TIMES = {
@@ -63,37 +60,39 @@ def read_with_layout(
     """
     file = Path(path)
     suffix = file.suffix.lower()
-    if suffix not in _READERS:
+    if suffix not in (".npz", ".csv"):
         problem = (
             f"has the suffix {file.suffix!r}; with a layout, .npz and .csv are read"
         )
         raise RecordingError(problem, file=file)
-    found = _READERS[suffix](file, layout, side)
-    hand = side or found.side
+    arrays = (
+        read_archive(file) if suffix == ".npz" else _read_columns(file, layout, side)
+    )
+    said = arrays.get("handedness")
+    found = None if said is None else side_of(said, file, "handedness")
+    hand = side or found
     if hand is None:
         raise RecordingError("does not say which hand it is of: give --side", file=file)
-    if found.side not in (None, hand):
-        problem = f"is of a {found.side} hand, not of a {hand} one"
-        raise RecordingError(problem, file=file)
-    try:
+    if found not in (None, hand):
+        raise RecordingError(f"is of a {found} hand, not of a {hand} one", file=file)
+    time = _time(file, arrays, layout)
+    name = _values_name(file, arrays, layout, side, len(time))
+    values = arrays[name].astype(float)
+    valid = arrays.get("valid")
+    with reading(file):
         recording = layout.record(
             file.stem,
-            found.time,
-            found.values,
+            time,
+            values,
             hand,
-            valid=found.valid,
-            wrists=found.wrists,
+            valid=None if valid is None else as_flags(valid, "valid", len(time)),
+            wrists=_wrists_beside(arrays, layout, side, len(time)),
             lengths=lengths,
         )
-    except InvalidInputError as error:
-        text = f"{error.what}: {error.advice}" if error.advice else error.what
-        raise RecordingError(text, file=file, array=error.argument) from error
     finding = examine_recording(recording)
     if finding is None:
         return recording
-    names = (
-        [] if finding.kind in ("time", "wrist") else _better(recording, found.values)
-    )
+    names = [] if finding.kind in ("time", "wrist") else _better(recording, values)
     advice = (
         f"read them with --layout {' or '.join(names)}" if names else finding.advice
     )
@@ -143,34 +142,6 @@ def _better(recording: Recording, values: np.ndarray) -> list[str]:
             if examine_recording(read) is None:
                 names.append(name)
     return names
-
-
-class _Columns(NamedTuple):
-    """What a file holds: time [s], values, and where it says so valid, wrist poses and side."""
-
-    time: np.ndarray
-    values: np.ndarray
-    valid: np.ndarray | None
-    wrists: np.ndarray | None
-    side: Side | None
-
-
-def _read_npz(
-    file: Path,
-    layout: Layout,
-    side: Side | None,
-) -> _Columns:
-    arrays = read_archive(file)
-    time = _time(file, arrays, layout)
-    valid = arrays.get("valid")
-    hand = arrays.get("handedness")
-    return _Columns(
-        time,
-        arrays[_values_name(file, arrays, layout, side, len(time))].astype(float),
-        None if valid is None else as_flags(valid, "valid", len(time)),
-        _wrists_beside(arrays, layout, side, len(time)),
-        None if hand is None else side_of(hand, file, "handedness"),
-    )
 
 
 def _values_name(
@@ -226,65 +197,29 @@ def _wrists_beside(
     return given.reshape(count, *given.shape[-2:]) if given.ndim > 2 else given
 
 
-def _read_csv(
+def _read_columns(
     file: Path,
     layout: Layout,
     side: Side | None,
-) -> _Columns:
-    table = _read_table(file)
-    header = [cell.strip() for cell in table[0]]
-    columns: dict[str, list[str]] = {}
-    for name, *cells in zip_longest(*table, fillvalue=""):
-        columns.setdefault(name.strip(), cells)
-    hand = side or _side_of(" ".join(header).lower())
-    try:
-        found = layout.find_columns(header, hand or "right")
-    except InvalidInputError as error:
-        problem = f"{error.what}; it has {', '.join(header)}"
-        raise RecordingError(problem, file=file) from error
-    times = {name: _numbers(file, name, columns) for name in _times_of(header, layout)}
-    given: dict[str, Any] = {**layout.defaults}
-    for column, name in found.items():
-        given[column] = _numbers(file, name, columns)
-    values = np.broadcast_arrays(*map(given.__getitem__, layout.columns))
-    time = _time(file, times, layout)
-    return _Columns(time, np.stack(values, axis=1), None, None, hand)
-
-
-def _side_of(header: str) -> Side | None:
-    named = [side for side in SIDES if side in header]
-    return named[0] if len(named) == 1 else None
-
-
-def _read_table(file: Path) -> list[list[str]]:
-    """Return the rows of a CSV file that are not empty, the header first."""
-    with (
-        damages(file, "cannot be read"),
-        file.open(newline="", encoding="utf-8-sig") as stream,
-    ):
-        table = [row for row in csv.reader(stream) if any(map(str.strip, row))]
-    if len(table) < 2:
-        raise RecordingError("has no rows below its header", file=file)
-    return table
-
-
-_READERS = {".npz": _read_npz, ".csv": _read_csv}
-
-
-def _numbers(
-    file: Path,
-    name: str,
-    columns: Mapping[str, list[str]],
-) -> np.ndarray:
-    """Return a column; cells that are empty or missing are NaN."""
-    found = []
-    for i, cell in enumerate(map(str.strip, columns[name])):
+) -> dict[str, np.ndarray]:
+    """Return the columns of a CSV file by the names that an `.npz` file has for them."""
+    with opened_table(file) as (header, rows):
+        named = [hand for hand in SIDES if hand in " ".join(header).lower()]
+        hand = side or (named[0] if len(named) == 1 else None)
         try:
-            found.append(float(cell or "nan"))
-        except ValueError as error:
-            problem = f"expected a number in row {i + 2}, got {cell[:40]!r}"
-            raise RecordingError(problem, file=file, array=name) from error
-    return np.array(found)
+            wanted = layout.find_columns(tuple(header), hand or "right").values()
+        except InvalidInputError as error:
+            problem = f"{error.what}; it has {', '.join(header)}"
+            raise RecordingError(problem, file=file) from error
+        times = _times_of(header, layout)
+        names = [*times, *wanted]
+        places = {name: header[name] for name in names}
+        columns = dict(zip(places, numbers(file, rows, places).T, strict=True))
+    arrays = {name: columns[name] for name in times}
+    arrays["values"] = layout.from_columns(columns, hand or "right")
+    if hand is not None:
+        arrays["handedness"] = np.array(hand)
+    return arrays
 
 
 def _times_of(names: Iterable[str], layout: Layout) -> dict[str, float]:

@@ -12,20 +12,16 @@ from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import PointSpec, Side, Vector
-from handmap_qp.hands.urdf import mirrored_urdf
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import FARTHEST, rigid_fit, transform_points
 from handmap_qp.trackers.layouts.base import (
-    UNITS,
     Hands,
     Layout,
     LayoutTable,
     sized_human,
 )
 
-# A left hand is fitted as its mirror image: places on links are those of a right hand.
-_MIRROR = np.array([-1.0, 1.0, 1.0])
 _FIT = IkOptions(
     rest_weight=0.01,
     damping=0.02,
@@ -78,15 +74,11 @@ class MarkerLayout(Layout[MarkerTable]):
         names = [entry.name for entry in table.markers]
         is_each_once = len(set(names)) == len(names)
         expect(is_each_once, "markers", "different names", value=names)
-        self._points = tuple(
-            PointSpec(f"marker {entry.name}", entry.link, entry.xyz)
-            for entry in table.markers
-        )
         links = np.array([entry.link for entry in table.markers])
         self._on_palm = np.flatnonzero(links == "palm")
         count = len(self._on_palm)
         expect(count >= 3, "markers", "three markers on the palm", got=f"{count}")
-        self._last: tuple[HumanLengths | None, tuple[Hand, Hand, PointIk]] | None = None
+        self._last: tuple[Side, HumanLengths | None, PointIk] | None = None
         self.shapes = ((len(names), 3),)
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
         self.has_wrist = True
@@ -110,25 +102,23 @@ class MarkerLayout(Layout[MarkerTable]):
         lengths: HumanLengths | None = None,
     ) -> Hands:
         """Fit the human model to the markers, sample by sample; see `Layout.hands`."""
-        mirror = np.ones(3) if side == "right" else _MIRROR
-        human, landmarks, ik = self._model(lengths)
-        palm = human.points(human.rest)[self._on_palm]
-        markers = values * (UNITS[self.table.unit] * self.table.reflection * mirror)
+        ik = self._fitter(side, lengths)
+        human = ik.hand
+        landmarks = human.with_points("landmarks")
+        markers = transform_points(self.world, values)
         is_near = np.abs(markers).max() <= FARTHEST
         expected = f"coordinates within {FARTHEST:g} m"
         expect(is_near, "values", expected, got=f"{np.abs(markers).max():.3g} m")
+        palm = human.points(human.rest)[self._on_palm]
+        wrist = rigid_fit(palm, markers[0, self._on_palm])
+        ik.place(human.configuration_vector(human.rest, wrist))
         found, poses = [], []
-        for i, sample in enumerate(markers):
-            if i == 0:
-                wrist = rigid_fit(palm, sample[self._on_palm])
-                ik.place(human.configuration_vector(human.rest, wrist))
+        for sample in markers:
             ik.solve(sample, None, 1.0)
-            pose = ik.configuration.wrist.homogeneous
-            points = landmarks.points(ik.configuration.q[human.q_indices])
-            found.append(transform_points(pose, points) * mirror)
-            poses.append(pose)
-        reflection = np.diag([*mirror, 1.0])
-        return Hands(np.array(found), reflection @ np.array(poses) @ reflection)
+            q = ik.configuration.q[human.q_indices]
+            poses.append(ik.configuration.wrist.homogeneous)
+            found.append(landmarks.points(q, poses[-1]))
+        return Hands(np.array(found), np.array(poses))
 
     def write_posture(
         self,
@@ -136,23 +126,22 @@ class MarkerLayout(Layout[MarkerTable]):
         q: npt.ArrayLike,
         wrist: np.ndarray,
     ) -> np.ndarray:
-        """Return the markers on the human hand; see `Layout.write_posture`.
+        """Return the markers on the human hand; see `Layout.write_posture`."""
+        points = human.with_points(self._points(human.spec.side)).points(q)
+        return transform_points(np.linalg.inv(self.world) @ wrist, points)
 
-        Those of a left hand are the mirror image of those of the right one in the same posture.
-        """
-        mirror = np.ones(3) if human.spec.side == "right" else _MIRROR
-        text = human.urdf_text
-        own = HumanLengths.from_urdf(
-            text if human.spec.side == "right" else mirrored_urdf(text)
+    def _points(self, side: Side) -> tuple[PointSpec, ...]:
+        """Return the markers as points; the links of a left hand are mirrored in x."""
+        mirror = 1.0 if side == "right" else -1.0
+        return tuple(
+            PointSpec(f"marker {entry.name}", entry.link, (mirror * x, y, z))
+            for entry in self.table.markers
+            for x, y, z in [entry.xyz]
         )
-        points = sized_human("right", own, self._points).points(q) * mirror
-        world = transform_points(wrist, points)
-        return world * self.table.reflection / UNITS[self.table.unit]
 
-    def _model(self, lengths: HumanLengths | None) -> tuple[Hand, Hand, PointIk]:
-        """Return the hand with markers, the same with landmarks, and its IK; those of last time."""
-        if self._last is None or self._last[0] is not lengths:
-            human = sized_human("right", lengths, self._points)
-            made = human, human.with_points("landmarks"), PointIk(human, _FIT)
-            self._last = lengths, made
-        return self._last[1]
+    def _fitter(self, side: Side, lengths: HumanLengths | None) -> PointIk:
+        """Return the IK of the hand with markers; that of last time for the same hand."""
+        if self._last is None or self._last[:2] != (side, lengths):
+            human = sized_human(side, lengths, self._points(side))
+            self._last = side, lengths, PointIk(human, _FIT)
+        return self._last[2]

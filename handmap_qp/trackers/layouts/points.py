@@ -24,18 +24,13 @@ from handmap_qp.se3 import (
     transform_points,
 )
 from handmap_qp.trackers.layouts.base import (
-    UNITS,
-    AxesTable,
     Hands,
     Layout,
     LayoutTable,
     WristTable,
-    from_own_axes,
     sized_human,
-    to_own_axes,
 )
 
-_OUR_AXES = AxesTable("+y", "+z")
 _FORMS = {3: (3,), 7: (7,), 16: (4, 4)}
 """Shapes of a joint, by how many numbers it has."""
 
@@ -103,7 +98,6 @@ class PointLayout(Layout[PointTable]):
         }
         is_known = table.poses and set(table.poses) <= set(_FORMS)
         expect(is_known, "poses", "some of 3, 7 and 16", value=table.poses)
-        self._scale = UNITS[table.unit]
         joint = None if table.wrist is None else table.wrist.joint
         names = {name: index for index, name in table.names.items()}
         is_named = joint is None or joint in names
@@ -127,14 +121,16 @@ class PointLayout(Layout[PointTable]):
         titles: dict[Side, str] = {"right": "landmark"}
         if self.table.left_landmarks is not None:
             titles["left"] = "landmark of a left hand"
+        landmarks = np.full((self.table.count, len(titles)), "", dtype="<U16")
+        for column, side in enumerate(titles):
+            landmarks[self.order(side), column] = LANDMARK_NAMES
         rows: list[dict[str, Any]] = []
-        for index in range(self.table.count):
-            found = {
-                title: "".join(np.array(LANDMARK_NAMES)[self.order(side) == index])
-                for side, title in titles.items()
-            }
-            if index in self.table.names or any(found.values()):
-                rows.append({"index": index, "joint": self.joint_name(index), **found})
+        for index, found in enumerate(landmarks.tolist()):
+            if index in self.table.names or any(found):
+                meaning = dict(zip(titles.values(), found, strict=True))
+                rows.append(
+                    {"index": index, "joint": self.joint_name(index), **meaning}
+                )
         return rows
 
     def hands(
@@ -145,22 +141,19 @@ class PointLayout(Layout[PointTable]):
         lengths: HumanLengths | None = None,
     ) -> Hands:
         """Turn joints into landmarks and wrist poses; see `Layout.hands`."""
-        reflection = self.table.reflection
         form = values.shape[2:]
         positions = values[..., :3, 3] if form == (4, 4) else values[..., :3]
-        landmarks = positions[:, self.order(side)] * (self._scale * reflection)
+        frames = self.world
         if self.table.is_relative:
             # Joints are in the tracker's wrist frame; without its pose, that is the world.
             if wrists is not None:
-                frames = wrists @ self._axes_in_own_frame(side)
-                landmarks = transform_points(frames, landmarks)
-            return Hands(landmarks, wrists)
-        if self._wrist_index is not None and form != (3,):
+                frames = wrists @ np.linalg.inv(self.wrist_axes(side))
+        elif self._wrist_index is not None and form != (3,):
             poses = values[:, self._wrist_index]
             if form == (7,):
                 poses = pose_from_xyz_quat(poses, self.table.quaternion)
-            wrists = to_own_axes(poses, self._axes(side), reflection, self._scale)
-        return Hands(landmarks, wrists)
+            wrists = self.world @ poses @ self.wrist_axes(side)
+        return Hands(transform_points(frames, positions[:, self.order(side)]), wrists)
 
     def write(self, sample: HumanSample) -> np.ndarray:
         """Return the joints of a sample; those between landmarks are placed on lines."""
@@ -178,10 +171,8 @@ class PointLayout(Layout[PointTable]):
         wrist: np.ndarray,
     ) -> np.ndarray:
         """Return the joints of the human hand; see `Layout.write_posture`."""
-        names = tuple(point.name for point in human.reference_points)
-        model = human if names == LANDMARK_NAMES else human.with_points("landmarks")
-        landmarks = transform_points(wrist, model.points(q))
-        return self._write(landmarks, wrist, human.spec.side)
+        landmarks = human.with_points("landmarks").points(q)
+        return self._write(transform_points(wrist, landmarks), wrist, human.spec.side)
 
     def _write(
         self,
@@ -196,33 +187,22 @@ class PointLayout(Layout[PointTable]):
             start = places[between.start]
             end = places[between.end]
             joints[index] = start + between.share * (end - start)
-        size = self.table.poses[0]
+        axes = self.wrist_axes(side)
+        frame = np.linalg.inv(self.world)
         if self.table.is_relative:
-            frame = inverse_pose(wrist @ self._axes_in_own_frame(side))
-            joints = transform_points(frame, joints)
-            wrist = inverse_pose(self._axes_in_own_frame(side))
-        reflection = self.table.reflection
-        if size == 3:
-            return joints * reflection / self._scale
+            frame = axes @ inverse_pose(wrist)
+        joints = transform_points(frame, joints)
         # Every joint has the orientation of the wrist: only that one is read.
-        poses = np.tile(wrist, (len(joints), 1, 1))
-        poses[:, :3, 3] = joints
-        theirs = from_own_axes(poses, self._axes(side), reflection, self._scale)
+        turn = (frame @ wrist @ np.linalg.inv(axes))[:3, :3]
+        size = self.table.poses[0]
+        if size == 3:
+            return joints
         if size == 16:
-            return theirs
-        quats = np.array([quat_wxyz_from_rotation(pose[:3, :3]) for pose in theirs])
-        order = [0, 1, 2, 3] if self.table.quaternion == "wxyz" else [1, 2, 3, 0]
-        return np.concatenate([theirs[:, :3, 3], quats[:, order]], axis=1)
-
-    def _axes(self, side: Side) -> AxesTable:
-        """Return the wrist's axes; ours if the table names none."""
-        return _OUR_AXES if self.table.wrist is None else self.table.wrist.axes(side)
-
-    def _axes_in_own_frame(self, side: Side) -> np.ndarray:
-        """Return the pose of the tracker's wrist axes in our wrist frame, shape (4, 4)."""
-        if self.table.wrist is None:
-            return np.eye(4)
-        return affine(self._axes(side).rotation(self.table.reflection), np.zeros(3))
+            return affine(np.tile(turn, (len(joints), 1, 1)), joints)
+        quat = quat_wxyz_from_rotation(turn)
+        if self.table.quaternion == "xyzw":
+            quat = np.roll(quat, -1)
+        return np.hstack([joints, np.tile(quat, (len(joints), 1))])
 
 
 def _indices(
