@@ -212,7 +212,7 @@ def measure(
     """
     name, _, rest = fault.partition("@{}")
     duration = min(float(rest[1:].partition(":")[0]) if rest[:1] == "+" else 1e9, 10.0)
-    duration = min(duration, FAULT_KINDS[name].duration, 2.0)  # ty: ignore[invalid-argument-type]
+    duration = min(duration, FAULT_KINDS[name].duration, 2.0)
     samples = stage.part(at - BEFORE, at + duration + AFTER)
     if not all(sample.valid for sample in samples):
         return None
