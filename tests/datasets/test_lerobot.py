@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from handmap_qp.trackers.formats import lerobot
-from handmap_qp.trackers.formats.lerobot import Feature, LeRobotWriter
+from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 
 PYTHON = os.environ.get("HANDMAP_LEROBOT_PYTHON") or (
     sys.executable if find_spec("lerobot") else ""
@@ -45,7 +45,7 @@ def test_lerobot_reads_what_was_written(
     }
     states = [rng.normal(size=(count, 3)).astype(np.float32) for count in LENGTHS]
     valid = [rng.random((count, 2)) > 0.3 for count in LENGTHS]
-    with LeRobotWriter(
+    with writing_set(
         tmp_path / "set", fps=FPS, features=features, robot_type="hand"
     ) as writer:
         for state, seen, task in zip(states, valid, TASKS, strict=True):

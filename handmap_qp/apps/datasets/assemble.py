@@ -27,7 +27,7 @@ from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers.formats import SEPARATOR
 from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
-from handmap_qp.trackers.formats.lerobot import Feature, LeRobotWriter
+from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
 """Names of the wrist's position [m] and quaternion in the state."""
@@ -106,11 +106,11 @@ def _write_lerobot(
     features = {
         _STATE: Feature("float32", names),
         _ACTION: Feature("float32", names),
-        _VALID: Feature("bool", tuple(hands) if len(hands) > 1 else None),
+        _VALID: Feature("bool", tuple(hands)),
     }
     fresh = root.with_name(f"{root.name}.new")
     shutil.rmtree(fresh, ignore_errors=True)
-    with LeRobotWriter(
+    with writing_set(
         fresh,
         fps=fps,
         features=features,

@@ -9,12 +9,11 @@ row for each frame. pyarrow alone reads them.
 from __future__ import annotations
 
 import json
-import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -45,17 +44,23 @@ class Feature(NamedTuple):
     """One column of a data set.
 
     Attributes:
-        dtype: `float64`, `float32`, `int64`, `bool` or `string`.
-        names: Names of its numbers; None for a single one.
+        dtype: `float64`, `float32`, `int64` or `bool`.
+        names: Names of its numbers; that of a single one is not written.
     """
 
     dtype: str
-    names: tuple[str, ...] | None = None
+    names: Sequence[str] = ()
 
     @property
     def size(self) -> int:
         """How many numbers a frame has."""
-        return 1 if self.names is None else len(self.names)
+        return max(1, len(self.names))
+
+    @property
+    def description(self) -> dict[str, Any]:
+        """What `meta/info.json` says about it."""
+        names = self.names if self.size > 1 else None
+        return {"dtype": self.dtype, "shape": [self.size], "names": names}
 
 
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
@@ -92,31 +97,30 @@ class LeRobotFormat(RecordingFormat):
         """Write each recording as an episode."""
         expect(recordings, "recordings", "at least one", got="none")
         fields = {f"observation.{name}": name for name in known_columns(*recordings)}
-        features = {}
-        for feature, field in fields.items():
-            names = COLUMNS[field] if len(COLUMNS[field]) > 1 else None
-            features[feature] = Feature(
-                "bool" if field == "valid" else "float64", names
-            )
+        features = {
+            feature: Feature("bool" if field == "valid" else "float64", COLUMNS[field])
+            for feature, field in fields.items()
+        }
         steps = np.concatenate([recording.steps for recording in recordings])
         fps = max(1.0, float(np.round(1.0 / np.median(steps))))
-        robot = "human_hand"
-        with LeRobotWriter(
-            path,
-            fps=fps,
-            features=features,
-            robot_type=robot,
-        ) as writer:
+        kind = "human_hand"
+        with writing_set(path, fps=fps, features=features, robot_type=kind) as writer:
             for own in recordings:
                 columns = {name: column(own, field) for name, field in fields.items()}
                 about = {"name": own.name, "side": own.side, "source": own.source}
                 writer.add(columns, f"{own.side} human hand", about)
 
 
-class LeRobotWriter:
-    """Writes a data set episode by episode; memory does not grow with their number.
-
-    Use as a context manager. The folder appears when the block has succeeded.
+@contextmanager
+def writing_set(
+    root: Path,
+    *,
+    fps: float,
+    features: Mapping[str, Feature],
+    robot_type: str,
+    argument: str = "path",
+) -> Iterator[LeRobotWriter]:
+    """Write a data set; the folder appears when the block has succeeded.
 
     Args:
         root: Folder to write; must not exist, or be empty.
@@ -129,74 +133,50 @@ class LeRobotWriter:
         InvalidInputError: If the folder exists and is not empty, or cannot be written.
         MissingExtraError: If pyarrow is not installed.
     """
+    if root.exists() and (not root.is_dir() or any(root.iterdir())):
+        raise InvalidInputError(
+            argument=argument,
+            problem=f"{root} exists already",
+            advice="remove it first",
+        )
+    make_folder(root.parent, argument)
+    with (
+        writing(root, argument),
+        tempfile.TemporaryDirectory(prefix=f".{root.name}-", dir=root.parent) as hidden,
+    ):
+        folder = Path(hidden) / root.name
+        writer = LeRobotWriter(folder, fps, features)
+        try:
+            yield writer
+            writer.finish(robot_type)
+        finally:
+            writer.abandon()
+        for path in (*folder.rglob("*"), folder):
+            sync(path)
+        folder.rename(root)
+        sync(root.parent)
+
+
+class LeRobotWriter:
+    """Writes a data set episode by episode; memory does not grow with their number.
+
+    See `writing_set`.
+    """
 
     def __init__(
-        self,
-        root: Path,
-        *,
-        fps: float,
-        features: Mapping[str, Feature],
-        robot_type: str,
-        argument: str = "path",
+        self, folder: Path, fps: float, features: Mapping[str, Feature]
     ) -> None:
-        self._pa, self._pq = (
-            require("pyarrow", "files"),
-            require("pyarrow.parquet", "files"),
-        )
-        if root.exists() and (not root.is_dir() or any(root.iterdir())):
-            raise InvalidInputError(
-                argument=argument,
-                problem=f"{root} exists already",
-                advice="remove it first",
-            )
-        self._root = root
-        self._argument = argument
+        self._pa = require("pyarrow", "files")
+        self._pq = require("pyarrow.parquet", "files")
+        self._folder = folder
         self._fps = fps
-        self._robot_type = robot_type
         indices = dict.fromkeys(_INDICES, Feature("int64"))
         self._features = {**features, "timestamp": Feature("float32"), **indices}
         self._tasks: dict[str, int] = {}
         self._stats: dict[str, Stats] = {}
         self._episodes: list[dict[str, Any]] = []
         self._episode_count = self._frame_count = self._file_index = self._file_size = 0
-        self._data: Any = None
-        self._meta: Any = None
-
-    def __enter__(self) -> Self:
-        parent = self._root.parent
-        make_folder(parent, self._argument)
-        with writing(self._root, self._argument):
-            self._folder = Path(
-                tempfile.mkdtemp(
-                    prefix=f".{self._root.name}-",
-                    dir=parent,
-                )
-            )
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        try:
-            if kind is None:
-                with writing(self._root, self._argument):
-                    self._finish()
-                    if self._root.exists():
-                        self._root.rmdir()
-                    self._folder.chmod(0o755)
-                    for path in (*self._folder.rglob("*"), self._folder):
-                        sync(path)
-                    self._folder.rename(self._root)
-                    sync(self._root.parent)
-        finally:
-            for writer in (self._data, self._meta):
-                if writer is not None:
-                    # After an error, pyarrow would write its last part when it is deleted.
-                    writer.is_open = False
-            shutil.rmtree(self._folder, ignore_errors=True)
+        self._open: dict[str, Any] = {}
 
     def add(
         self,
@@ -216,109 +196,103 @@ class LeRobotWriter:
             Index of the episode.
 
         Raises:
-            InvalidInputError: If the disk is full.
+            OSError: If the disk is full.
         """
         frames = np.arange(len(next(iter(columns.values()))))
         start = self._frame_count
-        end = self._frame_count + len(frames)
         episode = self._episode_count
         number = self._tasks.setdefault(task, len(self._tasks))
-        indices = (frames, 0 * frames + episode, start + frames, 0 * frames + number)
-        values = {
+        given = {
             **columns,
             "timestamp": frames / self._fps,
-            **dict(zip(_INDICES, indices, strict=True)),
+            "frame_index": frames,
+            "episode_index": np.full_like(frames, episode),
+            "index": start + frames,
+            "task_index": np.full_like(frames, number),
         }
-        with writing(self._root, self._argument):
-            self._write_data(self._table(values))
-            chunk, file = divmod(self._file_index, CHUNK_FILES)
-            row = {
-                "episode_index": episode,
-                "tasks": [task],
-                "length": len(frames),
-                "data/chunk_index": chunk,
-                "data/file_index": file,
-                "dataset_from_index": start,
-                "dataset_to_index": end,
-                "meta/episodes/chunk_index": 0,
-                "meta/episodes/file_index": 0,
-                **(about or {}),
-            }
-            for name, feature in self._features.items():
-                if feature.dtype != "string":
-                    own = episode_stats(np.asarray(values[name]))
-                    row |= {f"stats/{name}/{k}": v.tolist() for k, v in own.items()}
-                    self._stats[name] = joined_stats(self._stats.get(name), own)
-            self._episodes.append(row)
-            if len(self._episodes) >= _ROW_GROUP:
-                self._flush_episodes()
-        self._frame_count = end
+        values = {
+            name: np.asarray(given[name], dtype=feature.dtype)
+            for name, feature in self._features.items()
+        }
+        self._write_frames(values)
+        self._frame_count += len(frames)
         self._episode_count += 1
+        chunk, file = divmod(self._file_index, CHUNK_FILES)
+        row = {
+            "episode_index": episode,
+            "tasks": [task],
+            "length": len(frames),
+            "data/chunk_index": chunk,
+            "data/file_index": file,
+            "dataset_from_index": start,
+            "dataset_to_index": self._frame_count,
+            "meta/episodes/chunk_index": 0,
+            "meta/episodes/file_index": 0,
+            **(about or {}),
+        }
+        for name, array in values.items():
+            own = episode_stats(array)
+            row |= {f"stats/{name}/{key}": each.tolist() for key, each in own.items()}
+            self._stats[name] = joined_stats(self._stats.get(name), own)
+        self._episodes.append(row)
+        if len(self._episodes) >= _ROW_GROUP:
+            self._write_episodes()
         return episode
 
-    def _table(self, values: Mapping[str, np.ndarray]) -> Any:
-        pa, arrays = self._pa, {}
-        for name, feature in self._features.items():
-            flat = np.asarray(values[name]).reshape(-1)
-            if feature.dtype == "float32":
-                flat = flat.astype(np.float32)
-            arrays[name] = pa.array(flat, type=pa.type_for_alias(feature.dtype))
-            if feature.names is not None:
-                size = feature.size
-                arrays[name] = pa.FixedSizeListArray.from_arrays(arrays[name], size)
-        return pa.table(arrays)
-
-    def _write_data(self, table: Any) -> None:
+    def _write_frames(self, values: Mapping[str, np.ndarray]) -> None:
         """Write an episode as a row group of its own, so that it is found without the others."""
-        if self._data is not None and self._file_size + table.nbytes > DATA_FILE_SIZE:
-            self._data.close()
-            self._data = None
+        lists = self._pa.FixedSizeListArray
+        arrays = {}
+        for name, array in values.items():
+            flat = self._pa.array(array.reshape(-1))
+            size = self._features[name].size
+            arrays[name] = lists.from_arrays(flat, size) if size > 1 else flat
+        table = self._pa.table(arrays)
+        if self._file_size and self._file_size + table.nbytes > DATA_FILE_SIZE:
+            self._open.pop(self._data_path).close()
             self._file_size = 0
             self._file_index += 1
-        if self._data is None:
-            chunk, file = divmod(self._file_index, CHUNK_FILES)
-            place = _DATA_PATH.format(
-                chunk_index=chunk,
-                file_index=file,
-            )
-            self._data = self._parquet(place, table)
-        self._data.write_table(table, row_group_size=max(1, table.num_rows))
+        self._write(self._data_path, table)
         self._file_size += table.nbytes
+
+    @property
+    def _data_path(self) -> str:
+        chunk, file = divmod(self._file_index, CHUNK_FILES)
+        return _DATA_PATH.format(chunk_index=chunk, file_index=file)
+
+    def _write_episodes(self) -> None:
+        if self._episodes:
+            self._write(_EPISODES_PATH, self._pa.Table.from_pylist(self._episodes))
+            self._episodes.clear()
+
+    def _write(self, place: str, table: Any) -> None:
+        """Append a row group to a parquet file."""
+        if place not in self._open:
+            file = self._place(place)
+            self._open[place] = self._pq.ParquetWriter(file, table.schema)
+        writer = self._open[place]
+        writer.write_table(table.cast(writer.schema), max(1, table.num_rows))
 
     def _place(self, place: str) -> Path:
         """Return a file of the data set, in a folder that exists."""
         file = self._folder / place
-        file.parent.mkdir(
-            parents=True,
-            exist_ok=True,
-        )
+        file.parent.mkdir(parents=True, exist_ok=True)
         return file
 
-    def _parquet(self, place: str, table: Any) -> Any:
-        """Open a parquet file with the columns of a table."""
-        file = self._place(place)
-        return self._pq.ParquetWriter(file, table.schema, compression="snappy")
+    def finish(self, robot_type: str) -> None:
+        """Write what describes all episodes.
 
-    def _flush_episodes(self) -> None:
-        if not self._episodes:
-            return
-        table = self._pa.Table.from_pylist(self._episodes)
-        if self._meta is None:
-            self._meta = self._parquet(_EPISODES_PATH, table)
-        self._meta.write_table(table.cast(self._meta.schema))
-        self._episodes.clear()
+        Args:
+            robot_type: Name of the robot or hand.
 
-    def _finish(self) -> None:
-        self._flush_episodes()
+        Raises:
+            OSError: If the disk is full.
+        """
+        self._write_episodes()
         self._write_tasks()
-        stats = {
-            name: {key: array.tolist() for key, array in own.items()}
-            for name, own in self._stats.items()
-        }
-        self._write_json("stats", stats, indent=1)
         info = {
             "codebase_version": VERSION,
-            "robot_type": self._robot_type,
+            "robot_type": robot_type,
             "total_episodes": self._episode_count,
             "total_frames": self._frame_count,
             "total_tasks": len(self._tasks),
@@ -329,42 +303,45 @@ class LeRobotWriter:
             "splits": {"train": f"0:{self._episode_count}"},
             "data_path": _DATA_PATH,
             "video_path": None,
-            "features": {
-                name: {"dtype": item.dtype, "shape": [item.size], "names": item.names}
-                for name, item in self._features.items()
-            },
+            "features": {name: f.description for name, f in self._features.items()},
         }
-        self._write_json("info", info, indent=4)
-        for writer in (self._data, self._meta):
-            if writer is not None:
-                writer.close()
+        stats = {
+            name: {key: array.tolist() for key, array in own.items()}
+            for name, own in self._stats.items()
+        }
+        for name, values in (("info", info), ("stats", stats)):
+            text = json.dumps(values, indent=1) + "\n"
+            self._place(f"meta/{name}.json").write_text(text, encoding="utf-8")
+        for writer in self._open.values():
+            writer.close()
 
-    def _write_json(
-        self,
-        name: str,
-        values: Mapping[str, Any],
-        indent: int,
-    ) -> None:
-        text = json.dumps(values, indent=indent) + "\n"
-        self._place(f"meta/{name}.json").write_text(text, encoding="utf-8")
+    def abandon(self) -> None:
+        """Leave open files as they are: pyarrow would write their ends when it is deleted."""
+        for writer in self._open.values():
+            writer.is_open = False
 
     def _write_tasks(self) -> None:
         """Write the tasks with the index that pandas, and so LeRobot, reads them by."""
-        keys = ("name", "field_name", "pandas_type", "numpy_type", "metadata")
         kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
         about = {
             "index_columns": ["task"],
             "column_indexes": [],
             "columns": [
-                dict(zip(keys, (name, name, *types, None), strict=True))
-                for name, *types in kinds
+                {
+                    "name": name,
+                    "field_name": name,
+                    "pandas_type": pandas_type,
+                    "numpy_type": numpy_type,
+                    "metadata": None,
+                }
+                for name, pandas_type, numpy_type in kinds
             ],
             "creator": {"library": "pyarrow", "version": self._pa.__version__},
             "pandas_version": "2.0.0",
         }
         columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
-        table = self._pa.table(columns, metadata={"pandas": json.dumps(about)})
-        self._pq.write_table(table, self._place("meta/tasks.parquet"))
+        metadata = {"pandas": json.dumps(about)}
+        self._write("meta/tasks.parquet", self._pa.table(columns, metadata=metadata))
 
 
 Stats = dict[str, np.ndarray]
