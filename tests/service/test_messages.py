@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import runpy
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, get_args
 
 import msgspec
@@ -13,9 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import motion_of, rotations, translations
 
-from handmap_qp.apps.service import schema
 from handmap_qp.apps.service.dispatch import decode_request, encode_reply
-from handmap_qp.apps.service.schema import CODES, FLAGS, json_schema, schema_text
 from handmap_qp.apps.service.session import to_matrix, to_pose
 from handmap_qp.apps.service.websocket import _from_json
 from handmap_qp.client.messages import (
@@ -28,6 +28,8 @@ from handmap_qp.client.messages import (
 )
 from handmap_qp.mapping.presets import known_options
 
+_PAGE = Path(__file__).parents[2] / "docs" / "messages.py"
+messages = SimpleNamespace(**runpy.run_path(str(_PAGE), run_name="messages"))
 STEP: dict[str, Any] = {
     "type": "step",
     "protocol": PROTOCOL,
@@ -145,7 +147,7 @@ def test_json_and_msgpack_say_the_same() -> None:
 
 
 def test_the_schema_names_every_message_and_field() -> None:
-    text = schema_text()
+    text = messages.schema_text()
     for kind in (*get_args(AnyRequest), *get_args(AnyReply)):
         assert f"### `{kind.__struct_config__.tag}`" in text
         for field in kind.__struct_fields__:
@@ -153,7 +155,9 @@ def test_the_schema_names_every_message_and_field() -> None:
 
 
 def test_the_schema_describes_every_field_and_option() -> None:
-    rows = [line for line in schema_text().splitlines() if line.startswith("| `")]
+    rows = [
+        line for line in messages.schema_text().splitlines() if line.startswith("| `")
+    ]
     assert all(row.rstrip(" |").count("|") == 4 for row in rows), [
         row for row in rows if row.rstrip(" |").count("|") != 4
     ]
@@ -161,16 +165,16 @@ def test_the_schema_describes_every_field_and_option() -> None:
         assert any(row.startswith(f"| `{option}` |") for row in rows)
 
 
-def test_the_schema_in_the_docs_is_that_of_today() -> None:
-    page = Path(schema.__file__).with_name("messages.md")
-    assert page.read_text() == schema_text() + "\n", (
-        f"handmap serve --schema > {page.relative_to(Path.cwd())}"
-    )
+def test_the_files_that_the_command_prints_are_those_of_today() -> None:
+    for file, text in messages.files().items():
+        assert file.read_text(encoding="utf-8") == text + "\n", (
+            "run python docs/messages.py"
+        )
 
 
 def test_the_json_schema_accepts_what_is_sent() -> None:
     jsonschema = pytest.importorskip("jsonschema")
-    validator = jsonschema.Draft202012Validator(json.loads(json_schema()))
+    validator = jsonschema.Draft202012Validator(json.loads(messages.json_schema()))
     validator.validate(STEP)
     validator.validate(OPEN)
     assert not validator.is_valid(STEP | {"q": ["x"]})
@@ -193,4 +197,4 @@ def test_half_turns_have_a_quaternion_too(axis: int) -> None:
 
 
 def test_flags_and_codes_are_single_words() -> None:
-    assert all(word.isidentifier() for word in (*FLAGS, *CODES))
+    assert all(word.isidentifier() for word in (*messages.FLAGS, *messages.CODES))

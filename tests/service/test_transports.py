@@ -42,6 +42,7 @@ from handmap_qp import cli
 from handmap_qp.apps.addresses import bare_host
 from handmap_qp.apps.service import logs
 from handmap_qp.apps.service import server as server_module
+from handmap_qp.apps.service.cli import SCHEMAS
 from handmap_qp.apps.service.connection_gate import cost_of, count_frames
 from handmap_qp.apps.service.dispatch import decode_request
 from handmap_qp.apps.service.keys import (
@@ -50,7 +51,6 @@ from handmap_qp.apps.service.keys import (
     read_server_keys,
     read_token,
 )
-from handmap_qp.apps.service.schema import schema_text
 from handmap_qp.apps.service.server import Server, run_server
 from handmap_qp.apps.service.sessions import LEASE
 from handmap_qp.client import Client
@@ -333,8 +333,14 @@ def test_the_documentation_explains_tokens_and_the_length_of_messages(
 ) -> None:
     with pytest.raises(SystemExit):
         cli.main(["serve", "--help"])
-    assert f"at most {LOCAL.message_size} bytes" in schema_text()
-    for text in (schema_text(), PAGE, capsys.readouterr().out):
+    assert f"at most {LOCAL.message_size} bytes" in SCHEMAS["schema"].read_text(
+        encoding="utf-8"
+    )
+    for text in (
+        SCHEMAS["schema"].read_text(encoding="utf-8"),
+        PAGE,
+        capsys.readouterr().out,
+    ):
         words = " ".join(text.replace("│", " ").split())
         assert "Authorization: Bearer TOKEN" in words
         assert '["handmap.v1", "bearer.TOKEN"]' in words

@@ -19,7 +19,6 @@ Transports:
     keys        CURVE keys and tokens
 
 What users and operators see:
-    cli         commands
-    schema      description of the messages
+    cli         commands; messages.md and .json describe the messages
     logs        logs, the audit log, metrics
 """

@@ -11,6 +11,12 @@ import tyro
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.errors import MissingExtraError
 
+SCHEMAS = {
+    "schema": Path(__file__).with_name("messages.md"),
+    "json_schema": Path(__file__).with_name("messages.json"),
+}
+"""What the options of that name print; `docs/messages.py` writes the files."""
+
 
 @dataclass(frozen=True)
 class Serve(Settings):
@@ -32,15 +38,15 @@ class Serve(Settings):
 
     def run(self) -> None:
         """Serve until SIGINT or SIGTERM."""
+        for option, file in SCHEMAS.items():
+            if getattr(self, option):
+                print(file.read_text(encoding="utf-8"), end="")
+                return
         try:
-            from handmap_qp.apps.service.schema import json_schema, schema_text
             from handmap_qp.apps.service.server import run_server
         except ModuleNotFoundError as error:
             raise MissingExtraError(str(error.name), "service") from error
-        if self.schema or self.json_schema:
-            print(json_schema() if self.json_schema else schema_text())
-        else:
-            run_server(self, self.log_level)
+        run_server(self, self.log_level)
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,21 @@
-"""Description of the messages, as Markdown and as JSON schema, made from their types."""
+"""Write what `handmap serve --schema` and `--json-schema` print, from the types of the messages.
+
+    python docs/messages.py
+
+A test compares the files, handmap_qp/apps/service/messages.md and .json, with the types.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, get_args
 
 import docstring_parser
 import msgspec
 
+from handmap_qp.apps.service.cli import SCHEMAS
 from handmap_qp.apps.service.opening import MOST_ITERATIONS, SOLVERS
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client import messages
@@ -223,3 +230,14 @@ def _bounds(schema: dict[str, Any]) -> str:
     bounds = [f"{sign} {bound:g}" for sign, bound in given if bound != 2**53]
     bounds += [schema["title"]] if "pattern" in schema else []
     return f" ({', '.join(bounds)})" if bounds else ""
+
+
+def files() -> dict[Path, str]:
+    """Return the texts of the files to write."""
+    return {SCHEMAS["schema"]: schema_text(), SCHEMAS["json_schema"]: json_schema()}
+
+
+if __name__ == "__main__":
+    for file, text in files().items():
+        file.write_text(text + "\n", encoding="utf-8")
+        print(f"wrote {file}")
