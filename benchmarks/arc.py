@@ -12,12 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from checks import finite_array, positive_number
 from grasp_planning import plan_grasps
 from scipy.spatial.transform import Rotation
 from section_four.contacts import Grasp
 from section_four.experiment import HandMotion, Run, Scene
 
-from handmap_qp.apps.simulation.checks import finite_array, positive_number
 from handmap_qp.apps.simulation.objects import Shape
 from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.apps.simulation.simulator import Episode, Simulator

@@ -17,11 +17,11 @@ from typing import Any
 import common
 import numpy as np
 import scenes
+from pseudoinverse import PseudoinverseIk
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions
 from handmap_qp.apps.offline.trajectory import Trajectory, map_motion
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.pseudoinverse import PseudoinverseIk
 from handmap_qp.ik.qp import PointIk
 
 WAYS: dict[str, Callable[[Hand, IkOptions], Any]] = {

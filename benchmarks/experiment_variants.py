@@ -21,6 +21,7 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
+from pseudoinverse import PseudoinverseIk
 from section_four.contacts import Grasp
 from section_four.experiment import (
     Follow,
@@ -34,7 +35,6 @@ from section_four.experiment import (
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.pseudoinverse import PseudoinverseIk
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.decomposition import decompose
 from handmap_qp.mapping.estimation import estimate_motion

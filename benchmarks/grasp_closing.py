@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
+from checks import finite_array, positive_number
 from section_four.contacts import Contact, Grasp
 from section_four.cube import REFERENCE_HANDS, read_cube_figures
 
-from handmap_qp.apps.simulation.checks import finite_array, positive_number
 from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.collision_shapes import read_collision_shapes

@@ -23,16 +23,15 @@ measures from `msvg` to `uot` are those of the paper's toolbox, where L is one m
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
-from section_four.contacts import Grasp
-from section_four.statics import grasp_matrix
-
-from handmap_qp.apps.simulation.checks import (
+from checks import (
     finite_array,
     one_of,
     positive_number,
     whole_number,
 )
+from scipy.spatial import ConvexHull, QhullError
+from section_four.contacts import Grasp
+from section_four.statics import grasp_matrix
 
 QUALITIES = ("ferrari_canny", "msvg", "gii", "vew", "dtsc", "mev", "uot", "centroid")
 """Names of the measures."""

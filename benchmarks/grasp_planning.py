@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
+from checks import one_of, positive_number, whole_number
 from grasp_closing import (
     MARGIN,
     STEP,
@@ -23,7 +24,6 @@ from grasp_measures import (
 from scipy.spatial.transform import Rotation
 from section_four.contacts import Grasp
 
-from handmap_qp.apps.simulation.checks import one_of, positive_number, whole_number
 from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from checks import finite_array
 
-from handmap_qp.apps.simulation.checks import finite_array
 from handmap_qp.apps.simulation.objects import Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand

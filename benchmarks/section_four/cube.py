@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree as ET
 
 import numpy as np
+from checks import one_of
 
-from handmap_qp.apps.simulation.checks import one_of
 from handmap_qp.apps.simulation.objects import Box
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_directory

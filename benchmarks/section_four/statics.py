@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
+from checks import finite_array
 
-from handmap_qp.apps.simulation.checks import finite_array
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.se3 import as_floats
 

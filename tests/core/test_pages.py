@@ -21,7 +21,10 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+# The simulated robot needs a session; tests/simulation has its tests.
+EXAMPLES = sorted(
+    file for file in (ROOT / "examples").glob("*.py") if file.stem != "simulated_robot"
+)
 SLOW = (
     *("onboarding", "tracker_service_driver", "compare_methods", "two_hands"),
     *("recording_to_lerobot", "mujoco_object"),

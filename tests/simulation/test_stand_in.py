@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import runpy
 import threading
 import time
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from patience import PATIENCE, wait_until
 from service_tools import address_of, client_of, serving
 
-from handmap_qp import InvalidInputError, cli, load_hand
+from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.apps.simulation.objects import Sphere
 from handmap_qp.apps.simulation.physics import Body
 from handmap_qp.apps.simulation.simulator import Simulator
-from handmap_qp.apps.simulation.stand_in import Report, StandIn
 from handmap_qp.client import Client
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "simulated_robot.py"
+StandIn = runpy.run_path(str(EXAMPLE), run_name="simulated_robot")["StandIn"]
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -33,7 +38,7 @@ def test_the_stand_in_goes_where_the_commands_say() -> None:
     ):
         tracker.open("three_finger", name="lab", preset="paper")
         stand_in = StandIn(simulator(), driver, "lab")
-        reports: list[Report] = []
+        reports: list[Any] = []
         arrived = threading.Event()
 
         def follow() -> None:
@@ -82,20 +87,3 @@ def test_a_session_of_another_robot_is_refused() -> None:
         with pytest.raises(InvalidInputError, match="the robot of the session"):
             stand_in.run(PATIENCE, print)
         worker.join()
-
-
-def test_a_session_that_does_not_exist_is_one_line(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    with serving() as server:
-        words = [
-            "simulate",
-            "--serve",
-            "gone",
-            "--server",
-            address_of(server),
-            "--duration",
-            "1",
-        ]
-        assert cli.main(words) == 2
-    assert "--serve" in capsys.readouterr().err

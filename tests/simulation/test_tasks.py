@@ -215,9 +215,6 @@ def test_other_words_are_no_objects(text: str) -> None:
 @pytest.mark.parametrize(
     ("words", "says"),
     [
-        ([], "RECORDING: expected a recording"),
-        (["demo::right", "--serve", "lab"], "RECORDING"),
-        (["--serve", "lab", "--trials", "5"], "--trials"),
         (
             ["demo::right", "--trials", "5", "--mass", "0.2"],
             "--trials: draws object, mass",
@@ -276,21 +273,3 @@ def test_a_hand_without_shapes_cannot_touch() -> None:
     )
     with pytest.raises(HandError, match="no collision shapes"):
         Simulator(Hand(hand.spec, urdf_text=text), Body(CUBE))
-
-
-@pytest.mark.parametrize("force", [3.0, 8.0])
-def test_the_squeeze_term_keeps_the_wanted_force(
-    pinching: PinchScene, lifted: PinchOutcome, force: float
-) -> None:
-    """Both pads press with it, whatever the command's overlap."""
-    outcome = pinching.run(PinchTrial(), force)
-    assert outcome.is_held
-    assert outcome.episode.at.normal_force[-10:].mean() == pytest.approx(
-        2.0 * force, rel=0.1
-    )
-    assert lifted.episode.at.normal_force[-10:].mean() > 3.0 * force
-
-
-def test_a_squeeze_without_force_is_refused(pinching: PinchScene) -> None:
-    with pytest.raises(InvalidInputError, match="grip"):
-        pinching.run(PinchTrial(), 0.0)

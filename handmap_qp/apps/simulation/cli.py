@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,7 +17,7 @@ from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_
 from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
 from handmap_qp.apps.simulation.pictures import Stage, film, picture, write_page
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
-from handmap_qp.apps.simulation.simulator import Episode, Simulator
+from handmap_qp.apps.simulation.simulator import Episode
 from handmap_qp.apps.simulation.trials import (
     describe_trial,
     outcome_row,
@@ -52,7 +51,6 @@ class Simulate:
         handmap simulate pinch.npz --robot allegro_right --film pinch.gif
         handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
         handmap simulate pinch.npz --robot allegro_right --actuators torque --html pinch.html
-        handmap simulate --robot allegro_right --serve lab --object sphere:0.04
 
     Attributes:
         recording: Recording with a pinch of thumb and index finger.
@@ -69,19 +67,14 @@ class Simulate:
         trials: Random objects and places, for every mapping.
         objects: Random objects (varied), or the same object at random places (nominal).
         seed: Seed of the random numbers.
-        grip: Force between the pads [N] that a squeeze term keeps while they press on the object.
         out: File of the first mapping's simulation, .npz.
         picture: Picture of four instants of the first mapping, .png.
         film: Moving picture of the first mapping, .gif or .webp.
         html: Page that plays every mapping in a browser without a server, .html.
-        serve: Name of a session of the mapping service to follow as a stand-in for its robot,
-            until Ctrl-C; no recording then.
-        server: Address of that service.
-        duration: Time to follow it [s].
         json: Print one JSON object instead of a table.
     """
 
-    recording: tyro.conf.Positional[Annotated[Path | None, hinted("RECORDING")]] = None
+    recording: tyro.conf.Positional[Annotated[Path, hinted("RECORDING")]]
     robot: HandName = "three_finger"
     methods: Annotated[
         tuple[str, ...], hinted("METHOD...", "(default: the first preset)")
@@ -96,24 +89,15 @@ class Simulate:
     trials: int = 0
     objects: Literal["nominal", "varied"] = "varied"
     seed: int = 0
-    grip: Annotated[float | None, hinted("N", "(default: position control alone)")] = (
-        None
-    )
     out: Annotated[Path | None, hinted("FILE.npz")] = None
     picture: Annotated[Path | None, hinted("FILE.png")] = None
     film: Annotated[Path | None, hinted("FILE.gif")] = None
     html: Annotated[Path | None, hinted("PAGE.html")] = None
-    serve: Annotated[str | None, hinted("SESSION")] = None
-    server: Annotated[str, tyro.conf.arg(metavar="ADDRESS")] = "tcp://127.0.0.1:5570"
-    duration: Annotated[float, hinted("SECONDS", "(default: until Ctrl-C)")] = math.inf
     json: bool = False
 
     def run(self) -> None:
         """Simulate, print a table, and write the files."""
         self._check()
-        if self.serve is not None:
-            self._stand_in(self.serve)
-            return
         outcomes, trials = self._simulate()
         found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
         if self.trials:
@@ -137,11 +121,6 @@ class Simulate:
 
     def _check(self) -> None:
         """Reject options that contradict each other, before any work is done."""
-        if (self.recording is None) == (self.serve is None):
-            raise InvalidInputError(
-                argument="RECORDING",
-                expected="a recording with a pinch, or --serve SESSION",
-            )
         files = {
             "--out": (self.out, (".npz",)),
             "--picture": (self.picture, (".png",)),
@@ -157,8 +136,8 @@ class Simulate:
     def _check_trials(self, *, writes: bool) -> None:
         given = (self.object, self.mass, self.friction)
         problem = advice = ""
-        if writes or self.serve:
-            problem = "needs a recording, and writes no file"
+        if writes:
+            problem = "writes no file"
         elif self.objects == "varied" and given != (_OBJECT, _MASS, _FRICTION):
             problem = "draws object, mass and friction"
             advice = "add --objects nominal to draw places alone"
@@ -179,7 +158,6 @@ class Simulate:
 
     def _simulate(self) -> tuple[dict[str, list[PinchOutcome]], list[PinchTrial]]:
         """Pinch every object by every mapping."""
-        assert self.recording is not None
         body = Body(parse_object(self.object), self.mass)
         physics = self._physics()
         robot = load_hand(self.robot)
@@ -197,31 +175,9 @@ class Simulate:
             made = outcomes[method.name] = []
             with progress(method.name, len(trials)) as advance:
                 for trial in trials:
-                    made.append(scene.run(trial, self.grip))
+                    made.append(scene.run(trial))
                     advance(len(made))
         return outcomes, trials
-
-    def _stand_in(self, session: str) -> None:
-        """Follow a session of the mapping service."""
-        from handmap_qp.apps.live.service import connected
-        from handmap_qp.apps.simulation.stand_in import Report, StandIn
-
-        def show(report: Report) -> None:
-            now = report.now
-            print(
-                f"{now.time:7.1f} s  {report.commands} commands, epoch {report.epoch}, wrist "
-                f"{1e3 * report.wrist_error:.1f} mm off, {now.links_touching} links press with "
-                f"{now.normal_force:.1f} N",
-                flush=True,
-            )
-
-        body = Body(parse_object(self.object), self.mass)
-        simulator = Simulator(load_hand(self.robot), body, self._physics())
-        with (
-            connected("--serve", self.server, None, refused="--serve") as (client, _),
-            client,
-        ):
-            StandIn(simulator, client, session).run(self.duration, show)
 
     def _write(self, episodes: dict[str, Episode]) -> None:
         """Write the files: of the first mapping; the page shows all."""

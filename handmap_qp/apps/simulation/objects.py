@@ -4,8 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from handmap_qp.apps.simulation.checks import finite_array, positive_number
+from handmap_qp.errors import expect
 from handmap_qp.hands.spec import Vector
+from handmap_qp.se3 import as_floats
+
+
+def positive(value: float, name: str) -> float:
+    """Return a finite number > 0.
+
+    Raises:
+        InvalidInputError: If it is not one.
+    """
+    number = float(as_floats(value, name, shape=(), is_finite=True))
+    expect(number > 0.0, name, "a number > 0", value=value)
+    return number
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +35,7 @@ class Box:
 
     def __post_init__(self) -> None:
         x, y, z = (
-            positive_number(side, "size")
-            for side in finite_array(self.size, (3,), "size")
+            positive(side, "size") for side in as_floats(self.size, "size", shape=(3,))
         )
         object.__setattr__(self, "size", (x, y, z))
 
@@ -43,7 +54,7 @@ class Sphere:
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive_number(self.radius, "radius"))
+        object.__setattr__(self, "radius", positive(self.radius, "radius"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +74,7 @@ class Cylinder:
 
     def __post_init__(self) -> None:
         for name in ("radius", "length"):
-            object.__setattr__(self, name, positive_number(getattr(self, name), name))
+            object.__setattr__(self, name, positive(getattr(self, name), name))
 
 
 Shape = Box | Sphere | Cylinder

@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from handmap_qp.apps.simulation.checks import positive_number
-from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere
+from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere, positive
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, require
 from handmap_qp.hands.spec import Vector
 from handmap_qp.options import Options, number, text
@@ -65,7 +64,7 @@ class Body:
             raise InvalidInputError(
                 argument="shape", expected="a shape", value=self.shape
             )
-        positive_number(self.mass, "mass")
+        positive(self.mass, "mass")
 
 
 class Physics(Options, frozen=True):

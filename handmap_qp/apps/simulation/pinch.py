@@ -15,7 +15,6 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.simulation.checks import positive_number
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow
 from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere
 from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics, turn_up
@@ -49,8 +48,6 @@ _PARTS = 4
 # The object of that simulation, far from the hand.
 _NOTHING = Body(Sphere(0.01), 0.01)
 _FAR = affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
-# Step of the numerical Jacobian [rad].
-_STEP = 1e-6
 
 
 class Pads:
@@ -106,31 +103,6 @@ class Pads:
         )
         pressing = contacts.normal_forces
         return min(pressing[is_thumb].sum(), pressing[~is_thumb].sum()) > _PRESSED
-
-    def squeezed(
-        self, simulator: Simulator, command: np.ndarray, force: float
-    ) -> np.ndarray:
-        """Return a command that presses the pads together with a wanted force.
-
-        With the row `r = d(gap)/dq`, springs of stiffness k at `command` press with
-        `f = -r k (command - q) / (r r)`. The result is `command + (f - f_0) r / k`. All other
-        directions of the command stay.
-
-        Args:
-            simulator: The simulation.
-            command: Mapped command [rad], shape (n,).
-            force: The force, f_0 [N].
-        """
-        q = simulator.q
-        wrist = simulator.wrist
-        stiffness = simulator.physics.joint_stiffness
-        gap = self.gap(q, wrist)
-        steps = q + _STEP * np.eye(len(q))
-        row = np.array([(self.gap(step, wrist) - gap) / _STEP for step in steps])
-        if row @ row < 1e-9:
-            return command
-        pressing = -stiffness * (row @ (command - q)) / (row @ row)
-        return command + (pressing - force) / stiffness * row
 
     def _place(self, pad: Pad) -> np.ndarray:
         return self._data.oMi[pad.joint].act(pad.offset)
@@ -230,21 +202,15 @@ class PinchScene:
         self.physics = physics
         self.pads = Pads(commands.hand)
 
-    def run(self, trial: PinchTrial, grip: float | None = None) -> PinchOutcome:
+    def run(self, trial: PinchTrial) -> PinchOutcome:
         """Simulate one trial.
 
         Args:
             trial: The object and its place; the friction is the trial's.
-            grip: Force [N] that a squeeze term keeps while the pads press; none if omitted.
 
         Returns:
             What became of the object.
-
-        Raises:
-            InvalidInputError: If the force is not positive.
         """
-        if grip is not None:
-            positive_number(grip, "grip")
         commands = self.commands
         window = self.window
         pads = self.pads
@@ -258,8 +224,6 @@ class PinchScene:
         instants, distances = [], []
         for i in range(window.start + 1, window.end + 1):
             goal, wrist = commands.at(i)
-            if grip is not None and pads.is_pinched(simulator):
-                goal = pads.squeezed(simulator, goal, grip)
             simulator.follow(goal, wrist, commands.time[i] - commands.time[i - 1])
             instants.append(simulator.instant())
             is_late = commands.time[i] >= met.time + _LATEST

@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.simulation.checks import finite_array
 from handmap_qp.apps.simulation.model import BASE, OBJECT, build_model
 from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import affine, check_pose, inverse_pose
+from handmap_qp.se3 import affine, as_floats, check_pose, inverse_pose
 
 # Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
 # a disc of 30 mm under even pressure.
@@ -196,7 +195,7 @@ class Simulator:
         Raises:
             InvalidInputError: On a wrong shape, or a wrist for a hand that does not float.
         """
-        angles = finite_array(q, (len(self.hand.joint_names),), "q")
+        angles = as_floats(q, "q", shape=(len(self.hand.joint_names),), is_finite=True)
         pose = check_pose(object_pose, "object_pose")
         place = None if wrist is None else check_pose(wrist, "wrist")
         if self.hand.is_floating == (place is None):

@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import binomtest
 
-from handmap_qp.apps.simulation.checks import whole_number
 from handmap_qp.apps.simulation.physics import KINDS, named_shape
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchTrial
+from handmap_qp.errors import expect
 
 Objects = Literal["nominal", "varied"]
 """One object at random places, or random objects at random places."""
@@ -43,9 +43,11 @@ def random_trials(
         nominal: The object of `nominal` trials; the cube of `PinchTrial` if omitted.
     """
     fixed = nominal or PinchTrial()
-    random = np.random.default_rng(whole_number(seed, "seed", least=0))
+    expect(count >= 1, "trials", "an integer >= 1", value=count)
+    expect(seed >= 0, "seed", "an integer >= 0", value=seed)
+    random = np.random.default_rng(seed)
     trials = []
-    for _ in range(whole_number(count, "trials", least=1)):
+    for _ in range(count):
         x, y, z = random.normal(0.0, _PLACE, 3).tolist()
         trial = replace(fixed, offset=(x, y, z), yaw=float(random.uniform(-_YAW, _YAW)))
         if objects == "varied":

@@ -1,4 +1,4 @@
-"""Checks of the arguments of public functions of simulation, and of the grasps of benchmarks."""
+"""Checks of the arguments of functions about grasps."""
 
 from __future__ import annotations
 

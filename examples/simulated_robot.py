@@ -2,21 +2,30 @@
 
 It watches a session of another client, receives the stream of commands, and simulates up to the
 clock's time with the newest one. A command that holds the robot is followed too: it repeats the
-last posture.
+last posture. Once a second a line says how far the wrist is from its command, and how the links
+press on the object.
+
+    handmap serve                                                                  # the service
+    handmap track replay pinch.npz --to 127.0.0.1 --robot allegro_right --session lab --loop
+    python examples/simulated_robot.py lab --robot allegro_right --object sphere:0.04
 """
 
 from __future__ import annotations
 
+import argparse
+import math
 import time as clock
 from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
 from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Instant, Simulator
 from handmap_qp.client import Client, Command
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.library import load_hand
 from handmap_qp.se3 import affine
 
 # Longest wait for a command before the robot is simulated further with the last one [s].
@@ -128,3 +137,35 @@ class StandIn:
         now, wrist = self.simulator.instant(), goal[1]
         off = np.zeros(3) if wrist is None else (now.wrist - wrist)[:3, 3]
         return Report(now, self._count, self._epoch, float(np.linalg.norm(off)))
+
+
+def show(report: Report) -> None:
+    """Print a line about the simulation."""
+    now = report.now
+    print(
+        f"{now.time:7.1f} s  {report.commands} commands, epoch {report.epoch}, wrist "
+        f"{1e3 * report.wrist_error:.1f} mm off, {now.links_touching} links press with "
+        f"{now.normal_force:.1f} N",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Follow a session until Ctrl-C."""
+    parser = argparse.ArgumentParser(description="A simulated robot at the service.")
+    parser.add_argument("session", help="name of the session to follow")
+    parser.add_argument("--robot", default="three_finger", help="the session's robot")
+    parser.add_argument("--object", default="box:0.03", help="as handmap simulate")
+    parser.add_argument("--server", default="tcp://127.0.0.1:5570")
+    parser.add_argument("--duration", type=float, default=math.inf, help="time [s]")
+    given = parser.parse_args()
+    # +y is up, as in a headset's world.
+    physics = Physics(gravity=(0.0, -9.81, 0.0))
+    body = Body(parse_object(given.object), 0.05)
+    simulator = Simulator(load_hand(given.robot), body, physics)
+    with Client(given.server) as client:
+        StandIn(simulator, client, given.session).run(given.duration, show)
+
+
+if __name__ == "__main__":
+    main()
