@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,11 +22,7 @@ LARGEST_GAP = 0.04
 _DECIMALS = 5
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Person:
     """What is measured of one person.
 
@@ -60,10 +55,7 @@ class Person:
     @property
     def hand_length(self) -> float:
         """Distance from wrist to middle fingertip along the bones [m]."""
-        middle = FINGERS.index("middle")
-        base = self.lengths.bases[middle]
-        bones = self.lengths.segments[middle]
-        return math.sqrt(float(base @ base)) + float(bones.sum())
+        return self.lengths.hand_length
 
     def session_fields(self) -> dict[str, Any]:
         """Return the arguments of `Client.open` that describe the person to the service."""
@@ -121,31 +113,25 @@ def read_person(path: Path | str) -> Person:
     expect(is_path, "path", "the path of a file", value=path)
     file = Path(path)
     try:
-        found: Any = msgspec.convert(_read_yaml(file), _PERSON_FILE)
+        found: Any = msgspec.yaml.decode(file.read_bytes(), type=_PERSON_FILE)
+        fingers = [getattr(found.fingers, name) for name in FINGERS]
+        bases, bones, rolls = (
+            np.array([getattr(finger, key) for finger in fingers])
+            for key in _FingerFile.__struct_fields__
+        )
+        return Person(found.name, HumanLengths(bases, bones, rolls), found.contact_gap)
+    except InvalidInputError as error:
+        key = _KEYS.get(error.argument, error.argument)
+        raise _unreadable(file, key, error.what) from error
     except msgspec.ValidationError as error:
         # msgspec names the place in its message only.
         message, _, place = str(error).partition(" - at `$")
         key = place.rstrip("`").lstrip(".") or "person"
         raise _unreadable(file, key, message) from error
-    fingers = [getattr(found.fingers, name) for name in FINGERS]
-    rows = [(finger.base, finger.bones, finger.roll) for finger in fingers]
-    try:
-        lengths = HumanLengths(*map(np.array, zip(*rows, strict=True)))
-        return Person(found.name, lengths, found.contact_gap)
-    except InvalidInputError as error:
-        key = _KEYS.get(error.argument, error.argument)
-        raise _unreadable(file, key, error.what) from error
-
-
-def _read_yaml(file: Path) -> object:
-    try:
-        return yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        # ValueError: not UTF-8, or an impossible date.
+    # ValueError and TypeError: also those of yaml and msgspec.
+    except (OSError, ValueError, TypeError, RecursionError) as error:
         problem = f"cannot be read: {without_errno(error)}"
         raise _unreadable(file, "person", problem) from error
-    except (yaml.YAMLError, RecursionError) as error:
-        raise _unreadable(file, "person", f"is not valid YAML: {error}") from error
 
 
 _KEYS = {
@@ -186,14 +172,6 @@ def _row(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:.{_DECIMALS}f}" for value in values) + "]"
 
 
-def _unreadable(
-    file: Path,
-    key: str,
-    problem: Any,
-) -> InvalidInputError:
-    text = " ".join(str(problem).split())
-    return InvalidInputError(
-        argument=key,
-        problem=f"{file}: {text}",
-        value=str(file),
-    )
+def _unreadable(file: Path, key: str, problem: str) -> InvalidInputError:
+    text = " ".join(problem.split())
+    return InvalidInputError(argument=key, problem=f"{file}: {text}", value=str(file))

@@ -18,13 +18,10 @@ from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.se3 import as_floats, check_poses, frozen
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+_COLUMNS = ("time", "landmarks", "valid", "wrist", "confidence")
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class Recording:
     """Landmarks of one human hand over time; its arrays are read-only copies.
 
@@ -78,21 +75,18 @@ class Recording:
             shares = confidence = as_floats(confidence, "confidence", shape=(count,))
             is_right = ~valid | ((shares >= 0.0) & (shares <= 1.0))
             _expect_each(is_right, "confidence", "numbers from 0 to 1", shares)
-        _set_read_only(
-            self,
-            time=time,
-            landmarks=landmarks,
-            valid=valid,
-            wrist=wrist,
-            confidence=confidence,
-        )
+        columns = (time, landmarks, valid, wrist, confidence)
+        for name, array in zip(_COLUMNS, columns, strict=True):
+            copy = None if array is None else frozen(array.copy())
+            object.__setattr__(self, name, copy)
 
     def __len__(self) -> int:
         """Number of samples."""
         return len(self.time)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt(self)
+        # Through the constructor, because pickling drops the read-only flag of arrays.
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))
 
     def part(self, samples: slice | np.ndarray) -> Recording:
         """Return some of the samples.
@@ -104,7 +98,7 @@ class Recording:
             InvalidInputError: If no valid sample is left, or time does not increase.
         """
         columns = {}
-        for name in ("time", "landmarks", "valid", "wrist", "confidence"):
+        for name in _COLUMNS:
             values = getattr(self, name)
             columns[name] = None if values is None else values[samples]
         return replace(self, **columns)
@@ -119,13 +113,9 @@ class Recording:
         return np.concatenate([[np.median(steps) if len(steps) else 1.0 / 60.0], steps])
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class HumanMotion:
-    """A recording as joint angles; its arrays are read-only copies.
+    """A recording as joint angles.
 
     Attributes:
         human: The human hand, scaled to the person, its reference points the 21 landmarks.
@@ -137,9 +127,6 @@ class HumanMotion:
             before the first fitted one hold that one.
         fit_error: Distance between the model's landmarks and the measured ones [m], shape (T, 21);
             NaN where not valid.
-
-    Raises:
-        InvalidInputError: If the arrays are not as long as each other, or hold something else.
     """
 
     human: Hand
@@ -149,25 +136,6 @@ class HumanMotion:
     wrist: np.ndarray
     valid: np.ndarray
     fit_error: np.ndarray
-
-    def __post_init__(self) -> None:
-        """Check the arrays, and replace them by read-only copies."""
-        expect(isinstance(self.human, Hand), "human", "a Hand", value=self.human)
-        time = as_floats(self.time, "time", shape=("T",), is_finite=True)
-        count = len(time)
-        joints = len(self.human.joint_names)
-        _set_read_only(
-            self,
-            time=time,
-            dt=as_floats(self.dt, "dt", shape=(count,), is_finite=True),
-            q=as_floats(self.q, "q", shape=(count, joints), is_finite=True),
-            wrist=as_floats(self.wrist, "wrist", shape=(count, 4, 4), is_finite=True),
-            valid=as_flags(self.valid, "valid", count),
-            fit_error=as_floats(self.fit_error, "fit_error", shape=(count, "m")),
-        )
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _rebuilt(self)
 
 
 def mirrored(recording: Recording) -> Recording:
@@ -234,15 +202,3 @@ def _expect_each(
     sample = int(np.argmin(is_right))
     text = got.format(values[sample], sample)
     expect(is_right[sample], argument, expected, value=values, got=text)
-
-
-def _set_read_only(value: object, **arrays: np.ndarray | None) -> None:
-    """Set fields of a frozen dataclass to write-protected copies."""
-    for name, array in arrays.items():
-        copy = None if array is None else frozen(array.copy())
-        object.__setattr__(value, name, copy)
-
-
-def _rebuilt(value: Recording | HumanMotion) -> tuple[Any, ...]:
-    """Pickle through the constructor, because pickling drops the read-only flag of arrays."""
-    return type(value), tuple(getattr(value, field.name) for field in fields(value))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.se3 import as_floats, check_pose, frozen
 
@@ -25,11 +25,7 @@ LANDMARK_NAMES: tuple[str, ...] = (
 """Their names, in their order; the set `landmarks` of the human hand has the same ones."""
 
 
-@dataclass(
-    frozen=True,
-    slots=True,
-    eq=False,
-)
+@dataclass(frozen=True, slots=True, eq=False)
 class HumanSample:
     """A human hand at one instant; its arrays are read-only copies.
 
@@ -61,10 +57,9 @@ class HumanSample:
 
     def __post_init__(self) -> None:
         """Check the values, and replace arrays by read-only copies."""
-        numbers = int | float | np.number
-        if not isinstance(self.time, numbers) or not math.isfinite(self.time):
-            expected = "a finite instant"
-            raise InvalidInputError(argument="time", expected=expected, value=self.time)
+        is_number = isinstance(self.time, int | float | np.number)
+        is_finite = is_number and math.isfinite(self.time)
+        expect(is_finite, "time", "a finite instant", value=self.time)
         check_side(self.side)
         landmarks = as_floats(
             self.landmarks,
@@ -77,10 +72,4 @@ class HumanSample:
             wrist = check_pose(self.wrist, "wrist").copy()
             object.__setattr__(self, "wrist", frozen(wrist))
         share = self.confidence
-        expected = "a number from 0 to 1"
-        if not 0.0 <= share <= 1.0:
-            raise InvalidInputError(
-                argument="confidence",
-                expected=expected,
-                value=share,
-            )
+        expect(0.0 <= share <= 1.0, "confidence", "a number from 0 to 1", value=share)

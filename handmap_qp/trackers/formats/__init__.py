@@ -6,7 +6,6 @@ of the group `handmap_qp.formats`.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -90,22 +89,21 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
         RecordingError: If it cannot be read, is of no known format, or has no such recording.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    text = _path_text(path)
-    file, name = Path(text), ""
-    if SEPARATOR in text and not file.exists():
-        head, _, name = text.rpartition(SEPARATOR)
-        file = Path(head)
+    expect(isinstance(path, str | Path), "path", "the path of a file", value=path)
+    file = Path(path)
+    name = ""
+    if not file.exists():
+        before, separator, after = str(path).rpartition(SEPARATOR)
+        if separator:
+            file, name = Path(before), after
     if str(file) == DEMO and not file.is_file():
         file = DEMO_FILE
     form = format_of(file)
     entries = form.entries(file)
     chosen = [entry for entry in entries if name in ("", entry.name)]
     if not chosen:
-        problem = (
-            f"has no recording {name!r}; {_listing(entries)}"
-            if name
-            else "has no recordings"
-        )
+        missing = f"has no recording {name!r}; {_listing(entries)}"
+        problem = missing if name else "has no recordings"
         raise RecordingError(problem, file=file)
     return tuple(Source(file, form, entry) for entry in chosen)
 
@@ -153,10 +151,9 @@ def read_recording(path: Path | str, side: Side | None = None) -> Recording:
         MissingExtraError: If the format needs a package that is not installed.
     """
     sources = list_sources(path)
-    if len(sources) > 1 and side is not None:
-        sources = (
-            tuple(source for source in sources if source.entry.side == side) or sources
-        )
+    if len(sources) > 1:
+        own = tuple(source for source in sources if source.entry.side == side)
+        sources = own or sources
     if len(sources) > 1:
         listing = _listing([source.entry for source in sources])
         problem = f"{listing}: name one of them after {SEPARATOR}"
@@ -179,19 +176,17 @@ def format_of(path: Path) -> RecordingFormat:
     """
     if not path.exists():
         raise RecordingError("cannot be read: No such file or directory", file=path)
+    is_folder = path.is_dir()
     suffix = path.suffix.lower()
-    candidates = [
-        form for form in FORMATS.values() if path.is_dir() or suffix in form.suffixes
-    ]
-    for form in candidates:
+    forms = [form for form in FORMATS.values() if is_folder or suffix in form.suffixes]
+    for form in forms:
         if form.recognises(path):
             return form
-    if path.is_dir():
+    problem = f"is not of the form {' or '.join(form.name for form in forms)}"
+    if is_folder:
         problem = "cannot be read: is a folder of no known form"
-    elif candidates:
-        problem = f"is not of the form {' or '.join(form.name for form in candidates)}"
-    else:
-        problem = f"has the unknown suffix {path.suffix!r}; known are {', '.join(known_suffixes())}"
+    elif not forms:
+        problem = f"has the unknown suffix {suffix!r}; known are {', '.join(known_suffixes())}"
     raise RecordingError(problem, file=path)
 
 
@@ -213,11 +208,7 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
         if path.suffix.lower() in (form.suffixes or ("",)):
             return form
     expected = f"a file that ends in one of {', '.join(known_suffixes())}"
-    raise InvalidInputError(
-        argument="OUT",
-        expected=expected,
-        value=str(path),
-    )
+    raise InvalidInputError(argument="OUT", expected=expected, value=str(path))
 
 
 def write_recordings(
@@ -239,17 +230,10 @@ def write_recordings(
         InvalidInputError: If the format cannot hold them together, or the file cannot be written.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    file = Path(_path_text(path))
+    file = Path(path)
     chosen = form or format_to_write(file)
     chosen.write(recordings, file)
     return chosen.losses(recordings)
-
-
-def _path_text(path: Path | str) -> str:
-    """Return a path as text, and reject something else than a path."""
-    text = os.fspath(path) if isinstance(path, str | os.PathLike) else None
-    expect(isinstance(text, str), "path", "the path of a file", value=path)
-    return str(text)
 
 
 def _listing(entries: Sequence[Entry]) -> str:
