@@ -65,7 +65,7 @@ class Recording:
         valid = as_flags(self.valid, "valid", count)
         check_side(self.side)
         expect(valid.any(), "valid", "at least one valid sample", got="none")
-        is_right = ~valid | np.isfinite(landmarks).all(axis=(1, 2))
+        is_right = ~valid | finite_samples(landmarks)
         finite = "finite numbers in every valid sample"
         _expect_each(is_right, "landmarks", finite, landmarks, "others in sample {1}")
         wrist, confidence = self.wrist, self.confidence
@@ -189,6 +189,11 @@ def as_flags(
     is_flag = np.isin(flags, (0.0, 1.0)).all()
     expect(is_flag, name, "truth values, or 0 and 1", value=values)
     return flags.astype(bool)
+
+
+def finite_samples(values: np.ndarray) -> np.ndarray:
+    """Tell of samples (T, ...) whether all their numbers are finite, shape (T,)."""
+    return np.asarray(np.isfinite(values).all(axis=tuple(range(1, values.ndim))))
 
 
 def _expect_each(

@@ -133,7 +133,7 @@ MISTAKES = {
     "no layout": (("--layout", "webxr"), "did you mean webxr25?"),
     "another layout": (
         ("--layout", "openxr26"),
-        "has the shape of manus25, visionpro25, webxr25",
+        "has the shape of --layout manus25 or visionpro25 or webxr25",
     ),
     "no landmarks": ((), "the shape of --layout manus25 or visionpro25 or webxr25"),
     "other side": (("--layout", "webxr25", "--side", "left"), "is of a right hand"),

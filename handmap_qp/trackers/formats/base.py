@@ -12,7 +12,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording, as_flags
+from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
 from handmap_qp.se3 import affine, as_floats, pose_from_xyz_quat
 
@@ -164,9 +164,10 @@ def reading(file: Path, prefix: str = "") -> Iterator[None]:
     try:
         yield
     except InvalidInputError as error:
-        name = "handedness" if error.argument == "side" else error.argument
         problem = f"{error.what}: {error.advice}" if error.advice else error.what
-        raise RecordingError(problem, file=file, array=prefix + name) from error
+        raise RecordingError(
+            problem, file=file, array=prefix + error.argument
+        ) from error
 
 
 def side_of(value: object, file: Path, array: str, line: int | None = None) -> Side:
@@ -248,11 +249,6 @@ def build_recording(
             poses,
             _if_known(confidence, "confidence"),
         )
-
-
-def finite_samples(points: np.ndarray) -> np.ndarray:
-    """Tell of samples (T, ...) whether all their numbers are finite, shape (T,)."""
-    return np.asarray(np.isfinite(points).all(axis=tuple(range(1, points.ndim))))
 
 
 def known_columns(*recordings: Recording) -> list[str]:

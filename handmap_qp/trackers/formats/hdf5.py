@@ -25,7 +25,7 @@ import numpy as np
 
 from handmap_qp.errors import RecordingError, expect, require
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording
+from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
 from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE, damages
 from handmap_qp.trackers.formats.base import (
@@ -35,7 +35,6 @@ from handmap_qp.trackers.formats.base import (
     RecordingFormat,
     build_recording,
     column,
-    finite_samples,
     known_columns,
     side_of,
 )

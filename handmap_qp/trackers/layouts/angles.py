@@ -29,8 +29,7 @@ from handmap_qp.trackers.layouts.base import (
 # that all its angles are smaller, so smaller ones are in radians.
 _LARGEST_ANGLE = 3.2  # rad
 _STRAIGHTEST = 3.2  # deg
-_WORDS = {"rad": "radians", "deg": "degrees"}
-_BACKWARDS = np.radians(-20.0)  # mean of the four middle joints; people reach about -10
+_BACKWARDS = 20.0  # deg, mean of the four middle joints; people reach about 10
 
 
 class AngleEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -89,7 +88,8 @@ class AngleLayout(Layout[AngleTable]):
                 advice=did_you_mean(entry.joint, HUMAN_JOINTS),
             )
             expect(entry.scale != 0.0, f"{entry.joint}.scale", "not 0", value=0.0)
-        expect(table.unit in _WORDS, "unit", "deg or rad", value=table.unit)
+        is_angle = table.unit in ("deg", "rad")
+        expect(is_angle, "unit", "deg or rad", value=table.unit)
         self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
         self._scales = np.array([entry.scale for entry in table.angles])
         self._offsets = np.array([entry.offset for entry in table.angles])
@@ -111,25 +111,6 @@ class AngleLayout(Layout[AngleTable]):
             rows.append(row)
         return rows
 
-    def postures(self, values: np.ndarray) -> np.ndarray:
-        """Turn angles into those of the human model.
-
-        Args:
-            values: For T samples, shape (T, n).
-
-        Returns:
-            Joint angles in the order of `HUMAN_JOINTS` [rad], shape (T, 20); joints that the
-            tracker does not have are at 0.
-
-        Raises:
-            InvalidInputError: If they are in another unit, or fingers bend backwards.
-        """
-        q = np.zeros((len(values), len(HUMAN_JOINTS)))
-        angles = self._scales * values + self._offsets
-        q[:, self._joints] = UNITS[self.table.unit] * angles
-        self._check(values, q)
-        return q
-
     def hands(
         self,
         values: np.ndarray,
@@ -137,9 +118,15 @@ class AngleLayout(Layout[AngleTable]):
         wrists: np.ndarray | None = None,
         lengths: HumanLengths | None = None,
     ) -> Hands:
-        """Turn angles into landmarks by the human model; see `Layout.hands`."""
+        """Turn angles into landmarks by the human model; see `Layout.hands`.
+
+        Joints that the tracker does not have are at 0.
+        """
         human = sized_human(side, lengths)
-        postures = self.postures(values)
+        postures = np.zeros((len(values), len(HUMAN_JOINTS)))
+        angles = self._scales * values + self._offsets
+        postures[:, self._joints] = UNITS[self.table.unit] * angles
+        self._check(values, postures)
         postures = np.clip(postures, human.lower_limits, human.upper_limits)
         landmarks = np.array([human.points(q) for q in postures])
         if wrists is not None:
@@ -158,31 +145,26 @@ class AngleLayout(Layout[AngleTable]):
 
     def _check(self, values: np.ndarray, q: np.ndarray) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
-        largest = float(np.abs(values).max(initial=0.0))
         unit = self.table.unit
+        largest = float(np.abs(values).max(initial=0.0))
         if unit == "rad":
+            other = "degrees"
             is_other = largest > 2.0 * _LARGEST_ANGLE
             got = f"{largest:.4g}"
         else:
+            other = "radians"
             is_other = len(values) > 1 and 0.0 < largest < _STRAIGHTEST
             got = f"none above {largest:.3g}"
-        (other,) = set(_WORDS) - {unit}
-        expect(
-            not is_other,
-            "values",
-            f"angles in {_WORDS[unit]}",
-            got=got,
-            advice=f"these are {_WORDS[other]}: convert them, or set `unit: {other}` in a "
-            "table of your own",
-        )
+        convert = f"convert them, or set `unit: {other[:3]}` in a table of your own"
+        advice = f"these are {other}: {convert}"
+        expect(not is_other, "values", f"angles in {unit}", got=got, advice=advice)
         is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]
-        bends = q[:, is_middle].mean(axis=1)
-        sample = int(np.argmax(bends < _BACKWARDS)) if len(bends) else 0
-        back = -float(np.degrees(bends[sample]))
+        back = -np.degrees(q[:, is_middle].mean(axis=1))
+        sample = int(np.argmax(back))
         expect(
-            not bends[sample] < _BACKWARDS,
+            back[sample] <= _BACKWARDS,
             "values",
             "flexion with a positive sign",
-            got=f"middle joints bent backwards by {back:.0f} deg in sample {sample}",
+            got=f"middle joints bent backwards by {back[sample]:.0f} deg in sample {sample}",
             advice="turn the sign of the flexion angles",
         )

@@ -24,10 +24,10 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.landmarks import human_name
-from handmap_qp.human.recording import Recording
+from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.plugins import Plugins
-from handmap_qp.se3 import QuatOrder, affine, check_poses, pose_from_xyz_quat
+from handmap_qp.se3 import QuatOrder, affine, as_floats, check_poses, pose_from_xyz_quat
 from handmap_qp.trackers.wrist_axes import axes_convention
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
@@ -277,11 +277,7 @@ class Layout(abc.ABC, Generic[Table]):
         if isinstance(values, Mapping):
             values = self.from_columns(values, side)
         landmarks, wrists, seen = self._convert(
-            np.asarray(values)[None] if np.ndim(values) else values,
-            side,
-            None if wrist is None else np.asarray(wrist)[None],
-            np.array([valid]),
-            lengths,
+            [values], side, None if wrist is None else [wrist], [valid], lengths
         )
         pose = wrists[0] if wrists is not None else None
         return HumanSample(time, side, landmarks[0], pose, bool(seen[0]), confidence)
@@ -294,7 +290,7 @@ class Layout(abc.ABC, Generic[Table]):
         side: Side,
         *,
         wrists: npt.ArrayLike | None = None,
-        valid: np.ndarray | None = None,
+        valid: Any = None,
         lengths: HumanLengths | None = None,
     ) -> Recording:
         """Turn the samples of a file into a recording.
@@ -322,16 +318,16 @@ class Layout(abc.ABC, Generic[Table]):
         values: Any,
         side: Side,
         wrists: Any,
-        valid: np.ndarray | None,
+        valid: Any,
         lengths: HumanLengths | None,
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
         """Return landmarks, wrist poses if there are any, and which samples are seen."""
         check_side(side)
         array = self._checked(values)
         count = len(array)
-        seen = np.asarray(np.isfinite(array.reshape(count, -1)).all(axis=1))
+        seen = finite_samples(array)
         if valid is not None:
-            seen = np.logical_and(seen, valid)
+            seen &= as_flags(valid, "valid", count)
         beside = None
         if wrists is not None:
             beside = self._wrists_beside(np.asarray(wrists), side, seen)
@@ -400,14 +396,7 @@ class Layout(abc.ABC, Generic[Table]):
 
     def _checked(self, values: npt.ArrayLike) -> np.ndarray:
         """Return samples as floats in one of the shapes of this layout."""
-        try:
-            array = np.asarray(values, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InvalidInputError(
-                argument="values",
-                expected="numbers",
-                value=values,
-            ) from error
+        array = as_floats(values, "values")
         shape = array.shape[1:]
         own = self.own_shape(shape)
         if own is not None:
@@ -465,10 +454,9 @@ def sized_human(
     points: Points = "landmarks",
 ) -> Hand:
     """Return the human hand of a person, or a typical one, its points the landmarks."""
+    size = TYPICAL_LENGTH if lengths is None else None
     name = human_name(side)
-    if lengths is None:
-        return load_hand(name, points=points, hand_length=TYPICAL_LENGTH)
-    return load_hand(name, points=points, lengths=lengths)
+    return load_hand(name, points=points, lengths=lengths, hand_length=size)
 
 
 def _direction(axis: Axis) -> np.ndarray:

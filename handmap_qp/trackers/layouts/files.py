@@ -5,16 +5,16 @@ Files in the package's own forms need no layout; `handmap_qp.trackers.formats` r
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording, as_flags
+from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.formats.base import SIDES, reading, side_of
@@ -60,44 +60,36 @@ def read_with_layout(
     """
     file = Path(path)
     suffix = file.suffix.lower()
-    if suffix not in (".npz", ".csv"):
-        problem = (
-            f"has the suffix {file.suffix!r}; with a layout, .npz and .csv are read"
-        )
-        raise RecordingError(problem, file=file)
-    arrays = (
-        read_archive(file) if suffix == ".npz" else _read_columns(file, layout, side)
-    )
-    said = arrays.get("handedness")
-    found = None if said is None else side_of(said, file, "handedness")
-    hand = side or found
-    if hand is None:
-        raise RecordingError("does not say which hand it is of: give --side", file=file)
-    if found not in (None, hand):
-        raise RecordingError(f"is of a {found} hand, not of a {hand} one", file=file)
-    time = _time(file, arrays, layout)
-    name = _values_name(file, arrays, layout, side, len(time))
-    values = arrays[name].astype(float)
-    valid = arrays.get("valid")
     with reading(file):
+        is_known = suffix in (".npz", ".csv")
+        expect(is_known, "", "a .npz or .csv where a layout is named", got=suffix)
+        is_table = suffix == ".csv"
+        arrays = _read_columns(file, layout, side) if is_table else read_archive(file)
+        said = arrays.get("handedness")
+        found = None if said is None else side_of(said, file, "handedness")
+        hand = side or found
+        if hand is None:
+            raise InvalidInputError("does not say which hand it is of: give --side")
+        if found not in (None, hand):
+            raise InvalidInputError(f"is of a {found} hand, not of a {hand} one")
+        time = _time(arrays, layout)
+        values = arrays[_values_name(arrays, layout, side, len(time))]
         recording = layout.record(
             file.stem,
             time,
             values,
             hand,
-            valid=None if valid is None else as_flags(valid, "valid", len(time)),
-            wrists=_wrists_beside(arrays, layout, side, len(time)),
+            valid=arrays.get("valid"),
+            wrists=_wrists_beside(arrays, layout, side),
             lengths=lengths,
         )
-    finding = examine_recording(recording)
-    if finding is None:
-        return recording
-    names = [] if finding.kind in ("time", "wrist") else _better(recording, values)
-    advice = (
-        f"read them with --layout {' or '.join(names)}" if names else finding.advice
-    )
-    problem = f"as the layout {layout.name}, {finding.problem}: {advice}"
-    raise RecordingError(problem, file=file)
+        finding = examine_recording(recording)
+        if finding is None:
+            return recording
+        names = [] if finding.kind in ("time", "wrist") else _better(recording, values)
+        other = f"read them with --layout {' or '.join(names)}"
+        problem = f"as the layout {layout.name}, {finding.problem}"
+        raise InvalidInputError(problem, advice=other if names else finding.advice)
 
 
 def layout_hint(path: Path) -> str:
@@ -115,21 +107,17 @@ def layout_hint(path: Path) -> str:
         arrays = read_archive(path)
     except RecordingError:
         return ""
-    return _shaped_like(arrays, "--layout ", " or ")
+    return _shaped_like(arrays)
 
 
-def _shaped_like(
-    arrays: Mapping[str, np.ndarray],
-    option: str = "",
-    between: str = ", ",
-) -> str:
+def _shaped_like(arrays: Mapping[str, np.ndarray]) -> str:
     """Say which layouts have the shape of an array that is not plain landmarks."""
     for name, array in arrays.items():
         shape = array.shape[1:]
         is_plain = shape in ((), (LANDMARK_COUNT, 3))
-        names = between.join([] if is_plain else layouts_of_shape(shape))
+        names = " or ".join([] if is_plain else layouts_of_shape(shape))
         if names:
-            return f"{name} {array.shape} has the shape of {option}{names}"
+            return f"{name} {array.shape} has the shape of --layout {names}"
     return ""
 
 
@@ -145,46 +133,32 @@ def _better(recording: Recording, values: np.ndarray) -> list[str]:
 
 
 def _values_name(
-    file: Path,
-    arrays: Mapping[str, np.ndarray],
-    layout: Layout,
-    side: Side | None,
-    count: int,
+    arrays: Mapping[str, np.ndarray], layout: Layout, side: Side | None, count: int
 ) -> str:
     """Return the name of the array whose rows are samples of the layout."""
-    long = {name: a for name, a in arrays.items() if a.shape[:1] == (count,)}
-    known = (*layout.table.arrays, layout.name, *_VALUES)
-
-    def takes(name: str) -> bool:
-        array = long[name]
-        return array.dtype.kind in "fiu" and bool(layout.own_shape(array.shape[1:]))
-
-    def is_of_side(name: str) -> bool:
-        return name.startswith(side or "")
-
-    chosen = list(filter(takes, long))
-    for is_better in (known.__contains__, is_of_side):
-        chosen = list(filter(is_better, chosen)) or chosen
+    fitting = [
+        name
+        for name, array in arrays.items()
+        if array.shape[:1] == (count,)
+        and array.dtype.kind in "fiu"
+        and layout.own_shape(array.shape[1:])
+    ]
+    usual = (*layout.table.arrays, layout.name, *_VALUES)
+    known = [name for name in fitting if name in usual] or fitting
+    chosen = [name for name in known if name.startswith(side or "")] or known
     if len(chosen) == 1:
         return chosen[0]
     shapes = [", ".join(map(str, (count, *shape))) for shape in layout.shapes]
-    how, hint = "more than one", ""
-    if not chosen:
-        how, hint = "no", _shaped_like(long)
+    how = "more than one" if chosen else "no"
     problem = f"has {how} array of shape ({') or ('.join(shapes)})"
-    raise RecordingError(f"{problem}; {hint or _listing(arrays)}", file=file)
-
-
-def _listing(arrays: Mapping[str, np.ndarray]) -> str:
     have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
-    return f"it has {', '.join(have)}"
+    hint = "" if chosen else _shaped_like(arrays)
+    hint = hint or f"it has {', '.join(have)}"
+    raise InvalidInputError(f"{problem}; {hint}")
 
 
 def _wrists_beside(
-    arrays: Mapping[str, np.ndarray],
-    layout: Layout,
-    side: Side | None,
-    count: int,
+    arrays: Mapping[str, np.ndarray], layout: Layout, side: Side | None
 ) -> np.ndarray | None:
     """Return wrist poses beside the values, where the layout takes them."""
     if layout.wrist_table is None or layout.has_wrist:
@@ -193,27 +167,20 @@ def _wrists_beside(
     names = [name for name in _WRISTS if name in arrays and not name.startswith(other)]
     if not names:
         return None
-    given = arrays[names[0]].astype(float)
-    return given.reshape(count, *given.shape[-2:]) if given.ndim > 2 else given
+    given = arrays[names[0]]
+    return given.reshape(-1, *given.shape[-2:]) if given.ndim > 2 else given
 
 
 def _read_columns(
-    file: Path,
-    layout: Layout,
-    side: Side | None,
+    file: Path, layout: Layout, side: Side | None
 ) -> dict[str, np.ndarray]:
     """Return the columns of a CSV file by the names that an `.npz` file has for them."""
     with opened_table(file) as (header, rows):
         named = [hand for hand in SIDES if hand in " ".join(header).lower()]
         hand = side or (named[0] if len(named) == 1 else None)
-        try:
-            wanted = layout.find_columns(tuple(header), hand or "right").values()
-        except InvalidInputError as error:
-            problem = f"{error.what}; it has {', '.join(header)}"
-            raise RecordingError(problem, file=file) from error
-        times = _times_of(header, layout)
-        names = [*times, *wanted]
-        places = {name: header[name] for name in names}
+        own = layout.find_columns(tuple(header), hand or "right").values()
+        times = [name for name in _time_units(layout) if name in header][:1]
+        places = {name: header[name] for name in (*times, *own)}
         columns = dict(zip(places, numbers(file, rows, places).T, strict=True))
     arrays = {name: columns[name] for name in times}
     arrays["values"] = layout.from_columns(columns, hand or "right")
@@ -222,25 +189,17 @@ def _read_columns(
     return arrays
 
 
-def _times_of(names: Iterable[str], layout: Layout) -> dict[str, float]:
-    """Return the first name of a time among names, with its unit [s]; nothing if there is none."""
-    units = _TIMES | layout.table.time
-    known = set(names)
-    found = [name for name in (*layout.table.time, *_TIMES) if name in known]
-    return {name: units[name] for name in found[:1]}
+def _time_units(layout: Layout) -> dict[str, float]:
+    """Return the names that a time may have, the likeliest first, with their units [s]."""
+    own = layout.table.time
+    return {name: own.get(name) or _TIMES[name] for name in (*own, *_TIMES)}
 
 
-def _time(
-    file: Path,
-    arrays: Mapping[str, np.ndarray],
-    layout: Layout,
-) -> np.ndarray:
-    for name, unit in _times_of(arrays, layout).items():
-        values = np.asarray(arrays[name])
+def _time(arrays: Mapping[str, np.ndarray], layout: Layout) -> np.ndarray:
+    units = _time_units(layout)
+    for name, unit in units.items():
+        values = arrays.get(name, np.array(0.0))
         if values.ndim == 1 and values.dtype.kind in "fiu":
             # Nanoseconds since 1970 need more digits than a float has.
             return (values - values[:1]).astype(float) * unit
-    expected = ", ".join(dict.fromkeys((*layout.table.time, *_TIMES)))
-    raise RecordingError(
-        f"has no time; expected one of {expected}", file=file, array="time"
-    )
+    raise InvalidInputError(f"has no time; expected one of {', '.join(units)}")

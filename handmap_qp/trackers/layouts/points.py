@@ -90,12 +90,13 @@ class PointLayout(Layout[PointTable]):
 
     def __init__(self, table: PointTable) -> None:
         super().__init__(table)
-        self._indices: dict[Side, np.ndarray] = {
-            "right": _indices(table.landmarks, "landmarks", table.count),
-            "left": _indices(
-                table.left_landmarks or table.landmarks, "left_landmarks", table.count
-            ),
-        }
+        left = table.left_landmarks or table.landmarks
+        for key, given in (("landmarks", table.landmarks), ("left_landmarks", left)):
+            are_known = set(given) <= set(range(table.count))
+            are_right = are_known and len(given) == len(set(given)) == LANDMARK_COUNT
+            expected = f"{LANDMARK_COUNT} different indices below count, {table.count}"
+            expect(are_right, key, expected, value=given)
+        self._indices = {"right": np.array(table.landmarks), "left": np.array(left)}
         is_known = table.poses and set(table.poses) <= set(_FORMS)
         expect(is_known, "poses", "some of 3, 7 and 16", value=table.poses)
         joint = None if table.wrist is None else table.wrist.joint
@@ -203,18 +204,3 @@ class PointLayout(Layout[PointTable]):
         if self.table.quaternion == "xyzw":
             quat = np.roll(quat, -1)
         return np.hstack([joints, np.tile(quat, (len(joints), 1))])
-
-
-def _indices(
-    given: tuple[int, ...],
-    key: str,
-    count: int,
-) -> np.ndarray:
-    """Return the indices of our landmarks among `count` joints, which must all differ."""
-    indices = np.array(given, dtype=int)
-    is_right = len(indices) == len(set(given)) == LANDMARK_COUNT
-    expected = f"{LANDMARK_COUNT} different indices"
-    expect(is_right, key, expected, got=f"{len(indices)}")
-    is_right = indices.min() >= 0 and indices.max() < count
-    expect(is_right, "landmarks", f"indices below count, {count}", value=indices)
-    return indices
