@@ -16,9 +16,9 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.se3 import affine
-from handmap_qp.trackers.landmark_order import named_orders
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.tables import load_layout
+from handmap_qp.trackers.plausibility import named_orders
 from handmap_qp.trackers.wrist_axes import CONVENTIONS, palm_axes
 
 _RATE = 60.0

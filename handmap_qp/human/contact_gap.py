@@ -7,6 +7,7 @@ medians over 0.1 s first, which single outliers and noise hardly move.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -108,10 +109,14 @@ class ContactGapMeter:
         self.gap = gap
         self._recent: deque[tuple[float, np.ndarray]] = deque()
         self._touches: deque[float] = deque(maxlen=_TOUCHES[1])
-        self._least: float | None = None
+        self._least = math.inf
         self._is_due = False
 
-    def add(self, time: float, landmarks: np.ndarray) -> bool:
+    def add(
+        self,
+        time: float,
+        landmarks: np.ndarray,
+    ) -> bool:
         """Take one sample that the robot follows.
 
         Args:
@@ -122,18 +127,16 @@ class ContactGapMeter:
             Whether `gap` has changed.
         """
         self._recent.append((time, tip_gaps(landmarks)))
-        while time - self._recent[0][0] > _MEDIAN_TIME or time < self._recent[0][0]:
+        while not 0.0 <= time - self._recent[0][0] <= _MEDIAN_TIME:
             self._recent.popleft()
         if len(self._recent) < 3:
             return False
         smallest = float(np.median([gaps for _, gaps in self._recent], axis=0).min())
         if smallest < TOUCH_GAP:
-            self._least = (
-                smallest if self._least is None else min(self._least, smallest)
-            )
-        if self._least is not None and smallest > self._least + _RELEASE:
+            self._least = min(self._least, smallest)
+        if smallest > self._least + _RELEASE:
             self._touches.append(self._least)
-            self._least = None
+            self._least = math.inf
             self._is_due = True
         if not self._is_due or smallest < OPEN_GAP or len(self._touches) < _TOUCHES[0]:
             return False

@@ -71,7 +71,9 @@ class LandmarkFitter:
     """
 
     def __init__(
-        self, side: Side = "right", lengths: HumanLengths | None = None
+        self,
+        side: Side = "right",
+        lengths: HumanLengths | None = None,
     ) -> None:
         self.human = human = load_hand(
             human_name(side), points="landmarks", lengths=lengths
@@ -203,7 +205,9 @@ class LandmarkFitter:
         self._configuration.place_with_jacobians(self._vector)
 
     def _cost(
-        self, q: np.ndarray, targets: np.ndarray
+        self,
+        q: np.ndarray,
+        targets: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return weighted errors, shape (5, 9), and costs, shape (5,); places the hand there."""
         self._place(q)
@@ -284,7 +288,12 @@ def fit_recording(
     valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])
     expected = "a hand that keeps its size"
     got = "no sample as large as the median of all"
-    expect(valid.any(), "landmarks", expected, got=got)
+    expect(
+        valid.any(),
+        "landmarks",
+        expected,
+        got=got,
+    )
     count = len(recording)
     first = int(np.argmax(valid))
     q = np.empty((count, _SHAPE[0] * _SHAPE[1]))

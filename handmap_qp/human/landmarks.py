@@ -63,7 +63,11 @@ class PalmShape:
         if array.shape[-2:] != (LANDMARK_COUNT, 3):
             expected = f"shape (..., {LANDMARK_COUNT}, 3)"
             got = f"shape {array.shape}"
-            raise InvalidInputError(argument="landmarks", expected=expected, got=got)
+            raise InvalidInputError(
+                argument="landmarks",
+                expected=expected,
+                got=got,
+            )
         ratios = palm_sizes(array[..., PALM, :]) / self._size
         return np.asarray((ratios >= _PALM_RATIOS[0]) & (ratios <= _PALM_RATIOS[1]))
 

@@ -36,7 +36,12 @@ def measure_hand(recording: Recording) -> HumanLengths:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
     is_recording = isinstance(recording, Recording)
-    expect(is_recording, "recording", "a Recording", value=recording)
+    expect(
+        is_recording,
+        "recording",
+        "a Recording",
+        value=recording,
+    )
     return _measured_hand(recording)
 
 

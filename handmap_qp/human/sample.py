@@ -59,7 +59,12 @@ class HumanSample:
         """Check the values, and replace arrays by read-only copies."""
         is_number = isinstance(self.time, int | float | np.number)
         is_finite = is_number and math.isfinite(self.time)
-        expect(is_finite, "time", "a finite instant", value=self.time)
+        expect(
+            is_finite,
+            "time",
+            "a finite instant",
+            value=self.time,
+        )
         check_side(self.side)
         landmarks = as_floats(
             self.landmarks,
@@ -72,4 +77,9 @@ class HumanSample:
             wrist = check_pose(self.wrist, "wrist").copy()
             object.__setattr__(self, "wrist", frozen(wrist))
         share = self.confidence
-        expect(0.0 <= share <= 1.0, "confidence", "a number from 0 to 1", value=share)
+        expect(
+            0.0 <= share <= 1.0,
+            "confidence",
+            "a number from 0 to 1",
+            value=share,
+        )

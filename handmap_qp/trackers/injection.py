@@ -58,30 +58,50 @@ def _about(sample: HumanSample, linear: np.ndarray) -> np.ndarray:
     return affine(linear, wrist - linear @ wrist)
 
 
-def _flip(sample: HumanSample, size: float, onset: Onset) -> HumanSample:
+def _flip(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> HumanSample:
     axis = sample.landmarks[9] - sample.landmarks[0]
     turn = 2.0 * np.outer(axis, axis) / (axis @ axis) - np.eye(3)
     return _moved(sample, _about(sample, turn))
 
 
-def _mirror(sample: HumanSample, size: float, onset: Onset) -> HumanSample:
+def _mirror(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> HumanSample:
     normal = palm_axes(sample.landmarks[None], 1.0)[0, :, 2]
     motion = _about(sample, np.eye(3) - 2.0 * np.outer(normal, normal))
     return replace(sample, landmarks=transform_points(motion, sample.landmarks))
 
 
-def _zero(sample: HumanSample, size: float, onset: Onset) -> HumanSample:
+def _zero(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> HumanSample:
     wrist = None if sample.wrist is None else np.eye(4)
     return replace(sample, landmarks=np.zeros((LANDMARK_COUNT, 3)), wrist=wrist)
 
 
-def _outlier(sample: HumanSample, size: float, onset: Onset) -> HumanSample:
+def _outlier(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> HumanSample:
     landmarks = sample.landmarks.copy()
     landmarks[onset.landmark] += size * onset.direction
     return replace(sample, landmarks=landmarks)
 
 
-def _noise(sample: HumanSample, size: float, onset: Onset) -> HumanSample:
+def _noise(
+    sample: HumanSample,
+    size: float,
+    onset: Onset,
+) -> HumanSample:
     noise = onset.random.normal(scale=abs(size), size=(LANDMARK_COUNT, 3))
     return replace(sample, landmarks=sample.landmarks + noise)
 
@@ -195,10 +215,19 @@ class Fault:
     def __post_init__(self) -> None:
         """Check the numbers, and fill in the usual ones."""
         names = f"one of {', '.join(FAULT_KINDS)}"
-        expect(self.name in FAULT_KINDS, "fault", names, value=self.name)
+        expect(
+            self.name in FAULT_KINDS,
+            "fault",
+            names,
+            value=self.name,
+        )
         kind = FAULT_KINDS[self.name]
         has_size = kind.unit or self.size is None
-        expect(has_size, f"{self.name} size", "none: this fault has no size")
+        expect(
+            has_size,
+            f"{self.name} size",
+            "none: this fault has no size",
+        )
         duration = kind.duration if self.duration is None else self.duration
         size = kind.size if self.size is None else self.size
         for name, value, is_right, expected in (
@@ -206,7 +235,12 @@ class Fault:
             ("duration", duration, duration > 0.0, "more than 0 s"),
             ("size", size, abs(size) <= _MOST_SIZE, f"a finite number of {kind.unit}"),
         ):
-            expect(is_right, f"{self.name} {name}", expected, value=value)
+            expect(
+                is_right,
+                f"{self.name} {name}",
+                expected,
+                value=value,
+            )
         object.__setattr__(self, "duration", duration)
         object.__setattr__(self, "size", size)
 
@@ -245,7 +279,9 @@ def _parse_fault(text: str) -> Fault:
     except ValueError as error:
         expected = "NAME@START[+DURATION][:SIZE], such as dropout@2+0.5 or jump@4+1:0.3"
         raise InvalidInputError(
-            argument="faults", expected=expected, value=text
+            argument="faults",
+            expected=expected,
+            value=text,
         ) from error
 
 
@@ -276,15 +312,26 @@ def inject(
             if fault.start <= sample.time - start < fault.end:
                 if number not in onsets:
                     onsets[number] = _onset(before or sample, seed, number)
-                kind = FAULT_KINDS[fault.name]
-                size = fault.size or 0.0
-                sent = [kind.change(each, size, onsets[number]) for each in sent]
-                sent *= kind.copies
+                sent = _altered(sent, fault, onsets[number])
         before = next((each for each in reversed(sent) if each.valid), before)
         yield from sent
 
 
-def _onset(before: HumanSample, seed: int, number: int) -> Onset:
+def _altered(
+    sent: list[HumanSample],
+    fault: Fault,
+    onset: Onset,
+) -> list[HumanSample]:
+    kind = FAULT_KINDS[fault.name]
+    changed = [kind.change(sample, fault.size or 0.0, onset) for sample in sent]
+    return changed * kind.copies
+
+
+def _onset(
+    before: HumanSample,
+    seed: int,
+    number: int,
+) -> Onset:
     random = np.random.default_rng((seed, number))
     direction = random.normal(size=3)
     direction /= np.linalg.norm(direction)

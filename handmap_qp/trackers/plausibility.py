@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from functools import cache
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +22,14 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.human.landmarks import HAND_LENGTHS
 from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.human.verdict import Finding
 from handmap_qp.trackers.hand_geometry import (
+    Distances,
     carried_fingers,
+    distances_in_orders,
     log_size,
     median,
     misfit,
@@ -31,8 +37,7 @@ from handmap_qp.trackers.hand_geometry import (
     palmar_evidence,
     stuck_fingers,
 )
-from handmap_qp.trackers.landmark_order import find_order, prepare
-from handmap_qp.trackers.units import find_length_unit, find_time_unit
+from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import WristCheck
 
 
@@ -71,13 +76,17 @@ class InputCheck:
     Args:
         side: The hand that the samples are said to be of.
 
+    Attributes:
+        finding: What is wrong with the input; None if it is plausible, or if too little was seen.
+
     Raises:
         InvalidInputError: If the side is neither `right` nor `left`.
     """
 
     def __init__(self, side: Side) -> None:
         check_side(side)
-        prepare()
+        # Now, so that the first batch of a session does not wait.
+        _known_orders()
         self.side: Side = side
         self._sign = 1.0 if side == "right" else -1.0
         self.reset()
@@ -89,16 +98,11 @@ class InputCheck:
         self._guess: Finding | None = None
         self._batches = 0
         self._calm = 0
-        self._finding: Finding | None = None
+        self.finding: Finding | None = None
         self._wrist = WristCheck(self._sign)
         self._misfit = np.nan
         self._sizes: list[float] = []
         self._past: deque[np.ndarray] = deque(maxlen=_CARRIED_BATCHES)
-
-    @property
-    def finding(self) -> Finding | None:
-        """What is wrong with the input; None if it is plausible, or if too little was seen."""
-        return self._finding
 
     @property
     def is_wrist_proven(self) -> bool:
@@ -124,7 +128,7 @@ class InputCheck:
         self._batch.append((time, landmarks, wrist))
         if self._is_complete():
             self._judge()
-        return self._finding
+        return self.finding
 
     def alert(self) -> None:
         """Judge the next samples by themselves and soon: something has changed."""
@@ -133,7 +137,7 @@ class InputCheck:
 
     def _is_complete(self) -> bool:
         """Tell whether a batch is complete."""
-        if self._calm < 0 or self._finding is not None:
+        if self._calm < 0 or self.finding is not None:
             size = _ALERT
         else:
             has_wrists = all(wrist is not None for _, _, wrist in self._batch)
@@ -153,7 +157,7 @@ class InputCheck:
         if self._batch and (len(self._batch) >= _NEW.least or not self._batches):
             self._judge()
         self._batch.clear()
-        return self._guess if self._batches == 1 else self._finding
+        return self._guess if self._batches == 1 else self.finding
 
     def _judge(self) -> None:
         """Examine the collected samples, and change the finding if two batches agree."""
@@ -167,7 +171,7 @@ class InputCheck:
         # Trackers send the same point 21 times where they lost the hand: that is no mistake of
         # units or order, and has rules of its own.
         is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
-        guess = find_time_unit(np.array([*before, *times]))
+        guess = _find_time_unit(np.array([*before, *times]))
         if guess is None and is_hand.any():
             wrists = np.array(poses)[is_hand, :3] if has_wrists else None
             guess = self._examine(landmarks[is_hand], wrists)
@@ -175,11 +179,13 @@ class InputCheck:
         is_same = (guess is None) == (self._guess is None) and self._batches > 1
         self._calm = self._calm + 1 if is_same or self._calm < 0 else 0
         if is_same:
-            self._finding = guess
+            self.finding = guess
         self._guess = guess
 
     def _examine(
-        self, landmarks: np.ndarray, wrists: np.ndarray | None
+        self,
+        landmarks: np.ndarray,
+        wrists: np.ndarray | None,
     ) -> Finding | None:
         """Return what is wrong in one batch."""
         distances = own_distances(landmarks)
@@ -188,9 +194,9 @@ class InputCheck:
         total = median(self._sign * evidence.total)
         fingers = median(self._sign * evidence.fingers)
         is_known = own < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
-        order = None if is_known else find_order(landmarks, self._sign, total)
+        order = None if is_known else _find_order(landmarks, self._sign, total)
         finding = (
-            find_length_unit(landmarks, distances, is_hand=order is None)
+            _find_length_unit(landmarks, distances, is_hand=order is None)
             or _other_order(order)
             or self._wrong_side(total, fingers, landmarks, wrists)
         )
@@ -225,7 +231,11 @@ class InputCheck:
         finger = FINGERS[is_stuck.argmax()]
         problem = f"the {finger} finger repeats exactly while the others do not"
         advice = "check the tracker's sensor or model of that finger"
-        return Finding("frozen", problem, advice)
+        return Finding(
+            "frozen",
+            problem,
+            advice,
+        )
 
     def _resized(self, size: float) -> Finding | None:
         """Compare the logarithm of the hand's size with that of the first batches."""
@@ -236,9 +246,17 @@ class InputCheck:
             return None
         problem = f"the hand is {ratio:.3g} times as large as it was at first"
         advice = "measure the person again, and open a session for each person"
-        return Finding("size", problem, advice)
+        return Finding(
+            "size",
+            problem,
+            advice,
+        )
 
-    def _other_side(self, landmarks: np.ndarray, wrists: np.ndarray | None) -> Finding:
+    def _other_side(
+        self,
+        landmarks: np.ndarray,
+        wrists: np.ndarray | None,
+    ) -> Finding:
         """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
         other = "left" if self.side == "right" else "right"
         say = f"say that the hand is the {other} one"
@@ -253,7 +271,11 @@ class InputCheck:
             what = f"a mirrored {self.side} hand; the wrist's pose is not"
             advice = negate
         problem = f"the landmarks are said to be of a {self.side} hand, and are those of {what}"
-        return Finding("side", problem, advice)
+        return Finding(
+            "side",
+            problem,
+            advice,
+        )
 
 
 def _other_order(name: str | None) -> Finding | None:
@@ -262,10 +284,12 @@ def _other_order(name: str | None) -> Finding | None:
     found = (
         f"their order is {name}" if name else "they are no hand in any order known here"
     )
+    right = "the order wrist, thumb, ..., little finger"
+    advice = "name the layout of the data (handmap layouts), or reorder them"
     return Finding(
         "order",
-        f"the landmarks are not in the order wrist, thumb, ..., little finger; {found}",
-        "name the layout of the data (handmap layouts), or reorder them",
+        f"the landmarks are not in {right}; {found}",
+        advice,
     )
 
 
@@ -318,3 +342,181 @@ def examine_recording(recording: Recording) -> Finding | None:
                 return finding
     last = check.finish()
     return last if times[indices[-1]] - times[indices[0]] <= 1.0 else None
+
+
+# A misfit that no hand has (`hand_geometry.misfit`): at most 1.2 in recordings.
+_NO_HAND = 1.45
+# An order must fit better than ours by this much. Real recordings fit no other order better.
+_BETTER_BY = 0.12
+# Evidence of `palmar_evidence`, from -5 to 5, that the order or the side cannot be right.
+_CONTRADICTION = 0.6
+
+
+def _find_order(
+    landmarks: np.ndarray,
+    sign: float,
+    own_evidence: float,
+) -> str | None:
+    """Look for another order that explains landmarks much better than ours.
+
+    Args:
+        landmarks: Some samples, as they came, shape (T, 21, 3).
+        sign: 1 for a right hand, -1 for a left one.
+        own_evidence: How well the palmar side fits in our order, from -5 to 5.
+
+    Returns:
+        Name of the order that explains them, in words, empty if none does; None if our order is
+        plausible and none is much better.
+    """
+    names, orders = _known_orders()
+    distances = distances_in_orders(landmarks, orders)
+    misfits = misfit(distances)
+    own = float(misfits[0])
+    # The other hand is an explanation too, so an order of fingers must beat it only where our own
+    # order contradicts the side.
+    needed = own - _BETTER_BY if own_evidence > -_CONTRADICTION else own
+    better = np.argsort(misfits)
+    for k in better[misfits[better] < needed]:
+        total = palmar_evidence(landmarks[:, orders[k]]).total
+        if sign * float(np.median(total)) > min(-_CONTRADICTION, own_evidence):
+            return names[k] if misfits[k] < _NO_HAND else ""
+    shape = Distances(distances.medians[0], np.zeros(len(distances.medians[0])))
+    if misfit(shape) <= _NO_HAND:
+        return None
+    best = int(misfits.argmin())
+    is_hand = misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY)
+    return names[best] if is_hand else ""
+
+
+@cache
+def named_orders() -> dict[str, np.ndarray]:
+    """Return the orders of all layouts with 21 joints, but for our own.
+
+    Returns:
+        By name of the layout, the index at which each of our landmarks is found, shape (21,).
+    """
+    found = {}
+    for name, layout in LAYOUTS.items():
+        order = layout.order("right") if layout.shapes[0][0] == LANDMARK_COUNT else None
+        if order is not None and (order != np.arange(LANDMARK_COUNT)).any():
+            found[name] = order
+    return found
+
+
+@cache
+def _known_orders() -> tuple[list[str], np.ndarray]:
+    """Return names and indices of our own order, of the named ones, and of all finger orders."""
+    own = np.arange(LANDMARK_COUNT)
+    known = {"": own}
+    known |= {f"that of the layout {n}": order for n, order in named_orders().items()}
+    known["one with the wrist last"] = np.roll(own, 1)
+    # The first one is our own.
+    for fingers in list(permutations(range(len(FINGERS))))[1:]:
+        # Finger `fingers[k]` was found at the place of finger k.
+        places = own[1:].reshape(-1, 4)[np.argsort(fingers)]
+        name = "one with the fingers " + ", ".join(FINGERS[i] for i in fingers)
+        known[name] = np.concatenate([[0], places.ravel()])
+    return list(known), np.array(list(known.values()))
+
+
+_STEPS = (4e-4, 0.5)
+"""Shortest and longest median time between samples [s]: from 2500 Hz to 2 Hz."""
+_TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_LENGTH_UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}
+_PIXELS = 30.0  # a hand that is longer in any unit
+
+
+def _find_time_unit(times: np.ndarray) -> Finding | None:
+    """Tell whether instants are not in seconds.
+
+    Args:
+        times: Instants in the order of the samples [s], shape (T,).
+
+    Returns:
+        What is wrong; None if the median step is one of a tracker in seconds.
+    """
+    step = median(np.diff(times)) if len(times) > 1 else 0.0
+    low, high = _STEPS
+    if step <= 0.0 or low <= step <= high:
+        return None
+    found = f"the time between samples is {step:.6g} s"
+    advice = f"give time in seconds, with steps from {low:g} to {high:g} s"
+    fitting = [name for name, unit in _TIME_UNITS.items() if low <= step * unit <= high]
+    if step < low:
+        advice = (
+            "give time in seconds; this looks like seconds divided by a power of 1000"
+        )
+    elif step == 1.0:
+        found += ", so it counts samples or milliseconds"
+        advice = "give time in seconds"
+    elif fitting:
+        found += f", so it is in {fitting[0]}"
+        advice = f"multiply it by {_TIME_UNITS[fitting[0]]:g}"
+    return Finding(
+        "time",
+        found,
+        advice,
+    )
+
+
+def _find_length_unit(
+    landmarks: np.ndarray,
+    distances: Distances,
+    *,
+    is_hand: bool,
+) -> Finding | None:
+    """Tell whether landmarks are not in metres.
+
+    Args:
+        landmarks: Some samples, shape (T, 21, 3).
+        distances: Of `own_distances`.
+        is_hand: Whether their proportions are those of a hand in our order.
+
+    Returns:
+        What is wrong; None if they are in metres, or if they are no hand at all.
+    """
+    low, high = HAND_LENGTHS
+    wrist = landmarks[:, 0]
+    length = distances.hand_length
+    if np.abs(wrist[:, 2]).max() < 1e-4 * length < np.ptp(wrist[:, :2], axis=0).max():
+        # The z of MediaPipe's image landmarks is relative to the wrist's.
+        return Finding(
+            "unit",
+            "the wrist's z is always 0, so these are image coordinates (in pixels or of 0 to 1)",
+            "give MediaPipe's world landmarks, in metres",
+        )
+    extent = float(np.median(np.ptp(landmarks, axis=1).max(axis=1)))
+    # Landmarks of the size of a hand may be in another order.
+    is_other_order = not is_hand and low / 2.0 < extent < high
+    if low <= length <= high or is_other_order:
+        return None
+    found = f"the hand is {length:.3g} m long"
+    for name, unit in _LENGTH_UNITS.items():
+        if _is_usual(length * unit):
+            also = " (or pixels)" if name == "millimetres" else ""
+            problem = f"{found}, so the landmarks are in {name}{also}"
+            return Finding(
+                "unit",
+                problem,
+                f"multiply them by {unit:g}",
+            )
+        if _is_usual(length / unit):
+            problem = f"{found}, as if metres had been taken for {name}"
+            return Finding(
+                "unit",
+                problem,
+                f"multiply the landmarks by {1.0 / unit:g}",
+            )
+    if length > _PIXELS:
+        found += ", as if the landmarks were pixels"
+    advice = f"give landmarks in metres, of a hand of {low} to {high} m"
+    return Finding(
+        "unit",
+        found,
+        advice,
+    )
+
+
+def _is_usual(length: float) -> bool:
+    """Tell whether a length is that of an adult's hand in metres."""
+    return 0.12 <= length <= 0.26

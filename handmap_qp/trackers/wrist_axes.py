@@ -83,7 +83,11 @@ class WristCheck:
         self._start: tuple[np.ndarray, np.ndarray] | None = None
         self.is_proven = False
 
-    def examine(self, landmarks: np.ndarray, wrists: np.ndarray) -> Finding | None:
+    def examine(
+        self,
+        landmarks: np.ndarray,
+        wrists: np.ndarray,
+    ) -> Finding | None:
         """Compare wrist poses with the palm that the landmarks show.
 
         The rotation from one to the other must be that of a known tracker, or at least be the same
@@ -96,40 +100,49 @@ class WristCheck:
         Returns:
             What is wrong; None if they belong together.
         """
-        mistake = self._mistake(landmarks, wrists)
-        self.is_proven &= mistake is None
-        return mistake and Finding("wrist", *mistake)
-
-    def _mistake(
-        self, landmarks: np.ndarray, wrists: np.ndarray
-    ) -> tuple[str, str] | None:
-        """Return problem and advice."""
+        was_proven = self.is_proven
+        self.is_proven = False
         apart = median(lengths(wrists[:, :, 3] - landmarks[:, 0]))
         if apart > _FARTHEST_APART:
             problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
-            return problem, "give both in metres and in the same world"
+            advice = "give both in metres and in the same world"
+            return Finding(
+                "wrist",
+                problem,
+                advice,
+            )
         palms = palm_axes(landmarks, self._sign)
         rotations = wrists[:, :, :3]
         mean, steadiness = _mean_relative(palms, rotations)
         palm = nearest_rotation(palms.sum(axis=0))
         start = self._start or (palm, mean)
         is_steady = min(steadiness, _cosine(mean, start[1])) > _STEADY
+        does_not_follow = "the wrist's orientation does not follow the palm"
         if not (is_steady and _is_known(mean)):
             name = _usual_mistake(palms, rotations)
             if name:
-                return (
-                    f"the wrist's orientation does not follow the palm, but {name} would",
-                    "check the order of the quaternion and the direction of the pose",
+                problem = f"{does_not_follow}, but {name} would"
+                advice = (
+                    "check the order of the quaternion and the direction of the pose"
+                )
+                return Finding(
+                    "wrist",
+                    problem,
+                    advice,
                 )
         if not is_steady:
-            return (
-                "the wrist's orientation does not follow the palm that the landmarks show",
-                "check the order of its quaternion, and that its world is that of the landmarks",
+            problem = f"{does_not_follow} that the landmarks show"
+            advice = "check its quaternion's order, and that its world is that of the landmarks"
+            return Finding(
+                "wrist",
+                problem,
+                advice,
             )
         self._start = start
         is_ours = _cosine(mean, CONVENTIONS[0]) > _FARTHEST
         turn, change = np.arccos([_cosine(palm, start[0]), _cosine(mean, start[1])])
-        self.is_proven |= bool(is_ours and turn > _TURNED and change < _KEPT * turn)
+        has_turned = is_ours and turn > _TURNED and change < _KEPT * turn
+        self.is_proven = was_proven or bool(has_turned)
         return None
 
 

@@ -20,7 +20,7 @@ from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.layouts.angles import AngleLayout
-from handmap_qp.trackers.layouts.base import UNITS, Layout, sized_human
+from handmap_qp.trackers.layouts.base import Layout, sized_human
 from handmap_qp.trackers.layouts.markers import MarkerLayout
 from handmap_qp.trackers.layouts.points import PointLayout
 
@@ -173,20 +173,19 @@ def _entries(
     if not isinstance(layout, PointLayout | MarkerLayout):
         expected = "points, angles or markers"
         raise InvalidInputError(argument="layout", expected=expected, value=layout)
-    table = layout.table
     written = layout.write_posture(human, q, np.eye(4))
     # Rows are points, poses, or a position and a quaternion.
     read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
-    places = read * table.reflection * UNITS[table.unit]
-    is_used = is_shown = np.ones(len(places), dtype=bool)
+    frame = layout.world
+    is_used = is_shown = np.ones(len(read), dtype=bool)
+    if isinstance(layout, PointLayout) and layout.table.is_relative:
+        frame = np.linalg.inv(layout.wrist_axes(human.spec.side))
+    places = transform_points(frame, read)
     if isinstance(layout, PointLayout):
-        side = human.spec.side
-        if table.is_relative and table.wrist is not None:
-            places = places @ table.wrist.axes(side).rotation(table.reflection).T
         index = np.arange(len(places))
-        is_used = np.isin(index, layout.order(side))
+        is_used = np.isin(index, layout.order(human.spec.side))
         is_near = np.linalg.norm(places, axis=1) < _FARTHEST
-        is_shown = is_used | (np.isin(index, list(table.between)) & is_near)
+        is_shown = is_used | (np.isin(index, list(layout.table.between)) & is_near)
     shown = np.flatnonzero(is_shown)
     return places[shown], list(map(str, shown)), is_used[shown]
 
@@ -210,9 +209,8 @@ def _angle_entries(
 
 def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:
     """Return the wrist's x, y and z axes in our wrist frame, shape (3, 3); zeros if unknown."""
-    table = layout.wrist_table
-    if table is None:
+    if layout.wrist_table is None:
         return np.eye(3) if isinstance(layout, MarkerLayout) else np.zeros((3, 3))
-    reflection = layout.table.reflection
     # Axes of left-handed data point where the data says, mirrored into the right-handed world.
-    return (table.axes(side).rotation(reflection) * reflection).T
+    axes = layout.wrist_axes(side)[:3, :3]
+    return axes / np.linalg.norm(axes, axis=0)

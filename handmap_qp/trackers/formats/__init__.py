@@ -89,7 +89,12 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
         RecordingError: If it cannot be read, is of no known format, or has no such recording.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    expect(isinstance(path, str | Path), "path", "the path of a file", value=path)
+    expect(
+        isinstance(path, str | Path),
+        "path",
+        "the path of a file",
+        value=path,
+    )
     file = Path(path)
     name = ""
     if not file.exists():
@@ -202,13 +207,22 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
     """
     if name is not None:
         names = f"one of {', '.join(FORMATS)}"
-        expect(name in FORMATS, "--format", names, value=name)
+        expect(
+            name in FORMATS,
+            "--format",
+            names,
+            value=name,
+        )
         return FORMATS[name]
     for form in FORMATS.values():
         if path.suffix.lower() in (form.suffixes or ("",)):
             return form
     expected = f"a file that ends in one of {', '.join(known_suffixes())}"
-    raise InvalidInputError(argument="OUT", expected=expected, value=str(path))
+    raise InvalidInputError(
+        argument="OUT",
+        expected=expected,
+        value=str(path),
+    )
 
 
 def write_recordings(

@@ -71,7 +71,9 @@ def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
 
 
 def _read_member(
-    file: Path, archive: zipfile.ZipFile, member: zipfile.ZipInfo
+    file: Path,
+    archive: zipfile.ZipFile,
+    member: zipfile.ZipInfo,
 ) -> np.ndarray:
     with (
         damages(file, "is not a plain array", _name(member)),
@@ -84,7 +86,11 @@ def _read_member(
 
 
 @contextmanager
-def damages(file: Path, problem: str, array: str = "") -> Iterator[None]:
+def damages(
+    file: Path,
+    problem: str,
+    array: str = "",
+) -> Iterator[None]:
     """Turn what readers raise on damaged files, which may be anything, into `RecordingError`.
 
     Args:
@@ -101,4 +107,8 @@ def damages(file: Path, problem: str, array: str = "") -> Iterator[None]:
         if isinstance(error, OSError) and error.strerror:
             problem, text = "cannot be read", error.strerror
         problem = f"{problem}: {text}".rstrip(": ")
-        raise RecordingError(problem, file=file, array=array) from error
+        raise RecordingError(
+            problem,
+            file=file,
+            array=array,
+        ) from error

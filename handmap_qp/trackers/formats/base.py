@@ -112,7 +112,11 @@ class RecordingFormat(abc.ABC):
         """List the recordings of a file, in its order."""
 
     @abc.abstractmethod
-    def read(self, path: Path, entry: Entry) -> Recording:
+    def read(
+        self,
+        path: Path,
+        entry: Entry,
+    ) -> Recording:
         """Read one recording."""
 
     def unread(self, path: Path) -> tuple[str, ...]:
@@ -125,7 +129,11 @@ class RecordingFormat(abc.ABC):
         return tuple(words for words, is_lost in lacks if any(map(is_lost, recordings)))
 
     @abc.abstractmethod
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write(
+        self,
+        recordings: Sequence[Recording],
+        path: Path,
+    ) -> None:
         """Write recordings to one file; an earlier file stays as it was if this fails.
 
         Raises:
@@ -166,11 +174,18 @@ def reading(file: Path, prefix: str = "") -> Iterator[None]:
     except InvalidInputError as error:
         problem = f"{error.what}: {error.advice}" if error.advice else error.what
         raise RecordingError(
-            problem, file=file, array=prefix + error.argument
+            problem,
+            file=file,
+            array=prefix + error.argument,
         ) from error
 
 
-def side_of(value: object, file: Path, array: str, line: int | None = None) -> Side:
+def side_of(
+    value: object,
+    file: Path,
+    array: str,
+    line: int | None = None,
+) -> Side:
     """Return the side that a value of a file names.
 
     Raises:
@@ -180,7 +195,12 @@ def side_of(value: object, file: Path, array: str, line: int | None = None) -> S
     if text == "left" or text == "right":
         return text
     problem = f"expected right or left, got {text[:20]!r}"
-    raise RecordingError(problem, file=file, array=array, line=line)
+    raise RecordingError(
+        problem,
+        file=file,
+        array=array,
+        line=line,
+    )
 
 
 def entry_stem(path: Path, entry: Entry) -> str:

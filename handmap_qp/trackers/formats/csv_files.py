@@ -56,7 +56,11 @@ class CsvFormat(RecordingFormat):
         found = [side for side in SIDES if side in counts]
         return tuple(Entry("" if is_one else s, s, counts[s]) for s in found)
 
-    def read(self, path: Path, entry: Entry) -> Recording:
+    def read(
+        self,
+        path: Path,
+        entry: Entry,
+    ) -> Recording:
         """Read the rows of one hand."""
         with opened_table(path) as (header, rows):
             sides = _by_side(path, header, rows)
@@ -76,7 +80,11 @@ class CsvFormat(RecordingFormat):
             known = {"side", *chain(*COLUMNS.values())}
             return tuple(name for name in header if name not in known)
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write(
+        self,
+        recordings: Sequence[Recording],
+        path: Path,
+    ) -> None:
         """Write one hand, or the rows of the left hand before those of the right one."""
         self.check_one_per_hand(recordings)
         known = known_columns(*recordings)
@@ -98,7 +106,9 @@ def _text(number: float) -> str:
 
 
 def _by_side(
-    path: Path, header: Mapping[str, int], rows: Rows
+    path: Path,
+    header: Mapping[str, int],
+    rows: Rows,
 ) -> Iterator[tuple[Side, tuple[int, list[str]]]]:
     """Yield the rows with their hands, of a table that has all columns of a recording."""
     poses = COLUMNS["wrist"]
@@ -107,7 +117,11 @@ def _by_side(
     for name in needed:
         if name not in header:
             about = "wrist poses, but " if name in poses else ""
-            raise RecordingError(f"has {about}no column {name!r}", file=path, line=1)
+            raise RecordingError(
+                f"has {about}no column {name!r}",
+                file=path,
+                line=1,
+            )
     for line, row in rows:
         yield side_of(row[header["side"]], path, "side", line), (line, row)
 
@@ -131,7 +145,11 @@ def opened_table(path: Path) -> Iterator[tuple[dict[str, int], Rows]]:
             yield {name.strip(): place for place, name in enumerate(names)}, rows
         except (csv.Error, UnicodeDecodeError) as error:
             line = reader.line_num + 1
-            raise RecordingError(f"{problem}: {error}", file=path, line=line) from error
+            raise RecordingError(
+                f"{problem}: {error}",
+                file=path,
+                line=line,
+            ) from error
 
 
 def _rows(path: Path, reader: Any) -> Rows:
@@ -141,12 +159,18 @@ def _rows(path: Path, reader: Any) -> Rows:
             count = count or len(row)
             if len(row) != count:
                 problem = f"expected {count} fields, got {len(row)}"
-                raise RecordingError(problem, file=path, line=reader.line_num)
+                raise RecordingError(
+                    problem,
+                    file=path,
+                    line=reader.line_num,
+                )
             yield reader.line_num, row
 
 
 def numbers(
-    path: Path, rows: Iterable[tuple[int, list[str]]], places: Mapping[str, int]
+    path: Path,
+    rows: Iterable[tuple[int, list[str]]],
+    places: Mapping[str, int],
 ) -> np.ndarray:
     """Read columns of a table; an empty field is NaN.
 
@@ -170,9 +194,19 @@ def numbers(
     return np.array(table)
 
 
-def _number(path: Path, line: int, name: str, text: str) -> float:
+def _number(
+    path: Path,
+    line: int,
+    name: str,
+    text: str,
+) -> float:
     try:
         return float(text.strip() or "nan")
     except ValueError as error:
         problem = f"expected a number, got {text[:20]!r}"
-        raise RecordingError(problem, file=path, array=name, line=line) from error
+        raise RecordingError(
+            problem,
+            file=path,
+            array=name,
+            line=line,
+        ) from error

@@ -103,7 +103,11 @@ def numbers(
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
     if problem:
         place = f"{group.name.rstrip('/')}/{name}"
-        raise RecordingError(problem, file=path, array=place)
+        raise RecordingError(
+            problem,
+            file=path,
+            array=place,
+        )
     return item[()].astype(float, copy=False)
 
 
@@ -166,14 +170,27 @@ class RobomimicFormat(RecordingFormat):
             names = sorted(demos, key=lambda name: (len(name), name))
             return tuple(self._entry(path, name, demos[name]) for name in names)
 
-    def _entry(self, path: Path, name: str, demo: Any) -> Entry:
+    def _entry(
+        self,
+        path: Path,
+        name: str,
+        demo: Any,
+    ) -> Entry:
         if "obs/landmarks" not in demo:
             problem = f"has no obs/landmarks; it has {', '.join(sorted(demo))}"
-            raise RecordingError(problem, file=path, array=f"data/{name}")
+            raise RecordingError(
+                problem,
+                file=path,
+                array=f"data/{name}",
+            )
         side = side_of(demo.attrs.get("side"), path, f"data/{name}")
         return Entry(name, side, len(demo["obs/landmarks"]))
 
-    def read(self, path: Path, entry: Entry) -> Recording:
+    def read(
+        self,
+        path: Path,
+        entry: Entry,
+    ) -> Recording:
         """Read one demonstration."""
         with opened(path) as file:
             demo = file["data"][entry.name]
@@ -197,9 +214,18 @@ class RobomimicFormat(RecordingFormat):
                 found |= {f"obs/{name}" for name in set(demo["obs"]) - set(COLUMNS)}
             return tuple(sorted(found))
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write(
+        self,
+        recordings: Sequence[Recording],
+        path: Path,
+    ) -> None:
         """Write each recording as a demonstration."""
-        expect(recordings, "recordings", "at least one", got="none")
+        expect(
+            recordings,
+            "recordings",
+            "at least one",
+            got="none",
+        )
         with created(path) as file:
             data = file.create_group("data")
             data.attrs["total"] = sum(len(recording) for recording in recordings)
@@ -247,10 +273,18 @@ class EgoDexFormat(RecordingFormat):
             found = [side for side in SIDES if f"{side}Hand" in group]
             if not found:
                 problem = "has neither 'leftHand' nor 'rightHand'"
-                raise RecordingError(problem, file=path, array="transforms")
+                raise RecordingError(
+                    problem,
+                    file=path,
+                    array="transforms",
+                )
             return tuple(Entry(side, side, len(group[f"{side}Hand"])) for side in found)
 
-    def read(self, path: Path, entry: Entry) -> Recording:
+    def read(
+        self,
+        path: Path,
+        entry: Entry,
+    ) -> Recording:
         """Read one hand."""
         names = joint_names(entry.side)
         count = entry.samples
@@ -288,7 +322,11 @@ class EgoDexFormat(RecordingFormat):
         poses = (f"{others} other poses",) if others else ()
         return (*poses, *rest, "orientations of the fingers' joints")
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write(
+        self,
+        recordings: Sequence[Recording],
+        path: Path,
+    ) -> None:
         """Write one hand or both; the fingers' joints have no orientation of their own.
 
         Where the tracker gave no wrist pose, the wrist's orientation is that of the palm.

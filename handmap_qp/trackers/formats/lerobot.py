@@ -89,13 +89,26 @@ class LeRobotFormat(RecordingFormat):
         advice = "read the recordings that it was made from"
         raise RecordingError(f"{problem}: {advice}", file=path)
 
-    def read(self, path: Path, entry: Entry) -> Recording:
+    def read(
+        self,
+        path: Path,
+        entry: Entry,
+    ) -> Recording:
         """Refuse: no data set is read."""
         raise NotImplementedError("entries refuses every path")
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write(
+        self,
+        recordings: Sequence[Recording],
+        path: Path,
+    ) -> None:
         """Write each recording as an episode."""
-        expect(recordings, "recordings", "at least one", got="none")
+        expect(
+            recordings,
+            "recordings",
+            "at least one",
+            got="none",
+        )
         fields = {f"observation.{name}": name for name in known_columns(*recordings)}
         features = {
             feature: Feature("bool" if field == "valid" else "float64", COLUMNS[field])
@@ -164,7 +177,10 @@ class LeRobotWriter:
     """
 
     def __init__(
-        self, folder: Path, fps: float, features: Mapping[str, Feature]
+        self,
+        folder: Path,
+        fps: float,
+        features: Mapping[str, Feature],
     ) -> None:
         self._pa = require("pyarrow", "files")
         self._pq = require("pyarrow.parquet", "files")
@@ -265,7 +281,11 @@ class LeRobotWriter:
             self._write(_EPISODES_PATH, self._pa.Table.from_pylist(self._episodes))
             self._episodes.clear()
 
-    def _write(self, place: str, table: Any) -> None:
+    def _write(
+        self,
+        place: str,
+        table: Any,
+    ) -> None:
         """Append a row group to a parquet file."""
         if place not in self._open:
             file = self._place(place)

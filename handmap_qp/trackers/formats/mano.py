@@ -77,7 +77,11 @@ class ManoFormat(RecordingFormat):
         side = side_of(arrays["side"], path, "side")
         return (Entry("", side, len(np.atleast_1d(main))),)
 
-    def read(self, path: Path, entry: Entry) -> Recording:
+    def read(
+        self,
+        path: Path,
+        entry: Entry,
+    ) -> Recording:
         """Read the hand."""
         arrays = read_archive(path)
         with reading(path):
@@ -92,7 +96,12 @@ class ManoFormat(RecordingFormat):
                 if "fps" not in arrays:
                     raise InvalidInputError("has neither 'time' nor 'fps'")
                 fps = float(as_floats(arrays["fps"], "fps", shape=(), is_finite=True))
-                expect(fps > 0.0, "fps", "a rate > 0", value=fps)
+                expect(
+                    fps > 0.0,
+                    "fps",
+                    "a rate > 0",
+                    value=fps,
+                )
                 time = np.arange(len(joints)) / fps
         return build_recording(
             path,
@@ -107,7 +116,11 @@ class ManoFormat(RecordingFormat):
         """Name the arrays that a recording cannot hold."""
         return tuple(sorted(member_names(path) - _KNOWN))
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write(
+        self,
+        recordings: Sequence[Recording],
+        path: Path,
+    ) -> None:
         """Write the joints of one hand."""
         self.check_one_per_hand([*recordings, *recordings[1:]])
         recording = recordings[0]
@@ -122,7 +135,9 @@ class ManoFormat(RecordingFormat):
 
 
 def _joints_of_parameters(
-    model: Mapping[str, np.ndarray], arrays: Mapping[str, np.ndarray], count: int
+    model: Mapping[str, np.ndarray],
+    arrays: Mapping[str, np.ndarray],
+    count: int,
 ) -> np.ndarray:
     """Return the joints of parameters in MANO's order [m], shape (T, 21, 3)."""
     if "flat_hand_mean" not in arrays:
@@ -143,7 +158,12 @@ def _joints_of_parameters(
     shift = given("transl", count, 3, default=np.zeros((count, 3)))
     components = fingers.shape[1]
     at_most = f"at most {_TURNS} numbers"
-    expect(components <= _TURNS, "hand_pose", at_most, got=f"{components}")
+    expect(
+        components <= _TURNS,
+        "hand_pose",
+        at_most,
+        got=f"{components}",
+    )
     if components < _TURNS:
         fingers = fingers @ model["hands_components"][:components]
     if not bool(arrays["flat_hand_mean"]):
@@ -174,7 +194,9 @@ _MODEL = {
 
 
 def _posed_joints(
-    model: Mapping[str, np.ndarray], turns: np.ndarray, shape: np.ndarray
+    model: Mapping[str, np.ndarray],
+    turns: np.ndarray,
+    shape: np.ndarray,
 ) -> np.ndarray:
     """Compute joints and fingertips.
 
@@ -240,7 +262,11 @@ def _load_model(side: str, given: Path | None) -> dict[str, np.ndarray]:
         }
         parents = arrays["kintree_table"][0, 1:]
         are_known = (parents < np.arange(1, _JOINTS)).all()
-        expect(are_known, "kintree_table", "parents before children")
+        expect(
+            are_known,
+            "kintree_table",
+            "parents before children",
+        )
     return arrays
 
 
@@ -253,7 +279,11 @@ class _Shell:
 
     x: Any = None
 
-    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
+    def __array__(
+        self,
+        dtype: Any = None,
+        copy: Any = None,
+    ) -> np.ndarray:
         return np.asarray(self.x, dtype=dtype)
 
 
@@ -270,7 +300,11 @@ _ALLOWED = {
 class _ArrayUnpickler(pickle.Unpickler):
     """Unpickles arrays, and nothing that could run code."""
 
-    def find_class(self, module: str, name: str) -> Any:
+    def find_class(
+        self,
+        module: str,
+        name: str,
+    ) -> Any:
         if module.partition(".")[0] == "chumpy":
             return _Shell
         if name not in _ALLOWED.get(module, ()):

@@ -16,7 +16,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.landmarks import human_name
-from handmap_qp.human.recording import Recording
+from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import pose_from_xyz_quat, quat_wxyz_from_rotation
@@ -41,6 +41,7 @@ _KINDS = {
     "confidence": (_NUMBER, "confidence"),
 }
 _FRAME = "tracker"
+_NOWHERE = (np.nan,) * 7
 
 
 class McapFormat(RecordingFormat):
@@ -73,24 +74,22 @@ class McapFormat(RecordingFormat):
                 for side, topics in _hands(path, bag).items()
             )
 
-    def read(self, path: Path, entry: Entry) -> Recording:
+    def read(
+        self,
+        path: Path,
+        entry: Entry,
+    ) -> Recording:
         """Read one hand."""
-        columns: dict[str, Any] = {}
         with _opened(path) as bag:
             topics = _hands(path, bag)[entry.side]
             name = _main(topics)
             logs, messages = zip(*_messages(bag, name), strict=True)
             times = [_instant(message) for message in messages]
-            wrists = None
-            if "wrist" in topics:
-                given = (message for _, message in _messages(bag, topics["wrist"]))
-                sevens = {_instant(message): _seven(message) for message in given}
-                wrists = np.array([sevens.get(time, (np.nan,) * 7) for time in times])
-            if "confidence" in topics:
-                shares = {
-                    log: m.data for log, m in _messages(bag, topics["confidence"])
-                }
-                columns["confidence"] = [shares.get(log, np.nan) for log in logs]
+            poses = _messages(bag, topics.get("wrist"))
+            sevens = {_instant(message): _seven(message) for _, message in poses}
+            wrists = np.array([sevens.get(time, _NOWHERE) for time in times])
+            numbers = _messages(bag, topics.get("confidence"))
+            shares = {log: message.data for log, message in numbers}
             with reading(path, name):
                 if "landmarks" in topics:
                     landmarks = np.array([_points(m) for m in messages])
@@ -104,7 +103,7 @@ class McapFormat(RecordingFormat):
             prefix=f"{name}: ",
             source=f"ROS 2 bag, {name}",
             wrist_pose=wrists,
-            **columns,
+            confidence=[shares.get(log, np.nan) for log in logs],
         )
 
     def unread(self, path: Path) -> tuple[str, ...]:
@@ -115,7 +114,11 @@ class McapFormat(RecordingFormat):
                 rest -= set(topics.values())
             return tuple(f"topic {topic}" for topic in sorted(rest))
 
-    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+    def write(
+        self,
+        recordings: Sequence[Recording],
+        path: Path,
+    ) -> None:
         """Write one hand or both; a bag of one file, without the folder around it."""
         self.check_one_per_hand(recordings)
         bags = require("rosbags.rosbag2", "files")
@@ -123,7 +126,12 @@ class McapFormat(RecordingFormat):
             start, end = recording.time[[0, -1]]
             expected = "instants from 0 to 2^31 s, as ROS 2 has them"
             got = f"{start:g} to {end:g}"
-            expect(start >= 0.0 and end <= 2.0**31, "time", expected, got=got)
+            expect(
+                start >= 0.0 and end <= 2.0**31,
+                "time",
+                expected,
+                got=got,
+            )
         with (
             replaced_path(path, "path") as temporary,
             tempfile.TemporaryDirectory(
@@ -185,12 +193,12 @@ def _main(topics: dict[str, str]) -> str:
     return topics.get("landmarks") or topics["joint_states"]
 
 
-def _messages(bag: Any, topic: str) -> Iterator[tuple[int, Any]]:
+def _messages(bag: Any, topic: str | None) -> Iterator[tuple[int, Any]]:
     """Yield the messages of a topic with the times at which they were logged [ns]."""
     store = _store()
-    connections = [c for c in bag.connections if c.topic == topic]
-    for connection, log, raw in bag.messages(connections=connections):
-        yield log, store.deserialize_cdr(raw, connection.msgtype)
+    for own in [own for own in bag.connections if own.topic == topic]:
+        for connection, log, raw in bag.messages(connections=[own]):
+            yield log, store.deserialize_cdr(raw, connection.msgtype)
 
 
 def _instant(message: Any) -> float:
@@ -209,7 +217,12 @@ def _points(message: Any) -> list[tuple[float, float, float]]:
     """Return the landmarks of a message [m]."""
     count = len(message.poses)
     poses = f"{LANDMARK_COUNT} poses in every message"
-    expect(count == LANDMARK_COUNT, "", poses, got=f"{count}")
+    expect(
+        count == LANDMARK_COUNT,
+        "",
+        poses,
+        got=f"{count}",
+    )
     return [(p.position.x, p.position.y, p.position.z) for p in message.poses]
 
 
@@ -226,19 +239,19 @@ def _posture(message: Any, side: Side) -> np.ndarray:
 def _forward(
     messages: Sequence[Any],
     side: Side,
-    wrists: np.ndarray | None,
+    wrists: np.ndarray,
 ) -> np.ndarray:
     """Return the landmarks of joint states, by the model's own lengths."""
     human = load_hand(human_name(side), points="landmarks")
     rows = np.full((len(messages), LANDMARK_COUNT, 3), np.nan)
+    has_pose = finite_samples(wrists)
     for i, message in enumerate(messages):
         q = _posture(message, side)
-        pose = np.eye(4)
-        if wrists is not None:
-            if not np.isfinite(wrists[i]).all():
-                continue
+        pose = None
+        if has_pose[i]:
             pose = pose_from_xyz_quat(wrists[i], "wxyz", "wrist")
-        if np.isfinite(q).all():
+        # Where the bag has wrists, a hand without one is nowhere.
+        if np.isfinite(q).all() and has_pose[i] == has_pose.any():
             rows[i] = human.points(q, pose)
     return rows
 
@@ -247,12 +260,14 @@ def _write_hand(writer: Any, recording: Recording) -> None:
     """Write all topics of a recording."""
     store = _store()
     motion = fit_recording(recording)
-    topics = {}
-    for what, (kind, _) in _KINDS.items():
-        # Landmarks and joint states are always there.
-        if getattr(recording, what, ()) is not None:
-            topic = f"/{recording.side}_hand/{what}"
-            topics[kind] = writer.add_connection(topic, kind, typestore=store)
+    # Landmarks and joint states are always there.
+    topics = {
+        kind: writer.add_connection(
+            f"/{recording.side}_hand/{what}", kind, typestore=store
+        )
+        for what, (kind, _) in _KINDS.items()
+        if getattr(recording, what, ()) is not None
+    }
 
     def made(kind: str, *values: Any) -> Any:
         return store.types[kind](*values)

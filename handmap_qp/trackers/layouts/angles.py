@@ -87,9 +87,19 @@ class AngleLayout(Layout[AngleTable]):
                 value=entry.joint,
                 advice=did_you_mean(entry.joint, HUMAN_JOINTS),
             )
-            expect(entry.scale != 0.0, f"{entry.joint}.scale", "not 0", value=0.0)
+            expect(
+                entry.scale != 0.0,
+                f"{entry.joint}.scale",
+                "not 0",
+                value=0.0,
+            )
         is_angle = table.unit in ("deg", "rad")
-        expect(is_angle, "unit", "deg or rad", value=table.unit)
+        expect(
+            is_angle,
+            "unit",
+            "deg or rad",
+            value=table.unit,
+        )
         self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
         self._scales = np.array([entry.scale for entry in table.angles])
         self._offsets = np.array([entry.offset for entry in table.angles])
@@ -143,7 +153,11 @@ class AngleLayout(Layout[AngleTable]):
         own = np.asarray(q, dtype=float)[self._joints] / UNITS[self.table.unit]
         return (own - self._offsets) / self._scales
 
-    def _check(self, values: np.ndarray, q: np.ndarray) -> None:
+    def _check(
+        self,
+        values: np.ndarray,
+        q: np.ndarray,
+    ) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
         unit = self.table.unit
         largest = float(np.abs(values).max(initial=0.0))
@@ -157,7 +171,13 @@ class AngleLayout(Layout[AngleTable]):
             got = f"none above {largest:.3g}"
         convert = f"convert them, or set `unit: {other[:3]}` in a table of your own"
         advice = f"these are {other}: {convert}"
-        expect(not is_other, "values", f"angles in {unit}", got=got, advice=advice)
+        expect(
+            not is_other,
+            "values",
+            f"angles in {unit}",
+            got=got,
+            advice=advice,
+        )
         is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]
         back = -np.degrees(q[:, is_middle].mean(axis=1))
         sample = int(np.argmax(back))

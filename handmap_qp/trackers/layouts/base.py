@@ -10,7 +10,6 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from importlib import import_module
 from typing import Any, Generic, Literal, NamedTuple, TypeVar
 
 import msgspec
@@ -26,8 +25,8 @@ from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import QuatOrder, affine, as_floats, check_poses, pose_from_xyz_quat
+from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import axes_convention
 
 Unit = Literal["m", "cm", "mm", "deg", "rad"]
@@ -55,16 +54,6 @@ class AxesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     distal: Axis
     dorsal: Axis
 
-    def rotation(self, mirror: np.ndarray) -> np.ndarray:
-        """Return the rotation from the wrist's axes to ours, shape (3, 3).
-
-        Args:
-            mirror: Diagonal of the reflection that makes the data right-handed, shape (3,).
-        """
-        return axes_convention(
-            _direction(self.distal) * mirror, _direction(self.dorsal) * mirror
-        )
-
 
 class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How a wrist pose is obtained.
@@ -80,10 +69,6 @@ class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     left: AxesTable | None = None
     joint: str | None = None
     quaternion: QuatOrder = "xyzw"
-
-    def axes(self, side: Side) -> AxesTable:
-        """Return the axes of a side."""
-        return self.right if side == "right" or self.left is None else self.left
 
 
 class LayoutTable(
@@ -114,11 +99,6 @@ class LayoutTable(
     mirror: Literal["x", "y", "z"] | None = None
     arrays: tuple[str, ...] = ()
     time: dict[str, float] = msgspec.field(default_factory=dict)
-
-    @property
-    def reflection(self) -> np.ndarray:
-        """Diagonal of the reflection that makes the coordinates right-handed, shape (3,)."""
-        return np.array([-1.0 if axis == self.mirror else 1.0 for axis in "xyz"])
 
 
 Table = TypeVar("Table", bound=LayoutTable, covariant=True)
@@ -163,7 +143,8 @@ class Layout(abc.ABC, Generic[Table]):
         self.defaults: dict[str, float] = {}
         self.has_wrist = False
         length = 1.0 if table.unit in ("deg", "rad") else UNITS[table.unit]
-        self.world = np.diag([*(length * table.reflection), 1.0])
+        scales = [-length if axis == table.mirror else length for axis in "xyz"]
+        self.world = np.diag([*scales, 1.0])
 
     @property
     def name(self) -> str:
@@ -186,8 +167,13 @@ class Layout(abc.ABC, Generic[Table]):
         A wrist pose of the tracker is ours as `world @ pose @ wrist_axes`.
         """
         turn = np.eye(3)
-        if self.wrist_table is not None:
-            turn = self.wrist_table.axes(side).rotation(self.table.reflection)
+        table = self.wrist_table
+        if table is not None:
+            axes = table.left if side == "left" and table.left else table.right
+            reflection = np.sign(self.world[:3, :3])
+            distal = reflection @ _direction(axes.distal)
+            dorsal = reflection @ _direction(axes.dorsal)
+            turn = axes_convention(distal, dorsal)
         return np.linalg.inv(self.world) @ affine(turn.T, np.zeros(3))
 
     def order(self, side: Side) -> np.ndarray | None:
@@ -242,7 +228,12 @@ class Layout(abc.ABC, Generic[Table]):
         Raises:
             InvalidInputError: If the sample is not valid, or no hand.
         """
-        expect(sample.valid, "sample", "a valid sample", got="another")
+        expect(
+            sample.valid,
+            "sample",
+            "a valid sample",
+            got="another",
+        )
         fitter = LandmarkFitter(sample.side)
         q, wrist, _ = fitter.fit(sample.landmarks)
         return self.write_posture(fitter.human, q, wrist)
@@ -340,7 +331,11 @@ class Layout(abc.ABC, Generic[Table]):
                 poses[seen] = found
         return landmarks, poses, seen
 
-    def find_columns(self, names: Sequence[str], side: Side) -> dict[str, str]:
+    def find_columns(
+        self,
+        names: Sequence[str],
+        side: Side,
+    ) -> dict[str, str]:
         """Find the numbers of one sample among named ones.
 
         A name may have more before it, such as `RightFinger`, where it names no other side.
@@ -366,11 +361,18 @@ class Layout(abc.ABC, Generic[Table]):
                 found[column] = fitting[0]
             elif column not in self.defaults:
                 got = f"none; {did_you_mean(column, own)}".rstrip("; ")
-                expect(False, "values", f"a column {column}", got=got)
+                expect(
+                    False,
+                    "values",
+                    f"a column {column}",
+                    got=got,
+                )
         return found
 
     def from_columns(
-        self, given: Mapping[str, npt.ArrayLike], side: Side
+        self,
+        given: Mapping[str, npt.ArrayLike],
+        side: Side,
     ) -> np.ndarray:
         """Put named numbers into the order of `columns`.
 
@@ -427,21 +429,6 @@ class Layout(abc.ABC, Generic[Table]):
         return self.world @ poses[seen] @ self.wrist_axes(side)
 
 
-def _own_layouts() -> Mapping[str, Layout]:
-    return import_module("handmap_qp.trackers.layouts.tables").read_tables()
-
-
-def _check_layout(layout: Layout) -> None:
-    if not isinstance(layout, Layout):
-        raise TypeError("expected a Layout")
-
-
-LAYOUTS: Mapping[str, Layout] = Plugins(
-    "handmap_qp.layouts", _own_layouts, _check_layout
-)
-"""All layouts by name, loaded at the first use."""
-
-
 def layouts_of_shape(shape: tuple[int, ...]) -> list[str]:
     """Return the names of the layouts whose samples may have a shape."""
     return [name for name, layout in LAYOUTS.items() if shape in layout.shapes]
@@ -460,4 +447,5 @@ def sized_human(
 
 
 def _direction(axis: Axis) -> np.ndarray:
-    return (1.0 if axis[0] == "+" else -1.0) * np.eye(3)["xyz".index(axis[1])]
+    sign, name = axis
+    return float(f"{sign}1") * np.eye(3)["xyz".index(name)]

@@ -19,7 +19,8 @@ from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.formats.base import SIDES, reading, side_of
 from handmap_qp.trackers.formats.csv_files import numbers, opened_table
-from handmap_qp.trackers.layouts.base import LAYOUTS, Layout, layouts_of_shape
+from handmap_qp.trackers.layouts import LAYOUTS
+from handmap_qp.trackers.layouts.base import Layout, layouts_of_shape
 from handmap_qp.trackers.plausibility import examine_recording
 
 _TIMES = {
@@ -62,7 +63,12 @@ def read_with_layout(
     suffix = file.suffix.lower()
     with reading(file):
         is_known = suffix in (".npz", ".csv")
-        expect(is_known, "", "a .npz or .csv where a layout is named", got=suffix)
+        expect(
+            is_known,
+            "",
+            "a .npz or .csv where a layout is named",
+            got=suffix,
+        )
         is_table = suffix == ".csv"
         arrays = _read_columns(file, layout, side) if is_table else read_archive(file)
         said = arrays.get("handedness")
@@ -133,32 +139,43 @@ def _better(recording: Recording, values: np.ndarray) -> list[str]:
 
 
 def _values_name(
-    arrays: Mapping[str, np.ndarray], layout: Layout, side: Side | None, count: int
+    arrays: Mapping[str, np.ndarray],
+    layout: Layout,
+    side: Side | None,
+    count: int,
 ) -> str:
     """Return the name of the array whose rows are samples of the layout."""
-    fitting = [
-        name
-        for name, array in arrays.items()
-        if array.shape[:1] == (count,)
-        and array.dtype.kind in "fiu"
-        and layout.own_shape(array.shape[1:])
-    ]
+
+    def takes(name: str) -> bool:
+        array = arrays[name]
+        is_long = array.shape[:1] == (count,) and array.dtype.kind in "fiu"
+        return is_long and layout.own_shape(array.shape[1:]) is not None
+
+    def is_of_side(name: str) -> bool:
+        return name.startswith(side or "")
+
     usual = (*layout.table.arrays, layout.name, *_VALUES)
-    known = [name for name in fitting if name in usual] or fitting
-    chosen = [name for name in known if name.startswith(side or "")] or known
+    chosen = list(filter(takes, arrays))
+    for is_better in (usual.__contains__, is_of_side):
+        chosen = list(filter(is_better, chosen)) or chosen
     if len(chosen) == 1:
         return chosen[0]
     shapes = [", ".join(map(str, (count, *shape))) for shape in layout.shapes]
     how = "more than one" if chosen else "no"
     problem = f"has {how} array of shape ({') or ('.join(shapes)})"
-    have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
     hint = "" if chosen else _shaped_like(arrays)
-    hint = hint or f"it has {', '.join(have)}"
-    raise InvalidInputError(f"{problem}; {hint}")
+    raise InvalidInputError(f"{problem}; {hint or _listing(arrays)}")
+
+
+def _listing(arrays: Mapping[str, np.ndarray]) -> str:
+    have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
+    return f"it has {', '.join(have)}"
 
 
 def _wrists_beside(
-    arrays: Mapping[str, np.ndarray], layout: Layout, side: Side | None
+    arrays: Mapping[str, np.ndarray],
+    layout: Layout,
+    side: Side | None,
 ) -> np.ndarray | None:
     """Return wrist poses beside the values, where the layout takes them."""
     if layout.wrist_table is None or layout.has_wrist:
@@ -172,12 +189,13 @@ def _wrists_beside(
 
 
 def _read_columns(
-    file: Path, layout: Layout, side: Side | None
+    file: Path,
+    layout: Layout,
+    side: Side | None,
 ) -> dict[str, np.ndarray]:
     """Return the columns of a CSV file by the names that an `.npz` file has for them."""
     with opened_table(file) as (header, rows):
-        named = [hand for hand in SIDES if hand in " ".join(header).lower()]
-        hand = side or (named[0] if len(named) == 1 else None)
+        hand = side or _named_side(" ".join(header).lower())
         own = layout.find_columns(tuple(header), hand or "right").values()
         times = [name for name in _time_units(layout) if name in header][:1]
         places = {name: header[name] for name in (*times, *own)}
@@ -187,6 +205,11 @@ def _read_columns(
     if hand is not None:
         arrays["handedness"] = np.array(hand)
     return arrays
+
+
+def _named_side(header: str) -> Side | None:
+    named = [side for side in SIDES if side in header]
+    return named[0] if len(named) == 1 else None
 
 
 def _time_units(layout: Layout) -> dict[str, float]:

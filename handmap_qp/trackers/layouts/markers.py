@@ -73,11 +73,21 @@ class MarkerLayout(Layout[MarkerTable]):
         super().__init__(table)
         names = [entry.name for entry in table.markers]
         is_each_once = len(set(names)) == len(names)
-        expect(is_each_once, "markers", "different names", value=names)
+        expect(
+            is_each_once,
+            "markers",
+            "different names",
+            value=names,
+        )
         links = np.array([entry.link for entry in table.markers])
         self._on_palm = np.flatnonzero(links == "palm")
         count = len(self._on_palm)
-        expect(count >= 3, "markers", "three markers on the palm", got=f"{count}")
+        expect(
+            count >= 3,
+            "markers",
+            "three markers on the palm",
+            got=f"{count}",
+        )
         self._last: tuple[Side, HumanLengths | None, PointIk] | None = None
         self.shapes = ((len(names), 3),)
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
@@ -108,7 +118,12 @@ class MarkerLayout(Layout[MarkerTable]):
         markers = transform_points(self.world, values)
         is_near = np.abs(markers).max() <= FARTHEST
         expected = f"coordinates within {FARTHEST:g} m"
-        expect(is_near, "values", expected, got=f"{np.abs(markers).max():.3g} m")
+        expect(
+            is_near,
+            "values",
+            expected,
+            got=f"{np.abs(markers).max():.3g} m",
+        )
         palm = human.points(human.rest)[self._on_palm]
         wrist = rigid_fit(palm, markers[0, self._on_palm])
         ik.place(human.configuration_vector(human.rest, wrist))
@@ -139,7 +154,11 @@ class MarkerLayout(Layout[MarkerTable]):
             for x, y, z in [entry.xyz]
         )
 
-    def _fitter(self, side: Side, lengths: HumanLengths | None) -> PointIk:
+    def _fitter(
+        self,
+        side: Side,
+        lengths: HumanLengths | None,
+    ) -> PointIk:
         """Return the IK of the hand with markers; that of last time for the same hand."""
         if self._last is None or self._last[:2] != (side, lengths):
             human = sized_human(side, lengths, self._points(side))

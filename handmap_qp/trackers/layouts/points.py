@@ -91,18 +91,26 @@ class PointLayout(Layout[PointTable]):
     def __init__(self, table: PointTable) -> None:
         super().__init__(table)
         left = table.left_landmarks or table.landmarks
-        for key, given in (("landmarks", table.landmarks), ("left_landmarks", left)):
-            are_known = set(given) <= set(range(table.count))
-            are_right = are_known and len(given) == len(set(given)) == LANDMARK_COUNT
-            expected = f"{LANDMARK_COUNT} different indices below count, {table.count}"
-            expect(are_right, key, expected, value=given)
-        self._indices = {"right": np.array(table.landmarks), "left": np.array(left)}
+        self._indices: dict[Side, np.ndarray] = {
+            "right": _indices(table.landmarks, "landmarks", table.count),
+            "left": _indices(left, "left_landmarks", table.count),
+        }
         is_known = table.poses and set(table.poses) <= set(_FORMS)
-        expect(is_known, "poses", "some of 3, 7 and 16", value=table.poses)
+        expect(
+            is_known,
+            "poses",
+            "some of 3, 7 and 16",
+            value=table.poses,
+        )
         joint = None if table.wrist is None else table.wrist.joint
         names = {name: index for index, name in table.names.items()}
         is_named = joint is None or joint in names
-        expect(is_named, "wrist.joint", "one of the names", value=joint)
+        expect(
+            is_named,
+            "wrist.joint",
+            "one of the names",
+            value=joint,
+        )
         self._wrist_index = names.get(joint)
         self.shapes = tuple((table.count, *_FORMS[size]) for size in table.poses)
         joints = map(self.joint_name, range(table.count))
@@ -158,7 +166,12 @@ class PointLayout(Layout[PointTable]):
 
     def write(self, sample: HumanSample) -> np.ndarray:
         """Return the joints of a sample; those between landmarks are placed on lines."""
-        expect(sample.valid, "sample", "a valid sample", got="another")
+        expect(
+            sample.valid,
+            "sample",
+            "a valid sample",
+            got="another",
+        )
         wrist = sample.wrist
         if wrist is None:
             model = sized_human(sample.side)
@@ -204,3 +217,21 @@ class PointLayout(Layout[PointTable]):
         if self.table.quaternion == "xyzw":
             quat = np.roll(quat, -1)
         return np.hstack([joints, np.tile(quat, (len(joints), 1))])
+
+
+def _indices(
+    given: tuple[int, ...],
+    key: str,
+    count: int,
+) -> np.ndarray:
+    """Return the indices of our landmarks among `count` joints, which must all differ."""
+    known = set(given) & set(range(count))
+    are_right = len(given) == len(known) == LANDMARK_COUNT
+    expected = f"{LANDMARK_COUNT} different indices below count, {count}"
+    expect(
+        are_right,
+        key,
+        expected,
+        value=given,
+    )
+    return np.array(given)

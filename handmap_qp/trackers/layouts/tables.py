@@ -47,7 +47,12 @@ def load_layout(layout: str | Path | Layout) -> Layout:
     """
     if isinstance(layout, Layout):
         return layout
-    expect(isinstance(layout, str | Path), "layout", "a name or a path", value=layout)
+    expect(
+        isinstance(layout, str | Path),
+        "layout",
+        "a name or a path",
+        value=layout,
+    )
     name = str(layout)
     if Path(name).suffix in (".yaml", ".yml"):
         return _load(Path(name))
