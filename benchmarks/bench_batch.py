@@ -183,7 +183,6 @@ def timed_stages(clock: dict[str, float]) -> Any:
         "scaled_human": "scale human",
         "HandMapper": "bind method",
         "map_recording": "map",
-        "map_both_ways": "map",
         "look_ahead": "measure person",
         "measure_episode": "measure",
         "save_episode": "write",

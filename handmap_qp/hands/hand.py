@@ -76,6 +76,7 @@ class Hand:
         name: Short name.
         side: `right` or `left`.
         mount: `floating` or `fixed`.
+        is_floating: Whether the wrist is free to move.
         model: Pinocchio model: the wrist's six coordinates first where it floats, then the joints
             in Pinocchio's order. Do not change it.
         joint_names: Joints that are set, in the order of every `q`, those of an arm first; n of
@@ -128,6 +129,7 @@ class Hand:
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
+        self.is_floating = self.mount == "floating"
         chosen = _choose_points(spec, points)
         file_text = read_urdf(spec) if urdf_text is None else urdf_text
         text, locked, rules = compose_urdf(spec, file_text)
@@ -156,11 +158,6 @@ class Hand:
     def urdf_text(self) -> str:
         """The URDF as it was built, after scaling and mirroring."""
         return self._compose()
-
-    @property
-    def is_floating(self) -> bool:
-        """Whether the wrist is free to move."""
-        return self.mount == "floating"
 
     @property
     def has_moving_wrist(self) -> bool:

@@ -1,4 +1,4 @@
-"""Smoothing with look-ahead: no lag, filled gaps, a hand that keeps its size, limits that hold."""
+"""Smoothing with look-ahead: less lag, filled gaps, hands that keep their size, all limits."""
 
 from __future__ import annotations
 
@@ -7,18 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handmap_qp import HandMapper, InvalidInputError, Recording, load_hand
+from handmap_qp import InvalidInputError, Recording, load_hand
+from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.offline.look_ahead import (
     LookAhead,
     look_ahead,
-    map_both_ways,
+    map_hand,
     smooth_poses,
     whittaker,
 )
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
-from handmap_qp.apps.offline.trajectory import map_recording
-from handmap_qp.mapping.presets import preset_choice
+from handmap_qp.apps.offline.trajectory import rms_derivative
 from handmap_qp.se3 import rotation_from_rpy
+from handmap_qp.stream.measurement import measure_person
 
 
 def turning_hand(count: int = 120, rate: float = 60.0) -> Recording:
@@ -109,28 +110,28 @@ def test_too_few_samples_are_left_as_they_are() -> None:
         assert caught.value.argument == next(iter(wrong))
 
 
-def test_both_ways_have_less_lag_and_keep_every_limit() -> None:
+def test_a_recording_that_is_used_as_a_whole_is_smoother_without_more_lag() -> None:
     human = load_hand("human", points="landmarks")
-    robot = load_hand("allegro_right")
-    count, rate, pace = 72, 60.0, 2.5
+    count, rate, pace = 180, 60.0, 1.0
     time = np.arange(count) / rate
-    # A hand that closes and opens faster than the robot can.
     share = 0.5 - 0.5 * np.cos(2.0 * np.pi * pace * time)
-    flexion = np.where(["flexion" in name for name in human.joint_names], 1.4, 0.0)
+    flexion = np.where(["flexion" in name for name in human.joint_names], 0.8, 0.0)
     flexion[:4] = human.rest[:4]
     landmarks = np.array([human.points(s * flexion) for s in share])
-    recording = Recording("fist", time, landmarks, np.ones(count), "right")
-    choice = preset_choice("teleoperation", human.with_contact_gap(0.015))
-    own = load_hand("human")
-    online = map_recording(
-        HandMapper(own, robot, choice.method, ik=choice.ik), recording
+    landmarks += np.random.default_rng(3).normal(0.0, 1e-3, landmarks.shape)
+    recording = Recording("wave", time, landmarks, np.ones(count), "right")
+    robot = load_hand("allegro_right")
+    person = measure_person(recording)
+    _, online = map_hand(recording, robot, person, MappingArguments())
+    _, filtered = map_hand(recording, robot, person, MappingArguments(smooth=True))
+    _, ahead = map_hand(
+        recording, robot, person, MappingArguments(), smoother=LookAhead()
     )
-    ahead = map_both_ways(own, robot, choice.method, choice.ik, recording)
 
     def lag(q: np.ndarray) -> float:
         """Phase of the middle finger's bend behind the human's [s]."""
         # Two whole periods.
-        part = slice(24, 72)
+        part = slice(60, 180)
         wave = np.exp(2j * np.pi * pace * time)[part]
         # Flexion of the middle finger: joints 5 to 7 of the Allegro.
         bend = q[part, 5:8].sum(axis=1)
@@ -139,9 +140,11 @@ def test_both_ways_have_less_lag_and_keep_every_limit() -> None:
         )
         return float(np.angle(human_sum * robot_sum.conj()) / (2.0 * np.pi * pace))
 
-    assert lag(online.q) > 0.015
-    # In a fist links are in each other's way, which costs time at the speed limit.
-    assert abs(lag(ahead.q)) < 0.5 * lag(online.q)
+    assert lag(ahead.q) < lag(filtered.q)
+    shaking, smooth = (
+        rms_derivative(one.q, time, one.valid, order=3) for one in (online, ahead)
+    )
+    assert smooth < 0.4 * shaking
     assert ahead.limit_violation <= 1e-12
     speed = np.abs(np.diff(ahead.q, axis=0)) * rate
     assert (speed <= robot.velocity_limits * (1.0 + 1e-9) + 1e-9).all()

@@ -36,7 +36,6 @@ from handmap_qp.apps.offline.hand_trace import HandTrace, trace_human, trace_rob
 from handmap_qp.apps.offline.look_ahead import (
     LookAhead,
     look_ahead,
-    map_both_ways,
     smooth_poses,
 )
 from handmap_qp.apps.offline.metrics import mean_values
@@ -384,26 +383,22 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
 def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
     """Map the landmarks of a take, with the palm that it is measured against."""
     _, method, ik = preset_choice(base_name(name), take.human)
-    recording = take.recording
+    recording, wrist = take.recording, take.wrist
     if name.endswith(LOOK_AHEAD):
         options = LookAhead()
-        wrist = smooth_poses(recording.time, take.wrist, recording.valid, options)
-        smooth = look_ahead(recording, options)
-        trajectory = map_both_ways(
-            take.human, robot, method, ik, smooth, wrist_poses=wrist
-        )
-    else:
-        smoothing = Smoothing() if name.endswith(SMOOTH) else None
-        ik = ik.replaced(**SMOOTH_IK) if smoothing else ik
-        mapper = HandMapper(take.human, robot, method, ik=ik)
-        # Mappings are compared, not how faults of the tracker are met: peers meet none.
-        trajectory = map_recording(
-            mapper,
-            recording,
-            wrist_poses=take.wrist,
-            smoothing=smoothing,
-            is_guarded=False,
-        )
+        wrist = smooth_poses(recording.time, wrist, recording.valid, options)
+        recording = look_ahead(recording, options)
+    if name != base_name(name):
+        ik = ik.replaced(**SMOOTH_IK)
+    mapper = HandMapper(take.human, robot, method, ik=ik)
+    # Mappings are compared, not how faults of the tracker are met: peers meet none.
+    trajectory = map_recording(
+        mapper,
+        recording,
+        wrist_poses=wrist,
+        smoothing=Smoothing() if name.endswith(SMOOTH) else None,
+        is_guarded=False,
+    )
     return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)
 
 

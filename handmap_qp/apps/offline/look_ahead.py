@@ -10,10 +10,8 @@ slower ones unchanged, and has no phase: it looks as far ahead as back. In a gap
 spline between both sides. The palm's motion and the landmarks in the palm are smoothed apart, so
 that the hand keeps its size while it turns.
 
-A robot that is slower than the hand trails behind it. Mapped backwards in time, it runs ahead by as
-much. The mean of both motions has no lag, and is inside all limits of position and speed, because
-these are convex. Links may overlap in it, so a last pass of the QP follows the mean, with contact
-rows and limits: what `map_both_ways` returns holds them all as exactly as online.
+The smooth recording is mapped as any other, with the costs of speed and acceleration that go with
+smoothing (`SMOOTH_IK`).
 """
 
 from __future__ import annotations
@@ -29,18 +27,14 @@ from handmap_qp.apps.offline.trajectory import (
     Trajectory,
     map_recording,
     stretches,
-    trajectory_of,
 )
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.landmarks import PALM
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording, recording_samples
-from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk
+from handmap_qp.human.recording import Recording
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.method import Method
 from handmap_qp.se3 import (
     affine,
     inverse_pose,
@@ -48,18 +42,10 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
-from handmap_qp.stream.follower import Follower
+from handmap_qp.stream.smoothing import SMOOTH_IK
 
 if TYPE_CHECKING:
     from handmap_qp.apps.arguments import MappingArguments
-
-# The last pass follows joint angles, which are inside the limits already.
-_FOLLOW = {
-    "rest_weight": 3.0,
-    "max_iterations": 3,
-    "step_tolerance": 0.02,
-    "error_damping": 0.0,
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,92 +190,12 @@ def map_hand(
         recording, points=arguments.human_points, lengths=person.lengths
     )
     choice = arguments.preset_for(human, robot)
-    if smoother is not None:
-        trajectory = map_both_ways(
-            human, robot, choice.method, choice.ik, recording, progress=progress
-        )
-        return recording, trajectory
-    mapper = HandMapper(human, robot, choice.method, ik=choice.ik)
+    ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
+    mapper = HandMapper(human, robot, choice.method, ik=ik)
     trajectory = map_recording(
         mapper, recording, progress, smoothing=arguments.smoothing
     )
     return recording, trajectory
-
-
-def map_both_ways(
-    human: Hand,
-    robot: Hand,
-    method: Method,
-    ik: IkOptions,
-    recording: Recording,
-    *,
-    wrist_poses: np.ndarray | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> Trajectory:
-    """Map a recording as a whole, without lag.
-
-    Args:
-        human: The human hand, scaled to the person.
-        robot: The robot hand.
-        method: The mapping method.
-        ik: Weights and settings of the QP.
-        recording: The recording, smoothed (`look_ahead`).
-        wrist_poses: Poses of the human model's wrist frame, shape (T, 4, 4); fitted to the palm's
-            landmarks if omitted.
-        progress: Called after each sample of the first pass with the number of samples done.
-
-    Returns:
-        The trajectory. The wrist is that of the forward pass: it follows within its limits but for
-        the fastest reaches.
-
-    Raises:
-        InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
-    """
-    first = HandMapper(human, robot, method, ik=ik)
-    steps = list(Follower(first).map_samples(recording_samples(recording, wrist_poses)))
-    forward = trajectory_of(first.robot, recording.time, iter(steps), progress)
-    turned = replace(
-        recording,
-        time=-recording.time[::-1],
-        landmarks=recording.landmarks[::-1],
-        valid=recording.valid[::-1],
-        wrist=None,
-        confidence=None,
-    )
-    poses = None if wrist_poses is None else wrist_poses[::-1]
-    backward = map_recording(
-        HandMapper(human, robot, method, ik=ik), turned, wrist_poses=poses
-    )
-    bound = method.bind(human, robot)
-    solver = PointIk(bound.robot, ik.replaced(**_FOLLOW), contacts=bound.contacts)
-    mean = 0.5 * (forward.q + backward.q[::-1])
-    dt = recording.steps
-    margins = None
-    q = np.empty_like(mean)
-    points = np.empty_like(forward.points)
-    at_bound = np.zeros(q.shape, dtype=bool)
-    robot = forward.robot
-    solver.place(robot.configuration_vector(mean[0], forward.wrist[0]))
-    for i, (angles, wrist) in enumerate(zip(mean, forward.wrist, strict=True)):
-        # Where the robot was held, its links keep the distances of the sample before.
-        if forward.valid[i]:
-            margins = steps[i].asked.margins
-        targets = robot.points(angles, wrist)
-        result = solver.solve(
-            targets, wrist, float(dt[i]), rest=angles, margins=margins
-        )
-        q[i] = solver.configuration.q[robot.q_indices]
-        points[i] = result.points
-        at_bound[i] = result.active[result.joint_columns] != 0
-    at_limit = robot.at_position_limit(q)
-    return replace(
-        forward,
-        q=q,
-        points=points,
-        point_error=np.linalg.norm(points - forward.targets, axis=2),
-        at_limit=at_limit,
-        at_speed_limit=at_bound & ~at_limit,
-    )
 
 
 def continuous_quats(rotations: np.ndarray) -> np.ndarray:
