@@ -1,0 +1,109 @@
+from .errors import (
+    DegeneratePointsError as DegeneratePointsError,
+)
+from .errors import (
+    HandError as HandError,
+)
+from .errors import (
+    HandmapError as HandmapError,
+)
+from .errors import (
+    InvalidInputError as InvalidInputError,
+)
+from .errors import (
+    InvalidOptionsError as InvalidOptionsError,
+)
+from .errors import (
+    MissingExtraError as MissingExtraError,
+)
+from .errors import (
+    MissingPackageError as MissingPackageError,
+)
+from .errors import (
+    RecordingError as RecordingError,
+)
+from .hands.hand import Hand as Hand
+from .hands.human import HumanLengths as HumanLengths
+from .hands.library import (
+    hand_names as hand_names,
+)
+from .hands.library import (
+    load_hand as load_hand,
+)
+from .hands.spec import (
+    HandSpec as HandSpec,
+)
+from .hands.spec import (
+    PointSpec as PointSpec,
+)
+from .hands.synergies import load_synergies as load_synergies
+from .human.recording import Recording as Recording
+from .human.sample import HumanSample as HumanSample
+from .ik.options import IkOptions as IkOptions
+from .ik.tasks import (
+    AttachedPoints as AttachedPoints,
+)
+from .ik.tasks import (
+    PointDistances as PointDistances,
+)
+from .ik.tasks import (
+    Task as Task,
+)
+from .ik.tasks import (
+    TaskRows as TaskRows,
+)
+from .mapping.by_name import METHODS as METHODS
+from .mapping.decomposition import (
+    Decomposition as Decomposition,
+)
+from .mapping.decomposition import (
+    Primitives as Primitives,
+)
+from .mapping.decomposition import (
+    decompose as decompose,
+)
+from .mapping.decomposition import (
+    primitives as primitives,
+)
+from .mapping.estimation import (
+    MotionEstimate as MotionEstimate,
+)
+from .mapping.estimation import (
+    estimate_motion as estimate_motion,
+)
+from .mapping.mapper import HandMapper as HandMapper
+from .mapping.method import Method as Method
+from .mapping.methods.fingertip_vectors import FingertipVectors as FingertipVectors
+from .mapping.methods.homogeneous import (
+    TELEMANIPULATION as TELEMANIPULATION,
+)
+from .mapping.methods.homogeneous import (
+    Homogeneous as Homogeneous,
+)
+from .mapping.methods.homogeneous import (
+    MappingOptions as MappingOptions,
+)
+from .mapping.methods.joint_to_joint import JointToJoint as JointToJoint
+from .mapping.methods.teleoperation import Teleoperation as Teleoperation
+from .mapping.methods.virtual_object import (
+    VirtualEllipsoid as VirtualEllipsoid,
+)
+from .mapping.methods.virtual_object import (
+    VirtualSphere as VirtualSphere,
+)
+from .mapping.presets import PRESETS as PRESETS
+from .mapping.step import (
+    MapStep as MapStep,
+)
+from .mapping.step import (
+    RobotCommand as RobotCommand,
+)
+from .stream.follower import Follower as Follower
+from .stream.smoothing import Smoothing as Smoothing
+from .trackers.formats import read_recording as read_recording
+from .trackers.layouts.base import Layout as Layout
+from .trackers.layouts.tables import load_layout as load_layout
+from .trackers.plausibility import InputCheck as InputCheck
+
+__version__: str
+__all__: list[str]
