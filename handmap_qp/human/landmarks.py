@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.human.sample import LANDMARK_COUNT
@@ -45,30 +45,26 @@ class PalmShape:
         self.points = landmarks_at_rest(human)[PALM]
         self._size = float(palm_sizes(self.points))
 
+    def ratios(self, landmarks: np.ndarray) -> np.ndarray:
+        """Return the size of palms over this one's, shape (...).
+
+        Args:
+            landmarks: Of one sample or many [m], shape (..., 21, 3).
+        """
+        return palm_sizes(landmarks[..., PALM, :]) / self._size
+
     def fits(self, landmarks: np.ndarray) -> np.ndarray:
         """Tell whether landmarks belong to a hand about as large as this one.
 
         Landmarks in other units, or all in one place, do not.
 
         Args:
-            landmarks: Of one sample or many [m], shape (..., 21, 3).
+            landmarks: As of `ratios`.
 
         Returns:
             True or False for every sample, shape (...); False for NaN.
-
-        Raises:
-            InvalidInputError: On a wrong shape, or anything but numbers.
         """
-        array = as_floats(landmarks, "landmarks")
-        if array.shape[-2:] != (LANDMARK_COUNT, 3):
-            expected = f"shape (..., {LANDMARK_COUNT}, 3)"
-            got = f"shape {array.shape}"
-            raise InvalidInputError(
-                argument="landmarks",
-                expected=expected,
-                got=got,
-            )
-        ratios = palm_sizes(array[..., PALM, :]) / self._size
+        ratios = self.ratios(landmarks)
         return np.asarray((ratios >= _PALM_RATIOS[0]) & (ratios <= _PALM_RATIOS[1]))
 
     def check(self, landmarks: np.ndarray) -> None:
@@ -80,13 +76,12 @@ class PalmShape:
         Raises:
             InvalidInputError: If the palm is less than half or more than twice as large.
         """
-        ratio = float(palm_sizes(landmarks[PALM])) / self._size
         expect(
             self.fits(landmarks),
             "landmarks",
             "metres and a palm as large as the hand's",
             value=landmarks,
-            got=f"one {ratio:.3g} times as large",
+            got=f"one {self.ratios(landmarks):.3g} times as large",
         )
 
 

@@ -20,7 +20,7 @@ from handmap_qp import (
 )
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import MOST_ITERATIONS, LandmarkFitter, fit_recording
-from handmap_qp.human.landmarks import TIPS, PalmShape, human_name
+from handmap_qp.human.landmarks import TIPS, human_name
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.se3 import affine
 
@@ -248,7 +248,6 @@ def test_other_arguments_are_named() -> None:
         "side": lambda: LandmarkFitter("up"),  # ty: ignore[invalid-argument-type]
         "lengths": lambda: LandmarkFitter("right", 0.19),  # ty: ignore[invalid-argument-type]
         "recording": lambda: measure_hand("x"),  # ty: ignore[invalid-argument-type]
-        "landmarks": lambda: PalmShape(load_hand("human")).fits(np.zeros((3, 3))),
     }
     for argument, call in calls.items():
         with pytest.raises(InvalidInputError) as caught:
