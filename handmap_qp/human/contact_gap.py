@@ -112,11 +112,7 @@ class ContactGapMeter:
         self._least = math.inf
         self._is_due = False
 
-    def add(
-        self,
-        time: float,
-        landmarks: np.ndarray,
-    ) -> bool:
+    def add(self, time: float, landmarks: np.ndarray) -> bool:
         """Take one sample that the robot follows.
 
         Args:

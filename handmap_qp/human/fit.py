@@ -53,6 +53,8 @@ _STUCK_COST = 2.0
 _JOINTS = 4
 """Joints of a finger."""
 _SHAPE = (len(FINGERS), _JOINTS)
+_Fit = tuple[np.ndarray, np.ndarray]
+"""Joint angles of each finger [rad], shape (5, 4), and its cost, shape (5,)."""
 
 
 class LandmarkFitter:
@@ -71,9 +73,7 @@ class LandmarkFitter:
     """
 
     def __init__(
-        self,
-        side: Side = "right",
-        lengths: HumanLengths | None = None,
+        self, side: Side = "right", lengths: HumanLengths | None = None
     ) -> None:
         self.human = human = load_hand(
             human_name(side), points="landmarks", lengths=lengths
@@ -116,8 +116,8 @@ class LandmarkFitter:
         # In wrist axes the fingers alone move.
         local = (landmarks - wrist[:3, 3]).dot(wrist[:3, :3])
         targets = _beyond_base(local)
-        follow = self._best_start if self._q is None else self._follow
-        self._q = follow(targets)
+        postures, costs = map(np.array, zip(*self._fits(targets), strict=True))
+        self._q = postures[costs.argmin(axis=0), _EACH]
         self._place(self._q)
         errors = norms(self._configuration.points - local)
         return self._q.flatten(), wrist, errors
@@ -129,43 +129,35 @@ class LandmarkFitter:
         rotation = nearest_rotation((palm - centre).T.dot(self._shape))
         return affine(rotation, centre - rotation.dot(self._centre))
 
-    def _best_start(self, targets: np.ndarray) -> np.ndarray:
-        """Fit a first sample from several postures, and take each finger's best fit."""
-        best = np.full(len(FINGERS), np.inf)
-        chosen = self._rest.copy()
-        for share in _FIRST_SHARES:
-            limit = self._upper if share > 0.0 else self._lower
-            start = self._rest + share * (limit - self._rest)
-            q, cost = self._solve(start, targets, _FIRST_ITERATIONS)
-            is_better = cost < best
-            chosen[is_better], best[is_better] = q[is_better], cost[is_better]
-        return chosen
-
-    def _follow(self, targets: np.ndarray) -> np.ndarray:
-        """Fit a sample from the one before; fingers that got stuck start from their rest abduction.
+    def _fits(self, targets: np.ndarray) -> list[_Fit]:
+        """Fit a first sample from several postures, any other from the one before.
 
         At 90 degrees of flexion, abduction does not move the bones before the next joint, and a
-        finger can come back on the wrong side.
+        finger can come back on the wrong side. Such fingers start from their rest abduction too.
         """
-        assert self._q is not None
+        if self._q is None:
+            limits = (self._upper if s > 0.0 else self._lower for s in _FIRST_SHARES)
+            shares = zip(_FIRST_SHARES, limits, strict=True)
+            starts = [self._rest + share * (q - self._rest) for share, q in shares]
+            return [self._solve(q, targets, _FIRST_ITERATIONS) for q in starts]
         q, cost = self._solve(self._q, targets, MOST_ITERATIONS)
         is_at_limit = (q <= self._lower) | (q >= self._upper)
         is_stuck = (cost > _STUCK_COST) & is_at_limit[:, 0]
         done = self.iterations
-        if is_stuck.any() and done < MOST_ITERATIONS:
-            start = q.copy()
-            start[is_stuck, 0] = self._rest[is_stuck, 0]
-            other, other_cost = self._solve(start, targets, MOST_ITERATIONS - done)
-            self.iterations += done
-            q = np.where((other_cost < cost)[:, None], other, q)
-        return q
+        if not is_stuck.any() or done >= MOST_ITERATIONS:
+            return [(q, cost)]
+        start = q.copy()
+        start[is_stuck, 0] = self._rest[is_stuck, 0]
+        other = self._solve(start, targets, MOST_ITERATIONS - done)
+        self.iterations += done
+        return [(q, cost), other]
 
     def _solve(
         self,
         q: np.ndarray,
         targets: np.ndarray,
         most: int,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> _Fit:
         """Minimise the cost of every finger from a posture, shape (5, 4).
 
         Args:
@@ -205,9 +197,7 @@ class LandmarkFitter:
         self._configuration.place_with_jacobians(self._vector)
 
     def _cost(
-        self,
-        q: np.ndarray,
-        targets: np.ndarray,
+        self, q: np.ndarray, targets: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return weighted errors, shape (5, 9), and costs, shape (5,); places the hand there."""
         self._place(q)

@@ -183,9 +183,7 @@ class InputCheck:
         self._guess = guess
 
     def _examine(
-        self,
-        landmarks: np.ndarray,
-        wrists: np.ndarray | None,
+        self, landmarks: np.ndarray, wrists: np.ndarray | None
     ) -> Finding | None:
         """Return what is wrong in one batch."""
         distances = own_distances(landmarks)
@@ -252,11 +250,7 @@ class InputCheck:
             advice,
         )
 
-    def _other_side(
-        self,
-        landmarks: np.ndarray,
-        wrists: np.ndarray | None,
-    ) -> Finding:
+    def _other_side(self, landmarks: np.ndarray, wrists: np.ndarray | None) -> Finding:
         """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
         other = "left" if self.side == "right" else "right"
         say = f"say that the hand is the {other} one"

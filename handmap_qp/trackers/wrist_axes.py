@@ -83,11 +83,7 @@ class WristCheck:
         self._start: tuple[np.ndarray, np.ndarray] | None = None
         self.is_proven = False
 
-    def examine(
-        self,
-        landmarks: np.ndarray,
-        wrists: np.ndarray,
-    ) -> Finding | None:
+    def examine(self, landmarks: np.ndarray, wrists: np.ndarray) -> Finding | None:
         """Compare wrist poses with the palm that the landmarks show.
 
         The rotation from one to the other must be that of a known tracker, or at least be the same

@@ -18,11 +18,11 @@ from handmap_qp.se3 import affine, as_floats, pose_from_xyz_quat
 
 SIDES: tuple[Side, ...] = ("left", "right")
 COLUMNS: dict[str, tuple[str, ...]] = {
+    "time": ("time",),
     "landmarks": tuple(f"{name}_{a}" for name in LANDMARK_NAMES for a in "xyz"),
-    "wrist": tuple(f"wrist_pose_{i}{j}" for i in range(3) for j in range(4)),
     "valid": ("valid",),
     "confidence": ("confidence",),
-    "time": ("time",),
+    "wrist": tuple(f"wrist_pose_{i}{j}" for i in range(3) for j in range(4)),
 }
 """Names of the numbers of a sample by the fields of `Recording`, for formats that have columns.
 
@@ -112,11 +112,7 @@ class RecordingFormat(abc.ABC):
         """List the recordings of a file, in its order."""
 
     @abc.abstractmethod
-    def read(
-        self,
-        path: Path,
-        entry: Entry,
-    ) -> Recording:
+    def read(self, path: Path, entry: Entry) -> Recording:
         """Read one recording."""
 
     def unread(self, path: Path) -> tuple[str, ...]:
@@ -129,11 +125,7 @@ class RecordingFormat(abc.ABC):
         return tuple(words for words, is_lost in lacks if any(map(is_lost, recordings)))
 
     @abc.abstractmethod
-    def write(
-        self,
-        recordings: Sequence[Recording],
-        path: Path,
-    ) -> None:
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write recordings to one file; an earlier file stays as it was if this fails.
 
         Raises:

@@ -30,7 +30,6 @@ from handmap_qp.trackers.formats.base import (
     side_of,
 )
 
-_ORDER = ("time", "landmarks", "valid", "confidence", "wrist")
 Rows = Iterator[tuple[int, list[str]]]
 """Rows of a table with their lines, counted from 1."""
 
@@ -56,11 +55,7 @@ class CsvFormat(RecordingFormat):
         found = [side for side in SIDES if side in counts]
         return tuple(Entry("" if is_one else s, s, counts[s]) for s in found)
 
-    def read(
-        self,
-        path: Path,
-        entry: Entry,
-    ) -> Recording:
+    def read(self, path: Path, entry: Entry) -> Recording:
         """Read the rows of one hand."""
         with opened_table(path) as (header, rows):
             sides = _by_side(path, header, rows)
@@ -80,15 +75,10 @@ class CsvFormat(RecordingFormat):
             known = {"side", *chain(*COLUMNS.values())}
             return tuple(name for name in header if name not in known)
 
-    def write(
-        self,
-        recordings: Sequence[Recording],
-        path: Path,
-    ) -> None:
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand, or the rows of the left hand before those of the right one."""
         self.check_one_per_hand(recordings)
-        known = known_columns(*recordings)
-        fields = [field for field in _ORDER if field in known]
+        fields = known_columns(*recordings)
         with replaced_file(path, "path") as file:
             text = io.TextIOWrapper(file, "utf-8", newline="")
             writer = csv.writer(text, lineterminator="\n")

@@ -186,11 +186,7 @@ class RobomimicFormat(RecordingFormat):
         side = side_of(demo.attrs.get("side"), path, f"data/{name}")
         return Entry(name, side, len(demo["obs/landmarks"]))
 
-    def read(
-        self,
-        path: Path,
-        entry: Entry,
-    ) -> Recording:
+    def read(self, path: Path, entry: Entry) -> Recording:
         """Read one demonstration."""
         with opened(path) as file:
             demo = file["data"][entry.name]
@@ -214,11 +210,7 @@ class RobomimicFormat(RecordingFormat):
                 found |= {f"obs/{name}" for name in set(demo["obs"]) - set(COLUMNS)}
             return tuple(sorted(found))
 
-    def write(
-        self,
-        recordings: Sequence[Recording],
-        path: Path,
-    ) -> None:
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as a demonstration."""
         expect(
             recordings,
@@ -280,11 +272,7 @@ class EgoDexFormat(RecordingFormat):
                 )
             return tuple(Entry(side, side, len(group[f"{side}Hand"])) for side in found)
 
-    def read(
-        self,
-        path: Path,
-        entry: Entry,
-    ) -> Recording:
+    def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand."""
         names = joint_names(entry.side)
         count = entry.samples
@@ -322,11 +310,7 @@ class EgoDexFormat(RecordingFormat):
         poses = (f"{others} other poses",) if others else ()
         return (*poses, *rest, "orientations of the fingers' joints")
 
-    def write(
-        self,
-        recordings: Sequence[Recording],
-        path: Path,
-    ) -> None:
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both; the fingers' joints have no orientation of their own.
 
         Where the tracker gave no wrist pose, the wrist's orientation is that of the palm.

@@ -45,7 +45,7 @@ class Feature(NamedTuple):
 
     Attributes:
         dtype: `float64`, `float32`, `int64` or `bool`.
-        names: Names of its numbers; that of a single one is not written.
+        names: Names of its numbers; empty for a single one without.
     """
 
     dtype: str
@@ -55,12 +55,6 @@ class Feature(NamedTuple):
     def size(self) -> int:
         """How many numbers a frame has."""
         return max(1, len(self.names))
-
-    @property
-    def description(self) -> dict[str, Any]:
-        """What `meta/info.json` says about it."""
-        names = self.names if self.size > 1 else None
-        return {"dtype": self.dtype, "shape": [self.size], "names": names}
 
 
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
@@ -89,19 +83,11 @@ class LeRobotFormat(RecordingFormat):
         advice = "read the recordings that it was made from"
         raise RecordingError(f"{problem}: {advice}", file=path)
 
-    def read(
-        self,
-        path: Path,
-        entry: Entry,
-    ) -> Recording:
+    def read(self, path: Path, entry: Entry) -> Recording:
         """Refuse: no data set is read."""
         raise NotImplementedError("entries refuses every path")
 
-    def write(
-        self,
-        recordings: Sequence[Recording],
-        path: Path,
-    ) -> None:
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as an episode."""
         expect(
             recordings,
@@ -281,11 +267,7 @@ class LeRobotWriter:
             self._write(_EPISODES_PATH, self._pa.Table.from_pylist(self._episodes))
             self._episodes.clear()
 
-    def _write(
-        self,
-        place: str,
-        table: Any,
-    ) -> None:
+    def _write(self, place: str, table: Any) -> None:
         """Append a row group to a parquet file."""
         if place not in self._open:
             file = self._place(place)
@@ -323,7 +305,10 @@ class LeRobotWriter:
             "splits": {"train": f"0:{self._episode_count}"},
             "data_path": _DATA_PATH,
             "video_path": None,
-            "features": {name: f.description for name, f in self._features.items()},
+            "features": {
+                name: {"dtype": f.dtype, "shape": [f.size], "names": f.names or None}
+                for name, f in self._features.items()
+            },
         }
         stats = {
             name: {key: array.tolist() for key, array in own.items()}

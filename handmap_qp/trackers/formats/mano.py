@@ -77,11 +77,7 @@ class ManoFormat(RecordingFormat):
         side = side_of(arrays["side"], path, "side")
         return (Entry("", side, len(np.atleast_1d(main))),)
 
-    def read(
-        self,
-        path: Path,
-        entry: Entry,
-    ) -> Recording:
+    def read(self, path: Path, entry: Entry) -> Recording:
         """Read the hand."""
         arrays = read_archive(path)
         with reading(path):
@@ -116,11 +112,7 @@ class ManoFormat(RecordingFormat):
         """Name the arrays that a recording cannot hold."""
         return tuple(sorted(member_names(path) - _KNOWN))
 
-    def write(
-        self,
-        recordings: Sequence[Recording],
-        path: Path,
-    ) -> None:
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write the joints of one hand."""
         self.check_one_per_hand([*recordings, *recordings[1:]])
         recording = recordings[0]
@@ -279,11 +271,7 @@ class _Shell:
 
     x: Any = None
 
-    def __array__(
-        self,
-        dtype: Any = None,
-        copy: Any = None,
-    ) -> np.ndarray:
+    def __array__(self, dtype: Any = None, copy: Any = None) -> np.ndarray:
         return np.asarray(self.x, dtype=dtype)
 
 
@@ -300,11 +288,7 @@ _ALLOWED = {
 class _ArrayUnpickler(pickle.Unpickler):
     """Unpickles arrays, and nothing that could run code."""
 
-    def find_class(
-        self,
-        module: str,
-        name: str,
-    ) -> Any:
+    def find_class(self, module: str, name: str) -> Any:
         if module.partition(".")[0] == "chumpy":
             return _Shell
         if name not in _ALLOWED.get(module, ()):

@@ -74,11 +74,7 @@ class McapFormat(RecordingFormat):
                 for side, topics in _hands(path, bag).items()
             )
 
-    def read(
-        self,
-        path: Path,
-        entry: Entry,
-    ) -> Recording:
+    def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand."""
         with _opened(path) as bag:
             topics = _hands(path, bag)[entry.side]
@@ -114,11 +110,7 @@ class McapFormat(RecordingFormat):
                 rest -= set(topics.values())
             return tuple(f"topic {topic}" for topic in sorted(rest))
 
-    def write(
-        self,
-        recordings: Sequence[Recording],
-        path: Path,
-    ) -> None:
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both; a bag of one file, without the folder around it."""
         self.check_one_per_hand(recordings)
         bags = require("rosbags.rosbag2", "files")

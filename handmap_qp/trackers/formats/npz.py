@@ -57,11 +57,7 @@ class NpzFormat(RecordingFormat):
         times = _read(path, [f"{side}_time" for side in sides])
         return tuple(Entry(s, s, np.size(times[f"{s}_time"])) for s in sides)
 
-    def read(
-        self,
-        path: Path,
-        entry: Entry,
-    ) -> Recording:
+    def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand; samples with numbers that are not finite are not valid."""
         prefix = f"{entry.name}_" if entry.name else ""
         needed, known = ([prefix + n for n in names] for names in (_NEEDED, _KNOWN))
@@ -75,11 +71,7 @@ class NpzFormat(RecordingFormat):
         known = {before + name for before in ("", *_PREFIXES) for name in _KNOWN}
         return tuple(sorted(member_names(path) - known - {"handedness"}))
 
-    def write(
-        self,
-        recordings: Sequence[Recording],
-        path: Path,
-    ) -> None:
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write one hand or both."""
         self.check_one_per_hand(recordings)
         arrays: dict[str, np.ndarray] = {}

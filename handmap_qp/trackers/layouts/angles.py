@@ -153,11 +153,7 @@ class AngleLayout(Layout[AngleTable]):
         own = np.asarray(q, dtype=float)[self._joints] / UNITS[self.table.unit]
         return (own - self._offsets) / self._scales
 
-    def _check(
-        self,
-        values: np.ndarray,
-        q: np.ndarray,
-    ) -> None:
+    def _check(self, values: np.ndarray, q: np.ndarray) -> None:
         """Reject angles of the other unit, and those of a wrong sign."""
         unit = self.table.unit
         largest = float(np.abs(values).max(initial=0.0))

@@ -331,11 +331,7 @@ class Layout(abc.ABC, Generic[Table]):
                 poses[seen] = found
         return landmarks, poses, seen
 
-    def find_columns(
-        self,
-        names: Sequence[str],
-        side: Side,
-    ) -> dict[str, str]:
+    def find_columns(self, names: Sequence[str], side: Side) -> dict[str, str]:
         """Find the numbers of one sample among named ones.
 
         A name may have more before it, such as `RightFinger`, where it names no other side.
@@ -370,9 +366,7 @@ class Layout(abc.ABC, Generic[Table]):
         return found
 
     def from_columns(
-        self,
-        given: Mapping[str, npt.ArrayLike],
-        side: Side,
+        self, given: Mapping[str, npt.ArrayLike], side: Side
     ) -> np.ndarray:
         """Put named numbers into the order of `columns`.
 

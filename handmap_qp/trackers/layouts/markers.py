@@ -154,11 +154,7 @@ class MarkerLayout(Layout[MarkerTable]):
             for x, y, z in [entry.xyz]
         )
 
-    def _fitter(
-        self,
-        side: Side,
-        lengths: HumanLengths | None,
-    ) -> PointIk:
+    def _fitter(self, side: Side, lengths: HumanLengths | None) -> PointIk:
         """Return the IK of the hand with markers; that of last time for the same hand."""
         if self._last is None or self._last[:2] != (side, lengths):
             human = sized_human(side, lengths, self._points(side))
