@@ -104,6 +104,55 @@ class ArcOutcome:
         return float(turn.magnitude())
 
 
+class SoftSimulator(Simulator):
+    """A hand whose motors are told the torques of springs in series with those of the joints.
+
+    Args:
+        hand: The hand, without an arm.
+        body: The object.
+        physics: Contacts, actuators and time steps.
+        compliance: Compliance in series with that of the joints [rad/(N m)], shape (n, n).
+
+    Attributes:
+        stiffness: K of the actuators [N m/rad], shape (n, n).
+        damping: D, critical for every mode of K and the joints' inertias [N m s/rad], shape (n, n).
+
+    Raises:
+        InvalidInputError: If the compliance is of another shape.
+    """
+
+    def __init__(
+        self, hand: Hand, body: Body, physics: Physics, compliance: npt.ArrayLike
+    ) -> None:
+        super().__init__(hand, body, physics)
+        count = len(hand.joint_names)
+        soft = finite_array(compliance, (count, count), "compliance")
+        model = self.model
+        joints = np.diag(1.0 / model.actuator_gainprm[:, 0])
+        self.stiffness = np.linalg.inv(joints + soft)
+        self._dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+        self.damping = _critical(self.stiffness, model.dof_M0[self._dofs])
+        model.actuator_gainprm[:, 0] = 1.0
+        model.actuator_biasprm[:, :3] = 0.0
+
+    def tell_actuators(self, command: np.ndarray) -> None:
+        """Tell the motors the torques of springs and dampers [N m]."""
+        self.data.ctrl[:] = self.torques(command, self.q, self.data.qvel[self._dofs])
+
+    def torques(
+        self, command: np.ndarray, q: np.ndarray, velocity: np.ndarray
+    ) -> np.ndarray:
+        """Return `K (command - q) - D dq` [N m], shape (n,)."""
+        return self.stiffness @ (command - q) - self.damping @ velocity
+
+
+def stiffness_of(simulator: Simulator) -> np.ndarray:
+    """Return the stiffness of a hand's actuators [N m/rad], shape (n, n)."""
+    if isinstance(simulator, SoftSimulator):
+        return simulator.stiffness
+    return np.diag(simulator.model.actuator_gainprm[:, 0])
+
+
 def soft_synergy(synergy: int, physics: Physics) -> np.ndarray:
     """Return the compliance of Sec. IV: one soft synergy of the human in series with the joints.
 
@@ -195,10 +244,15 @@ def carry(
     """
     physics, options = physics or Physics(), options or ArcOptions()
     assert grasp.shape is not None
-    simulator = Simulator(grasp.hand, Body(grasp.shape, mass), physics, compliance)
+    body = Body(grasp.shape, mass)
+    if compliance is None:
+        simulator = Simulator(grasp.hand, body, physics)
+    else:
+        simulator = SoftSimulator(grasp.hand, body, physics, compliance)
+    stiffness = stiffness_of(simulator)
     weight = np.concatenate([mass * np.array(physics.gravity), np.zeros(3)])
     forces = holding_forces(grasp, weight, options.normal_force)
-    offset = squeeze(grasp, forces, simulator.parts.stiffness)
+    offset = squeeze(grasp, forces, stiffness)
     take_hold(simulator, grasp, offset)
     instants = [simulator.instant()]
     start_q, start_wrist = simulator.q, simulator.wrist
@@ -215,7 +269,7 @@ def carry(
     is_lost = bool(np.linalg.norm(places - places[0], axis=1).max() > LOST)
     slip = _slip(grasp, (start_q, start_wrist, start_object), simulator)
     is_lost = is_lost or episode.at.links_touching[-1] == 0
-    return Carried(episode, slip, is_lost, simulator.parts.stiffness)
+    return Carried(episode, slip, is_lost, stiffness)
 
 
 def take_hold(simulator: Simulator, grasp: Grasp, offset: np.ndarray) -> None:
@@ -230,7 +284,7 @@ def take_hold(simulator: Simulator, grasp: Grasp, offset: np.ndarray) -> None:
     if grasp.hand.is_floating and wrist is None:
         wrist = np.eye(4)
     simulator.reset(grasp.q, wrist, grasp.object_pose)
-    gravity = simulator.parts.model.opt.gravity
+    gravity = simulator.model.opt.gravity
     gravity[:] = 0.0
     simulator.follow(grasp.q + offset, wrist, _CLOSING)
     simulator.hold(_RESTING)
@@ -309,3 +363,13 @@ def _is_firm(grasp: Grasp) -> bool:
     return (
         len(grasp.contacts) >= 3 and np.linalg.matrix_rank(grasp.matrix, tol=1e-6) == 6
     )
+
+
+def _critical(stiffness: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    """Return `2 M^1/2 (M^-1/2 K M^-1/2)^1/2 M^1/2`: critical damping of each mode.
+
+    M is diagonal: the inertia felt at each joint in the model's own posture [kg m^2], shape (n,).
+    """
+    root = np.sqrt(np.outer(inertia, inertia))
+    squares, modes = np.linalg.eigh(stiffness / root)
+    return 2.0 * root * ((modes * np.sqrt(squares)) @ modes.T)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Literal
 
-import msgspec
 import mujoco
 import numpy as np
 import pytest
-from arc import holding_forces, squeeze, take_hold
+from arc import SoftSimulator, holding_forces, squeeze, stiffness_of, take_hold
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from section_four.contacts import Contact, Grasp
 from section_four.statics import quasistatic
 from simulation_cases import CUBE, cube_grasp
@@ -19,6 +19,7 @@ from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
 from handmap_qp.apps.simulation.objects import Box, Cylinder, Sphere
 from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
 from handmap_qp.apps.simulation.simulator import Simulator
+from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import affine
 
 MASS = 0.1
@@ -40,15 +41,27 @@ KINDS = pytest.mark.parametrize(
 
 def velocity_of_object(simulator: Simulator) -> np.ndarray:
     """Return the velocity of the object's centre, world axes [m/s], shape (3,)."""
-    v, parts = np.zeros(6), simulator.parts
-    body = mujoco.mjtObj.mjOBJ_BODY
-    mujoco.mj_objectVelocity(parts.model, simulator.data, body, parts.object, v, 0)
+    v, model = np.zeros(6), simulator.model
+    kind, body = mujoco.mjtObj.mjOBJ_BODY, model.body("object").id
+    mujoco.mj_objectVelocity(model, simulator.data, kind, body, v, 0)
     return v[3:]
 
 
 def torques_of(simulator: Simulator) -> np.ndarray:
     """Return the torques of the actuators [N m], shape (n,)."""
-    return simulator.data.qfrc_actuator[simulator.parts.joint_v]
+    model = simulator.model
+    names = simulator.hand.joint_names
+    return simulator.data.qfrc_actuator[[model.joint(n).dofadr[0] for n in names]]
+
+
+def simulate(
+    hand: Hand, physics: Physics, compliance: np.ndarray | None = None
+) -> Simulator:
+    """The cube and a hand, whose motors may have springs in series."""
+    body = Body(CUBE, MASS)
+    if compliance is None:
+        return Simulator(hand, body, physics)
+    return SoftSimulator(hand, body, physics, compliance)
 
 
 def held(
@@ -58,8 +71,8 @@ def held(
     grasp = cube_grasp()
     load = MASS * np.array([*physics.gravity, 0.0, 0.0, 0.0])
     forces = holding_forces(grasp, load, normal_force)
-    simulator = Simulator(grasp.hand, Body(CUBE, MASS), physics, compliance)
-    offset = squeeze(grasp, forces, simulator.parts.stiffness)
+    simulator = simulate(grasp.hand, physics, compliance)
+    offset = squeeze(grasp, forces, stiffness_of(simulator))
     take_hold(simulator, grasp, offset)
     return simulator, grasp, offset
 
@@ -102,7 +115,7 @@ def test_forces_on_the_object_are_its_weight_once_it_rests() -> None:
 def test_momentum_changes_by_the_impulse_of_contacts_and_gravity() -> None:
     """Tilted and carried: m dv = (sum f + m g) dt, summed over every step."""
     simulator, _, _ = held(Physics(friction=1.2))
-    model, data, dt = simulator.parts.model, simulator.data, simulator.physics.time_step
+    model, data, dt = simulator.model, simulator.data, simulator.physics.time_step
     before, impulse = velocity_of_object(simulator), np.zeros(3)
     for k in range(60):
         data.mocap_pos[0] += (4e-6 * k, 0.0, 2e-6 * k)
@@ -172,7 +185,7 @@ def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
     simulator, _, _ = held(physics, compliance=compliance)
     found = simulator.contacts().forces
     assert len(found) == len(forces)
-    torques = simulator.parts.stiffness @ (simulator.target[0] - simulator.q)
+    torques = stiffness_of(simulator) @ (simulator.target[0] - simulator.q)
     np.testing.assert_allclose(torques_of(simulator), torques, atol=2e-3)
     nearest = [np.linalg.norm(found - force, axis=1).min() for force in forces]
     assert max(nearest) < 0.05 * np.linalg.norm(forces, axis=1).max()
@@ -181,16 +194,16 @@ def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
 def test_soft_synergies_are_springs_in_series() -> None:
     """Both equations of the model, solved for the torques by hand."""
     hand = cube_grasp().hand
-    drive = Simulator(hand, Body(CUBE), MOTORS, SOFT).parts
+    drive = SoftSimulator(hand, Body(CUBE), MOTORS, SOFT)
     q, reference = np.linspace(-0.2, 0.3, 8), np.array([0.4, -0.1])
-    torques = drive.controls(SYNERGIES @ reference, q, np.zeros(8))
+    torques = drive.torques(SYNERGIES @ reference, q, np.zeros(8))
     synergy = reference - SYNERGIES.T @ torques / 2.0
     np.testing.assert_allclose(torques, 3.0 * (SYNERGIES @ synergy - q), atol=1e-12)
     # Critical damping of every mode: D M^-1 D = 4 K for one inertia M.
     inertia = drive.damping @ np.linalg.inv(drive.stiffness) @ drive.damping / 4.0
     np.testing.assert_allclose(inertia, np.diag(np.diag(inertia)), atol=1e-9)
     with pytest.raises(InvalidInputError, match="compliance"):
-        Simulator(hand, Body(CUBE), compliance=np.eye(3))
+        SoftSimulator(hand, Body(CUBE), MOTORS, np.eye(3))
 
 
 @pytest.mark.slow
@@ -285,7 +298,8 @@ def test_an_object_slides_on_its_stand_by_coulombs_law(push: float) -> None:
     simulator.reset(grasp.q, grasp.wrist_pose, FAR)
     simulator.set_stand(holds=True)
     weight = 0.3 * np.linalg.norm(physics.gravity)
-    simulator.data.xfrc_applied[simulator.parts.object, 0] = push * 0.5 * weight
+    held_body = simulator.model.body("object").id
+    simulator.data.xfrc_applied[held_body, 0] = push * 0.5 * weight
     simulator.hold(0.2)
     moved = simulator.object_pose[:3, 3] - FAR[:3, 3]
     free = max(0.0, push - 1.0) * 0.5 * np.linalg.norm(physics.gravity) * 0.2**2 / 2.0
@@ -299,7 +313,7 @@ def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
 ) -> None:
     grasp = cube_grasp()
     assert grasp.wrist_pose is not None
-    simulator = Simulator(grasp.hand, Body(CUBE, MASS), physics, compliance)
+    simulator = simulate(grasp.hand, physics, compliance)
     simulator.reset(grasp.q, grasp.wrist_pose, FAR)
     np.testing.assert_allclose(simulator.wrist, grasp.wrist_pose, atol=1e-12)
     target = grasp.wrist_pose.copy()
@@ -310,22 +324,46 @@ def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
     np.testing.assert_allclose(simulator.q, grasp.q, atol=1e-3)
     # Motors carry the hand's own weight; beside servos, it is compensated.
     weight = np.abs(torques_of(simulator)).max()
-    assert weight > 0.015 if simulator.parts.is_torque.any() else weight < 2e-3
+    assert weight > 0.015 if physics is MOTORS else weight < 2e-3
 
 
 def test_mimic_joints_follow_their_leaders() -> None:
-    """The TIAGo's Hey5 bends each finger by one motor."""
-    spec = msgspec.structs.replace(load_hand("hey5").spec)
-    hand = load_hand(spec)
+    """One motor bends all fingers of Romeo's hand."""
+    hand = load_hand("romeo_left")
     simulator = Simulator(hand, Body(CUBE, MASS))
     simulator.reset(hand.rest, np.eye(4), FAR)
     q = hand.rest + 0.2 * (hand.upper_limits - hand.rest)
     simulator.follow(q, np.eye(4), 0.4)
     simulator.hold(0.4)
-    places = simulator.parts.all_q
-    found = simulator.data.qpos[places[places >= 0]]
-    wanted = hand.all_joints(simulator.q)[places >= 0]
-    np.testing.assert_allclose(found, wanted, atol=0.02)
+    wanted = dict(zip(hand.all_joint_names, hand.all_joints(simulator.q), strict=True))
+    roles = zip(hand.all_joint_names, hand.all_joint_roles, strict=True)
+    moving = [name for name, role in roles if role != "locked"]
+    assert len(moving) > len(hand.joint_names)
+    found = [simulator.data.joint(name).qpos[0] for name in moving]
+    np.testing.assert_allclose(found, [wanted[name] for name in moving], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    "name", ["three_finger", "hey5", "allegro_left", "g1_arm_left"]
+)
+def test_bodies_are_where_pinocchio_has_them(name: str) -> None:
+    """At random postures; a hand on an arm has a fixed root."""
+    hand = load_hand(name)
+    simulator = Simulator(hand, Body(CUBE))
+    random = np.random.default_rng(0)
+    q = random.uniform(hand.lower_limits, hand.upper_limits)
+    wrist = None
+    if hand.is_floating:
+        turn = Rotation.random(random_state=1).as_matrix()
+        wrist = affine(turn, np.array([0.1, 0.2, 0.3]))
+    simulator.reset(q, wrist, FAR)
+    np.testing.assert_allclose(simulator.q, q, atol=1e-12)
+    wanted = hand.frame_pose("wrist", q, wrist)
+    np.testing.assert_allclose(simulator.wrist, wanted, atol=1e-12)
+    for joint in hand.model.names[2 if hand.is_floating else 1 :]:
+        body = simulator.data.body(joint)
+        pose = affine(body.xmat.reshape(3, 3), body.xpos)
+        np.testing.assert_allclose(pose, hand.frame_pose(joint, q, wrist), atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -357,7 +395,7 @@ def test_impossible_bodies_and_starts_are_refused() -> None:
     grasp = cube_grasp()
     simulator = Simulator(grasp.hand, Body(CUBE, MASS))
     with pytest.raises(InvalidInputError, match="wrist"):
-        simulator.reset(grasp.q, None, FAR)
+        simulator.reset(grasp.q, np.zeros((4, 4)), FAR)
     with pytest.raises(InvalidInputError, match="q"):
         simulator.reset(grasp.q[1:], grasp.wrist_pose, FAR)
     with pytest.raises(InvalidInputError, match="three contacts"):

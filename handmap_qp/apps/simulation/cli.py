@@ -44,8 +44,7 @@ class Simulate:
     them until the human opens the hand. With --trials, random objects and places are tried, and the
     table shows how many were held by every mapping.
 
-    Links touch the object, not each other. Actuators are springs with critical damping: servos, or
-    motors that are told torques. The hand's own weight is compensated.
+    Links touch the object, not each other. Actuators are springs with critical damping.
 
     Examples:
         handmap simulate pinch.npz --robot allegro_right --film pinch.gif
@@ -61,8 +60,7 @@ class Simulate:
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
         stiffness: Stiffness of the fingers' actuators [N m/rad].
-        actuators: Servos that are told positions, or motors that are told torques of this
-            stiffness.
+        actuators: Servos beside which the hand's weight is compensated, or motors that carry it.
         up: World axis against gravity.
         trials: Random objects and places, for every mapping.
         objects: Random objects (varied), or the same object at random places (nominal).

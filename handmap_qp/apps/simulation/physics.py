@@ -70,12 +70,11 @@ class Body:
 class Physics(Options, frozen=True):
     """Contacts, actuators and time steps.
 
-    Links of the hand collide with the object, not with each other. The hand's own weight is
-    compensated, as its controller would.
+    Links of the hand collide with the object, not with each other.
 
-    Actuators of fingers press with `K (q_command - q) - D dq`, D critical. Servos (`position`) have
-    one stiffness each. Motors (`torque`) are told these torques at every step of time, and those
-    that carry the hand's own weight. An arm keeps its servos.
+    Actuators of fingers press with `K (q_command - q) - D dq`, D critical. Beside servos
+    (`position`), the hand's own weight is compensated; motors (`torque`) carry it themselves. An
+    arm keeps its servos.
     """
 
     friction: Annotated[

@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.simulation.model import BASE, OBJECT, build_model
+from handmap_qp.apps.simulation.model import BASE, OBJECT, WRIST, build_model
 from handmap_qp.apps.simulation.physics import Body, Physics
-from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import affine, as_floats, check_pose, inverse_pose
+from handmap_qp.se3 import affine, check_pose, quat_wxyz_from_rotation
 
 # Friction of the stand against turning the object acts at the last levers [m]: 2/3 of the radius of
 # a disc of 30 mm under even pressure.
 _STAND_LEVERS = np.array([1.0, 1.0, 1.0, 0.01, 0.01, 0.01])
+# From Pinocchio's position and quaternion xyzw to MuJoCo's, wxyz.
+_SEVEN = [0, 1, 2, 6, 3, 4, 5]
 
 
 class Contacts(NamedTuple):
@@ -108,33 +108,28 @@ class Simulator:
         hand: The hand; floating, or on an arm, or fixed to the world.
         body: The object.
         physics: Contacts, actuators and time steps; the usual ones if omitted.
-        compliance: Compliance in series with that of the joints [rad/(N m)], shape (n, n), as of
-            soft synergies; for motors (`Physics.actuators`).
 
     Attributes:
         hand: The hand.
         body: The object.
         physics: Contacts, actuators and time steps.
-        parts: The model and where its parts are.
-        data: `mujoco.MjData`, the state.
+        model: The `mujoco.MjModel`.
+        data: The state, `mujoco.MjData`.
+        target: Commanded joint angles [rad], shape (n,), and wrist pose, None if it does not float.
 
     Raises:
         HandError: If the hand has no collision shapes.
     """
 
-    def __init__(
-        self,
-        hand: Hand,
-        body: Body,
-        physics: Physics | None = None,
-        compliance: np.ndarray | None = None,
-    ) -> None:
+    def __init__(self, hand: Hand, body: Body, physics: Physics | None = None) -> None:
         self.hand = hand
         self.body = body
         self.physics = physics or Physics()
-        self.parts = build_model(hand, body, self.physics, compliance)
-        self.data = mujoco.MjData(self.parts.model)
-        self._target: tuple[np.ndarray, np.ndarray | None] | None = None
+        self.model = build_model(hand, body, self.physics)
+        self.data = mujoco.MjData(self.model)
+        self.target: tuple[np.ndarray, np.ndarray | None] = (hand.rest, None)
+        joints = [self.model.joint(name) for name in hand.joint_names]
+        self._places = np.array([joint.qposadr[0] for joint in joints])
 
     @property
     def time(self) -> float:
@@ -144,25 +139,17 @@ class Simulator:
     @property
     def q(self) -> np.ndarray:
         """Joint angles in the order of `hand.joint_names` [rad], shape (n,)."""
-        return self.data.qpos[self.parts.joint_q].copy()
+        return self.data.qpos[self._places].copy()
 
     @property
     def wrist(self) -> np.ndarray:
         """Pose of the wrist in the world, shape (4, 4)."""
-        if not self.hand.is_floating:
-            return self.hand.frame_pose("wrist", self.q)
-        return self._pose_of(BASE) @ self._base_to_wrist
+        return _pose_of(self.data.site(WRIST))
 
     @property
     def object_pose(self) -> np.ndarray:
         """Pose of the object in the world, shape (4, 4)."""
-        return self._pose_of(OBJECT)
-
-    @property
-    def target(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Commanded joint angles [rad], shape (n,), and wrist pose, None if it does not float."""
-        assert self._target is not None, "reset first"
-        return self._target
+        return _pose_of(self.data.body(OBJECT))
 
     def instant(self) -> Instant:
         """Return what is now."""
@@ -183,7 +170,7 @@ class Simulator:
         )
 
     def reset(
-        self, q: npt.ArrayLike, wrist: npt.ArrayLike | None, object_pose: npt.ArrayLike
+        self, q: npt.ArrayLike, wrist: np.ndarray | None, object_pose: npt.ArrayLike
     ) -> None:
         """Put hand and object at rest.
 
@@ -195,28 +182,24 @@ class Simulator:
         Raises:
             InvalidInputError: On a wrong shape, or a wrist for a hand that does not float.
         """
-        angles = as_floats(q, "q", shape=(len(self.hand.joint_names),), is_finite=True)
+        hand = self.hand
+        data = self.data
+        positions = hand.configuration_vector(q, wrist)
         pose = check_pose(object_pose, "object_pose")
-        place = None if wrist is None else check_pose(wrist, "wrist")
-        if self.hand.is_floating == (place is None):
-            raise InvalidInputError(
-                argument="wrist",
-                expected="a pose for a floating hand, else None",
-                value=wrist,
-            )
-        parts, data = self.parts, self.data
-        mujoco.mj_resetData(parts.model, data)
+        mujoco.mj_resetData(self.model, data)
         self.set_stand(holds=False)
-        is_there = parts.all_q >= 0
-        data.qpos[parts.all_q[is_there]] = self.hand.all_joints(angles)[is_there]
-        data.joint(OBJECT).qpos = _sevens(pose[None])[0]
-        if place is not None:
-            (base,) = _sevens(place[None] @ inverse_pose(self._base_to_wrist))
-            data.joint(BASE).qpos = base
-            self._lead_base(base)
-        self._control(angles)
-        self._target = (angles, place)
-        mujoco.mj_forward(parts.model, data)
+        quat = quat_wxyz_from_rotation(pose[:3, :3])
+        data.joint(OBJECT).qpos = np.concatenate([pose[:3, 3], quat])
+        # Pinocchio and MuJoCo have one number for each joint, after those of the base.
+        first = 1
+        if hand.is_floating:
+            first, base, positions = 2, positions[:7], positions[7:]
+            data.joint(BASE).qpos = base[_SEVEN]
+        for name, position in zip(hand.model.names[first:], positions, strict=True):
+            data.joint(name).qpos = position
+        self.target = (np.array(q, dtype=float), wrist)
+        self._lead(*self.target)
+        mujoco.mj_forward(self.model, data)
 
     def set_stand(self, holds: bool) -> None:
         """Let a stand carry the object, or let go.
@@ -224,11 +207,11 @@ class Simulator:
         The stand carries the weight m g. A push beyond the friction, mu m g along each axis of the
         world, moves the object, as on a table.
         """
-        model, held = self.parts.model, self.parts.object
-        weight = model.body_mass[held] * np.linalg.norm(self.physics.gravity)
+        body = self.model.body(OBJECT)
+        weight = body.mass * np.linalg.norm(self.physics.gravity)
+        self.model.body_gravcomp[body.id] = holds
         friction = self.physics.friction * weight if holds else 0.0
-        model.body_gravcomp[held] = holds
-        model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
+        self.model.joint(OBJECT).frictionloss = friction * _STAND_LEVERS
 
     def follow(
         self, q: npt.ArrayLike, wrist: np.ndarray | None, duration: float
@@ -245,18 +228,15 @@ class Simulator:
         start, start_wrist = self.target
         steps = max(1, round(duration / self.physics.time_step))
         shares = np.arange(1, steps + 1) / steps
-        bases = None
+        wrists: Sequence[np.ndarray | None] = [None] * steps
         if wrist is not None and start_wrist is not None:
-            places = poses_between(start_wrist, wrist, shares)
-            bases = _sevens(places @ inverse_pose(self._base_to_wrist))
-        for k, share in enumerate(shares):
-            self._control(start + share * (goal - start))
-            if bases is not None:
-                self._lead_base(bases[k])
-            mujoco.mj_step(self.parts.model, self.data)
-        self._target = (goal, None if wrist is None else wrist.copy())
+            wrists = list(poses_between(start_wrist, wrist, shares))
+        for share, place in zip(shares, wrists, strict=True):
+            self._lead(start + share * (goal - start), place)
+            mujoco.mj_step(self.model, self.data)
+        self.target = (goal, None if wrist is None else wrist.copy())
         # Contacts and velocities of the state after the last step.
-        mujoco.mj_forward(self.parts.model, self.data)
+        mujoco.mj_forward(self.model, self.data)
 
     def hold(self, duration: float) -> None:
         """Keep the last command, and simulate."""
@@ -264,7 +244,7 @@ class Simulator:
 
     def contacts(self) -> Contacts:
         """Return the contacts between the hand and the object."""
-        model, data = self.parts.model, self.data
+        model, data = self.model, self.data
         contact = data.contact
         is_object = data.contact.geom == model.geom(OBJECT).id
         rows = np.flatnonzero(is_object.any(axis=1) & (contact.efc_address >= 0))
@@ -283,28 +263,18 @@ class Simulator:
             joints=tuple(n if self.hand.model.existJointName(n) else "" for n in names),
         )
 
-    def _control(self, command: np.ndarray) -> None:
+    def tell_actuators(self, command: np.ndarray) -> None:
         """Tell the actuators a command [rad], shape (n,)."""
-        data, parts = self.data, self.parts
-        data.ctrl[:] = parts.controls(
-            command, data.qpos[parts.joint_q], data.qvel[parts.joint_v]
-        )
+        self.data.ctrl[:] = command
 
-    def _lead_base(self, base: np.ndarray) -> None:
-        """Move the body that leads the floating base."""
-        # The only one.
-        self.data.mocap_pos[0], self.data.mocap_quat[0] = base[:3], base[3:]
-
-    @cached_property
-    def _base_to_wrist(self) -> np.ndarray:
-        """The wrist's pose in the floating base, shape (4, 4)."""
-        base = self.hand.configuration_vector(self.hand.rest, np.eye(4))[:7]
-        return inverse_pose(affine(Rotation.from_quat(base[3:]).as_matrix(), base[:3]))
-
-    def _pose_of(self, name: str) -> np.ndarray:
-        """Return the pose of a body in the world, shape (4, 4)."""
-        body = self.data.body(name)
-        return affine(body.xmat.reshape(3, 3), body.xpos)
+    def _lead(self, command: np.ndarray, wrist: np.ndarray | None) -> None:
+        """Command joints and, of a hand that floats, the body that leads its base."""
+        self.tell_actuators(command)
+        if wrist is not None:
+            base = self.hand.configuration_vector(command, wrist)[_SEVEN]
+            # The only one.
+            self.data.mocap_pos[0] = base[:3]
+            self.data.mocap_quat[0] = base[3:]
 
 
 def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.ndarray:
@@ -319,16 +289,11 @@ def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.
         Poses, shape (k, 4, 4).
     """
     turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
-    poses = np.tile(start, (len(shares), 1, 1))
-    poses[:, :3, :3] = (
-        Rotation.from_rotvec(np.outer(shares, turn)).as_matrix() @ start[:3, :3]
-    )
-    poses[:, :3, 3] += np.outer(shares, end[:3, 3] - start[:3, 3])
-    return poses
+    turns = Rotation.from_rotvec(np.outer(shares, turn)).as_matrix()
+    way = end[:3, 3] - start[:3, 3]
+    return affine(turns @ start[:3, :3], start[:3, 3] + np.outer(shares, way))
 
 
-def _sevens(poses: np.ndarray) -> np.ndarray:
-    """Return poses (k, 4, 4) as positions and quaternions wxyz, as MuJoCo has them, (k, 7)."""
-    # A copy: SciPy before 1.16 takes no array that is read-only.
-    quats = Rotation.from_matrix(poses[:, :3, :3].copy()).as_quat()
-    return np.hstack([poses[:, :3, 3], quats[:, [3, 0, 1, 2]]])
+def _pose_of(part: Any) -> np.ndarray:
+    """Return the pose of a body or site in the world, shape (4, 4)."""
+    return affine(part.xmat.reshape(3, 3), part.xpos)
