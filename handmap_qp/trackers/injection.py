@@ -11,9 +11,8 @@ recording, a test and the table of faults mean the same by the same name.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -190,69 +189,23 @@ FAULT_KINDS: dict[str, FaultKind] = {
 }
 """All kinds by name."""
 _MOST_SIZE = 1e6
-_SPEC = re.compile(r"([a-z]+)@([^+:]+)(?:\+([^:]+))?(?::(.+))?")
+_FORM = "NAME@START[+DURATION][:SIZE]"
 
 
-@dataclass(frozen=True, slots=True)
-class Fault:
+class Fault(NamedTuple):
     """A fault at a certain time.
 
     Attributes:
-        name: The kind, of `FAULT_KINDS`.
+        kind: What happens.
         start: Time of its begin, from the first sample on [s].
-        duration: Its duration [s]; the usual one of the kind if omitted.
-        size: Its size in the unit of the kind; the usual one if omitted.
-
-    Raises:
-        InvalidInputError: If the kind is unknown, has no size, or a number makes no sense.
+        duration: Its duration [s].
+        size: Its size in the unit of the kind.
     """
 
-    name: str
+    kind: FaultKind
     start: float
-    duration: float | None = None
-    size: float | None = None
-
-    def __post_init__(self) -> None:
-        """Check the numbers, and fill in the usual ones."""
-        names = f"one of {', '.join(FAULT_KINDS)}"
-        expect(
-            self.name in FAULT_KINDS,
-            "fault",
-            names,
-            value=self.name,
-        )
-        kind = FAULT_KINDS[self.name]
-        has_size = kind.unit or self.size is None
-        expect(
-            has_size,
-            f"{self.name} size",
-            "none: this fault has no size",
-        )
-        duration = kind.duration if self.duration is None else self.duration
-        size = kind.size if self.size is None else self.size
-        for name, value, is_right, expected in (
-            ("start", self.start, 0.0 <= self.start < math.inf, "a finite time >= 0 s"),
-            ("duration", duration, duration > 0.0, "more than 0 s"),
-            ("size", size, abs(size) <= _MOST_SIZE, f"a finite number of {kind.unit}"),
-        ):
-            expect(
-                is_right,
-                f"{self.name} {name}",
-                expected,
-                value=value,
-            )
-        object.__setattr__(self, "duration", duration)
-        object.__setattr__(self, "size", size)
-
-    @property
-    def end(self) -> float:
-        """Time of its end, from the first sample on [s]."""
-        return self.start + (self.duration or 0.0)
-
-    def __str__(self) -> str:
-        """Compose the text that `parse_faults` reads."""
-        size = f":{self.size}" if FAULT_KINDS[self.name].unit else ""
-        return f"{self.name}@{self.start}+{self.duration}{size}"
+    duration: float
+    size: float
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
@@ -260,29 +213,36 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
 
     Args:
         text: Faults with commas between them, each `NAME@START[+DURATION][:SIZE]`, in seconds and
-            in the unit of the kind.
+            in the unit of the kind; the usual duration and size of the kind if omitted.
 
     Raises:
-        InvalidInputError: If the text does not have this form, or a fault makes no sense.
+        InvalidInputError: If the text does not have this form, a kind is unknown or has no size, or
+            a number makes no sense.
     """
     return tuple(_parse_fault(part.strip()) for part in text.split(","))
 
 
 def _parse_fault(text: str) -> Fault:
-    match = _SPEC.fullmatch(text)
+    name, _, numbers = text.partition("@")
+    times, _, size = numbers.partition(":")
+    start, _, duration = times.partition("+")
+    names = f"one of {', '.join(FAULT_KINDS)}"
+    expect(name in FAULT_KINDS, "fault", names, value=name)
+    kind = FAULT_KINDS[name]
+    pairs = ((start, math.nan), (duration, kind.duration), (size, kind.size))
     try:
-        name, *parts = match.groups() if match else ()
-        numbers = [None if part is None else float(part) for part in parts]
-        return Fault(name, *numbers)  # ty: ignore[invalid-argument-type]
-    except InvalidInputError:
-        raise
+        fault = Fault(kind, *(float(part or usual) for part, usual in pairs))
     except ValueError as error:
-        expected = "NAME@START[+DURATION][:SIZE], such as dropout@2+0.5 or jump@4+1:0.3"
-        raise InvalidInputError(
-            argument="faults",
-            expected=expected,
-            value=text,
-        ) from error
+        form = f"{_FORM}, such as dropout@2+0.5 or jump@4+1:0.3"
+        raise InvalidInputError(argument="faults", expected=form, value=text) from error
+    for key, is_right, expected in (
+        ("start", 0.0 <= fault.start < math.inf, f"a finite time >= 0 s in {_FORM}"),
+        ("duration", fault.duration > 0.0, "more than 0 s"),
+        ("size", kind.unit or not size, "none: this fault has no size"),
+        ("size", abs(fault.size) <= _MOST_SIZE, f"a finite number of {kind.unit}"),
+    ):
+        expect(is_right, f"{name} {key}", expected, value=getattr(fault, key))
+    return fault
 
 
 def inject(
@@ -309,22 +269,15 @@ def inject(
         start = sample.time if start is None else start
         sent = [sample]
         for number, fault in enumerate(faults):
-            if fault.start <= sample.time - start < fault.end:
+            since = sample.time - start - fault.start
+            if 0.0 <= since < fault.duration:
                 if number not in onsets:
                     onsets[number] = _onset(before or sample, seed, number)
-                sent = _altered(sent, fault, onsets[number])
+                onset = onsets[number]
+                sent = [fault.kind.change(one, fault.size, onset) for one in sent]
+                sent *= fault.kind.copies
         before = next((each for each in reversed(sent) if each.valid), before)
         yield from sent
-
-
-def _altered(
-    sent: list[HumanSample],
-    fault: Fault,
-    onset: Onset,
-) -> list[HumanSample]:
-    kind = FAULT_KINDS[fault.name]
-    changed = [kind.change(sample, fault.size or 0.0, onset) for sample in sent]
-    return changed * kind.copies
 
 
 def _onset(
