@@ -230,7 +230,6 @@ MISTAKES = {
     "person of a service": ["view", "--live", "127.0.0.1", "--person", "bob.yaml"],
     "person as a recording": ["calibrate", "{recording}", "--out", "bob.npz"],
     "person over a file": ["calibrate", "{recording}", "--out", "{folder}/bob.yaml"],
-    "match of a hand of the package": ["hands", "match", "romeo_right", "--write"],
     "match of the human": ["hands", "match", "human"],
     "match for two people": [
         *("hands", "match", "romeo_right"),

@@ -18,8 +18,6 @@ from handmap_qp.apps.onboarding.match import (
     check_robot,
     draw_match,
     match_hand,
-    own_file,
-    write_matched,
 )
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
 from handmap_qp.apps.onboarding.source import open_source
@@ -284,14 +282,12 @@ class HandsMatch:
     Examples:
         handmap hands match allegro_right --picture matched.png
         handmap hands match my_hand.yaml --recording recording.npz
-        handmap hands match my_hand.yaml --write
 
     Attributes:
         hand: Path of a hand.yaml, or name of a hand of the package.
         human_length: Length of the person's hand from wrist crease to middle fingertip [m].
         recording: Recording in which the person's hand is measured, as for `handmap map`.
         picture: Picture to draw: the human at rest, the robot at rest, the robot matched. PNG.
-        write: Write the posture into your hand.yaml; the rest of the file stays as it is.
         json: Print one JSON object instead of a table.
     """
 
@@ -303,13 +299,11 @@ class HandsMatch:
         Path | None, hinted("RECORDING", "(default: the standard hand)")
     ] = None
     picture: Annotated[Path | None, hinted("FILE.png", "(default: none)")] = None
-    write: bool = False
     json: bool = False
 
     def run(self) -> None:
-        """Solve the posture, print it, and draw or write it if requested."""
+        """Solve the posture, print it, and draw it if requested."""
         robot = check_robot(load_hand(self.hand))
-        file = own_file(self.hand) if self.write else None
         if self.picture is not None:
             check_output("--picture", self.picture, (".png",))
         source = self.recording
@@ -317,9 +311,7 @@ class HandsMatch:
         match = match_hand(robot, recording=recording, human_length=self.human_length)
         if self.picture is not None:
             draw_match(match, self.picture)
-        if file is not None:
-            write_matched(match, file)
-        written = [str(path) for path in (self.picture, file) if path is not None]
+        written = [] if self.picture is None else [str(self.picture)]
         if self.json:
             print(
                 json.dumps(
@@ -330,10 +322,9 @@ class HandsMatch:
         print_rows(
             f"{robot.name}: the posture that matches the resting human's", match.rows
         )
-        if file is None:
-            print(
-                f"to use this posture for everyone, paste into hand.yaml:\n{match.text}",
-                end="",
-            )
+        print(
+            f"to use this posture for everyone, paste into hand.yaml:\n{match.text}",
+            end="",
+        )
         for path in written:
             print(f"wrote {path}")

@@ -1,8 +1,7 @@
-"""The matched posture of a robot hand: solve it, write it into a hand.yaml, and draw it."""
+"""The matched posture of a robot hand: solve it, print it for a hand.yaml, and draw it."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -10,24 +9,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand
-from handmap_qp.hands.sources import urdf_directory
-from handmap_qp.hands.spec import read_hand_spec
+from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.mapping.hand_pair import HandPair, resting_posture
-from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import inverse_pose, transform_points
 
 # Positions are written with four decimals: 0.1 mrad or 0.1 mm.
 _SCALE = 1e4
-# The key `matched` with its value: the indented lines below it, and what is between them.
-_BLOCK = re.compile(
-    r"^([\"']?)matched\1[ \t]*:.*\n((?:[ \t\r]*\n)*[ \t]+\S.*\n)*", re.M
-)
 
 
 class Match(NamedTuple):
@@ -108,54 +100,6 @@ def match_hand(
     return Match(human, robot, np.clip(rounded, lower, upper))
 
 
-def own_file(hand: str | Path) -> Path:
-    """Return the path of the user's own hand.yaml.
-
-    Raises:
-        InvalidInputError: If `hand` is a hand of the package, or there is no such file.
-    """
-    file = Path(hand)
-    if file.is_dir():
-        file = file / "hand.yaml"
-    is_ours = (
-        str(hand) in hand_files()
-        or urdf_directory().resolve() in file.resolve().parents
-    )
-    if is_ours or not file.is_file():
-        raise InvalidInputError(
-            argument="--write",
-            expected="the path of a hand.yaml of your own",
-            value=str(hand),
-            advice="write one with `extends: PATH` of the package's file, or paste the text",
-        )
-    return file
-
-
-def write_matched(match: Match, file: Path) -> None:
-    """Write the matched posture into a hand.yaml; the rest of the file stays as it is.
-
-    An existing key `matched` is replaced, else the text is appended. The result is loaded before it
-    takes the file's place.
-
-    Raises:
-        InvalidInputError: If the file cannot be written, or would not load with the new key.
-    """
-    try:
-        with replaced_path(file.resolve(), "--write") as temporary:
-            text = _with_block(file.read_bytes().decode(), match.text)
-            temporary.write_bytes(text.encode())
-            written = load_hand(read_hand_spec(temporary)).matched
-            if written is None or not np.array_equal(written, match.q):
-                raise HandError("it would not hold the posture", file=file)
-    except (HandError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise InvalidInputError(
-            argument="--write",
-            problem=f"cannot write {file}: {' '.join(str(error).split())}",
-            value=str(file),
-            advice="paste the text by hand",
-        ) from error
-
-
 def draw_match(match: Match, path: Path) -> None:
     """Draw the resting human beside the robot at rest and matched, in their palm frames.
 
@@ -193,17 +137,3 @@ def check_robot(hand: Hand) -> Hand:
             argument="hand", expected="a robot hand", value=hand.name
         )
     return hand
-
-
-def _with_block(text: str, block: str) -> str:
-    """Replace the top-level key `matched` of a YAML text, or append it."""
-    newline = "\r\n" if "\r\n" in text else "\n"
-    block = block.replace("\n", newline)
-    replaced, count = _BLOCK.subn(lambda _: block, text, count=1)
-    if count:
-        return replaced
-    comment = (
-        "# Posture for the resting human hand, of `handmap hands match` [rad or m]."
-    )
-    gap = "" if not text or text.endswith("\n") else newline
-    return f"{text}{gap}{comment}{newline}{block}"
