@@ -14,6 +14,7 @@ from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.plugins import Plugins
+from handmap_qp.trackers.formats.archive import reading
 from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
 from handmap_qp.trackers.formats.csv_files import CsvFormat
 from handmap_qp.trackers.formats.hdf5 import EgoDexFormat, RobomimicFormat
@@ -74,7 +75,8 @@ class Source(NamedTuple):
         Raises:
             RecordingError: If it is damaged, with the row or array at fault.
         """
-        return self.format.read(self.path, self.entry)
+        with reading(self.path):
+            return self.format.read(self.path, self.entry)
 
 
 def list_sources(path: Path | str) -> tuple[Source, ...]:
@@ -103,8 +105,9 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
             file, name = Path(before), after
     if str(file) == DEMO and not file.is_file():
         file = DEMO_FILE
-    form = format_of(file)
-    entries = form.entries(file)
+    with reading(file):
+        form = format_of(file)
+        entries = form.entries(file)
     chosen = [entry for entry in entries if name in ("", entry.name)]
     if not chosen:
         missing = f"has no recording {name!r}; {_listing(entries)}"

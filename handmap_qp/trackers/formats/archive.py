@@ -10,11 +10,12 @@ import zipfile
 from collections.abc import Container, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib import format as npy
 
-from handmap_qp.errors import HandmapError, RecordingError
+from handmap_qp.errors import HandmapError, InvalidInputError, RecordingError
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
@@ -48,7 +49,7 @@ def read_archive(
         if (size := sum(member.file_size for member in members)) > LARGEST_ARCHIVE:
             most = f"{LARGEST_ARCHIVE >> 20} MB"
             problem = f"holds {size >> 20} MB, more than the {most} that are read"
-            raise RecordingError(problem, file=file)
+            raise InvalidInputError(problem)
         return {
             _name(member): _read_member(file, archive, member) for member in members
         }
@@ -63,7 +64,7 @@ def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
     """Open an archive, and turn every error inside the block into `RecordingError`."""
     # Opened here, because zipfile leaves a damaged file open.
     with (
-        damages(file, "is not an .npz file of plain arrays"),
+        reading(file, "is not an .npz file of plain arrays"),
         file.open("rb") as stream,
         zipfile.ZipFile(stream) as archive,
     ):
@@ -76,7 +77,7 @@ def _read_member(
     member: zipfile.ZipInfo,
 ) -> np.ndarray:
     with (
-        damages(file, "is not a plain array", _name(member)),
+        reading(file, "is not a plain array", _name(member)),
         archive.open(member) as stream,
         warnings.catch_warnings(),
     ):
@@ -86,20 +87,32 @@ def _read_member(
 
 
 @contextmanager
-def damages(
+def reading(
     file: Path,
-    problem: str,
+    problem: str = "cannot be read",
     array: str = "",
+    *,
+    table: Any = None,
 ) -> Iterator[None]:
-    """Turn what readers raise on damaged files, which may be anything, into `RecordingError`.
+    """Turn what is wrong with a file or with a value of it into `RecordingError`.
 
     Args:
         file: The file.
-        problem: What is wrong, to be followed by the words of the reader.
-        array: The array that is read.
+        problem: What is wrong, to be followed by the words of a reader, which may raise anything on
+            a damaged file. What is wrong with a value is told by `InvalidInputError`.
+        array: The array that is read, put before the name of the value at fault.
+        table: A `csv.reader`, whose line is at fault.
+
+    Raises:
+        RecordingError: For every other error of the block.
     """
     try:
         yield
+    except InvalidInputError as error:
+        array += error.argument
+        problem = f"{error.what}: {error.advice}" if error.advice else error.what
+        line = table and table.line_num
+        raise RecordingError(problem, file=file, array=array, line=line) from error
     except HandmapError:
         raise
     except Exception as error:
@@ -107,8 +120,5 @@ def damages(
         if isinstance(error, OSError) and error.strerror:
             problem, text = "cannot be read", error.strerror
         problem = f"{problem}: {text}".rstrip(": ")
-        raise RecordingError(
-            problem,
-            file=file,
-            array=array,
-        ) from error
+        line = table and table.line_num
+        raise RecordingError(problem, file=file, array=array, line=line) from error

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
 from handmap_qp.se3 import affine, as_floats, pose_from_xyz_quat
+from handmap_qp.trackers.formats.archive import reading
 
 SIDES: tuple[Side, ...] = ("left", "right")
 COLUMNS: dict[str, tuple[str, ...]] = {
@@ -88,8 +88,9 @@ class RecordingFormat(abc.ABC):
     Other packages add theirs by entry points of the group `handmap_qp.formats`, each of which names
     an object of a subclass.
 
-    All methods raise `RecordingError` with the file, and the row or array at fault, on a damaged
-    file, and `MissingExtraError` where the format needs a package that is not installed.
+    On a damaged file, methods raise `RecordingError` with the array or line at fault, or any other
+    error, which becomes one. They raise `MissingExtraError` where the format needs a package that
+    is not installed.
 
     Attributes:
         name: Short name, as of `handmap convert --format`.
@@ -150,49 +151,17 @@ class RecordingFormat(abc.ABC):
         )
 
 
-@contextmanager
-def reading(file: Path, prefix: str = "") -> Iterator[None]:
-    """Turn errors about values that come from a file into `RecordingError`.
-
-    Args:
-        file: The file.
-        prefix: Put before the name of the array at fault.
-
-    Raises:
-        RecordingError: For every `InvalidInputError` of the block.
-    """
-    try:
-        yield
-    except InvalidInputError as error:
-        problem = f"{error.what}: {error.advice}" if error.advice else error.what
-        raise RecordingError(
-            problem,
-            file=file,
-            array=prefix + error.argument,
-        ) from error
-
-
-def side_of(
-    value: object,
-    file: Path,
-    array: str,
-    line: int | None = None,
-) -> Side:
+def side_of(value: object, array: str) -> Side:
     """Return the side that a value of a file names.
 
     Raises:
-        RecordingError: If it names none.
+        InvalidInputError: If it names none.
     """
     text = str(value).strip().lower()
     if text == "left" or text == "right":
         return text
-    problem = f"expected right or left, got {text[:20]!r}"
-    raise RecordingError(
-        problem,
-        file=file,
-        array=array,
-        line=line,
-    )
+    got = f"{text[:20]!r}"
+    raise InvalidInputError(argument=array, expected="right or left", got=got)
 
 
 def entry_stem(path: Path, entry: Entry) -> str:
@@ -234,7 +203,7 @@ def build_recording(
     Raises:
         RecordingError: If `Recording` does not take them.
     """
-    with reading(path, prefix):
+    with reading(path, array=prefix):
         points = as_floats(landmarks, "landmarks")
         if points.shape[1:] == (3 * LANDMARK_COUNT,):
             points = points.reshape(-1, LANDMARK_COUNT, 3)

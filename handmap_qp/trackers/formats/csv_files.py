@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import RecordingError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
-from handmap_qp.trackers.formats.archive import damages
+from handmap_qp.trackers.formats.archive import reading
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     SIDES,
@@ -30,8 +30,7 @@ from handmap_qp.trackers.formats.base import (
     side_of,
 )
 
-Rows = Iterator[tuple[int, list[str]]]
-"""Rows of a table with their lines, counted from 1."""
+Row = list[str]
 
 
 class CsvFormat(RecordingFormat):
@@ -50,7 +49,7 @@ class CsvFormat(RecordingFormat):
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands by their rows."""
         with opened_table(path) as (header, rows):
-            counts = Counter(side for side, _ in _by_side(path, header, rows))
+            counts = Counter(side for side, _ in _by_side(header, rows))
         is_one = len(counts) == 1
         found = [side for side in SIDES if side in counts]
         return tuple(Entry("" if is_one else s, s, counts[s]) for s in found)
@@ -58,11 +57,11 @@ class CsvFormat(RecordingFormat):
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the rows of one hand."""
         with opened_table(path) as (header, rows):
-            sides = _by_side(path, header, rows)
+            sides = _by_side(header, rows)
             own = (row for side, row in sides if side == entry.side)
             given = {f: names for f, names in COLUMNS.items() if names[0] in header}
             places = {name: header[name] for name in chain(*given.values())}
-            table = numbers(path, own, places)
+            table = numbers(own, places)
         columns: dict[str, Any] = {}
         for field, names in given.items():
             block, table = np.split(table, [len(names)], axis=1)
@@ -96,10 +95,9 @@ def _text(number: float) -> str:
 
 
 def _by_side(
-    path: Path,
     header: Mapping[str, int],
-    rows: Rows,
-) -> Iterator[tuple[Side, tuple[int, list[str]]]]:
+    rows: Iterable[Row],
+) -> Iterator[tuple[Side, Row]]:
     """Yield the rows with their hands, of a table that has all columns of a recording."""
     poses = COLUMNS["wrist"]
     has_poses = any(name in header for name in poses)
@@ -107,65 +105,47 @@ def _by_side(
     for name in needed:
         if name not in header:
             about = "wrist poses, but " if name in poses else ""
-            raise RecordingError(
-                f"has {about}no column {name!r}",
-                file=path,
-                line=1,
-            )
-    for line, row in rows:
-        yield side_of(row[header["side"]], path, "side", line), (line, row)
+            raise InvalidInputError(f"has {about}no column {name!r}")
+    for row in rows:
+        yield side_of(row[header["side"]], "side"), row
 
 
 @contextmanager
-def opened_table(path: Path) -> Iterator[tuple[dict[str, int], Rows]]:
+def opened_table(path: Path) -> Iterator[tuple[dict[str, int], Iterator[Row]]]:
     """Open a CSV file of any columns.
 
     Yields:
         Places of the columns by name, and the rows below the header that are not empty.
 
     Raises:
-        RecordingError: If it is not a table in UTF-8.
+        RecordingError: If it is not a table in UTF-8, or for an error of the block, with its line.
     """
     problem = "is not a CSV table in UTF-8"
-    with damages(path, problem), path.open(encoding="utf-8-sig", newline="") as file:
+    with reading(path), path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(file)
-        try:
-            rows = _rows(path, reader)
-            _, names = next(rows, (0, []))
+        with reading(path, problem, table=reader):
+            rows = _rows(reader)
+            names = next(rows, [])
             yield {name.strip(): place for place, name in enumerate(names)}, rows
-        except (csv.Error, UnicodeDecodeError) as error:
-            line = reader.line_num + 1
-            raise RecordingError(
-                f"{problem}: {error}",
-                file=path,
-                line=line,
-            ) from error
 
 
-def _rows(path: Path, reader: Any) -> Rows:
+def _rows(reader: Iterable[Row]) -> Iterator[Row]:
     count = 0
     for row in reader:
         if any(map(str.strip, row)):
             count = count or len(row)
-            if len(row) != count:
-                problem = f"expected {count} fields, got {len(row)}"
-                raise RecordingError(
-                    problem,
-                    file=path,
-                    line=reader.line_num,
-                )
-            yield reader.line_num, row
+            got = f"{len(row)}"
+            expect(len(row) == count, "", f"{count} fields", got=got)
+            yield row
 
 
 def numbers(
-    path: Path,
-    rows: Iterable[tuple[int, list[str]]],
+    rows: Iterable[Row],
     places: Mapping[str, int],
 ) -> np.ndarray:
     """Read columns of a table; an empty field is NaN.
 
     Args:
-        path: The file, for errors.
         rows: Rows of `opened_table`.
         places: Places of the columns by name.
 
@@ -173,30 +153,19 @@ def numbers(
         The numbers, columns in the order of `places`, shape (T, n).
 
     Raises:
-        RecordingError: If a field is no number, with its line; or if there are no rows.
+        InvalidInputError: If a field is no number, or if there are no rows.
     """
     table = [
-        [_number(path, line, name, row[place]) for name, place in places.items()]
-        for line, row in rows
+        [_number(name, row[place]) for name, place in places.items()] for row in rows
     ]
     if not table:
-        raise RecordingError("has no rows below its header", file=path)
+        raise InvalidInputError("has no rows below its header")
     return np.array(table)
 
 
-def _number(
-    path: Path,
-    line: int,
-    name: str,
-    text: str,
-) -> float:
+def _number(name: str, text: str) -> float:
     try:
         return float(text.strip() or "nan")
     except ValueError as error:
-        problem = f"expected a number, got {text[:20]!r}"
-        raise RecordingError(
-            problem,
-            file=path,
-            array=name,
-            line=line,
-        ) from error
+        got = f"{text[:20]!r}"
+        raise InvalidInputError(argument=name, expected="a number", got=got) from error

@@ -23,11 +23,11 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import RecordingError, expect, require
+from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
-from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE, damages
+from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE, reading
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     SIDES,
@@ -61,7 +61,7 @@ def opened(path: Path) -> Iterator[Any]:
         MissingExtraError: If h5py is not installed.
     """
     h5py = require("h5py", "files")
-    with damages(path, "cannot be read as HDF5"), h5py.File(path, "r") as file:
+    with reading(path, "cannot be read as HDF5"), h5py.File(path, "r") as file:
         yield file
 
 
@@ -74,7 +74,6 @@ def has_group(path: Path, name: str) -> bool:
 
 
 def numbers(
-    path: Path,
     group: Any,
     name: str,
     shape: tuple[int, ...],
@@ -82,13 +81,12 @@ def numbers(
     """Read an array of numbers.
 
     Args:
-        path: The file, for errors.
         group: The group that holds it.
         name: Its name there.
         shape: Its shape, or the first part of it.
 
     Raises:
-        RecordingError: If it is missing, of another shape or type, or impossibly large.
+        InvalidInputError: If it is missing, of another shape or type, or impossibly large.
     """
     item = group.get(name)
     problem = ""
@@ -103,11 +101,7 @@ def numbers(
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
     if problem:
         place = f"{group.name.rstrip('/')}/{name}"
-        raise RecordingError(
-            problem,
-            file=path,
-            array=place,
-        )
+        raise InvalidInputError(problem, argument=place)
     return item[()].astype(float, copy=False)
 
 
@@ -168,22 +162,13 @@ class RobomimicFormat(RecordingFormat):
             demos = file["data"]
             # demo_2 is before demo_10.
             names = sorted(demos, key=lambda name: (len(name), name))
-            return tuple(self._entry(path, name, demos[name]) for name in names)
+            return tuple(self._entry(name, demos[name]) for name in names)
 
-    def _entry(
-        self,
-        path: Path,
-        name: str,
-        demo: Any,
-    ) -> Entry:
+    def _entry(self, name: str, demo: Any) -> Entry:
         if "obs/landmarks" not in demo:
             problem = f"has no obs/landmarks; it has {', '.join(sorted(demo))}"
-            raise RecordingError(
-                problem,
-                file=path,
-                array=f"data/{name}",
-            )
-        side = side_of(demo.attrs.get("side"), path, f"data/{name}")
+            raise InvalidInputError(problem, argument=f"data/{name}")
+        side = side_of(demo.attrs.get("side"), f"data/{name}")
         return Entry(name, side, len(demo["obs/landmarks"]))
 
     def read(self, path: Path, entry: Entry) -> Recording:
@@ -192,7 +177,7 @@ class RobomimicFormat(RecordingFormat):
             demo = file["data"][entry.name]
             obs = demo["obs"]
             columns: dict[str, Any] = {
-                name: numbers(path, obs, name, (entry.samples,))
+                name: numbers(obs, name, (entry.samples,))
                 for name in COLUMNS
                 if name in obs or name == "time"
             }
@@ -265,11 +250,7 @@ class EgoDexFormat(RecordingFormat):
             found = [side for side in SIDES if f"{side}Hand" in group]
             if not found:
                 problem = "has neither 'leftHand' nor 'rightHand'"
-                raise RecordingError(
-                    problem,
-                    file=path,
-                    array="transforms",
-                )
+                raise InvalidInputError(problem, argument="transforms")
             return tuple(Entry(side, side, len(group[f"{side}Hand"])) for side in found)
 
     def read(self, path: Path, entry: Entry) -> Recording:
@@ -279,16 +260,16 @@ class EgoDexFormat(RecordingFormat):
         columns: dict[str, Any] = {}
         with opened(path) as file:
             group = file["transforms"]
-            poses = np.array([numbers(path, group, n, (count, 4, 4)) for n in names])
+            poses = np.array([numbers(group, n, (count, 4, 4)) for n in names])
             is_seen = finite_samples(poses[0])
             if "confidences" in file:
                 given = file["confidences"]
-                shares = np.array([numbers(path, given, n, (count,)) for n in names])
+                shares = np.array([numbers(given, n, (count,)) for n in names])
                 is_seen &= shares[0] > 0.0
                 columns["confidence"] = shares.mean(axis=0)
             time = np.arange(count) / RATE
             if "time" in file:
-                time = numbers(path, file, "time", (count,))
+                time = numbers(file, "time", (count,))
         return build_recording(
             path,
             entry,

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect, require
+from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import make_folder, sync, writing
 from handmap_qp.trackers.formats.base import (
@@ -81,7 +81,7 @@ class LeRobotFormat(RecordingFormat):
         """Refuse: no data set is read."""
         problem = "is a LeRobot data set, which is written and not read"
         advice = "read the recordings that it was made from"
-        raise RecordingError(f"{problem}: {advice}", file=path)
+        raise InvalidInputError(problem, advice=advice)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Refuse: no data set is read."""

@@ -21,12 +21,11 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import as_floats
-from handmap_qp.trackers.formats.archive import damages, member_names, read_archive
+from handmap_qp.trackers.formats.archive import member_names, read_archive, reading
 from handmap_qp.trackers.formats.base import (
     Entry,
     RecordingFormat,
     build_recording,
-    reading,
     side_of,
 )
 
@@ -72,9 +71,9 @@ class ManoFormat(RecordingFormat):
         """List the one hand."""
         arrays = read_archive(path)
         if "side" not in arrays:
-            raise RecordingError("has no array 'side': right or left", file=path)
+            raise InvalidInputError("has no array 'side': right or left")
         main = next(arrays[name] for name in ("joints", *_POSES) if name in arrays)
-        side = side_of(arrays["side"], path, "side")
+        side = side_of(arrays["side"], "side")
         return (Entry("", side, len(np.atleast_1d(main))),)
 
     def read(self, path: Path, entry: Entry) -> Recording:
@@ -297,7 +296,7 @@ class _ArrayUnpickler(pickle.Unpickler):
 
 
 def _read_pickle(file: Path) -> dict[str, Any]:
-    with damages(file, "cannot be read as a MANO model"):
+    with reading(file, "cannot be read as a MANO model"):
         content = io.BytesIO(file.read_bytes())
         values = _ArrayUnpickler(content, encoding="latin1").load()
         if not isinstance(values, dict):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, RecordingError, expect, require
+from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -20,13 +20,12 @@ from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import pose_from_xyz_quat, quat_wxyz_from_rotation
-from handmap_qp.trackers.formats.archive import damages
+from handmap_qp.trackers.formats.archive import reading
 from handmap_qp.trackers.formats.base import (
     SIDES,
     Entry,
     RecordingFormat,
     build_recording,
-    reading,
 )
 
 _POSES = "geometry_msgs/msg/PoseArray"
@@ -71,13 +70,13 @@ class McapFormat(RecordingFormat):
         with _opened(path) as bag:
             return tuple(
                 Entry(side, side, bag.topics[_main(topics)].msgcount)
-                for side, topics in _hands(path, bag).items()
+                for side, topics in _hands(bag).items()
             )
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand."""
         with _opened(path) as bag:
-            topics = _hands(path, bag)[entry.side]
+            topics = _hands(bag)[entry.side]
             name = _main(topics)
             logs, messages = zip(*_messages(bag, name), strict=True)
             times = [_instant(message) for message in messages]
@@ -86,7 +85,7 @@ class McapFormat(RecordingFormat):
             wrists = np.array([sevens.get(time, _NOWHERE) for time in times])
             numbers = _messages(bag, topics.get("confidence"))
             shares = {log: message.data for log, message in numbers}
-            with reading(path, name):
+            with reading(path, array=name):
                 if "landmarks" in topics:
                     landmarks = np.array([_points(m) for m in messages])
                 else:
@@ -106,7 +105,7 @@ class McapFormat(RecordingFormat):
         """Name the topics that a recording cannot hold."""
         with _opened(path) as bag:
             rest = set(bag.topics)
-            for topics in _hands(path, bag).values():
+            for topics in _hands(bag).values():
                 rest -= set(topics.values())
             return tuple(f"topic {topic}" for topic in sorted(rest))
 
@@ -147,7 +146,7 @@ class McapFormat(RecordingFormat):
 def _opened(path: Path) -> Iterator[Any]:
     """Open a bag, and turn what rosbags raises inside the block into `RecordingError`."""
     bags = require("rosbags.rosbag2", "files")
-    with damages(path, "cannot be read as MCAP"), bags.Reader(path) as bag:
+    with reading(path, "cannot be read as MCAP"), bags.Reader(path) as bag:
         yield bag
 
 
@@ -156,7 +155,7 @@ def _store() -> Any:
     return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 
 
-def _hands(path: Path, bag: Any) -> dict[Side, dict[str, str]]:
+def _hands(bag: Any) -> dict[Side, dict[str, str]]:
     """Find the topics of each hand by their types and names: the first of each of `_KINDS`."""
     hands = {side: _topics(bag, side) for side in SIDES}
     found = {
@@ -167,7 +166,7 @@ def _hands(path: Path, bag: Any) -> dict[Side, dict[str, str]]:
     if not found:
         names = ", ".join(sorted(bag.topics)) or "none"
         problem = f"has no {_POSES} or {_STATE} with left or right in the topic's name; topics are "
-        raise RecordingError(problem + names, file=path)
+        raise InvalidInputError(problem + names)
     return found
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.errors import RecordingError
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.formats.archive import member_names, read_archive
@@ -52,7 +52,7 @@ class NpzFormat(RecordingFormat):
         sides = [side for side in SIDES if f"{side}_landmarks" in names]
         if not sides:
             arrays = _read(path, ("time", "handedness"))
-            side = side_of(arrays["handedness"], path, "handedness")
+            side = side_of(arrays["handedness"], "handedness")
             return (Entry("", side, np.size(arrays["time"])),)
         times = _read(path, [f"{side}_time" for side in sides])
         return tuple(Entry(s, s, np.size(times[f"{s}_time"])) for s in sides)
@@ -77,8 +77,7 @@ class NpzFormat(RecordingFormat):
         arrays: dict[str, np.ndarray] = {}
         for recording in recordings:
             prefix = f"{recording.side}_" if len(recordings) > 1 else ""
-            fields = ("time", "landmarks", "valid", "wrist", "confidence", "source")
-            own = {name: getattr(recording, name) for name in fields}
+            own = {name: getattr(recording, name) for name in (*COLUMNS, "source")}
             own["handedness"] = "" if prefix else recording.side
             arrays |= {
                 prefix + name: np.asarray(value)
@@ -99,5 +98,5 @@ def _read(
     for name in needed:
         if name not in arrays:
             found = ", ".join(sorted(member_names(path))) or "none"
-            raise RecordingError(f"has no array {name!r}; it has {found}", file=path)
+            raise InvalidInputError(f"has no array {name!r}; it has {found}")
     return arrays

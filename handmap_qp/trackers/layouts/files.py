@@ -16,8 +16,8 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.trackers.formats.archive import read_archive
-from handmap_qp.trackers.formats.base import SIDES, reading, side_of
+from handmap_qp.trackers.formats.archive import read_archive, reading
+from handmap_qp.trackers.formats.base import SIDES, side_of
 from handmap_qp.trackers.formats.csv_files import numbers, opened_table
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout, layouts_of_shape
@@ -72,7 +72,7 @@ def read_with_layout(
         is_table = suffix == ".csv"
         arrays = _read_columns(file, layout, side) if is_table else read_archive(file)
         said = arrays.get("handedness")
-        found = None if said is None else side_of(said, file, "handedness")
+        found = None if said is None else side_of(said, "handedness")
         hand = side or found
         if hand is None:
             raise InvalidInputError("does not say which hand it is of: give --side")
@@ -199,7 +199,7 @@ def _read_columns(
         own = layout.find_columns(tuple(header), hand or "right").values()
         times = [name for name in _time_units(layout) if name in header][:1]
         places = {name: header[name] for name in (*times, *own)}
-        columns = dict(zip(places, numbers(file, rows, places).T, strict=True))
+        columns = dict(zip(places, numbers(rows, places).T, strict=True))
     arrays = {name: columns[name] for name in times}
     arrays["values"] = layout.from_columns(columns, hand or "right")
     if hand is not None:
