@@ -20,7 +20,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
+from handmap_qp.apps.simulation.objects import Body, parse_object
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Instant, Simulator
 from handmap_qp.client import Client, Command
@@ -32,6 +33,8 @@ from handmap_qp.se3 import affine
 _WAIT = 0.02
 # The simulation never runs ahead of the clock, and skips more than this [s].
 _LONGEST = 0.1
+# The object before its place is known.
+_FAR = affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
 
 
 class Report(NamedTuple):
@@ -116,8 +119,10 @@ class StandIn:
         pose = np.eye(4) if command.wrist is None else command.wrist.matrix
         wrist = pose if hand.is_floating else None
         if self._goal is None or command.epoch != self._epoch:
-            place = affine(np.eye(3), self._pads.middle(q, pose))
-            self.simulator.reset(q, wrist, place)
+            # The hand must be there before its pads are.
+            self.simulator.reset(q, wrist, _FAR)
+            middle = self._pads.middle(self._pads.places(self.simulator))
+            self.simulator.reset(q, wrist, affine(np.eye(3), middle))
             self.simulator.set_stand(holds=True)
             self._is_standing = True
         self._goal = (q, wrist)

@@ -16,8 +16,8 @@ from section_four.statics import quasistatic
 from simulation_cases import CUBE, cube_grasp
 
 from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
-from handmap_qp.apps.simulation.objects import Box, Cylinder, Sphere
-from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
+from handmap_qp.apps.simulation.objects import Body, Box, Cylinder, MeshShape, Sphere
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import affine
@@ -42,7 +42,7 @@ KINDS = pytest.mark.parametrize(
 def velocity_of_object(simulator: Simulator) -> np.ndarray:
     """Return the velocity of the object's centre, world axes [m/s], shape (3,)."""
     v, model = np.zeros(6), simulator.model
-    kind, body = mujoco.mjtObj.mjOBJ_BODY, model.body("object").id
+    kind, body = mujoco.mjtObj.mjOBJ_BODY, model.body("/object").id
     mujoco.mj_objectVelocity(model, simulator.data, kind, body, v, 0)
     return v[3:]
 
@@ -233,7 +233,7 @@ def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
     simulator, grasp, offset = held(physics, compliance=compliance)
     simulator.hold(1.0)
     start, q, pose = simulator.contacts(), simulator.q, simulator.object_pose
-    links = [name.replace("f", "finger", 1) for name in start.joints]
+    links = [name.replace("f", "finger", 1) for name in start.bodies]
     frames = grasp.hand.link_poses(links, q, simulator.wrist)
     contacts = tuple(
         Contact(link, tuple(f[:3, :3].T @ (p - f[:3, 3])), tuple(f[:3, :3].T @ n))
@@ -298,7 +298,7 @@ def test_an_object_slides_on_its_stand_by_coulombs_law(push: float) -> None:
     simulator.reset(grasp.q, grasp.wrist_pose, FAR)
     simulator.set_stand(holds=True)
     weight = 0.3 * np.linalg.norm(physics.gravity)
-    held_body = simulator.model.body("object").id
+    held_body = simulator.model.body("/object").id
     simulator.data.xfrc_applied[held_body, 0] = push * 0.5 * weight
     simulator.hold(0.2)
     moved = simulator.object_pose[:3, 3] - FAR[:3, 3]

@@ -14,7 +14,8 @@ from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_commands
-from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
+from handmap_qp.apps.simulation.objects import Body, parse_object
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.apps.simulation.pictures import Stage, film, picture, write_page
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.simulator import Episode

@@ -13,18 +13,17 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.simulation.objects import Box, Cylinder, Sphere
-from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics
+from handmap_qp.apps.simulation.objects import Body, Box, Cylinder, MeshShape, Sphere
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import quat_wxyz_from_rotation
 
-OBJECT = "object"
-BASE = "/base"
-MOCAP = "/mocap"
+OBJECT = "/object"
 WRIST = "/wrist"
-"""Names of bodies and of the wrist's site; a slash keeps them apart from joints of the hand."""
+"""Names of the object's body and of the wrist's site; others bear the names of joints."""
 
+_MOCAP = "/mocap"
 # Who collides with whom.
 _HAND = {"contype": 1, "conaffinity": 2}
 _HELD = {"contype": 2, "conaffinity": 1}
@@ -108,7 +107,7 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
     for index in range(1, model.njoints):
         inertia = model.inertias[index]
         if model.joints[index].nv == 6:
-            body = _add_base(spec)
+            body = _add_base(spec, model.names[index])
             _set_inertia(body, inertia, *_LEAST_OF_BASE)
         else:
             body = bodies[model.parents[index]].add_body(
@@ -126,12 +125,12 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
     return bodies
 
 
-def _add_base(spec: Any) -> Any:
+def _add_base(spec: Any, name: str) -> Any:
     """Add a floating base and the body that leads it."""
-    spec.worldbody.add_body(name=MOCAP, mocap=True)
-    base = spec.worldbody.add_body(name=BASE, gravcomp=1.0)
-    base.add_freejoint(name=BASE)
-    _add_equality(spec, "WELD", "BODY", MOCAP, BASE).data[10] = 1.0
+    spec.worldbody.add_body(name=_MOCAP, mocap=True)
+    base = spec.worldbody.add_body(name=name, gravcomp=1.0)
+    base.add_freejoint(name=name)
+    _add_equality(spec, "WELD", "BODY", _MOCAP, name).data[10] = 1.0
     return base
 
 

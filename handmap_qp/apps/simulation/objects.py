@@ -1,12 +1,19 @@
-"""Shapes of held objects: box, sphere and cylinder, centred at the origin of their own frame."""
+"""Objects that a hand may hold: mass and shape, centred at the origin of its own frame."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from handmap_qp.errors import expect
+import numpy as np
+
+from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.spec import Vector
 from handmap_qp.se3 import as_floats
+
+KINDS = ("box", "sphere", "cylinder")
+"""Names of shapes with one size."""
 
 
 def positive(value: float, name: str) -> float:
@@ -39,6 +46,11 @@ class Box:
         )
         object.__setattr__(self, "size", (x, y, z))
 
+    @property
+    def width(self) -> float:
+        """Width along x [m]."""
+        return self.size[0]
+
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
@@ -55,6 +67,11 @@ class Sphere:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "radius", positive(self.radius, "radius"))
+
+    @property
+    def width(self) -> float:
+        """Width along x [m]."""
+        return 2.0 * self.radius
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,5 +93,129 @@ class Cylinder:
         for name in ("radius", "length"):
             object.__setattr__(self, name, positive(getattr(self, name), name))
 
+    @property
+    def width(self) -> float:
+        """Width along x [m]."""
+        return 2.0 * self.radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshShape:
+    """The convex hull of points.
+
+    Attributes:
+        points: Vertices [m], shape (n, 3), n >= 4.
+
+    Raises:
+        InvalidInputError: If they do not span a volume.
+    """
+
+    points: np.ndarray
+
+    def __post_init__(self) -> None:
+        points = as_floats(self.points, "points", shape=("n", 3), is_finite=True)
+        rank = np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6)
+        expect(rank == 3, "points", "points [m] that span a volume, shape (n, 3)")
+        object.__setattr__(self, "points", points)
+
+    @property
+    def width(self) -> float:
+        """Width along x [m]."""
+        return float(np.ptp(self.points[:, 0]))
+
 
 Shape = Box | Sphere | Cylinder
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A free object.
+
+    Attributes:
+        shape: Its shape.
+        mass: Its mass, spread evenly over the shape [kg].
+
+    Raises:
+        InvalidInputError: If the mass is not > 0, or the shape is none.
+    """
+
+    shape: Shape | MeshShape
+    mass: float = 0.1
+
+    def __post_init__(self) -> None:
+        is_shape = isinstance(self.shape, Shape | MeshShape)
+        expect(is_shape, "shape", "a shape", value=self.shape)
+        positive(self.mass, "mass")
+
+
+def named_shape(kind: str, size: float) -> Shape:
+    """Return a cube, a sphere, or a cylinder as long as twice its width.
+
+    Args:
+        kind: One of `KINDS`.
+        size: Its width [m].
+    """
+    if kind == "box":
+        return Box((size, size, size))
+    return Sphere(size / 2.0) if kind == "sphere" else Cylinder(size / 2.0, 2.0 * size)
+
+
+def parse_object(text: str) -> Shape | MeshShape:
+    """Read an object as the command line gives it.
+
+    Args:
+        text: `box:0.05` or `box:0.03x0.04x0.1`, `sphere:0.04` (diameter), `cylinder:0.04x0.1`
+            (diameter and length), or the path of a mesh file in metres.
+
+    Raises:
+        InvalidInputError: If it is none of these.
+        MissingExtraError: If a mesh is given and trimesh is not installed.
+    """
+    kind, _, rest = text.partition(":")
+    try:
+        sizes = [float(word) for word in rest.split("x")]
+    except ValueError:
+        sizes = []
+    match kind, *sizes:
+        case "box", x, y, z:
+            return Box((x, y, z))
+        case "cylinder", diameter, length:
+            return Cylinder(diameter / 2.0, length)
+        case (("box" | "sphere" | "cylinder"), size):
+            return named_shape(kind, size)
+    expect(
+        Path(text).is_file(),
+        "--object",
+        "box:0.05, box:0.03x0.04x0.1, sphere:0.04, cylinder:0.04x0.1 or a mesh file",
+        value=text,
+    )
+    return _mesh(Path(text))
+
+
+def surface(shape: Shape | MeshShape) -> Any:
+    """Return the surface of an object in its own frame, a `trimesh.Trimesh`.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    trimesh = require("trimesh", "plot")
+    match shape:
+        case Box():
+            return trimesh.creation.box(extents=shape.size)
+        case Sphere():
+            return trimesh.creation.icosphere(subdivisions=3, radius=shape.radius)
+        case Cylinder():
+            return trimesh.creation.cylinder(shape.radius, shape.length, sections=40)
+    return trimesh.Trimesh(shape.points).convex_hull
+
+
+def _mesh(file: Path) -> MeshShape:
+    trimesh = require("trimesh", "plot")
+    try:
+        hull = trimesh.load_mesh(file).convex_hull
+    # Mesh readers raise many types.
+    except Exception as error:
+        raise InvalidInputError(
+            argument="--object", problem=f"{file}: cannot be read as a mesh ({error})"
+        ) from error
+    return MeshShape(np.asarray(hull.vertices) - np.asarray(hull.center_mass))

@@ -1,70 +1,15 @@
-"""What a simulation assumes: `Physics`, and the object: `Body`, by name, and as a surface."""
+"""What a simulation assumes: `Physics`."""
 
 from __future__ import annotations
 
 import math
-import re
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere, positive
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError, require
+from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.spec import Vector
 from handmap_qp.options import Options, number, text
-
-KINDS = ("box", "sphere", "cylinder")
-"""Names of shapes with one size."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeshShape:
-    """The convex hull of points, in the object's own frame.
-
-    Attributes:
-        points: Vertices [m], shape (n, 3), n >= 4.
-
-    Raises:
-        InvalidInputError: If they do not span a volume.
-    """
-
-    points: np.ndarray
-
-    def __post_init__(self) -> None:
-        points = np.asarray(self.points, dtype=float)
-        is_solid = (
-            points.shape[1:] == (3,)
-            and bool(np.isfinite(points).all())
-            and np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6) == 3
-        )
-        if not is_solid:
-            raise InvalidInputError(
-                argument="points",
-                expected="points [m] that span a volume, shape (n, 3)",
-            )
-        object.__setattr__(self, "points", points)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Body:
-    """A free object.
-
-    Attributes:
-        shape: Its shape.
-        mass: Its mass, spread evenly over the shape [kg].
-    """
-
-    shape: Shape | MeshShape
-    mass: float = 0.1
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.shape, Shape | MeshShape):
-            raise InvalidInputError(
-                argument="shape", expected="a shape", value=self.shape
-            )
-        positive(self.mass, "mass")
 
 
 class Physics(Options, frozen=True):
@@ -133,68 +78,6 @@ class Physics(Options, frozen=True):
             )
 
 
-def named_shape(kind: str, size: float) -> Shape:
-    """Return a cube, a sphere, or a cylinder as long as twice its width.
-
-    Args:
-        kind: One of `KINDS`.
-        size: Its width [m].
-    """
-    if kind == "box":
-        return Box((size, size, size))
-    return Sphere(size / 2.0) if kind == "sphere" else Cylinder(size / 2.0, 2.0 * size)
-
-
-def parse_object(text: str) -> Shape | MeshShape:
-    """Read an object as the command line gives it.
-
-    Args:
-        text: `box:0.05` or `box:0.03x0.04x0.1`, `sphere:0.04` (diameter), `cylinder:0.04x0.1`
-            (diameter and length), or the path of a mesh file in metres.
-
-    Raises:
-        InvalidInputError: If it is none of these.
-        MissingExtraError: If a mesh is given and trimesh is not installed.
-    """
-    kind, _, rest = text.partition(":")
-    sizes = (
-        [float(word) for word in rest.split("x")]
-        if re.fullmatch(r"[\d.x]+", rest)
-        else []
-    )
-    match kind, *sizes:
-        case "box", x, y, z:
-            return Box((x, y, z))
-        case "cylinder", diameter, length:
-            return Cylinder(diameter / 2.0, length)
-        case (("box" | "sphere" | "cylinder"), size):
-            return named_shape(kind, size)
-    if Path(text).is_file():
-        return _mesh(Path(text))
-    raise InvalidInputError(
-        argument="--object",
-        expected="box:0.05, box:0.03x0.04x0.1, sphere:0.04, cylinder:0.04x0.1 or a mesh file",
-        value=text,
-    )
-
-
-def surface(shape: Shape | MeshShape) -> Any:
-    """Return the surface of an object in its own frame, a `trimesh.Trimesh`.
-
-    Raises:
-        MissingExtraError: If trimesh is not installed.
-    """
-    trimesh = require("trimesh", "plot")
-    match shape:
-        case Box():
-            return trimesh.creation.box(extents=shape.size)
-        case Sphere():
-            return trimesh.creation.icosphere(subdivisions=3, radius=shape.radius)
-        case Cylinder():
-            return trimesh.creation.cylinder(shape.radius, shape.length, sections=40)
-    return trimesh.Trimesh(shape.points).convex_hull
-
-
 def turn_up(up: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
     """Return the rotation that turns a direction to +z, shape (3, 3).
 
@@ -208,15 +91,3 @@ def turn_up(up: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
         x = level
     x = x / np.linalg.norm(x)
     return np.array([x, np.cross(z, x), z])
-
-
-def _mesh(file: Path) -> MeshShape:
-    trimesh = require("trimesh", "plot")
-    try:
-        hull = trimesh.load_mesh(file).convex_hull
-    # Mesh readers raise many types.
-    except Exception as error:
-        raise InvalidInputError(
-            argument="--object", problem=f"{file}: cannot be read as a mesh ({error})"
-        ) from error
-    return MeshShape(np.asarray(hull.vertices) - np.asarray(hull.center_mass))

@@ -12,24 +12,24 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow
-from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere
-from handmap_qp.apps.simulation.physics import Body, MeshShape, Physics, turn_up
-from handmap_qp.apps.simulation.simulator import (
-    Episode,
-    Instant,
-    Simulator,
-    poses_between,
+from handmap_qp.apps.simulation.objects import (
+    Body,
+    Box,
+    MeshShape,
+    Shape,
+    Sphere,
 )
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.apps.simulation.physics import Physics, turn_up
+from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
+from handmap_qp.errors import expect
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.pads import Pad, find_pads
-from handmap_qp.se3 import affine, inverse_pose
+from handmap_qp.hands.pads import find_pads
+from handmap_qp.se3 import affine, inverse_pose, transform_points
 
 CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""
@@ -43,9 +43,7 @@ _LATEST = 0.3
 _LOST = 0.02
 # The robot's pads meet this long after the human's, at the latest [s]; filters make some late.
 _LAG = 1.0
-# Instants between two samples at which the closing is looked at.
-_PARTS = 4
-# The object of that simulation, far from the hand.
+# The object of the simulation in which the pads meet, far from the hand.
 _NOTHING = Body(Sphere(0.01), 0.01)
 _FAR = affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
 
@@ -62,56 +60,46 @@ class Pads:
 
     def __init__(self, hand: Hand) -> None:
         chains = find_fingers(hand)
-        if not {THUMB, _INDEX} <= chains.keys():
-            raise InvalidInputError(
-                argument="robot",
-                expected=f"a hand with {THUMB} and {_INDEX}",
-                got=f"{hand.name} with {', '.join(chains)}",
-            )
-        self.hand = hand
-        found = find_pads(hand, {name: chains[name] for name in (THUMB, _INDEX)})
-        self.thumb, self.finger = found[THUMB], found[_INDEX]
-        self._data = hand.model.createData()
-
-    def places(self, q: np.ndarray, wrist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the middles of both pads in the world [m], shape (3,) each."""
-        vector = self.hand.configuration_vector(
-            q, wrist if self.hand.is_floating else None
+        expect(
+            {THUMB, _INDEX} <= chains.keys(),
+            "robot",
+            f"a hand with {THUMB} and {_INDEX}",
+            got=f"{hand.name} with {', '.join(chains)}",
         )
-        pin.forwardKinematics(self.hand.model, self._data, vector)
-        return self._place(self.thumb), self._place(self.finger)
+        self._pads = find_pads(hand, {name: chains[name] for name in (THUMB, _INDEX)})
+        self._bodies = ["world", *hand.model.names[1:]]
+        self._of_thumb = [self._bodies[joint] for joint in chains[THUMB].joints]
 
-    def gap(self, q: np.ndarray, wrist: np.ndarray) -> float:
-        """Return the distance between the pads' surfaces [m]."""
-        one, other = self.places(q, wrist)
-        return (
-            float(np.linalg.norm(other - one)) - self.thumb.radius - self.finger.radius
+    def places(self, simulator: Simulator) -> np.ndarray:
+        """Return the middles of the pads of thumb and finger in the world [m], shape (2, 3)."""
+        return np.array(
+            [
+                transform_points(
+                    simulator.body_pose(self._bodies[pad.joint]), pad.offset
+                )
+                for pad in self._pads.values()
+            ]
         )
 
-    def middle(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
-        """Return the point midway between the pads' surfaces [m], shape (3,)."""
-        one, other = self.places(q, wrist)
-        distance = max(float(np.linalg.norm(other - one)), 1e-6)
-        share = 0.5 + 0.5 * (self.thumb.radius - self.finger.radius) / distance
-        return one + np.clip(share, 0.0, 1.0) * (other - one)
+    def gap(self, places: np.ndarray) -> float:
+        """Return the distance between the pads' surfaces at such places [m]."""
+        radii = sum(pad.radius for pad in self._pads.values())
+        return float(np.linalg.norm(places[1] - places[0])) - radii
+
+    def middle(self, places: np.ndarray) -> np.ndarray:
+        """Return the point midway between the pads' surfaces at such places [m], shape (3,)."""
+        thumb, finger = places
+        distance = max(float(np.linalg.norm(finger - thumb)), 1e-6)
+        farther = self._pads[THUMB].radius - self._pads[_INDEX].radius
+        share = np.clip(0.5 + 0.5 * farther / distance, 0.0, 1.0)
+        return thumb + share * (finger - thumb)
 
     def is_pinched(self, simulator: Simulator) -> bool:
         """Return whether the thumb and another link press on the object."""
         contacts = simulator.contacts()
-        is_thumb = np.array(
-            [self._is_of_thumb(joint) for joint in contacts.joints], dtype=bool
-        )
+        is_thumb = np.isin(contacts.bodies, self._of_thumb)
         pressing = contacts.normal_forces
         return min(pressing[is_thumb].sum(), pressing[~is_thumb].sum()) > _PRESSED
-
-    def _place(self, pad: Pad) -> np.ndarray:
-        return self._data.oMi[pad.joint].act(pad.offset)
-
-    def _is_of_thumb(self, joint: str) -> bool:
-        """Return whether a joint is on the way from the palm to the thumb's tip."""
-        model = self.hand.model
-        way = list(model.supports[self.thumb.joint])[2:]
-        return model.existJointName(joint) and model.getJointId(joint) in way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,17 +119,6 @@ class PinchTrial:
     friction: float = 0.8
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
     yaw: float = 0.0
-
-    @property
-    def size(self) -> float:
-        """Width of the object along the pinch, about [m]."""
-        match self.shape:
-            case Box(size=(width, *_)):
-                return width
-            case Sphere(radius=radius) | Cylinder(radius=radius):
-                return 2.0 * radius
-            case MeshShape(points=points):
-                return float(np.ptp(points[:, 0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,17 +145,15 @@ class PinchOutcome:
 
 
 class Meeting(NamedTuple):
-    """The robot when its pads are as near as an object is wide.
+    """The robot's pads when they are as near as an object is wide.
 
     Attributes:
         time: The instant [s].
-        q: Joint angles [rad], shape (n,).
-        wrist: Wrist pose, shape (4, 4).
+        places: As of `Pads.places`.
     """
 
     time: float
-    q: np.ndarray
-    wrist: np.ndarray
+    places: np.ndarray
 
 
 class PinchScene:
@@ -214,8 +189,9 @@ class PinchScene:
         commands = self.commands
         window = self.window
         pads = self.pads
-        met = self.meeting(trial.size)
-        place = pads.middle(met.q, met.wrist) + np.array(trial.offset)
+        width = trial.shape.width
+        met = self.meeting(width)
+        place = pads.middle(met.places) + np.array(trial.offset)
         simulator = self._start(
             Body(trial.shape, trial.mass),
             self.physics.replaced(friction=trial.friction),
@@ -231,63 +207,55 @@ class PinchScene:
                 simulator.set_stand(holds=False)
             elif not distances:
                 continue
-            between = simulator.object_pose[:3, 3] - pads.middle(
-                simulator.q, simulator.wrist
-            )
-            distances.append(float(np.linalg.norm(between)))
+            middle = pads.middle(pads.places(simulator))
+            off = simulator.object_pose[:3, 3] - middle
+            distances.append(float(np.linalg.norm(off)))
         episode = Episode.of(simulator, instants)
         # Pads that never pressed had no object to lose.
         distances = distances or [np.inf]
         time = commands.time[: window.end + 1][-len(distances) :]
-        return _outcome(episode, np.array(distances), time, trial.size)
+        return _outcome(episode, np.array(distances), time, width)
 
-    def meeting(self, size: float) -> Meeting:
+    def meeting(self, width: float) -> Meeting:
         """Return the first instant at which the pads are as near as an object is wide.
 
         Actuators lag behind their commands by some 50 ms, so the pads meet later and, as the wrist
         moves meanwhile, elsewhere than commanded.
 
         Args:
-            size: Width of the object [m].
+            width: Width of the object [m].
 
         Returns:
             The instant, or that of the smallest gap if the pads do not come near enough.
         """
-        instants, gaps = self._closing
-        near = np.flatnonzero(gaps <= size)
+        instants = self._closing
+        gaps = np.array([self.pads.gap(instant.places) for instant in instants])
+        near = np.flatnonzero(gaps <= width)
         if not len(near):
             return instants[int(np.argmin(gaps))]
-        if near[0] == 0:
+        last = int(near[0])
+        if last == 0:
             return instants[0]
-        before, at = instants[near[0] - 1 : near[0] + 1]
-        wide, narrow = gaps[near[0] - 1 : near[0] + 1]
-        share = float((wide - size) / (wide - narrow))
+        before, after = instants[last - 1], instants[last]
+        share = (gaps[last - 1] - width) / (gaps[last - 1] - gaps[last])
         return Meeting(
-            before.time + share * (at.time - before.time),
-            before.q + share * (at.q - before.q),
-            poses_between(before.wrist, at.wrist, np.array([share]))[0],
+            before.time + share * (after.time - before.time),
+            before.places + share * (after.places - before.places),
         )
 
     @cached_property
-    def _closing(self) -> tuple[list[Meeting], np.ndarray]:
-        """The robot's own motion while the human's pinch closes, and its gaps [m], shape (k,)."""
+    def _closing(self) -> list[Meeting]:
+        """The robot's own motion while the human's pinch closes, with nothing between the pads."""
         commands = self.commands
+        time = commands.time
         window = self.window
-        shares = np.arange(1, _PARTS + 1) / _PARTS
         simulator = self._start(_NOTHING, self.physics, _FAR)
-        last = np.searchsorted(commands.time, commands.time[window.closed] + _LAG)
+        last = int(np.searchsorted(time, time[window.closed] + _LAG))
         instants = []
-        for i in range(window.start + 1, min(int(last), window.end)):
-            (q, wrist), (start, _) = commands.at(i), commands.at(i - 1)
-            places = poses_between(commands.wrist[i - 1], commands.wrist[i], shares)
-            before = commands.time[i - 1]
-            step = commands.time[i] - commands.time[i - 1]
-            for share, place in zip(shares, places, strict=True):
-                goal = start + share * (q - start)
-                simulator.follow(goal, None if wrist is None else place, step / _PARTS)
-                now = float(before + share * step)
-                instants.append(Meeting(now, simulator.q, simulator.wrist))
-        return instants, np.array([self.pads.gap(at.q, at.wrist) for at in instants])
+        for i in range(window.start + 1, min(last, window.end)):
+            simulator.follow(*commands.at(i), time[i] - time[i - 1])
+            instants.append(Meeting(float(time[i]), self.pads.places(simulator)))
+        return instants
 
     def _start(self, body: Body, physics: Physics, place: np.ndarray) -> Simulator:
         """Put an object on its stand, and the hand where the recording starts."""
@@ -300,16 +268,16 @@ class PinchScene:
         """Return axes with z up and x along the pinch, turned by `yaw` about the vertical."""
         gravity = np.array(self.physics.gravity)
         up = -gravity if gravity.any() else np.array([0.0, 0.0, 1.0])
-        thumb, finger = self.pads.places(met.q, met.wrist)
+        thumb, finger = met.places
         turn = Rotation.from_euler("z", yaw).as_matrix()
         return turn_up(up, finger - thumb).T @ turn
 
 
 def _outcome(
-    episode: Episode, distances: np.ndarray, time: np.ndarray, size: float
+    episode: Episode, distances: np.ndarray, time: np.ndarray, width: float
 ) -> PinchOutcome:
     """Judge the instants at the end, for which there are distances from the pads' middle."""
-    lost = np.flatnonzero(distances > _LOST + size / 2.0)
+    lost = np.flatnonzero(distances > _LOST + width / 2.0)
     last = int(lost[0]) if len(lost) else len(distances) - 1
     first = len(episode.at.time) - len(distances)
     kept = Instant(*(column[first : first + last + 1] for column in episode.at))

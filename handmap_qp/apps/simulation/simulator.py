@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from handmap_qp.apps.simulation.model import BASE, OBJECT, WRIST, build_model
-from handmap_qp.apps.simulation.physics import Body, Physics
+from handmap_qp.apps.simulation.model import OBJECT, WRIST, build_model
+from handmap_qp.apps.simulation.objects import Body
+from handmap_qp.apps.simulation.physics import Physics
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import affine, check_pose, quat_wxyz_from_rotation
 
@@ -30,14 +31,14 @@ class Contacts(NamedTuple):
         points: Places in the world [m], shape (n, 3).
         normals: Unit normals into the object, shape (n, 3).
         forces: Forces of the hand on the object, world axes [N], shape (n, 3).
-        joints: Name of the joint that carries the touching link, for each contact; empty for the
-            hand's base.
+        bodies: Name of the joint that carries the touching link, for each contact; `world` for
+            the root of a hand that does not float.
     """
 
     points: np.ndarray
     normals: np.ndarray
     forces: np.ndarray
-    joints: tuple[str, ...]
+    bodies: tuple[str, ...]
 
     @property
     def normal_forces(self) -> np.ndarray:
@@ -149,7 +150,15 @@ class Simulator:
     @property
     def object_pose(self) -> np.ndarray:
         """Pose of the object in the world, shape (4, 4)."""
-        return _pose_of(self.data.body(OBJECT))
+        return self.body_pose(OBJECT)
+
+    def body_pose(self, name: str) -> np.ndarray:
+        """Return the pose of a body in the world, shape (4, 4).
+
+        Args:
+            name: The joint of the hand that carries it, or `world`.
+        """
+        return _pose_of(self.data.body(name))
 
     def instant(self) -> Instant:
         """Return what is now."""
@@ -166,7 +175,7 @@ class Simulator:
             object_pose=self.object_pose,
             normal_force=pressing.sum(),
             friction_use=np.array(used / allowed if allowed > 0.0 else np.nan),
-            links_touching=np.array(len(set(contacts.joints))),
+            links_touching=np.array(len(set(contacts.bodies))),
         )
 
     def reset(
@@ -194,7 +203,7 @@ class Simulator:
         first = 1
         if hand.is_floating:
             first, base, positions = 2, positions[:7], positions[7:]
-            data.joint(BASE).qpos = base[_SEVEN]
+            data.joint(hand.model.names[1]).qpos = base[_SEVEN]
         for name, position in zip(hand.model.names[first:], positions, strict=True):
             data.joint(name).qpos = position
         self.target = (np.array(q, dtype=float), wrist)
@@ -254,13 +263,12 @@ class Simulator:
         # A frame's x axis points from the first geom to the second, on which the force acts.
         signs = np.where(is_object[rows, 1], 1.0, -1.0)
         frames = signs[:, None, None] * contact.frame[rows].reshape(-1, 3, 3)
-        bodies = model.geom_bodyid[contact.geom[rows][~is_object[rows]]]
-        names = [model.body(body).name for body in bodies]
+        touching = model.geom_bodyid[contact.geom[rows][~is_object[rows]]]
         return Contacts(
             points=contact.pos[rows],
             normals=frames[:, 0],
             forces=np.einsum("cij,ci->cj", frames, forces[:, :3]),
-            joints=tuple(n if self.hand.model.existJointName(n) else "" for n in names),
+            bodies=tuple(model.body(body).name for body in touching),
         )
 
     def tell_actuators(self, command: np.ndarray) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.stats import binomtest
 
-from handmap_qp.apps.simulation.physics import KINDS, named_shape
+from handmap_qp.apps.simulation.objects import KINDS, named_shape
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchTrial
 from handmap_qp.errors import expect
 
@@ -101,7 +101,7 @@ def describe_trial(trial: PinchTrial) -> dict[str, Any]:
     """Describe an object and its place by plain values, in metres, kilograms and radians."""
     return {
         "shape": type(trial.shape).__name__.lower(),
-        "width": trial.size,
+        "width": trial.shape.width,
         "mass": trial.mass,
         "friction": trial.friction,
         "offset": list(trial.offset),
