@@ -102,8 +102,9 @@ def optimum_of(
     tolerance, fitting.TOLERANCE = fitting.TOLERANCE, 1e-9
     try:
         best, cost = fitter._solve(start, targets, _FURTHER)
-        other = fitter._best_start(targets)
-        _, other_cost = fitter._cost(other, targets)
+        fitter._q, last = None, fitter._q
+        other_cost = np.min([found for _, found in fitter._fits(targets)], axis=0)
+        fitter._q = last
     finally:
         fitting.TOLERANCE = tolerance
     is_best = not (other_cost < 0.98 * cost - 1e-3).any()
