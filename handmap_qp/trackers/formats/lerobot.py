@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
-from handmap_qp.human.recording import Recording
+from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import make_folder, sync, writing
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
@@ -36,7 +36,15 @@ CHUNK_FILES = 1000
 _DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 _ROW_GROUP = 1000
-_QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
+_QUANTILES = {
+    "min": 0.0,
+    "max": 1.0,
+    "q01": 0.01,
+    "q10": 0.10,
+    "q50": 0.50,
+    "q90": 0.90,
+    "q99": 0.99,
+}
 """Quantiles by the names of LeRobot, some of whose policies are normalised by them."""
 
 
@@ -356,16 +364,14 @@ Stats = dict[str, np.ndarray]
 def episode_stats(values: np.ndarray) -> Stats:
     """Return the statistics of one episode, (T,) or (T, n), over the frames without NaN."""
     rows = values.reshape(len(values), -1).astype(float)
-    rows = rows[np.isfinite(rows).all(axis=1)]
+    rows = rows[finite_samples(rows)]
     count = len(rows)
     rows = rows if count else np.zeros((1, rows.shape[1]))
     quantiles = np.quantile(rows, list(_QUANTILES.values()), axis=0)
     return {
-        "min": rows.min(axis=0),
-        "max": rows.max(axis=0),
+        **dict(zip(_QUANTILES, quantiles, strict=True)),
         "mean": rows.mean(axis=0),
         "std": rows.std(axis=0),
-        **dict(zip(_QUANTILES, quantiles, strict=True)),
         "count": np.array([count]),
     }
 
