@@ -283,18 +283,6 @@ def test_marks_shine_through_and_stand_in_front() -> None:
     assert bare[1] > hidden[1] > shown[1]
 
 
-def test_shadows_fall_on_the_floor_only() -> None:
-    ball = spheres([[0.0, 0.0, 0.1]], 0.03, RED)
-    camera = Camera.framing(
-        np.array([[-0.1, -0.1, 0.0], [0.1, 0.1, 0.15]]), (100, 100), elevation=30.0
-    )
-    column, row, _ = camera.project(np.zeros(3))
-    image = render(ball, camera, ground=0.0, supersampling=1)
-    assert 0.05 < image[int(row), int(column), 3] < 0.5
-    assert image[int(row), int(column), :3].max() == 0.0
-    assert image[2, 50, 3] < 1e-3
-
-
 def test_a_tube_follows_its_path() -> None:
     way = np.column_stack(
         [np.linspace(0.0, 1.0, 20), np.zeros(20), np.linspace(0.0, 1.0, 20) ** 2]

@@ -231,7 +231,6 @@ def draw_hands(
     camera: Camera,
     *,
     marks: Triangles | None = None,
-    ground: float | None = None,
     supersampling: int = 2,
 ) -> None:
     """Draw hands into an axes, whose coordinates become the camera's pixels.
@@ -243,16 +242,13 @@ def draw_hands(
         triangles: All solid parts, combined with `merged`.
         camera: The camera; see `Camera.framing`.
         marks: `spheres` and `tube`s that stay visible behind solid parts.
-        ground: Height of a floor for soft shadows [m]; none if omitted.
         supersampling: Samples per pixel along each side.
 
     Raises:
         MissingExtraError: If matplotlib is not installed.
     """
     require_matplotlib()
-    image = render(
-        triangles, camera, marks=marks, ground=ground, supersampling=supersampling
-    )
+    image = render(triangles, camera, marks=marks, supersampling=supersampling)
     width, height = camera.size
     axes.imshow(
         image,

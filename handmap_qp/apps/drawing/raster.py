@@ -37,7 +37,6 @@ _DARKEST = 0.03
 _CREASE_RADIUS = 0.007
 _CREASE_DEPTH = 0.55
 _HIDDEN_MARK_OPACITY = 0.6
-_SHADOW_OPACITY = 0.30
 
 
 class Triangles(NamedTuple):
@@ -176,7 +175,6 @@ def render(
     camera: Camera,
     *,
     marks: Triangles | None = None,
-    ground: float | None = None,
     supersampling: int = 2,
 ) -> np.ndarray:
     """Render a picture.
@@ -185,7 +183,6 @@ def render(
         triangles: Solid parts.
         camera: The camera.
         marks: Parts that stay visible behind solid ones, such as reference points.
-        ground: Height of a floor that receives soft shadows [m]; no shadows if omitted.
         supersampling: Samples per pixel along each side.
 
     Returns:
@@ -202,18 +199,13 @@ def render(
         opacity = np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0) * shaded[..., 3]
         picture += opacity[..., None] * (shaded - picture)
     picture = _averaged(picture, supersampling)
-    if ground is not None:
-        shadow = _shadow(triangles.vertices, camera, ground)
-        picture[..., 3] += shadow * (1.0 - picture[..., 3])
     # Colours were averaged premultiplied by opacity: divide by it, then apply gamma.
     light = picture[..., :3] / np.maximum(picture[..., 3:], 1e-6)
     picture[..., :3] = np.clip(light, 0.0, 1.0) ** (1.0 / 2.2)
     return picture
 
 
-def _rasterise(
-    vertices: np.ndarray, camera: Camera, *, is_two_sided: bool = False
-) -> _Surface:
+def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     """Find the triangle in front at every pixel's centre; cull those seen from behind."""
     width, height = camera.size
     corners = camera.project(vertices)
@@ -222,7 +214,7 @@ def _rasterise(
     nearness = np.einsum("nc,ncj->nj", 1.0 / np.maximum(depths, _NEAR), planes)
     is_seen = (depths > _NEAR).all(axis=1)
     is_seen &= np.isfinite(planes).all(axis=(1, 2))
-    is_seen &= is_two_sided | (area > 0.0)
+    is_seen &= area > 0.0
     # Nearness and triangle index share one integer, so that one maximum updates both.
     nearest = 1.0 / max(depths.min(initial=1.0), _NEAR)
     farthest = 1.0 / max(depths.max(initial=1.0), _NEAR)
@@ -374,35 +366,6 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     hollow = np.zeros_like(depth)
     hollow[is_solid] = np.clip(0.15 * total, 0.0, 1.0)
     return gaussian_filter(hollow, 0.15 * reach)
-
-
-def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
-    """Return the opacity of a soft shadow on a floor, light from above, shape (height, width)."""
-    fallen = vertices.copy()
-    fallen[..., 2] = ground
-    surface = _rasterise(fallen, camera, is_two_sided=True)
-    shadow = np.isfinite(surface.depth).astype(float)
-    distance = camera.project(fallen.mean(axis=(0, 1)))[2]
-    blur = 0.012 * camera.focal_length / distance
-    return _SHADOW_OPACITY * gaussian_filter(shadow, blur)
-
-
-def _shadow(vertices: np.ndarray, camera: Camera, ground: float) -> np.ndarray:
-    """Return the opacity of a soft shadow on a floor, light from above, shape (height, width)."""
-    fallen = vertices.copy()
-    fallen[..., 2] = ground
-    surface = _rasterise(fallen, camera, is_two_sided=True)
-    shadow = np.isfinite(surface.depth).astype(float)
-    width = (
-        0.012
-        * camera.focal_length
-        / float(
-            camera.project(
-                np.array([*vertices.reshape(-1, 3).mean(axis=0)[:2], ground])
-            )[2]
-        )
-    )
-    return _SHADOW_OPACITY * gaussian_filter(shadow, width)
 
 
 def _averaged(picture: np.ndarray, factor: int) -> np.ndarray:
