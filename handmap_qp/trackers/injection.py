@@ -274,7 +274,9 @@ def inject(
                 if number not in onsets:
                     onsets[number] = _onset(before or sample, seed, number)
                 onset = onsets[number]
-                sent = [fault.kind.change(one, fault.size, onset) for one in sent]
+                # A hand that is not seen may lie in one place, without axes.
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    sent = [fault.kind.change(one, fault.size, onset) for one in sent]
                 sent *= fault.kind.copies
         before = next((each for each in reversed(sent) if each.valid), before)
         yield from sent

@@ -31,6 +31,7 @@ from handmap_qp.trackers.formats import (
     FORMATS,
     Source,
     format_to_write,
+    lerobot,
     list_sources,
     write_recordings,
 )
@@ -246,6 +247,22 @@ def test_a_lerobot_set_is_read_by_pyarrow_alone(tmp_path: Path) -> None:
         )
 
 
+def test_a_full_file_of_a_lerobot_set_is_followed_by_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lerobot, "DATA_FILE_SIZE", 1)
+    monkeypatch.setattr(lerobot, "CHUNK_FILES", 2)
+    write_recordings([hand(count=3 + i) for i in range(3)], tmp_path / "set")
+    files = sorted((tmp_path / "set/data").rglob("*.parquet"))
+    names = [file.relative_to(tmp_path / "set/data").as_posix() for file in files]
+    folder = "chunk-00{}/file-00{}.parquet"
+    assert names == [folder.format(i // 2, i % 2) for i in range(3)]
+    assert [len(pq.read_table(file)) for file in files] == [3, 4, 5]
+    episodes = episodes_of(tmp_path / "set")
+    assert [e["data/chunk_index"] for e in episodes] == [0, 0, 1]
+    assert [e["data/file_index"] for e in episodes] == [0, 1, 0]
+
+
 def test_a_lerobot_set_is_not_read(tmp_path: Path) -> None:
     write_recordings([hand()], tmp_path / "set")
     with pytest.raises(RecordingError, match="written and not read") as caught:
@@ -274,7 +291,10 @@ def test_egodex_is_read_as_documented(tmp_path: Path) -> None:
     assert "2 other poses" in source.format.unread(source.path)
 
 
-def test_joint_states_of_ros_become_a_hand_by_the_model(tmp_path: Path) -> None:
+@pytest.mark.parametrize("has_wrist", [False, True])
+def test_joint_states_of_ros_become_a_hand_by_the_model(
+    has_wrist: bool, tmp_path: Path
+) -> None:
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
@@ -293,14 +313,26 @@ def test_joint_states_of_ros_become_a_hand_by_the_model(tmp_path: Path) -> None:
             names, none = [f"left_{name}" for name in order], np.zeros(0)
             message = store.types[kind](header, names, position, none, none)
             writer.write(topic, i, store.serialize_cdr(message, kind))
+        if has_wrist:
+            kind = "geometry_msgs/msg/PoseStamped"
+            topic = writer.add_connection("/left/wrist", kind, typestore=store)
+            for i in (0, 2):  # the second one was lost
+                time = store.types["builtin_interfaces/msg/Time"](7, 10**7 * i)
+                header = store.types["std_msgs/msg/Header"](time, "")
+                place = store.types["geometry_msgs/msg/Point"](0.0, 0.0, 1.0)
+                turn = store.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+                pose = store.types["geometry_msgs/msg/Pose"](place, turn)
+                message = store.types[kind](header, pose)
+                writer.write(topic, i, store.serialize_cdr(message, kind))
     for path in (tmp_path / "bag", tmp_path / "bag" / "bag.mcap"):
         found = read_recording(path)
         assert found.side == "left"
         np.testing.assert_allclose(found.time, [7.0, 7.01, 7.02], rtol=0, atol=1e-12)
-        for i in range(3):
-            np.testing.assert_allclose(
-                found.landmarks[i], human.points(0.5 * i * human.rest)
-            )
+        np.testing.assert_array_equal(found.valid, [True, not has_wrist, True])
+        for i in np.flatnonzero(found.valid):
+            expected = human.points(0.5 * i * human.rest)
+            expected[:, 2] += has_wrist
+            np.testing.assert_allclose(found.landmarks[i], expected)
 
 
 def test_mano_joints_are_put_in_order(tmp_path: Path) -> None:

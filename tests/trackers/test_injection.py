@@ -215,6 +215,13 @@ def test_a_lost_hand_stays_lost() -> None:
             assert not any(sample.valid for sample in result[6:9]), name
 
 
+@pytest.mark.parametrize("name", ["flip", "mirror", "jump", "noise"])
+def test_a_lost_hand_may_lie_in_one_place(name: str) -> None:
+    lost = HumanSample(0.0, "right", np.zeros((21, 3)), valid=False)
+    (result,) = inject([lost], parse_faults(f"{name}@0"))
+    assert not result.valid
+
+
 @given(
     name=st.sampled_from([*FAULT_KINDS]),
     start=st.floats(0.0, 1e3),

@@ -155,6 +155,25 @@ def test_a_wrist_beside_the_values_may_be_seven_numbers(name: str) -> None:
     np.testing.assert_allclose(sample.wrist, wrist, atol=1e-12)
 
 
+def test_the_axes_of_a_wrist_are_those_that_the_table_names() -> None:
+    # Ultraleap: millimetres, fingers along -z, back of the hand along +y.
+    layout, pose = load_layout("leap26"), np.eye(4)
+    pose[:3, 3] = 100.0, 200.0, 300.0
+    sample = layout.read(np.ones((26, 3)), time=0.0, side="right", wrist=pose)
+    assert sample.wrist is not None
+    expected = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]
+    np.testing.assert_allclose(sample.wrist[:3, :3], expected, atol=1e-15)
+    np.testing.assert_allclose(sample.wrist[:3, 3], [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(sample.landmarks, 0.001)
+
+
+def test_markers_of_a_left_hand_are_the_mirror_image() -> None:
+    layout, (q, _) = load_layout("markers13"), posture("right")
+    right = layout.write_posture(sized_human("right"), q, np.eye(4))
+    left = layout.write_posture(sized_human("left"), q, np.eye(4))
+    np.testing.assert_allclose(left, right * (-1.0, 1.0, 1.0), atol=1e-12)
+
+
 def test_shape_errors_name_the_layouts_of_that_shape() -> None:
     with pytest.raises(InvalidInputError) as caught:
         load_layout("webxr25").read(np.zeros((26, 3)), time=0.0, side="right")
@@ -311,6 +330,24 @@ def test_a_file_in_another_layout_is_refused_and_named(
     assert f"--layout {named}" in str(caught.value) or f" or {named}" in str(
         caught.value
     )
+
+
+def test_of_several_arrays_that_fit_the_usual_name_or_the_side_is_taken(
+    tmp_path: Path,
+) -> None:
+    layout = load_layout("openxr26")
+    path = file_of(tmp_path, layout)
+    content: dict[str, Any] = dict(np.load(path))
+    values = content.pop("joints")
+    whole = read_with_layout(path, layout)
+    for names in (("other", "joints"), ("left_values", "right_values")):
+        arrays = {names[0]: values + 9.0, names[1]: values}
+        np.savez(path, **content, **arrays)
+        found = read_with_layout(path, layout, "right")
+        np.testing.assert_array_equal(found.landmarks, whole.landmarks)
+    np.savez(path, **content, one=values, two=values)
+    with pytest.raises(RecordingError, match="has more than one array of shape"):
+        read_with_layout(path, layout)
 
 
 def test_csv_columns_of_a_glove(tmp_path: Path) -> None:
