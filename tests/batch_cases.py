@@ -18,8 +18,8 @@ from handmap_qp.trackers.formats import (
     read_recording,
     write_recordings,
 )
+from handmap_qp.trackers.formats.archive import NpzFormat
 from handmap_qp.trackers.formats.base import Entry
-from handmap_qp.trackers.formats.npz import NpzFormat
 
 OPTIONS = JobOptions({"right": "three_finger"})
 

@@ -14,14 +14,13 @@ from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.plugins import Plugins
-from handmap_qp.trackers.formats.archive import reading
-from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem
+from handmap_qp.trackers.formats.archive import NpzFormat
+from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem, reading
 from handmap_qp.trackers.formats.csv_files import CsvFormat
 from handmap_qp.trackers.formats.hdf5 import EgoDexFormat, RobomimicFormat
 from handmap_qp.trackers.formats.lerobot import LeRobotFormat
 from handmap_qp.trackers.formats.mano import ManoFormat
 from handmap_qp.trackers.formats.mcap import McapFormat
-from handmap_qp.trackers.formats.npz import NpzFormat
 
 _OWN = (
     NpzFormat(),

@@ -1,13 +1,14 @@
-"""Read `.npz` archives of plain arrays: every damage becomes one `RecordingError`.
+"""Recordings as `.npz`: arrays by name, of one hand or of both; and reading any such archive.
 
-The size of an archive is bounded before it is read, and nothing in it is unpickled.
+Every damage becomes one `RecordingError`. The size of an archive is bounded before it is read, and
+nothing in it is unpickled.
 """
 
 from __future__ import annotations
 
 import warnings
 import zipfile
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,100 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from handmap_qp.errors import HandmapError, InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.human.recording import Recording
+from handmap_qp.output_files import replaced_file
+from handmap_qp.trackers.formats.base import (
+    COLUMNS,
+    SIDES,
+    Entry,
+    RecordingFormat,
+    build_recording,
+    reading,
+    side_of,
+)
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
+_NEEDED = ("time", "landmarks")
+_KNOWN = (*COLUMNS, "wrist_pose", "source")
+_PREFIXES = tuple(f"{side}_" for side in SIDES)
+
+
+class NpzFormat(RecordingFormat):
+    """The package's own form, lossless.
+
+    Arrays: `time (T,)` [s], `landmarks (T, 21, 3)` [m] and `handedness`; and where they are known
+    `valid (T,)`, `confidence (T,)`, `wrist (T, 4, 4)` or `wrist_pose (T, 7)` (position [m], then a
+    quaternion in the order w, x, y, z), and `source`. A file with both hands has the same names
+    with `left_` and `right_` before them, without `handedness`.
+    """
+
+    name = "npz"
+    suffixes = (".npz",)
+    about = "arrays of numpy by name; lossless, one recording of each hand"
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the archive has no arrays of another form."""
+        if not path.is_file():
+            return False
+        names = member_names(path)
+        return "landmarks" in names or not {"pose", "hand_pose", "joints"} & names
+
+    def entries(self, path: Path) -> tuple[Entry, ...]:
+        """List the one hand, or both."""
+        names = member_names(path)
+        sides = [side for side in SIDES if f"{side}_landmarks" in names]
+        if not sides:
+            arrays = _read(path, ("time", "handedness"))
+            side = side_of(arrays["handedness"], "handedness")
+            return (Entry("", side, np.size(arrays["time"])),)
+        times = _read(path, [f"{side}_time" for side in sides])
+        return tuple(Entry(s, s, np.size(times[f"{s}_time"])) for s in sides)
+
+    def read(self, path: Path, entry: Entry) -> Recording:
+        """Read one hand; samples with numbers that are not finite are not valid."""
+        prefix = f"{entry.name}_" if entry.name else ""
+        needed, known = ([prefix + n for n in names] for names in (_NEEDED, _KNOWN))
+        arrays = _read(path, needed, known)
+        own: dict[str, Any] = {n.removeprefix(prefix): arrays[n] for n in arrays}
+        own["source"] = str(own.get("source", ""))
+        return build_recording(path, entry, **own, prefix=prefix)
+
+    def unread(self, path: Path) -> tuple[str, ...]:
+        """Name the arrays that a recording cannot hold."""
+        known = {before + name for before in ("", *_PREFIXES) for name in _KNOWN}
+        return tuple(sorted(member_names(path) - known - {"handedness"}))
+
+    def write(self, recordings: Sequence[Recording], path: Path) -> None:
+        """Write one hand or both."""
+        self.check_one_per_hand(recordings)
+        arrays: dict[str, np.ndarray] = {}
+        for recording in recordings:
+            prefix = f"{recording.side}_" if len(recordings) > 1 else ""
+            own = {name: getattr(recording, name) for name in (*COLUMNS, "source")}
+            own["handedness"] = "" if prefix else recording.side
+            arrays |= {
+                prefix + name: np.asarray(value)
+                for name, value in own.items()
+                if value is not None and len(value)
+            }
+        with replaced_file(path, "path") as file:
+            np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def _read(
+    path: Path,
+    needed: Iterable[str],
+    names: Iterable[str] = (),
+) -> dict[str, np.ndarray]:
+    """Read those arrays that are needed, and those of others that the file has."""
+    arrays = read_archive(path, {*needed, *names})
+    for name in needed:
+        if name not in arrays:
+            found = ", ".join(sorted(member_names(path))) or "none"
+            raise InvalidInputError(f"has no array {name!r}; it has {found}")
+    return arrays
 
 
 def member_names(file: Path) -> set[str]:
@@ -84,41 +175,3 @@ def _read_member(
         # numpy warns of headers that Python 2 wrote.
         warnings.simplefilter("ignore")
         return npy.read_array(stream, allow_pickle=False)
-
-
-@contextmanager
-def reading(
-    file: Path,
-    problem: str = "cannot be read",
-    array: str = "",
-    *,
-    table: Any = None,
-) -> Iterator[None]:
-    """Turn what is wrong with a file or with a value of it into `RecordingError`.
-
-    Args:
-        file: The file.
-        problem: What is wrong, to be followed by the words of a reader, which may raise anything on
-            a damaged file. What is wrong with a value is told by `InvalidInputError`.
-        array: The array that is read, put before the name of the value at fault.
-        table: A `csv.reader`, whose line is at fault.
-
-    Raises:
-        RecordingError: For every other error of the block.
-    """
-    try:
-        yield
-    except InvalidInputError as error:
-        array += error.argument
-        problem = f"{error.what}: {error.advice}" if error.advice else error.what
-        line = table and table.line_num
-        raise RecordingError(problem, file=file, array=array, line=line) from error
-    except HandmapError:
-        raise
-    except Exception as error:
-        text = " ".join(str(error).split())[:160]
-        if isinstance(error, OSError) and error.strerror:
-            problem, text = "cannot be read", error.strerror
-        problem = f"{problem}: {text}".rstrip(": ")
-        line = table and table.line_num
-        raise RecordingError(problem, file=file, array=array, line=line) from error

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import HandmapError, InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
 from handmap_qp.se3 import affine, as_floats, pose_from_xyz_quat
-from handmap_qp.trackers.formats.archive import reading
 
 SIDES: tuple[Side, ...] = ("left", "right")
 COLUMNS: dict[str, tuple[str, ...]] = {
@@ -149,6 +149,44 @@ class RecordingFormat(abc.ABC):
             got=got if len(got) < 40 else f"{len(sides)} recordings",
             advice="use lerobot, robomimic, or one file for each",
         )
+
+
+@contextmanager
+def reading(
+    file: Path,
+    problem: str = "cannot be read",
+    array: str = "",
+    *,
+    table: Any = None,
+) -> Iterator[None]:
+    """Turn what is wrong with a file or with a value of it into `RecordingError`.
+
+    Args:
+        file: The file.
+        problem: What is wrong, to be followed by the words of a reader, which may raise anything on
+            a damaged file. What is wrong with a value is told by `InvalidInputError`.
+        array: The array that is read, put before the name of the value at fault.
+        table: A `csv.reader`, whose line is at fault.
+
+    Raises:
+        RecordingError: For every other error of the block.
+    """
+    try:
+        yield
+    except InvalidInputError as error:
+        array += error.argument
+        problem = f"{error.what}: {error.advice}" if error.advice else error.what
+        line = table and table.line_num
+        raise RecordingError(problem, file=file, array=array, line=line) from error
+    except HandmapError:
+        raise
+    except Exception as error:
+        text = " ".join(str(error).split())[:160]
+        if isinstance(error, OSError) and error.strerror:
+            problem, text = "cannot be read", error.strerror
+        problem = f"{problem}: {text}".rstrip(": ")
+        line = table and table.line_num
+        raise RecordingError(problem, file=file, array=array, line=line) from error
 
 
 def side_of(value: object, array: str) -> Side:

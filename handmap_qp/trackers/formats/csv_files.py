@@ -18,7 +18,6 @@ from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
-from handmap_qp.trackers.formats.archive import reading
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     SIDES,
@@ -27,6 +26,7 @@ from handmap_qp.trackers.formats.base import (
     build_recording,
     column,
     known_columns,
+    reading,
     side_of,
 )
 

@@ -27,7 +27,7 @@ from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
-from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE, reading
+from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     SIDES,
@@ -36,6 +36,7 @@ from handmap_qp.trackers.formats.base import (
     build_recording,
     column,
     known_columns,
+    reading,
     side_of,
 )
 from handmap_qp.trackers.wrist_axes import palm_axes

@@ -21,11 +21,12 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import as_floats
-from handmap_qp.trackers.formats.archive import member_names, read_archive, reading
+from handmap_qp.trackers.formats.archive import member_names, read_archive
 from handmap_qp.trackers.formats.base import (
     Entry,
     RecordingFormat,
     build_recording,
+    reading,
     side_of,
 )
 

@@ -20,12 +20,12 @@ from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import pose_from_xyz_quat, quat_wxyz_from_rotation
-from handmap_qp.trackers.formats.archive import reading
 from handmap_qp.trackers.formats.base import (
     SIDES,
     Entry,
     RecordingFormat,
     build_recording,
+    reading,
 )
 
 _POSES = "geometry_msgs/msg/PoseArray"

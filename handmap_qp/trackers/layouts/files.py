@@ -16,8 +16,8 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.trackers.formats.archive import read_archive, reading
-from handmap_qp.trackers.formats.base import SIDES, side_of
+from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.base import SIDES, reading, side_of
 from handmap_qp.trackers.formats.csv_files import numbers, opened_table
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout, layouts_of_shape
