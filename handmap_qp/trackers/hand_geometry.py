@@ -65,27 +65,21 @@ HYPEREXTENSION = (0.75, 0.20)
 49 and 12 degrees. MCPs reach 45 degrees by themselves (e-hand.com, normal range of motion).
 """
 # Sizes of the features of `palmar_evidence`, at which they are taken as certain.
-_FEATURE_SIZES = (0.10, 0.05, 0.20, HYPEREXTENSION[1], 0.10)
+_FEATURE_SIZES = np.array([[0.10], [0.05], [0.20], [HYPEREXTENSION[1]], [0.10]])
 
 
 class PalmarEvidence(NamedTuple):
     """Tells for each sample how surely the hand is a right one; of a left hand, all are negative.
 
     Attributes:
-        palm: From the thumb's base and the arch of the knuckles, from -2 to 2, shape (T,).
-        thumb: From the thumb's MCP joint, from -1 to 1, shape (T,).
+        total: From the thumb's base, the arch of the knuckles, the thumb's MCP joint and the
+            fingers, from -5 to 5, shape (T,).
         fingers: From the bends of the fingers, from -2 to 2, shape (T,). PIP joints count in full
             at the limit of people's hyperextension, MCP joints from 0 there to full at 58 degrees.
     """
 
-    palm: np.ndarray
-    thumb: np.ndarray
+    total: np.ndarray
     fingers: np.ndarray
-
-    @property
-    def total(self) -> np.ndarray:
-        """The sum of all, from -5 to 5, shape (T,)."""
-        return self.palm + self.thumb + self.fingers
 
 
 class Distances(NamedTuple):
@@ -224,18 +218,17 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     # Up to people's hyperextension, an MCP joint may be bent to either side.
     bent = (bones[:, :, 0] @ palmar[:, :, None]).mean(axis=(1, 2))
     limit = HYPEREXTENSION[0]
-    features = [
-        heights[:, 1],
-        -0.5 * (heights[:, 9] + heights[:, 13]),
-        heights[:, 2],
-        bends.mean(axis=(1, 2)),
-        bent - np.clip(bent, -limit, limit),
-    ]
-    base, arch, thumb, *fingers = (
-        np.clip(feature / size, -1.0, 1.0)
-        for feature, size in zip(features, _FEATURE_SIZES, strict=True)
+    features = np.array(
+        [
+            heights[:, 1],
+            -0.5 * (heights[:, 9] + heights[:, 13]),
+            heights[:, 2],
+            bends.mean(axis=(1, 2)),
+            bent - np.clip(bent, -limit, limit),
+        ]
     )
-    return PalmarEvidence(base + arch, thumb, fingers[0] + fingers[1])
+    evidence = np.clip(features / _FEATURE_SIZES, -1.0, 1.0)
+    return PalmarEvidence(evidence.sum(axis=0), evidence[3:].sum(axis=0))
 
 
 def median(values: np.ndarray) -> float:
