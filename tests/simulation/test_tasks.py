@@ -22,7 +22,7 @@ from handmap_qp.apps.simulation.objects import (
     parse_object,
 )
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pictures import Stage, film, picture, write_page
+from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
 from handmap_qp.apps.simulation.trials import (
@@ -150,8 +150,7 @@ def episode(lifted: PinchOutcome) -> Episode:
 def test_pictures_and_films_show_the_object(episode: Episode, tmp_path: Path) -> None:
     from PIL import Image
 
-    stage = Stage(episode, UP)
-    picture(stage, tmp_path / "strip.png", count=2)
+    picture(episode, UP, tmp_path / "strip.png", count=2)
     strip = np.asarray(Image.open(tmp_path / "strip.png").convert("RGB")).astype(int)
     assert strip.shape == (360, 960, 3)
     is_orange = (strip[..., 0] > strip[..., 2] + 60) & (strip[..., 1] > strip[..., 2])
@@ -159,7 +158,7 @@ def test_pictures_and_films_show_the_object(episode: Episode, tmp_path: Path) ->
     assert min(left.sum(), right.sum()) > 300
     # Upwards is towards the first row.
     assert np.argwhere(left)[:, 0].mean() - np.argwhere(right)[:, 0].mean() > 20
-    film(stage, tmp_path / "film.gif", rate=2.0)
+    film(episode, UP, tmp_path / "film.gif", rate=2.0)
     duration = episode.at.time[-1] - episode.at.time[0]
     with Image.open(tmp_path / "film.gif") as frames:
         assert getattr(frames, "n_frames", 1) == int(np.ceil(2.0 * duration))

@@ -14,9 +14,9 @@ from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_commands
-from handmap_qp.apps.simulation.objects import Body, parse_object
+from handmap_qp.apps.simulation.objects import parse_object
 from handmap_qp.apps.simulation.physics import Physics
-from handmap_qp.apps.simulation.pictures import Stage, film, picture, write_page
+from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
 from handmap_qp.apps.simulation.simulator import Episode
 from handmap_qp.apps.simulation.trials import (
@@ -97,50 +97,49 @@ class Simulate:
     def run(self) -> None:
         """Simulate, print a table, and write the files."""
         self._check()
-        outcomes, trials = self._simulate()
+        trial = PinchTrial(parse_object(self.object), self.mass, self.friction)
+        trials = [trial]
+        if self.trials:
+            trials = random_trials(self.trials, self.seed, self.objects, trial)
+        outcomes = self._simulate(trials)
         found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
         if self.trials:
             found["rows"] = [trial_row(name, made) for name, made in outcomes.items()]
             found["trials"] = [
-                {
-                    **describe_trial(trial),
-                    "held": [n for n, m in outcomes.items() if m[i].is_held],
-                }
+                describe_trial(trial)
+                | {"held": [name for name, made in outcomes.items() if made[i].is_held]}
                 for i, trial in enumerate(trials)
             ]
         else:
-            found["rows"] = [
-                outcome_row(name, made[0]) for name, made in outcomes.items()
-            ]
+            firsts = {name: made[0] for name, made in outcomes.items()}
+            found["rows"] = [outcome_row(name, made) for name, made in firsts.items()]
+            self._write({name: made.episode for name, made in firsts.items()})
         if self.json:
             print(json.dumps(found))
         else:
             print_rows(f"{self.robot}: simulated", found["rows"])
-        self._write({name: made[0].episode for name, made in outcomes.items()})
+            for path in (self.out, self.picture, self.film, self.html):
+                if path is not None:
+                    print(f"wrote {path}")
 
     def _check(self) -> None:
         """Reject options that contradict each other, before any work is done."""
-        files = {
-            "--out": (self.out, (".npz",)),
-            "--picture": (self.picture, (".png",)),
-            "--film": (self.film, (".gif", ".webp", ".png")),
-            "--html": (self.html, (".html", ".htm")),
-        }
-        named = [(option, path, ends) for option, (path, ends) in files.items() if path]
-        for file in named:
-            check_output(*file)
-        if self.trials:
-            self._check_trials(writes=bool(named))
-
-    def _check_trials(self, *, writes: bool) -> None:
-        given = (self.object, self.mass, self.friction)
+        files = (
+            ("--out", self.out, (".npz",)),
+            ("--picture", self.picture, (".png",)),
+            ("--film", self.film, (".gif", ".webp", ".png")),
+            ("--html", self.html, (".html", ".htm")),
+        )
         problem = advice = ""
-        if writes:
-            problem = "writes no file"
-        elif self.objects == "varied" and given != (_OBJECT, _MASS, _FRICTION):
+        given = (self.object, self.mass, self.friction)
+        if self.objects == "varied" and given != (_OBJECT, _MASS, _FRICTION):
             problem = "draws object, mass and friction"
             advice = "add --objects nominal to draw places alone"
-        if problem:
+        for option, path, endings in files:
+            if path is not None:
+                check_output(option, path, endings)
+                problem, advice = "writes no file", ""
+        if self.trials and problem:
             raise InvalidInputError(
                 problem, argument="--trials", value=self.trials, advice=advice
             )
@@ -155,15 +154,10 @@ class Simulate:
             gravity=(x, y, z),
         )
 
-    def _simulate(self) -> tuple[dict[str, list[PinchOutcome]], list[PinchTrial]]:
+    def _simulate(self, trials: list[PinchTrial]) -> dict[str, list[PinchOutcome]]:
         """Pinch every object by every mapping."""
-        body = Body(parse_object(self.object), self.mass)
         physics = self._physics()
         robot = load_hand(self.robot)
-        nominal = PinchTrial(shape=body.shape, mass=body.mass, friction=self.friction)
-        trials = [nominal]
-        if self.trials:
-            trials = random_trials(self.trials, self.seed, self.objects, nominal)
         read = read_recording(self.recording)
         methods = chosen_methods(self.methods, self.peers, self.robot)
         window = find_pinch(read)
@@ -176,20 +170,17 @@ class Simulate:
                 for trial in trials:
                     made.append(scene.run(trial))
                     advance(len(made))
-        return outcomes, trials
+        return outcomes
 
     def _write(self, episodes: dict[str, Episode]) -> None:
         """Write the files: of the first mapping; the page shows all."""
         up = -np.array(self._physics().gravity)
         episode = next(iter(episodes.values()))
-        title = f"{self.robot}, simulated"
-        for path, write in (
-            (self.out, lambda path: save_npz(path, episode.columns)),
-            (self.picture, lambda path: picture(Stage(episode, up), path)),
-            (self.film, lambda path: film(Stage(episode, up), path)),
-            (self.html, lambda path: write_page(path, episodes, up, title)),
-        ):
-            if path is not None:
-                write(path)
-                if not self.json:
-                    print(f"wrote {path}")
+        if self.out is not None:
+            save_npz(self.out, episode.columns)
+        if self.picture is not None:
+            picture(episode, up, self.picture)
+        if self.film is not None:
+            film(episode, up, self.film)
+        if self.html is not None:
+            write_page(self.html, episodes, up, f"{self.robot}, simulated")

@@ -70,11 +70,10 @@ def chosen_methods(
     Raises:
         InvalidInputError: If there is no such mapping.
     """
-    outside = (
-        {m.name: m for m in outside_methods(peers, robot)} if peers is not None else {}
-    )
+    found = [] if peers is None else outside_methods(peers, robot)
+    outside = {method.name: method for method in found}
     names = names or own_methods()[:1]
-    return [outside[name] if name in outside else own_method(name) for name in names]
+    return [outside.get(name) or own_method(name) for name in names]
 
 
 def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
@@ -88,9 +87,7 @@ def map_commands(method: ComparedMethod, take: Take, hand: Hand) -> Commands:
         hand: The robot hand.
     """
     motion = method.map_take(take, hand)
-    time = np.asarray(take.recording.time)
-    wrist = motion.wrist_in(take, hand)
-    return Commands(hand, time, motion.q, wrist)
+    return Commands(hand, take.recording.time, motion.q, motion.wrist_in(take, hand))
 
 
 def find_pinch(recording: Recording) -> PinchWindow:

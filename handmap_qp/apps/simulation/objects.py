@@ -16,15 +16,14 @@ KINDS = ("box", "sphere", "cylinder")
 """Names of shapes with one size."""
 
 
-def positive(value: float, name: str) -> float:
-    """Return a finite number > 0.
+def positive(value: float, name: str) -> None:
+    """Reject anything but a finite number > 0.
 
     Raises:
         InvalidInputError: If it is not one.
     """
-    number = float(as_floats(value, name, shape=(), is_finite=True))
+    number = as_floats(value, name, shape=(), is_finite=True)
     expect(number > 0.0, name, "a number > 0", value=value)
-    return number
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,10 +40,8 @@ class Box:
     size: Vector
 
     def __post_init__(self) -> None:
-        x, y, z = (
-            positive(side, "size") for side in as_floats(self.size, "size", shape=(3,))
-        )
-        object.__setattr__(self, "size", (x, y, z))
+        for side in as_floats(self.size, "size", shape=(3,)):
+            positive(side, "size")
 
     @property
     def width(self) -> float:
@@ -66,7 +63,7 @@ class Sphere:
     radius: float
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "radius", positive(self.radius, "radius"))
+        positive(self.radius, "radius")
 
     @property
     def width(self) -> float:
@@ -90,8 +87,8 @@ class Cylinder:
     length: float
 
     def __post_init__(self) -> None:
-        for name in ("radius", "length"):
-            object.__setattr__(self, name, positive(getattr(self, name), name))
+        positive(self.radius, "radius")
+        positive(self.length, "length")
 
     @property
     def width(self) -> float:

@@ -5,7 +5,7 @@ The page plays in a browser without a server, as that of `handmap view` does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -30,52 +30,50 @@ _SIZE = (480, 360)
 _TO_VIEW = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
-class Stage:
-    """What the camera sees: a hand and its object, turned so that gravity points down.
+def frames(
+    episode: Episode, up: np.ndarray, instants: Iterable[int], *, supersampling: int = 1
+) -> Iterator[np.ndarray]:
+    """Render instants of a simulation, turned so that gravity points down.
+
+    The camera sees the hand's whole motion, and the object at first.
 
     Args:
         episode: The simulation.
         up: Direction against gravity, shape (3,).
+        instants: Indices of the instants.
+        supersampling: As of `render`.
+
+    Yields:
+        Red, green and blue in 0..255, shape (height, width, 3), for each instant.
     """
+    at = episode.at
+    shape = load_shape(episode.hand)
+    mesh = surface(episode.body.shape)
+    held = solid(mesh.vertices, mesh.faces, _OBJECT_COLOUR)
+    turn = affine(turn_up(up), np.zeros(3))
+    wrists = at.wrist if episode.hand.is_floating else [None] * len(at.time)
 
-    def __init__(self, episode: Episode, up: np.ndarray) -> None:
-        self.episode = episode
-        self._shape = load_shape(episode.hand)
-        mesh = surface(episode.body.shape)
-        self._object = solid(mesh.vertices, mesh.faces, _OBJECT_COLOUR)
-        self._turn = affine(turn_up(up), np.zeros(3))
-        # An object that is lost falls far, and must not make the hand small.
-        count = len(episode.at.time)
-        hands = [self._hand(i) for i in range(0, count, max(1, count // 8))]
-        seen = merged([*hands, self._held(0)]).moved(self._turn)
-        self._camera = Camera.framing(seen.vertices.reshape(-1, 3)[::7], _SIZE)
+    def hand(i: int) -> Triangles:
+        return shape.triangles(at.q[i], wrists[i])
 
-    def frame(self, i: int, *, supersampling: int = 2) -> np.ndarray:
-        """Render one instant; the camera sees the hand's whole motion, and the object at first.
-
-        Returns:
-            Red, green and blue in 0..255, shape (height, width, 3).
-        """
-        seen = merged([self._hand(i), self._held(i)]).moved(self._turn)
-        image = render(seen, self._camera, supersampling=supersampling)
-        colour, alpha = image[..., :3], image[..., 3:]
-        return np.round(255.0 * (alpha * colour + (1.0 - alpha) * _PAPER)).astype(
-            np.uint8
-        )
-
-    def _hand(self, i: int) -> Triangles:
-        at, hand = self.episode.at, self.episode.hand
-        return self._shape.triangles(at.q[i], at.wrist[i] if hand.is_floating else None)
-
-    def _held(self, i: int) -> Triangles:
-        return self._object.moved(self.episode.at.object_pose[i])
+    # An object that is lost falls far, and must not make the hand small.
+    hands = [hand(i) for i in range(0, len(at.time), max(1, len(at.time) // 8))]
+    seen = merged([*hands, held.moved(at.object_pose[0])]).moved(turn)
+    camera = Camera.framing(seen.vertices.reshape(-1, 3)[::7], _SIZE)
+    for i in instants:
+        seen = merged([hand(i), held.moved(at.object_pose[i])]).moved(turn)
+        image = render(seen, camera, supersampling=supersampling)
+        alpha = image[..., 3:]
+        colour = alpha * image[..., :3] + (1.0 - alpha) * _PAPER
+        yield np.round(255.0 * colour).astype(np.uint8)
 
 
-def film(stage: Stage, path: Path, *, rate: float = 15.0) -> None:
+def film(episode: Episode, up: np.ndarray, path: Path, *, rate: float = 15.0) -> None:
     """Write a simulation as a moving picture, in real time.
 
     Args:
-        stage: What the camera sees.
+        episode: The simulation.
+        up: Direction against gravity, shape (3,).
         path: The file: `.gif`, `.webp` or `.png` (an animated PNG).
         rate: Pictures of each second.
 
@@ -84,11 +82,13 @@ def film(stage: Stage, path: Path, *, rate: float = 15.0) -> None:
         InvalidInputError: If the file cannot be written.
     """
     pillow = require("PIL.Image", "plot", "pillow")
-    time, pictures = stage.episode.at.time, []
-    with progress("rendering") as advance:
-        for instant in np.arange(time[0], time[-1], 1.0 / rate):
-            i = int(np.argmin(np.abs(time - instant)))
-            pictures.append(pillow.fromarray(stage.frame(i, supersampling=1)))
+    time = episode.at.time
+    times = np.arange(time[0], time[-1], 1.0 / rate)
+    nearest = np.abs(time - times[:, None]).argmin(axis=1)
+    pictures = []
+    with progress("rendering", len(nearest)) as advance:
+        for frame in frames(episode, up, nearest):
+            pictures.append(pillow.fromarray(frame))
             advance(len(pictures))
     first, *others = pictures
     kind = path.suffix.removeprefix(".").upper()
@@ -97,11 +97,12 @@ def film(stage: Stage, path: Path, *, rate: float = 15.0) -> None:
         first.save(file, format=kind, save_all=True, **about)
 
 
-def picture(stage: Stage, path: Path, *, count: int = 4) -> None:
+def picture(episode: Episode, up: np.ndarray, path: Path, *, count: int = 4) -> None:
     """Write instants of a simulation side by side.
 
     Args:
-        stage: What the camera sees.
+        episode: The simulation.
+        up: Direction against gravity, shape (3,).
         path: The file, PNG.
         count: Number of instants, evenly spread.
 
@@ -110,8 +111,8 @@ def picture(stage: Stage, path: Path, *, count: int = 4) -> None:
         InvalidInputError: If the file cannot be written.
     """
     pillow = require("PIL.Image", "plot", "pillow")
-    chosen = np.linspace(0, len(stage.episode.at.time) - 1, count).round().astype(int)
-    strip = np.concatenate([stage.frame(int(i)) for i in chosen], axis=1)
+    chosen = np.linspace(0, len(episode.at.time) - 1, count).round().astype(int)
+    strip = np.hstack(list(frames(episode, up, chosen, supersampling=2)))
     with replaced_file(path, "--picture") as file:
         pillow.fromarray(strip).save(file, format="PNG", optimize=True)
 
