@@ -18,8 +18,7 @@ from scipy.spatial.transform import Rotation
 from section_four.contacts import Grasp
 from section_four.experiment import HandMotion, Run, Scene
 
-from handmap_qp.apps.simulation.objects import Body, Shape
-from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.physics import Body, Physics, Shape
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand

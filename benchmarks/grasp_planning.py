@@ -24,7 +24,7 @@ from grasp_measures import (
 from scipy.spatial.transform import Rotation
 from section_four.contacts import Grasp
 
-from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape
+from handmap_qp.apps.simulation.physics import Box, Cylinder, Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import PoseLike, affine, check_pose, inverse_pose

@@ -29,8 +29,7 @@ from section_four.experiment import HandMotion, Scene, Setting
 from section_four.statics import Stiffness, quasistatic
 
 from handmap_qp.apps.simulation.commands import chosen_methods
-from handmap_qp.apps.simulation.objects import Box
-from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.physics import Box, Physics
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.hands.library import load_hand
 

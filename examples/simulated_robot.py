@@ -20,8 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.apps.simulation.objects import Body, parse_object
-from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.physics import Body, Physics, parse_object
 from handmap_qp.apps.simulation.pinch import Pads
 from handmap_qp.apps.simulation.simulator import Instant, Simulator
 from handmap_qp.client import Client, Command

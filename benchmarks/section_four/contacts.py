@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from checks import finite_array
 
-from handmap_qp.apps.simulation.objects import Shape
+from handmap_qp.apps.simulation.physics import Shape
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec, Vector

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 from checks import one_of
 
-from handmap_qp.apps.simulation.objects import Box
+from handmap_qp.apps.simulation.physics import Box
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.spec import read_hand_spec

@@ -17,7 +17,7 @@ import pytest
 from section_four.experiment import HandMotion
 
 from handmap_qp.apps.offline.comparison import own_method
-from handmap_qp.apps.simulation.objects import Box
+from handmap_qp.apps.simulation.physics import Box
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import HumanMotion

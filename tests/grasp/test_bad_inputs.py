@@ -19,7 +19,7 @@ from section_four.contacts import Contact, Grasp
 from section_four.cube import reference_grasp
 from section_four.statics import grasp_matrix, quasistatic
 
-from handmap_qp.apps.simulation.objects import Box, Cylinder, Sphere
+from handmap_qp.apps.simulation.physics import Box, Cylinder, Sphere
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 

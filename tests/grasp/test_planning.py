@@ -32,7 +32,7 @@ from section_four.contacts import Grasp
 from section_four.cube import reference_grasp
 from strategies import generators, motion_of, poses, rotations
 
-from handmap_qp.apps.simulation.objects import Box, Cylinder, Shape, Sphere
+from handmap_qp.apps.simulation.physics import Box, Cylinder, Shape, Sphere
 from handmap_qp.errors import HandError, InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand

@@ -16,8 +16,14 @@ from section_four.statics import quasistatic
 from simulation_cases import CUBE, cube_grasp
 
 from handmap_qp import InvalidInputError, InvalidOptionsError, load_hand
-from handmap_qp.apps.simulation.objects import Body, Box, Cylinder, MeshShape, Sphere
-from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.physics import (
+    Body,
+    Box,
+    Cylinder,
+    MeshShape,
+    Physics,
+    Sphere,
+)
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import affine

@@ -14,7 +14,7 @@ from patience import PATIENCE, wait_until
 from service_tools import address_of, client_of, serving
 
 from handmap_qp import InvalidInputError, load_hand
-from handmap_qp.apps.simulation.objects import Body, Sphere
+from handmap_qp.apps.simulation.physics import Body, Sphere
 from handmap_qp.apps.simulation.simulator import Simulator
 from handmap_qp.client import Client
 

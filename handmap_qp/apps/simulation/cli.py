@@ -14,17 +14,18 @@ from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.offline.comparison import prepare_take
 from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_commands
-from handmap_qp.apps.simulation.objects import parse_object
-from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.physics import Physics, parse_object
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
-from handmap_qp.apps.simulation.pinch import PinchOutcome, PinchScene, PinchTrial
-from handmap_qp.apps.simulation.simulator import Episode
-from handmap_qp.apps.simulation.trials import (
+from handmap_qp.apps.simulation.pinch import (
+    PinchOutcome,
+    PinchScene,
+    PinchTrial,
     describe_trial,
     outcome_row,
     random_trials,
     trial_row,
 )
+from handmap_qp.apps.simulation.simulator import Episode
 from handmap_qp.apps.tables import print_rows, progress
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand

@@ -13,8 +13,14 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.simulation.objects import Body, Box, Cylinder, MeshShape, Sphere
-from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.physics import (
+    Body,
+    Box,
+    Cylinder,
+    MeshShape,
+    Physics,
+    Sphere,
+)
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import quat_wxyz_from_rotation

@@ -1,15 +1,228 @@
-"""What a simulation assumes: `Physics`."""
+"""What a simulation assumes: `Physics`, and the object with its shape and mass, `Body`."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.errors import (
+    InvalidInputError,
+    InvalidOptionsError,
+    expect,
+    require,
+)
 from handmap_qp.hands.spec import Vector
 from handmap_qp.options import Options, number, text
+from handmap_qp.se3 import as_floats
+
+KINDS = ("box", "sphere", "cylinder")
+"""Names of shapes with one size."""
+
+
+def positive(value: float, name: str) -> None:
+    """Reject anything but a finite number > 0.
+
+    Raises:
+        InvalidInputError: If it is not one.
+    """
+    number = as_floats(value, name, shape=(), is_finite=True)
+    expect(number > 0.0, name, "a number > 0", value=value)
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A box.
+
+    Attributes:
+        size: Lengths of its sides along x, y and z [m].
+
+    Raises:
+        InvalidInputError: If a side is not > 0.
+    """
+
+    size: Vector
+
+    def __post_init__(self) -> None:
+        for side in as_floats(self.size, "size", shape=(3,)):
+            positive(side, "size")
+
+    @property
+    def width(self) -> float:
+        """Width along x [m]."""
+        return self.size[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Sphere:
+    """A sphere.
+
+    Attributes:
+        radius: Radius [m].
+
+    Raises:
+        InvalidInputError: If the radius is not > 0.
+    """
+
+    radius: float
+
+    def __post_init__(self) -> None:
+        positive(self.radius, "radius")
+
+    @property
+    def width(self) -> float:
+        """Width along x [m]."""
+        return 2.0 * self.radius
+
+
+@dataclass(frozen=True, slots=True)
+class Cylinder:
+    """A cylinder along z.
+
+    Attributes:
+        radius: Radius [m].
+        length: Length [m].
+
+    Raises:
+        InvalidInputError: If radius or length is not > 0.
+    """
+
+    radius: float
+    length: float
+
+    def __post_init__(self) -> None:
+        positive(self.radius, "radius")
+        positive(self.length, "length")
+
+    @property
+    def width(self) -> float:
+        """Width along x [m]."""
+        return 2.0 * self.radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeshShape:
+    """The convex hull of points.
+
+    Attributes:
+        points: Vertices [m], shape (n, 3), n >= 4.
+
+    Raises:
+        InvalidInputError: If they do not span a volume.
+    """
+
+    points: np.ndarray
+
+    def __post_init__(self) -> None:
+        points = as_floats(self.points, "points", shape=("n", 3), is_finite=True)
+        rank = np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-6)
+        expect(rank == 3, "points", "points [m] that span a volume, shape (n, 3)")
+        object.__setattr__(self, "points", points)
+
+    @property
+    def width(self) -> float:
+        """Width along x [m]."""
+        return float(np.ptp(self.points[:, 0]))
+
+
+Shape = Box | Sphere | Cylinder
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Body:
+    """A free object.
+
+    Attributes:
+        shape: Its shape.
+        mass: Its mass, spread evenly over the shape [kg].
+
+    Raises:
+        InvalidInputError: If the mass is not > 0, or the shape is none.
+    """
+
+    shape: Shape | MeshShape
+    mass: float = 0.1
+
+    def __post_init__(self) -> None:
+        is_shape = isinstance(self.shape, Shape | MeshShape)
+        expect(is_shape, "shape", "a shape", value=self.shape)
+        positive(self.mass, "mass")
+
+
+def named_shape(kind: str, size: float) -> Shape:
+    """Return a cube, a sphere, or a cylinder as long as twice its width.
+
+    Args:
+        kind: One of `KINDS`.
+        size: Its width [m].
+    """
+    if kind == "box":
+        return Box((size, size, size))
+    return Sphere(size / 2.0) if kind == "sphere" else Cylinder(size / 2.0, 2.0 * size)
+
+
+def parse_object(text: str) -> Shape | MeshShape:
+    """Read an object as the command line gives it.
+
+    Args:
+        text: `box:0.05` or `box:0.03x0.04x0.1`, `sphere:0.04` (diameter), `cylinder:0.04x0.1`
+            (diameter and length), or the path of a mesh file in metres.
+
+    Raises:
+        InvalidInputError: If it is none of these.
+        MissingExtraError: If a mesh is given and trimesh is not installed.
+    """
+    kind, _, rest = text.partition(":")
+    try:
+        sizes = [float(word) for word in rest.split("x")]
+    except ValueError:
+        sizes = []
+    match kind, *sizes:
+        case "box", x, y, z:
+            return Box((x, y, z))
+        case "cylinder", diameter, length:
+            return Cylinder(diameter / 2.0, length)
+        case (("box" | "sphere" | "cylinder"), size):
+            return named_shape(kind, size)
+    expect(
+        Path(text).is_file(),
+        "--object",
+        "box:0.05, box:0.03x0.04x0.1, sphere:0.04, cylinder:0.04x0.1 or a mesh file",
+        value=text,
+    )
+    return _mesh(Path(text))
+
+
+def surface(shape: Shape | MeshShape) -> Any:
+    """Return the surface of an object in its own frame, a `trimesh.Trimesh`.
+
+    Raises:
+        MissingExtraError: If trimesh is not installed.
+    """
+    trimesh = require("trimesh", "plot")
+    match shape:
+        case Box():
+            return trimesh.creation.box(extents=shape.size)
+        case Sphere():
+            return trimesh.creation.icosphere(subdivisions=3, radius=shape.radius)
+        case Cylinder():
+            return trimesh.creation.cylinder(shape.radius, shape.length, sections=40)
+    return trimesh.Trimesh(shape.points).convex_hull
+
+
+def _mesh(file: Path) -> MeshShape:
+    trimesh = require("trimesh", "plot")
+    try:
+        hull = trimesh.load_mesh(file).convex_hull
+    # Mesh readers raise many types.
+    except Exception as error:
+        raise InvalidInputError(
+            argument="--object", problem=f"{file}: cannot be read as a mesh ({error})"
+        ) from error
+    return MeshShape(np.asarray(hull.vertices) - np.asarray(hull.center_mass))
 
 
 class Physics(Options, frozen=True):

@@ -12,8 +12,7 @@ import numpy as np
 
 from handmap_qp.apps.drawing.hands import load_shape, solid
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
-from handmap_qp.apps.simulation.objects import surface
-from handmap_qp.apps.simulation.physics import turn_up
+from handmap_qp.apps.simulation.physics import surface, turn_up
 from handmap_qp.apps.simulation.simulator import Episode, Instant
 from handmap_qp.apps.tables import progress
 from handmap_qp.apps.viewer.page import make_page

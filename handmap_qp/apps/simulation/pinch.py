@@ -3,26 +3,34 @@
 The object stands on a stand where the robot's pads come together when nothing is between them. The
 stand lets go when the thumb and another finger press on it, or when the pads should have met it a
 while ago. From then until the human opens his hand, the object must stay between the pads.
+`random_trials` draws many objects and places.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from itertools import takewhile
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.stats import binomtest
 
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow
-from handmap_qp.apps.simulation.objects import (
+from handmap_qp.apps.simulation.physics import (
+    KINDS,
     Body,
     Box,
     MeshShape,
+    Physics,
     Shape,
     Sphere,
+    named_shape,
+    turn_up,
 )
-from handmap_qp.apps.simulation.physics import Physics, turn_up
 from handmap_qp.apps.simulation.simulator import Episode, Instant, Simulator
 from handmap_qp.errors import expect
 from handmap_qp.hands.fingers import find_fingers
@@ -46,6 +54,15 @@ _LAG = 1.0
 # The object of the simulation in which the pads meet, far from the hand.
 _NOTHING = Body(Sphere(0.01), 0.01)
 _FAR = affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
+
+Objects = Literal["nominal", "varied"]
+"""One object at random places, or random objects at random places."""
+
+# Standard deviation of the place along each axis [m], and largest turn about the vertical [rad].
+_PLACE, _YAW = 0.004, math.radians(20.0)
+_SIZES = (0.02, 0.045)
+_MASSES = (0.02, 0.2)
+_FRICTIONS = (0.5, 1.0)
 
 
 class Pads:
@@ -186,8 +203,6 @@ class PinchScene:
         Returns:
             What became of the object.
         """
-        commands = self.commands
-        window = self.window
         pads = self.pads
         width = trial.shape.width
         met = self.meeting(width)
@@ -197,24 +212,23 @@ class PinchScene:
             self.physics.replaced(friction=trial.friction),
             affine(self._upright(met, trial.yaw), place),
         )
-        instants, distances = [], []
-        for i in range(window.start + 1, window.end + 1):
-            goal, wrist = commands.at(i)
-            simulator.follow(goal, wrist, commands.time[i] - commands.time[i - 1])
+        instants, times, distances = [], [], []
+        for time in self._play(simulator):
             instants.append(simulator.instant())
-            is_late = commands.time[i] >= met.time + _LATEST
-            if not distances and (is_late or pads.is_pinched(simulator)):
+            is_late = time >= met.time + _LATEST
+            if not times and (is_late or pads.is_pinched(simulator)):
                 simulator.set_stand(holds=False)
-            elif not distances:
+            elif not times:
                 continue
+            times.append(time)
             middle = pads.middle(pads.places(simulator))
             off = simulator.object_pose[:3, 3] - middle
             distances.append(float(np.linalg.norm(off)))
-        episode = Episode.of(simulator, instants)
         # Pads that never pressed had no object to lose.
+        times = times or [0.0]
         distances = distances or [np.inf]
-        time = commands.time[: window.end + 1][-len(distances) :]
-        return _outcome(episode, np.array(distances), time, width)
+        episode = Episode.of(simulator, instants)
+        return _outcome(episode, np.array(distances), times, width)
 
     def meeting(self, width: float) -> Meeting:
         """Return the first instant at which the pads are as near as an object is wide.
@@ -246,16 +260,10 @@ class PinchScene:
     @cached_property
     def _closing(self) -> list[Meeting]:
         """The robot's own motion while the human's pinch closes, with nothing between the pads."""
-        commands = self.commands
-        time = commands.time
-        window = self.window
         simulator = self._start(_NOTHING, self.physics, _FAR)
-        last = int(np.searchsorted(time, time[window.closed] + _LAG))
-        instants = []
-        for i in range(window.start + 1, min(last, window.end)):
-            simulator.follow(*commands.at(i), time[i] - time[i - 1])
-            instants.append(Meeting(float(time[i]), self.pads.places(simulator)))
-        return instants
+        latest = self.commands.time[self.window.closed] + _LAG
+        closing = takewhile(lambda time: time < latest, self._play(simulator))
+        return [Meeting(time, self.pads.places(simulator)) for time in closing]
 
     def _start(self, body: Body, physics: Physics, place: np.ndarray) -> Simulator:
         """Put an object on its stand, and the hand where the recording starts."""
@@ -263,6 +271,13 @@ class PinchScene:
         simulator.reset(*self.commands.at(self.window.start), place)
         simulator.set_stand(holds=True)
         return simulator
+
+    def _play(self, simulator: Simulator) -> Iterator[float]:
+        """Follow the recording to the end of the pinch, and yield the time of each sample [s]."""
+        time = self.commands.time
+        for i in range(self.window.start + 1, self.window.end + 1):
+            simulator.follow(*self.commands.at(i), time[i] - time[i - 1])
+            yield float(time[i])
 
     def _upright(self, met: Meeting, yaw: float) -> np.ndarray:
         """Return axes with z up and x along the pinch, turned by `yaw` about the vertical."""
@@ -274,7 +289,7 @@ class PinchScene:
 
 
 def _outcome(
-    episode: Episode, distances: np.ndarray, time: np.ndarray, width: float
+    episode: Episode, distances: np.ndarray, time: Sequence[float], width: float
 ) -> PinchOutcome:
     """Judge the instants at the end, for which there are distances from the pads' middle."""
     lost = np.flatnonzero(distances > _LOST + width / 2.0)
@@ -285,10 +300,108 @@ def _outcome(
     turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
     return PinchOutcome(
         is_held=not len(lost) and bool(episode.at.links_touching[-1] >= 2),
-        held_time=float(time[last] - time[0]),
-        pinch_time=float(time[-1] - time[0]),
+        held_time=time[last] - time[0],
+        pinch_time=time[-1] - time[0],
         slip=float(np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max()),
         rotation=float(turn),
         force=float(kept.normal_force.mean()),
         episode=episode,
     )
+
+
+def random_trials(
+    count: int,
+    seed: int,
+    objects: Objects = "varied",
+    nominal: PinchTrial | None = None,
+) -> list[PinchTrial]:
+    """Draw objects and places.
+
+    Every place is off by 4 mm (standard deviation) along each axis, and turned by up to 20 degrees.
+    `varied` objects are cubes, spheres and cylinders, 20 to 45 mm wide, 20 to 200 g (uniform in the
+    logarithm), with friction 0.5 to 1.0.
+
+    Args:
+        count: Number of trials.
+        seed: Seed of the random numbers; the same seed gives the same trials.
+        objects: Which objects.
+        nominal: The object of `nominal` trials; the cube of `PinchTrial` if omitted.
+    """
+    fixed = nominal or PinchTrial()
+    expect(count >= 1, "trials", "an integer >= 1", value=count)
+    expect(seed >= 0, "seed", "an integer >= 0", value=seed)
+    random = np.random.default_rng(seed)
+    trials = []
+    for _ in range(count):
+        x, y, z = random.normal(0.0, _PLACE, 3).tolist()
+        trial = replace(fixed, offset=(x, y, z), yaw=float(random.uniform(-_YAW, _YAW)))
+        if objects == "varied":
+            kind = str(random.choice(KINDS))
+            trial = replace(
+                trial,
+                shape=named_shape(kind, float(random.uniform(*_SIZES))),
+                mass=float(np.exp(random.uniform(*np.log(_MASSES)))),
+                friction=float(random.uniform(*_FRICTIONS)),
+            )
+        trials.append(trial)
+    return trials
+
+
+def success_rate(held: int, count: int) -> tuple[float, float, float]:
+    """Return a success rate with its 95 % interval (Wilson).
+
+    Args:
+        held: Number of successes.
+        count: Number of trials.
+
+    Returns:
+        Rate, lower and upper end.
+    """
+    found = binomtest(held, count)
+    interval = found.proportion_ci(method="wilson")
+    return found.statistic, interval.low, interval.high
+
+
+def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
+    """Summarise the trials of one mapping in a row of a table."""
+    held = [outcome for outcome in outcomes if outcome.is_held]
+    rate, low, high = success_rate(len(held), len(outcomes))
+    shares = [min(1.0, o.held_time / max(o.pinch_time, 1e-9)) for o in outcomes]
+    return {
+        "mapping": name,
+        "trials": len(outcomes),
+        "held %": round(100.0 * rate, 1),
+        "95 % interval": f"{100.0 * low:.0f}-{100.0 * high:.0f}",
+        "time held %": round(100.0 * float(np.mean(shares)), 1),
+        "slip mm": _median([1e3 * outcome.slip for outcome in held]),
+        "force N": _median([outcome.force for outcome in held]),
+    }
+
+
+def _median(values: list[float]) -> float | str:
+    return round(float(np.median(values)), 1) if values else "-"
+
+
+def describe_trial(trial: PinchTrial) -> dict[str, Any]:
+    """Describe an object and its place by plain values, in metres, kilograms and radians."""
+    return {
+        "shape": type(trial.shape).__name__.lower(),
+        "width": trial.shape.width,
+        "mass": trial.mass,
+        "friction": trial.friction,
+        "offset": list(trial.offset),
+        "yaw": trial.yaw,
+    }
+
+
+def outcome_row(name: str, outcome: PinchOutcome) -> dict[str, Any]:
+    """Describe one trial in a row of a table."""
+    return {
+        "mapping": name,
+        "held": "yes" if outcome.is_held else "no",
+        "held s": round(outcome.held_time, 2),
+        "of s": round(outcome.pinch_time, 2),
+        "slip mm": round(1e3 * outcome.slip, 1),
+        "rotation deg": round(math.degrees(outcome.rotation)),
+        "force N": round(outcome.force, 1),
+    }

@@ -12,8 +12,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.simulation.model import OBJECT, WRIST, build_model
-from handmap_qp.apps.simulation.objects import Body
-from handmap_qp.apps.simulation.physics import Physics
+from handmap_qp.apps.simulation.physics import Body, Physics
 from handmap_qp.hands.hand import Hand
 from handmap_qp.se3 import affine, check_pose, quat_wxyz_from_rotation
 
