@@ -96,13 +96,11 @@ def simulate(
     mappings: dict[str, Any],
     physics: Physics,
     options: ArcOptions,
+    *,
+    is_soft: bool = False,
 ) -> list[Case]:
-    """Simulate the human once, and the robot with every mapping."""
-    soft = (
-        soft_synergy(setting.synergy, physics)
-        if physics.actuators == "torque"
-        else None
-    )
+    """Simulate the human once, perhaps with soft synergies, and the robot with every mapping."""
+    soft = soft_synergy(setting.synergy, physics) if is_soft else None
     cases, human = [], None
     for name, method in mappings.items():
         fingers = next((mode for mode in FINGERS if mode == name), "frozen")
@@ -231,7 +229,7 @@ def main() -> None:
         "--peers", type=Path, help="folder of outside methods, benchmarks/peers"
     )
     parser.add_argument(
-        "--actuators", choices=["position", "torque"], default="position"
+        "--soft", action="store_true", help="soft synergies of the human"
     )
     parser.add_argument(
         "--squeeze", type=float, default=4.0, help="force at every contact [N]"
@@ -254,7 +252,7 @@ def main() -> None:
         for steps in arguments.steps
     ]
     options = ArcOptions(normal_force=arguments.squeeze)
-    physics = Physics(actuators=arguments.actuators)
+    physics = Physics()
     cases: list[Case] = []
     with progress("carrying", arguments.grasps * len(settings)) as advance:
         for rank in range(arguments.grasps):
@@ -262,9 +260,17 @@ def main() -> None:
             # Mappings of a whole hand turn the robot's palm as the human's.
             scene = with_equal_palms(scene) if others else scene
             for setting in settings:
-                cases += simulate(scene, rank, setting, mappings, physics, options)
+                cases += simulate(
+                    scene,
+                    rank,
+                    setting,
+                    mappings,
+                    physics,
+                    options,
+                    is_soft=arguments.soft,
+                )
                 advance(len(cases) // len(mappings))
-    title = f"A 50 mm cube of 100 g on the arc, human and {robot.name}, {arguments.actuators}"
+    title = f"A 50 mm cube of 100 g on the arc, human and {robot.name}"
     if not arguments.summary:
         print_rows(f"{title}; in brackets: by statics", [row(case) for case in cases])
         return

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
 import mujoco
 import numpy as np
 import pytest
@@ -37,12 +35,7 @@ FAR = affine(np.eye(3), np.array([0.0, 0.0, 2.0]))
 SYNERGIES = np.zeros((8, 2))
 SYNERGIES[[0, 3], 0], SYNERGIES[[1, 6], 1] = (1.0, 0.6), (0.7, 0.8)
 SOFT = SYNERGIES @ SYNERGIES.T / 2.0
-SERVOS, MOTORS = Physics(), Physics(actuators="torque")
-KINDS = pytest.mark.parametrize(
-    ("physics", "compliance"),
-    [(SERVOS, None), (MOTORS, None), (MOTORS, SOFT)],
-    ids=["servos", "motors", "soft"],
-)
+KINDS = pytest.mark.parametrize("compliance", [None, SOFT], ids=["servos", "soft"])
 
 
 def velocity_of_object(simulator: Simulator) -> np.ndarray:
@@ -182,9 +175,9 @@ def test_too_little_friction_drops_the_object_and_enough_holds_it() -> None:
 
 @KINDS
 def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
-    physics: Physics, compliance: np.ndarray | None
+    compliance: np.ndarray | None,
 ) -> None:
-    physics = physics.replaced(gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=1.5)
+    physics = Physics(gravity=(0.0, 0.0, 0.0), torsion=0.0, friction=1.5)
     grasp = cube_grasp()
     forces = holding_forces(grasp, np.zeros(6), 6.0)
     np.testing.assert_allclose(grasp.matrix @ forces.ravel(), 0.0, atol=1e-9)
@@ -200,7 +193,7 @@ def test_planned_forces_balance_the_load_and_are_found_in_the_simulation(
 def test_soft_synergies_are_springs_in_series() -> None:
     """Both equations of the model, solved for the torques by hand."""
     hand = cube_grasp().hand
-    drive = SoftSimulator(hand, Body(CUBE), MOTORS, SOFT)
+    drive = SoftSimulator(hand, Body(CUBE), Physics(), SOFT)
     q, reference = np.linspace(-0.2, 0.3, 8), np.array([0.4, -0.1])
     torques = drive.torques(SYNERGIES @ reference, q, np.zeros(8))
     synergy = reference - SYNERGIES.T @ torques / 2.0
@@ -209,27 +202,25 @@ def test_soft_synergies_are_springs_in_series() -> None:
     inertia = drive.damping @ np.linalg.inv(drive.stiffness) @ drive.damping / 4.0
     np.testing.assert_allclose(inertia, np.diag(np.diag(inertia)), atol=1e-9)
     with pytest.raises(InvalidInputError, match="compliance"):
-        SoftSimulator(hand, Body(CUBE), MOTORS, np.eye(3))
+        SoftSimulator(hand, Body(CUBE), Physics(), np.eye(3))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("kind", "compliance", "synergies", "stiffness"),
+    ("compliance", "synergies", "stiffness"),
     [
-        ("position", None, np.eye(8)[:, [0, 1, 3, 6]], np.inf),
-        ("torque", SOFT, SYNERGIES, 2.0),
+        (None, np.eye(8)[:, [0, 1, 3, 6]], np.inf),
+        (SOFT, SYNERGIES, 2.0),
     ],
     ids=["servos", "soft"],
 )
 def test_slow_motion_changes_forces_and_object_as_the_statics_predict(
-    kind: Literal["position", "torque"],
     compliance: np.ndarray | None,
     synergies: np.ndarray,
     stiffness: float,
 ) -> None:
     """Eq. of the paper's [22] with rigid contacts, against MuJoCo's own dynamics."""
     physics = Physics(
-        actuators=kind,
         gravity=(0.0, 0.0, 0.0),
         torsion=0.0,
         friction=2.0,
@@ -315,11 +306,11 @@ def test_an_object_slides_on_its_stand_by_coulombs_law(push: float) -> None:
 
 @KINDS
 def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
-    physics: Physics, compliance: np.ndarray | None
+    compliance: np.ndarray | None,
 ) -> None:
     grasp = cube_grasp()
     assert grasp.wrist_pose is not None
-    simulator = simulate(grasp.hand, physics, compliance)
+    simulator = simulate(grasp.hand, Physics(), compliance)
     simulator.reset(grasp.q, grasp.wrist_pose, FAR)
     np.testing.assert_allclose(simulator.wrist, grasp.wrist_pose, atol=1e-12)
     target = grasp.wrist_pose.copy()
@@ -328,9 +319,8 @@ def test_the_wrist_follows_its_command_and_a_free_hand_does_not_fall(
     simulator.hold(0.3)
     np.testing.assert_allclose(simulator.wrist, target, atol=1e-3)
     np.testing.assert_allclose(simulator.q, grasp.q, atol=1e-3)
-    # Motors carry the hand's own weight; beside servos, it is compensated.
-    weight = np.abs(torques_of(simulator)).max()
-    assert weight > 0.015 if physics is MOTORS else weight < 2e-3
+    # The hand's own weight is compensated beside the actuators.
+    assert np.abs(torques_of(simulator)).max() < 2e-3
 
 
 def test_mimic_joints_follow_their_leaders() -> None:

@@ -51,7 +51,7 @@ class Simulate:
     Examples:
         handmap simulate pinch.npz --robot allegro_right --film pinch.gif
         handmap simulate pinch.npz --robot allegro_right --trials 200 --methods teleoperation object
-        handmap simulate pinch.npz --robot allegro_right --actuators torque --html pinch.html
+        handmap simulate pinch.npz --robot allegro_right --stiffness 6 --html pinch.html
 
     Attributes:
         recording: Recording with a pinch of thumb and index finger.
@@ -62,7 +62,6 @@ class Simulate:
         mass: Mass of the object [kg].
         friction: Coulomb coefficient.
         stiffness: Stiffness of the fingers' actuators [N m/rad].
-        actuators: Servos beside which the hand's weight is compensated, or motors that carry it.
         up: World axis against gravity.
         trials: Random objects and places, for every mapping.
         objects: Random objects (varied), or the same object at random places (nominal).
@@ -84,7 +83,6 @@ class Simulate:
     mass: Annotated[float, tyro.conf.arg(metavar="KG")] = _MASS
     friction: float = _FRICTION
     stiffness: float = 3.0
-    actuators: Literal["position", "torque"] = "position"
     up: Up = "y"
     trials: int = 0
     objects: Literal["nominal", "varied"] = "varied"
@@ -150,7 +148,6 @@ class Simulate:
         x, y, z = (sign * (self.up[-1] == name) + 0.0 for name in "xyz")
         return Physics(
             friction=self.friction,
-            actuators=self.actuators,
             joint_stiffness=self.stiffness,
             gravity=(x, y, z),
         )

@@ -233,12 +233,8 @@ def _add_actuators(spec: Any, hand: Hand, physics: Physics) -> None:
         )
         stiffness = physics.arm_stiffness if is_arm else physics.joint_stiffness
         actuator.set_to_position(kp=stiffness)
-        if is_arm:
-            continue
-        joint = spec.joint(name)
-        # The torque that carries the hand's own weight is a motor's, beside a servo a passive one.
-        joint.actgravcomp = physics.actuators == "torque"
-        if np.isfinite(physics.effort_limit):
+        if not is_arm and np.isfinite(physics.effort_limit):
+            joint = spec.joint(name)
             joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
             joint.actfrcrange = [-physics.effort_limit, physics.effort_limit]
 

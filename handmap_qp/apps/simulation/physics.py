@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -230,9 +230,8 @@ class Physics(Options, frozen=True):
 
     Links of the hand collide with the object, not with each other.
 
-    Actuators of fingers press with `K (q_command - q) - D dq`, D critical. Beside servos
-    (`position`), the hand's own weight is compensated; motors (`torque`) carry it themselves. An
-    arm keeps its servos.
+    Actuators press with `K (q_command - q) - D dq`, D critical; the hand's own weight is
+    compensated beside them.
     """
 
     friction: Annotated[
@@ -245,9 +244,6 @@ class Physics(Options, frozen=True):
             "a soft pad's patch times `friction`. 0 for hard fingers, as in Sec. IV."
         ),
     ] = 0.005
-    actuators: Annotated[
-        Literal["position", "torque"], text("Servos or motors, for the fingers.")
-    ] = "position"
     joint_stiffness: Annotated[
         float, number("Stiffness of the fingers' actuators [N m/rad, N/m].", above=True)
     ] = 3.0
