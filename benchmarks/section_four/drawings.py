@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import wraps
 from itertools import combinations, product
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ParamSpec
 
+import common
 import numpy as np
 
-from handmap_qp.apps.demo.figures import COLOURS, INK, PALE, new_figure, styled
 from handmap_qp.apps.drawing.hands import (
     HUMAN_COLOUR,
     ROBOT_COLOUR,
     draw_hands,
     load_shape,
     pixel_axes,
+    require_matplotlib,
     solid,
     spheres,
     tube,
@@ -34,6 +36,15 @@ from section_four.experiment import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+INK, PALE = "#222831", "#8a929c"
+COLOURS = ("#c8452f", "#2f7d6b", "#3f6fb5", "#c48a1d", "#7a56a6")
+STYLE: dict[Any, Any] = common.STYLE | {
+    "figure.dpi": 160,
+    "savefig.dpi": 160,
+    # A fixed salt: the same numbers must give the same file.
+    "svg.hashsalt": "handmap",
+}
 
 _ANGLES = {"azimuth": 132.0, "elevation": 27.0}
 _BALL = 0.0032
@@ -57,6 +68,27 @@ _EDGES = [
     for i, j in combinations(range(8), 2)
     if np.abs(_CORNERS[i] - _CORNERS[j]).sum() == 1.0
 ]
+
+
+_Arguments = ParamSpec("_Arguments")
+
+
+def styled(draw: Callable[_Arguments, Figure]) -> Callable[_Arguments, Figure]:
+    """Decorate a drawing function to use `STYLE`, without changing matplotlib's settings."""
+
+    @wraps(draw)
+    def drawn(*arguments: _Arguments.args, **named: _Arguments.kwargs) -> Figure:
+        with require_matplotlib().rc_context(STYLE):
+            return draw(*arguments, **named)
+
+    return drawn
+
+
+def new_figure(**settings: Any) -> Figure:
+    """Return an empty figure; settings as of `matplotlib.figure.Figure`."""
+    from matplotlib.figure import Figure
+
+    return Figure(**settings)
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import tyro
 
 from handmap_qp.apps.arguments import HandName, MappingArguments
-from handmap_qp.apps.demo.figures import errors_figure, joints_figure
 from handmap_qp.apps.drawing.contact_sheet import save_contact_sheet
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.look_ahead import map_hand
@@ -18,13 +18,46 @@ from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.summary import summarise, table_rows
 from handmap_qp.apps.offline.trajectory import Trajectory, save_npz
 from handmap_qp.apps.tables import print_table, progress
+from handmap_qp.errors import require
 from handmap_qp.hands.library import load_hand
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import DEMO, read_recording
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 """What the demo writes."""
+
+_INK, _PALE = "#222831", "#8a929c"
+_COLOURS = ("#c8452f", "#2f7d6b", "#3f6fb5", "#c48a1d", "#7a56a6")
+_STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "text.color": _INK,
+    "axes.labelcolor": _INK,
+    "axes.edgecolor": _PALE,
+    "axes.linewidth": 0.8,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#e4e7eb",
+    "grid.linewidth": 0.8,
+    "axes.axisbelow": True,
+    "xtick.color": _PALE,
+    "ytick.color": _PALE,
+    "xtick.labelcolor": _INK,
+    "ytick.labelcolor": _INK,
+    "lines.linewidth": 1.8,
+    "legend.frameon": False,
+    "figure.dpi": 160,
+    "savefig.dpi": 160,
+    "figure.facecolor": "white",
+}
 
 
 @dataclass(frozen=True)
@@ -81,7 +114,7 @@ def run_demo(
         HandmapError: If the hand cannot be loaded, the folder cannot be written, or matplotlib or
             trimesh is not installed.
     """
-    require_matplotlib()
+    matplotlib = require_matplotlib()
     robot = load_hand(name)
     recording = read_recording(DEMO, robot.spec.side)
     person = measure_person(recording)
@@ -94,6 +127,64 @@ def run_demo(
         save_contact_sheet(
             folder / "gestures.png", recording, find_poses(recording), columns
         )
-        errors_figure(trajectory).savefig(folder / "errors.png")
-        joints_figure(trajectory).savefig(folder / "joints.png")
+        with matplotlib.rc_context(_STYLE):
+            errors_figure(trajectory).savefig(folder / "errors.png")
+            joints_figure(trajectory).savefig(folder / "joints.png")
     return trajectory
+
+
+def errors_figure(trajectory: Trajectory) -> Figure:
+    """Draw the errors of points and wrist, and the CPU time of each step, over time."""
+    figure = require("matplotlib.figure", "plot").Figure(
+        figsize=(7.5, 5.6), layout="constrained"
+    )
+    points, wrist, step = figure.subplots(
+        3, 1, sharex=True, height_ratios=(2.0, 1.0, 1.0)
+    )
+    time = trajectory.time
+    cpu = 1e6 * trajectory.step_cpu
+    specs = zip(trajectory.robot.reference_points, _COLOURS, strict=False)
+    for point, (spec, colour) in enumerate(specs):
+        error = 1e3 * trajectory.point_error[:, point]
+        points.plot(time, error, color=colour, label=spec.name.replace("_", " "))
+    points.legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))
+    points.set(title="Reference points: distance from their targets", ylabel="mm")
+    wrist.plot(time, 1e3 * trajectory.wrist_error, color=_INK)
+    wrist.set(title="Wrist: distance from its target", ylabel="mm")
+    for axes in (points, wrist):
+        axes.set_ylim(bottom=0.0)
+    step.plot(time, cpu, color=_PALE, linewidth=1.0)
+    step.set(title="CPU time of a step", ylabel="µs", xlabel="time [s]")
+    step.set_ylim(0.0, 2.0 * float(np.nanpercentile(cpu, 95)))
+    step.set_xlim(time[0], time[-1])
+    return figure
+
+
+def joints_figure(trajectory: Trajectory) -> Figure:
+    """Draw each joint of the robot over time, with its limits."""
+    robot, time = trajectory.robot, trajectory.time
+    rows = -(-len(robot.joint_names) // 4)
+    figure = require("matplotlib.figure", "plot").Figure(
+        figsize=(9.5, 2.1 * rows + 0.4), layout="constrained"
+    )
+    grid = figure.subplots(rows, 4, sharex=True, squeeze=False)
+    limits = np.degrees([robot.lower_limits, robot.upper_limits]).T
+    for axes, name, q, (lower, upper) in zip(
+        grid.flat, robot.joint_names, np.degrees(trajectory.q).T, limits, strict=False
+    ):
+        room = 0.08 * (upper - lower)
+        for start in (lower - room, upper):
+            axes.axhspan(start, start + room, color="#f3d9d4", linewidth=0.0)
+        axes.plot(time, q, color=_COLOURS[2])
+        axes.set(
+            xlim=(time[0], time[-1]),
+            ylim=(lower - room, upper + room),
+            title=name.replace("_", " "),
+        )
+    for axes in grid.flat[len(robot.joint_names) :]:
+        axes.set_axis_off()
+    for axes in grid[-1]:
+        axes.set_xlabel("time [s]")
+    for axes in grid[:, 0]:
+        axes.set_ylabel("deg")
+    return figure

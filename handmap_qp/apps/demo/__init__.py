@@ -1,1 +1,0 @@
-"""The demo: a recorded hand mapped to a robot hand, as a trajectory and pictures."""
