@@ -30,7 +30,6 @@ towards their common one. The sphere is the limit of an infinite ridge.
 
 from __future__ import annotations
 
-from itertools import combinations
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -287,49 +286,31 @@ def _check_shape(points: np.ndarray) -> None:
         )
 
 
-def enclosing_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Find the smallest ball that encloses points, exactly.
+def enclosing_ball(
+    points: np.ndarray, surface: tuple[np.ndarray, ...] = ()
+) -> tuple[np.ndarray, float]:
+    """Find the smallest ball that encloses points, exactly (Welzl 1991).
 
-    Points outside are taken in one at a time, the farthest first, until none is left. Each time the
-    ball of the few points on its surface and the new one is found among their circumscribed balls.
+    A point outside the ball of those before it lies on the surface of the ball of them all.
 
     Args:
         points: Points [m], shape (n, 3), n > 0.
+        surface: Points that must lie on the surface [m], shape (3,) each, at most four.
 
     Returns:
         Centre [m], shape (3,), and radius [m].
     """
-    support = [0]
-    centre, radius = points[0].copy(), 0.0
-    while True:
-        distances = np.linalg.norm(points - centre, axis=1)
-        farthest = int(np.argmax(distances))
-        if distances[farthest] <= radius * (1.0 + _OUTSIDE) or farthest in support:
-            return centre, float(distances[farthest])
-        found = _smallest_ball(points, [*support, farthest])
-        if not found[2] > radius:
-            # The ball grows with every point taken in; rounding alone can say otherwise.
-            return centre, float(distances[farthest])
-        support, centre, radius = found
-
-
-def _smallest_ball(
-    points: np.ndarray, chosen: list[int]
-) -> tuple[list[int], np.ndarray, float]:
-    """Return the smallest ball of at most five points: those on its surface, centre and radius."""
-    best: tuple[list[int], np.ndarray, float] = (chosen, points[chosen[0]], np.inf)
-    for count in range(1, min(len(chosen), 4) + 1):
-        for subset in combinations(chosen, count):
-            first = points[subset[0]]
-            edges = points[list(subset[1:])] - first
-            # Centre of the circumscribed ball in the span of the edges.
-            squares = np.einsum("ij,ij->i", edges, edges)
-            centre = first + 0.5 * np.linalg.pinv(edges).dot(squares)
-            # With its farthest point as radius, every candidate encloses all of them.
-            radius = float(np.linalg.norm(points[chosen] - centre, axis=1).max())
-            if radius < best[2] * (1.0 - _OUTSIDE):
-                best = (list(subset), centre, radius)
-    return best
+    centre, radius = np.zeros(3), -1.0
+    if surface:
+        edges = np.array(surface) - surface[0]
+        # Centre of the circumscribed ball in the span of the edges.
+        centre = 0.5 * np.linalg.pinv(edges).dot(np.square(edges).sum(axis=1))
+        radius = float(np.linalg.norm(centre))
+        centre += surface[0]
+    for i, point in enumerate(points if len(surface) < 4 else ()):
+        if np.linalg.norm(point - centre) > radius * (1.0 + _OUTSIDE):
+            centre, radius = enclosing_ball(points[:i], (*surface, point))
+    return centre, radius
 
 
 def enclosing_ellipsoid(
