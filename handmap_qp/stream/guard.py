@@ -2,36 +2,314 @@
 
 Trackers lose the hand, find it elsewhere, confuse palm and back, repeat old data and report zeros.
 The guard compares every sample with the person's hand and with the sample before, and says whether
-the robot may follow it. It counts in the time of the stamps. A sample that it rejects never moves
-the robot; `stream.follower` leads back to the hand afterwards.
+the robot may follow it. A sample that it rejects never moves the robot; `stream.follower` leads
+back to the hand afterwards.
+
+Time stamps jitter, repeat, arrive in disorder, and jump when the tracker's clock is set.
+`SampleClock` says what they mean, and all the rest counts in the time that it gives, never in
+samples. `change_between` measures how a hand has moved in that time.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import PalmShape, landmarks_at_rest
+from handmap_qp.human.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.human.verdict import Finding, Rule, Verdict
-from handmap_qp.stream.clock import RateCheck, SampleClock, Tick
-from handmap_qp.stream.motion import (
-    BELIEVED,
-    USUAL,
-    Change,
-    Track,
-    change_between,
-    first_track,
-    fixed_lengths,
-    is_same_hand,
-    is_zero,
-)
+from handmap_qp.se3 import lengths, nearest_rotation
 from handmap_qp.trackers.plausibility import InputCheck
+
+# -- time
+
+TimeRule = Literal["", "duplicate", "disorder", "gap", "clock_jump"]
+"""What is unusual about a time stamp; empty if nothing is."""
+
+LONGEST_STEP = 3.0
+"""Longest time that one sample accounts for, in usual periods.
+
+After a longer one the robot has stood still, and must not make up for it in one command.
+"""
+GAP = 0.25
+"""A longer time between stamps is a gap: samples are missing, or the clock was set [s]."""
+_SET_BACK = 1.0
+"""A stamp earlier by more than this is of a clock that was set back, not of a late sample [s]."""
+_SET_FORWARD = 10.0
+"""A stamp later by more than this is of a clock that was set forward [s]."""
+_LATE_SAMPLES = 5
+"""Late samples in a row that increase among themselves: the clock was set back a little."""
+_PERIOD_SHARE = 0.05
+"""Share of a new interval in the usual period."""
+_SHORTEST_STEP = 0.5
+"""Least interval that speeds are computed from, over the usual period: stamps jitter."""
+
+_RATE_WINDOW = 0.5
+"""Time of arrival between two comparisons of the clocks [s]."""
+_LARGEST_DRIFT = 0.3
+"""Drift of stamps against arrival that a clock or a growing delay may have [s/s]."""
+
+
+class Tick(NamedTuple):
+    """What a time stamp says.
+
+    Attributes:
+        rule: What is unusual about it. Samples of `duplicate` and `disorder` bring nothing new.
+        elapsed: Time since the last sample that counted [s]; the usual one after a clock jump.
+        dt: Time that this sample accounts for [s], from 0 to `LONGEST_STEP` periods; one period at
+            most after a sample that brought nothing new, for its command has taken the time.
+    """
+
+    rule: TimeRule
+    elapsed: float
+    dt: float
+
+
+class SampleClock(NamedTuple):
+    """State of the clock after a sample; `advance` returns the next one.
+
+    Attributes:
+        stamp: Stamp of the last sample that counted [s]; None before the first.
+        period: Usual time between samples [s].
+        late_stamp: Stamp of the last late sample [s].
+        late_count: Late samples in a row.
+        is_idle: Whether the last sample brought nothing new.
+    """
+
+    stamp: float | None = None
+    period: float = 1.0 / 60.0
+    late_stamp: float = 0.0
+    late_count: int = 0
+    is_idle: bool = False
+
+    def advance(self, stamp: float) -> tuple[Tick, SampleClock]:
+        """Judge the time stamp of a sample.
+
+        Args:
+            stamp: Time stamp [s]; only differences of it have a meaning.
+
+        Returns:
+            What it says, and the clock after it.
+        """
+        period = self.period
+        if self.stamp is None:
+            return Tick("", period, period), self._replace(stamp=stamp)
+        step = stamp - self.stamp
+        if step == 0.0:
+            return Tick("duplicate", 0.0, 0.0), self._replace(is_idle=True)
+        if -_SET_BACK <= step < 0.0:
+            count = 1 + (self.late_count if stamp > self.late_stamp else 0)
+            if count < _LATE_SAMPLES:
+                late = self._replace(late_stamp=stamp, late_count=count, is_idle=True)
+                return Tick("disorder", 0.0, 0.0), late
+        if step < 0.0 or step > _SET_FORWARD:
+            return Tick("clock_jump", period, period), SampleClock(stamp, period)
+        if step > GAP:
+            return Tick("gap", step, period), SampleClock(stamp, period)
+        usual = period + _PERIOD_SHARE * (step - period)
+        longest = period if self.is_idle else LONGEST_STEP * period
+        return Tick("", step, min(step, longest)), SampleClock(stamp, usual)
+
+    @property
+    def shortest(self) -> float:
+        """Least time that speeds are computed over [s]: jitter of stamps is not speed."""
+        return _SHORTEST_STEP * self.period
+
+
+class RateCheck:
+    """Tells whether time stamps run as fast as their samples arrive.
+
+    The clocks are compared each half second, by the last sample before. Two in a row must drift the
+    same way: a stall of the network, the burst behind it and a clock that is set do not.
+    """
+
+    def __init__(self) -> None:
+        self._start = self._former = math.nan
+        self._lead = self._drift = 0.0
+        self._rate: float | None = None
+
+    def update(self, stamp: float, arrival: float) -> float | None:
+        """Take the next sample.
+
+        Args:
+            stamp: Its time stamp [s].
+            arrival: When it arrived, on a monotonic clock [s].
+
+        Returns:
+            Seconds of stamps in a second of arrival, if two half seconds in a row differ from it by
+            more than 30 %; None otherwise.
+        """
+        self._start = arrival if math.isnan(self._start) else self._start
+        elapsed = arrival - self._start
+        if elapsed >= _RATE_WINDOW:
+            # NaN, before there is a former half second, is no drift.
+            drift = (self._lead - self._former) / elapsed
+            before = self._drift
+            is_off = (
+                drift * before > 0.0 and min(abs(drift), abs(before)) > _LARGEST_DRIFT
+            )
+            self._rate = 1.0 + drift if is_off else None
+            self._start = arrival
+            self._former = self._lead
+            self._drift = drift
+        self._lead = stamp - arrival
+        return self._rate
+
+
+# -- motion
+
+FLIP = math.radians(60.0)
+"""A turn by more than this between two samples is a flip."""
+ZERO_SIZE = 0.001
+"""A hand whose palm has a smaller RMS radius is no hand but a point [m]."""
+MIRROR = 1e-4
+"""Smallest part of the squared landmark spread that must speak for a mirror image [m^2]."""
+
+_STARTS = np.array(
+    [0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19, 5, 9, 13]
+)
+_ENDS = np.array(
+    [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 9, 13, 17]
+)
+"""Pairs of landmarks whose distance does not change: bones, and neighbours in the palm."""
+
+BELIEVED = np.array([60.0, 600.0, 150.0, 0.008])
+"""Changes between two samples that are always believed: of the velocity of the palm [m/s^2], of its
+angular velocity [rad/s^2], of landmarks in palm axes [m/s^2], and of lengths [m]."""
+USUAL = np.array([8.0, 80.0, 12.0, 0.0015])
+"""First guess of the tracker's usual changes."""
+FASTEST = np.array([6.0, 40.0, 6.0])
+"""Speeds that are never believed: of the palm [m/s], of its turn [rad/s], and of landmarks in palm
+axes [m/s]. Recordings of free motion reach 1.5 m/s, 22 rad/s and 3.8 m/s."""
+ALONE = 3.0
+"""A landmark that leaves its place alone is this many times as fast as the next one."""
+
+
+class Track(NamedTuple):
+    """A sample and the motion that led to it; velocities are zero for a first sample.
+
+    Attributes:
+        time: Its instant, in the time of the clock [s].
+        points: Landmarks from the palm's centre [m], shape (21, 3).
+        centre: Centre of the palm [m], shape (3,).
+        lengths: The distances that cannot change [m], shape (23,).
+        velocity: Of the centre [m/s], shape (3,).
+        turning: Angular velocity of the palm [rad/s], shape (3,).
+        bending: Velocities of the landmarks in palm axes [m/s], shape (21, 3).
+        dt: Time between this sample and the one before [s]; 0 for a first one.
+    """
+
+    time: float
+    points: np.ndarray
+    centre: np.ndarray
+    lengths: np.ndarray
+    velocity: np.ndarray
+    turning: np.ndarray
+    bending: np.ndarray
+    dt: float = 0.0
+
+
+class Change(NamedTuple):
+    """Motion from a track to a sample.
+
+    Attributes:
+        track: The sample with the motion that led to it.
+        sizes: Change of the palm's velocity [m/s^2], and of its angular velocity [rad/s^2]; largest
+            change of a landmark's velocity in palm axes [m/s^2], and of a distance that cannot
+            change [m]. Shape (4,), as `BELIEVED`.
+        is_turned: The hand turned by more than 60 degrees, or became its mirror image.
+        is_alone: One landmark changed its velocity far more than all others.
+        is_too_fast: A speed is above what hands reach.
+    """
+
+    track: Track
+    sizes: np.ndarray
+    is_turned: bool
+    is_alone: bool
+    is_too_fast: bool
+
+
+def is_zero(landmarks: np.ndarray) -> bool:
+    """Tell whether landmarks (21, 3) lie in one place, or all but one at the origin."""
+    # One landmark may be the origin of the tracker's world.
+    seen = landmarks.any(axis=-1).sum()
+    return bool(palm_sizes(landmarks[PALM]) < ZERO_SIZE or seen < len(landmarks) - 1)
+
+
+def first_track(now: float, landmarks: np.ndarray) -> Track:
+    """Return landmarks (21, 3) [m] at a time [s] as a sample without motion."""
+    centre = landmarks[PALM].mean(axis=0)
+    points, still = landmarks - centre, np.zeros(3)
+    fixed = fixed_lengths(landmarks)
+    return Track(now, points, centre, fixed, still, still, np.zeros_like(points))
+
+
+def is_same_hand(before: Track, sample: Track) -> bool:
+    """Tell whether two samples have exactly the same landmarks."""
+    is_same = (before.points == sample.points).all()
+    return bool(is_same and (before.centre == sample.centre).all())
+
+
+def change_between(
+    track: Track,
+    sample: Track,
+    dt: float,
+) -> Change:
+    """Measure the motion from a track to a sample, dt [s] later."""
+    # Kabsch: the rotation that takes the palm before to the palm now.
+    rotation = nearest_rotation(sample.points[PALM].T @ track.points[PALM])
+    turn = pin.log3(rotation)
+    angle = lengths(turn)
+    in_former_axes = (sample.points @ rotation - track.points) / dt
+    moved = sample._replace(
+        velocity=(sample.centre - track.centre) / dt,
+        turning=turn / dt,
+        bending=in_former_axes @ rotation.T,
+        dt=dt,
+    )
+    # No motion is known before a first sample: speeds decide.
+    is_known = track.dt > 0.0
+    span = 0.5 * (dt + track.dt) if is_known else dt
+    changes = [
+        moved.velocity - track.velocity,
+        moved.turning - track.turning,
+        *(in_former_axes - track.bending),
+    ]
+    palm, turned, *slips = (is_known * lengths(np.array(changes)) / span).tolist()
+    second, fingers = sorted(slips)[-2:]
+    stretch = np.abs(moved.lengths - track.lengths).max()
+    speeds = np.array(
+        [lengths(moved.velocity), angle / dt, lengths(in_former_axes).max()]
+    )
+    return Change(
+        moved,
+        np.array([palm, turned, fingers, stretch]),
+        is_turned=bool(angle > FLIP) or _is_mirrored(track.points, moved.points),
+        is_alone=fingers > ALONE * second,
+        is_too_fast=bool((speeds > FASTEST).any()),
+    )
+
+
+def _is_mirrored(before: np.ndarray, points: np.ndarray) -> bool:
+    """Tell whether a reflection lays one hand better on the other than any rotation does."""
+    covariance = points.T @ before
+    if np.linalg.det(covariance) >= 0.0:
+        return False
+    return bool(np.linalg.svd(covariance, compute_uv=False)[2] > MIRROR)
+
+
+def fixed_lengths(landmarks: np.ndarray) -> np.ndarray:
+    """Return the distances that cannot change [m], shape (23,), of landmarks (21, 3)."""
+    return lengths(landmarks[_ENDS] - landmarks[_STARTS])
+
+
+# -- rules
 
 FROZEN_AFTER = 0.25
 """Landmarks that repeat exactly for longer are frozen [s]."""
@@ -59,7 +337,7 @@ class GuardState(NamedTuple):
         now: Time of the stream [s]: the sum of the time steps.
         good: The last sample that was followed.
         last: The last sample that could be a hand's.
-        usual: Running medians of the changes between samples, shape (4,), as `motion.BELIEVED`.
+        usual: Running medians of the changes between samples, shape (4,), as `BELIEVED`.
         cause: The rule that began the present hold; empty if there is none.
         steady_since: Time since which samples make sense [s].
         same_since: Time since which the landmarks are exactly the same [s].
@@ -170,11 +448,7 @@ class StreamGuard:
         if last is None or not is_same_hand(last, fresh):
             state = state._replace(same_since=state.now)
         if last is None:
-            first = state._replace(
-                good=fresh,
-                last=fresh,
-                cause="",
-            )
+            first = state._replace(good=fresh, last=fresh, cause="")
             return verdict._replace(is_return=state.cause != ""), first
         held = verdict._replace(is_held=True)
         if state.now - state.same_since >= FROZEN_AFTER:

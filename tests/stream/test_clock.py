@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handmap_qp.stream.clock import GAP, LONGEST_STEP, RateCheck, SampleClock, Tick
+from handmap_qp.stream.guard import GAP, LONGEST_STEP, RateCheck, SampleClock, Tick
 
 PERIOD = 0.01
 

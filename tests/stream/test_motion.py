@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pinocchio import exp3
 
-from handmap_qp.stream.motion import change_between, first_track
+from handmap_qp.stream.guard import change_between, first_track
 
 
 @given(
