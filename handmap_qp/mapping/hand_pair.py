@@ -13,8 +13,13 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.fingers import Finger, find_fingers, partner_names
+from handmap_qp.hands.fingers import (
+    Finger,
+    PalmKinematics,
+    find_fingers,
+    partner_names,
+    place_of,
+)
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.library import HUMAN_HANDS, load_hand
@@ -30,7 +35,7 @@ from handmap_qp.mapping.landmarks import (
     require_points,
 )
 from handmap_qp.mapping.matched_posture import nearest_posture
-from handmap_qp.se3 import as_floats, frozen, inverse_pose, transform_points
+from handmap_qp.se3 import as_floats, frozen, lengths, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
 """Landmark at the base of each finger, by the finger's name."""
@@ -140,7 +145,9 @@ class HandPair:
         self.partners = np.array([names[partner] for partner in wanted])
         shape = [table[finger] for finger in FINGERS for table in (TIPS, MIDDLES)]
         self.shape_points = np.array([names[name] for name in shape if name in names])
-        self.human_rest = frozen(_points_in_palm(human, resting_posture(human)))
+        places = [place_of(human, point) for point in human.reference_points]
+        at_rest = PalmKinematics(human).points(resting_posture(human), places)
+        self.human_rest = frozen(at_rest)
         self.human_reach = bone_lengths(human, self.fingers)
         self.robot_reach = np.array(
             [self.chains[finger].reach for finger in self.fingers]
@@ -156,23 +163,24 @@ class HandPair:
 
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
-        placed = _placed(self.robot, self.matched)
-        to_palm = inverse_pose(_palm_pose(self.robot, placed))
-        self.robot_rest = frozen(transform_points(to_palm, placed.points))
-        others = self._others
-        places: list[tuple[int, np.ndarray]] = []
-        for finger in self.fingers:
-            chain = self.chains[finger]
-            places += [chain.knuckle, chain.tip, chain.middle]
-        points = AttachedPoints(self.robot, places).positions(placed)
-        points = transform_points(to_palm, points).reshape(-1, 3, 3)
+        view, others = PalmKinematics(self.robot), self._others
+        own = [place_of(self.robot, point) for point in self.robot.reference_points]
+        self.robot_rest = frozen(view.points(self.matched, own))
+        chains = [self.chains[finger] for finger in self.fingers]
+        places = [
+            place
+            for chain in chains
+            for place in (chain.knuckle, chain.tip, chain.middle)
+        ]
+        points = view.points(self.matched, places).reshape(-1, 3, 3)
         self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
         self.human_knuckles = frozen(
             self.human_rest[self.knuckles[others]].mean(axis=0)
         )
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
-        spans = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
-        self.robot_extension = frozen(spans / self.robot_reach)
+        self.robot_extension = frozen(
+            lengths(points[:, 1] - points[:, 0]) / self.robot_reach
+        )
 
     def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
         given = self.robot.matched if matched is None else matched
@@ -187,10 +195,14 @@ class HandPair:
         Jaws open as wide as the resting human's thumb and fingers.
         """
         if self.has_jaws:
-            return self._open_jaws()
+            at_rest = self.human_rest[self.tips]
+            gaps = lengths(at_rest[1:] - at_rest[0])
+            pads = [self.pads[finger] for finger in self.fingers]
+            return _posture_with_gaps(self.robot, _OPENING, pads, gaps)
         robot = self.robot
+        places = [self.chains[finger].knuckle for finger in self.fingers]
+        knuckles = PalmKinematics(robot).points(robot.rest, places)
         in_palm = np.empty((len(robot.reference_points), 3))
-        knuckles = self._measured.knuckles
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
             human = self.human_rest[self.partners[j]]
@@ -199,7 +211,8 @@ class HandPair:
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
-        targets = transform_points(self._measured.palm, in_palm)
+        palm = self._measured.hand.frame_pose("palm", robot.rest)
+        targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
 
@@ -210,29 +223,6 @@ class HandPair:
             return self.robot.rest
         return hand_pair(_standard_human(human.name), self._measured.hand).matched
 
-    def _open_jaws(self) -> np.ndarray:
-        """Solve the posture in which each jaw's gap to the thumb is the resting human's."""
-        robot = self.robot
-        pads = [self.pads[finger] for finger in self.fingers]
-        at_rest = self.human_rest[self.tips]
-        gaps = np.linalg.norm(at_rest[1:] - at_rest[0], axis=1)
-        between = [(0, k) for k in range(1, len(pads))]
-        wanted = [
-            pads[0].radius + pads[k].radius + gap
-            for (_, k), gap in zip(between, gaps, strict=True)
-        ]
-        places = AttachedPoints(robot, [(pad.joint, pad.offset) for pad in pads])
-        ik = PointIk(robot, _OPENING)
-        ik.place(robot.configuration_vector(robot.rest))
-        task = PointDistances(places, between, wanted, [3.0] * len(between))
-        ik.solve(
-            ik.configuration.points.copy(),
-            ik.configuration.wrist.homogeneous,
-            1e3,
-            tasks=[task],
-        )
-        return ik.configuration.q[robot.q_indices]
-
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
         """Place the thumb between where it pinches and where it is above the knuckles."""
         others = self._others
@@ -242,9 +232,9 @@ class HandPair:
         middle = knuckles[others].mean(axis=0)
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
         above = middle + gain * (tip - human_middle)
-        ends = find_fingers(self.human)
-        pads = find_pads(self.human, ends)
-        human_pinching = _pinching_thumb(self.human, ends, pads)
+        chains = find_fingers(self.human)
+        pads = find_pads(self.human, chains)
+        human_pinching = _pinching_thumb(self.human, chains, pads)
         return (
             _THUMB_FROM_PINCH
             * (self._measured.pinching_thumb + gain * (tip - human_pinching))
@@ -277,17 +267,6 @@ class _RobotFingers:
         used = {finger: self.chains[finger] for finger in self.names}
         weight = _JAW_WEIGHT if self.has_jaws else 1.0
         return self.hand.with_points(tuple(_finger_points(self.hand, used, weight)))
-
-    @cached_property
-    def knuckles(self) -> np.ndarray:
-        """Base of each finger at rest, in palm axes [m], shape (f, 3)."""
-        places = [self.chains[finger].knuckle for finger in self.names]
-        return frozen(points_in_palm_at(self.hand, places))
-
-    @cached_property
-    def palm(self) -> np.ndarray:
-        """Pose of the palm at rest, shape (4, 4)."""
-        return frozen(_palm_pose(self.hand, _placed(self.hand, self.hand.rest)))
 
     @cached_property
     def pinching_thumb(self) -> np.ndarray:
@@ -350,12 +329,13 @@ def _finger_points(
     robot: Hand, chains: dict[str, Finger], tip_weight: float
 ) -> list[PointSpec]:
     """Make reference points of the fingertips, and of the middle joints except the thumb's."""
+    view = PalmKinematics(robot)
     points = []
     for finger, chain in chains.items():
         points.append(_point(robot, finger, TIPS[finger], chain.tip, tip_weight))
     for finger, chain in chains.items():
         apart = np.linalg.norm(
-            np.subtract(*points_in_palm_at(robot, [chain.middle, chain.knuckle]))
+            np.subtract(*view.points(robot.rest, [chain.middle, chain.knuckle]))
         )
         is_bending = len(chain.joints) > 1 and not chain.is_jaw
         if finger != THUMB and is_bending and apart > 0.1 * chain.reach:
@@ -380,32 +360,6 @@ def _point(
     return PointSpec(name, frame.name, (xyz[0], xyz[1], xyz[2]), finger, weight, name)
 
 
-def _points_in_palm(hand: Hand, q: np.ndarray) -> np.ndarray:
-    """Return a hand's reference points in palm axes [m], shape (m, 3)."""
-    placed = _placed(hand, q)
-    return transform_points(inverse_pose(_palm_pose(hand, placed)), placed.points)
-
-
-def _placed(hand: Hand, q: np.ndarray) -> Configuration:
-    """Return a hand in a posture. A workspace for once: one that stays is a megabyte a hand."""
-    placed = hand.configuration()
-    placed.place_frames(hand.configuration_vector(q))
-    return placed
-
-
-def _palm_pose(hand: Hand, placed: Configuration) -> np.ndarray:
-    return placed.frame_pose(hand.model.frames[hand.palm_frame_id])
-
-
-def points_in_palm_at(
-    hand: Hand, places: list[tuple[int, np.ndarray]], q: np.ndarray | None = None
-) -> np.ndarray:
-    """Return points on joints in palm axes, at rest if no posture is given [m], shape (k, 3)."""
-    placed = _placed(hand, hand.rest if q is None else q)
-    points = AttachedPoints(hand, places).positions(placed)
-    return transform_points(inverse_pose(_palm_pose(hand, placed)), points)
-
-
 def resting_posture(human: Hand) -> np.ndarray:
     """Return the human's rest posture with the thumb where recorded thumbs are at rest, (n,)."""
     q = human.rest.copy()
@@ -417,47 +371,60 @@ def resting_posture(human: Hand) -> np.ndarray:
 
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
-    at_rest = _named_points_at_rest(human)
+    points = {point.name: point for point in human.spec.points}
     names = [name for finger in fingers for name in chain_landmarks(finger)]
-    joints = np.array([at_rest[name] for name in names]).reshape(-1, 4, 3)
-    return np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
-
-
-@lru_cache(maxsize=8)
-def _named_points_at_rest(human: Hand) -> dict[str, np.ndarray]:
-    """Return the points that a hand's description names, at rest [m], shape (3,) each."""
-    points = human.with_points(human.spec.points)
-    names = [point.name for point in points.reference_points]
-    return dict(zip(names, points.points(human.rest), strict=True))
+    places = [place_of(human, points[name]) for name in names]
+    joints = PalmKinematics(human).points(human.rest, places).reshape(-1, 4, 3)
+    return lengths(np.diff(joints, axis=1)).sum(axis=1)
 
 
 def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
-    others = [finger for finger in chains if finger != THUMB]
     # Reference points have no weight here, and one of them takes the least time.
-    hand = hand.with_points(hand.reference_points[:1])
-    ik, tips = PointIk(hand, _PINCHING), []
-    start = hand.configuration_vector(hand.rest)
-    used = [pads[THUMB], *(pads[finger] for finger in others)]
-    places = [chains[THUMB].tip, *((pad.joint, pad.offset) for pad in used)]
-    ends = AttachedPoints(hand, places)
-    for k, finger in enumerate(others, start=2):
-        touching = pads[THUMB].radius + pads[finger].radius
-        ik.place(start)
-        wrist = ik.configuration.wrist.homogeneous
-        points = ik.configuration.points.copy()
-        task = PointDistances(ends, [(1, k)], [touching], [3.0])
-        for _ in range(_PINCH_STEPS):
-            ik.solve(points, wrist, 1e3, tasks=[task])
-            at = ends.positions(ik.configuration)
-            if abs(np.linalg.norm(at[k] - at[1]) - touching) < _TOUCHING:
-                break
-        palm = ik.configuration.wrist.homogeneous @ hand.wrist_to_palm
-        tips.append(
-            transform_points(inverse_pose(palm), ends.positions(ik.configuration)[:1])[
-                0
-            ]
+    light = hand.with_points(hand.reference_points[:1])
+    postures = [
+        _posture_with_gaps(
+            light, _PINCHING, [pads[THUMB], pads[finger]], [0.0], _PINCH_STEPS
         )
-    return np.mean(tips, axis=0)
+        for finger in chains
+        if finger != THUMB
+    ]
+    tips = PalmKinematics(hand).points(np.array(postures), [chains[THUMB].tip])
+    return tips[:, 0].mean(axis=0)
+
+
+def _posture_with_gaps(
+    hand: Hand,
+    options: IkOptions,
+    pads: Sequence[Pad],
+    gaps: Iterable[float],
+    steps: int = 1,
+) -> np.ndarray:
+    """Solve the posture, from rest on, in which the first pad has gaps to the others.
+
+    Args:
+        hand: The hand.
+        options: Weights of the QP.
+        pads: The thumb's pad first.
+        gaps: To each other pad [m], shape (p,).
+        steps: Most QP solutions; fewer if the gaps are reached before.
+
+    Returns:
+        Joint positions [rad or m], shape (n,).
+    """
+    points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
+    pairs = [(0, k) for k in range(1, len(pads))]
+    wanted = np.array([pads[0].radius + pad.radius for pad in pads[1:]]) + gaps
+    task = PointDistances(points, pairs, wanted, [3.0] * len(pairs))
+    ik = PointIk(hand, options)
+    ik.place(hand.configuration_vector(hand.rest))
+    placed = ik.configuration
+    targets, wrist = placed.points.copy(), placed.wrist.homogeneous
+    for _ in range(steps):
+        ik.solve(targets, wrist, 1e3, tasks=[task])
+        places = points.positions(ik.configuration)
+        if np.abs(lengths(places[1:] - places[0]) - wanted).max() < _TOUCHING:
+            break
+    return ik.configuration.q[hand.q_indices]
