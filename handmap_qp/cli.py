@@ -55,7 +55,7 @@ class _Place(NamedTuple):
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
 COMMANDS: dict[str, _Place] = {
     "demo": _Place(
-        "demo",
+        "offline.demo",
         "Demo",
         "Map a human hand's motion to a robot hand; needs no data of your own.",
     ),

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import handmap_qp.apps.demo as demo
-from handmap_qp.apps.demo import FILES, run_demo
+from handmap_qp.apps.offline import demo
+from handmap_qp.apps.offline.demo import FILES, run_demo
 from handmap_qp.apps.offline.trajectory import Trajectory
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.trackers.formats import DEMO, read_recording
