@@ -20,8 +20,7 @@ from handmap_qp import (
 )
 from handmap_qp.hands.fingers import PalmKinematics, find_fingers
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.mapping.finger_angles import FingerAngles
-from handmap_qp.mapping.methods.joint_to_joint import BoundJointToJoint
+from handmap_qp.mapping.methods.joint_to_joint import BoundJointToJoint, FingerAngles
 from handmap_qp.se3 import inverse_pose, transform_points
 
 HUMAN = load_hand("human")
