@@ -91,6 +91,11 @@ def lengths(vectors: np.ndarray) -> np.ndarray:
 _ONES = np.ones(3)
 
 
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Return vectors of length 1 along others of shape (..., 3); those below 1 nm go to zero."""
+    return vectors / np.maximum(lengths(vectors)[..., None], 1e-9)
+
+
 def inverse_pose(pose: np.ndarray) -> np.ndarray:
     """Return `pose_ba` of `pose_ab`, shape (..., 4, 4)."""
     rotation = pose[..., :3, :3].swapaxes(-1, -2)

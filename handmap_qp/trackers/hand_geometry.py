@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import lengths, unit
 
 _BONES = [(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)]
 _ACROSS = [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
@@ -188,7 +188,7 @@ def carried_fingers(landmarks: np.ndarray) -> np.ndarray:
     away = lengths(spans).reshape(-1, 5, 9)
     ranges = np.ptp(away, axis=0).max(axis=1)
     changing = (np.abs(np.diff(away, axis=0)) > _STEP).any(axis=2).mean(axis=0)
-    bones = _unit(np.diff(chains[-1], axis=1))
+    bones = unit(np.diff(chains[-1], axis=1))
     bends = (bones[:, 1:] * bones[:, :-1]).sum(axis=2)
     is_inside = ((bends > _INSIDE[0]) & (bends < _INSIDE[1])).any(axis=1)
     return (ranges < _CARRIED) & is_inside & (median(changing) > _OTHERS_CHANGE)
@@ -209,12 +209,12 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     """
     offsets = landmarks - landmarks[:, :1]
     along = offsets[:, 9]
-    palmar = _unit(np.cross(offsets[:, 5], offsets[:, 17]))
+    palmar = unit(np.cross(offsets[:, 5], offsets[:, 17]))
     heights = (offsets @ palmar[:, :, None])[:, :, 0] / _sizes(along)[:, None]
     fingers = landmarks[:, 5:].reshape(-1, 4, 4, 3)
-    bones = _unit(np.diff(fingers[:, :, :3], axis=2))
+    bones = unit(np.diff(fingers[:, :, :3], axis=2))
     turns = np.cross(bones[:, :, 0], bones[:, :, 1])
-    bends = turns @ np.cross(_unit(along), palmar)[:, :, None]
+    bends = turns @ np.cross(unit(along), palmar)[:, :, None]
     # Up to people's hyperextension, an MCP joint may be bent to either side.
     bent = (bones[:, :, 0] @ palmar[:, :, None]).mean(axis=(1, 2))
     limit = HYPEREXTENSION[0]
@@ -239,7 +239,3 @@ def median(values: np.ndarray) -> float:
 def _sizes(vectors: np.ndarray) -> np.ndarray:
     """Return lengths of vectors, shape (...) of (..., 3), nowhere 0."""
     return np.maximum(lengths(vectors), 1e-12)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / _sizes(vectors)[..., None]

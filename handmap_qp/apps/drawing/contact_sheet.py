@@ -18,6 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.drawing.hands import (
+    UPRIGHT,
     HandShape,
     LinkShape,
     load_shape,
@@ -25,7 +26,7 @@ from handmap_qp.apps.drawing.hands import (
     spheres,
     tube,
 )
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render, unit
+from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
@@ -34,7 +35,7 @@ from handmap_qp.human.landmarks import PALM
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.se3 import affine, inverse_pose, rigid_fit, transform_points
+from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points, unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -83,10 +84,6 @@ _PALM_BONES = (
     (1, 5),
 )
 _PALM_FACES = ((0, 1, 5), (0, 5, 9), (0, 9, 13), (0, 13, 17))
-# From palm axes (y distal, z dorsal) to those of the drawing: z up the fingers, -y out of the palm.
-_UPRIGHT = affine(
-    np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.zeros(3)
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -311,7 +308,7 @@ def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.
 
 def _human_triangles(landmarks: np.ndarray) -> Triangles:
     """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
-    points = transform_points(_UPRIGHT, landmarks)
+    points = transform_points(UPRIGHT, landmarks)
     parts = [_faces(points), spheres(points[[0, 5, 9, 13, 17]], _JOINT, _PALM_COLOUR)]
     bones = [(pair, _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
     for i, finger in enumerate(FINGERS):
@@ -371,7 +368,7 @@ def _carrier(hand: Hand, link: str) -> int:
 
 def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:
     """The robot in its palm frame, upright."""
-    pose = _UPRIGHT @ inverse_pose(shape.hand.frame_pose("palm", q))
+    pose = UPRIGHT @ inverse_pose(shape.hand.frame_pose("palm", q))
     return shape.triangles(q).moved(pose)
 
 

@@ -17,11 +17,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render, unit
+from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.errors import InvalidInputError, require
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import HandSpec
+from handmap_qp.se3 import affine, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,6 +32,11 @@ HUMAN_COLOUR = (0.13, 0.40, 0.85)
 """Colour of the human's reference points (blue, as in the paper's Fig. 4)."""
 ROBOT_COLOUR = (0.84, 0.16, 0.16)
 """Colour of the robot's reference points (red)."""
+
+UPRIGHT = affine(
+    np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]]), np.zeros(3)
+)
+"""From palm axes (+y distal, +z dorsal) to a picture's: +z up the fingers, -y out of the palm."""
 
 _GREY = (0.62, 0.64, 0.67)
 # Most triangles kept per mesh file.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.apps.drawing.hands import (
+    UPRIGHT,
     draw_hands,
     load_shape,
     require_matplotlib,
@@ -18,7 +19,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
-from handmap_qp.se3 import affine, transform_points
+from handmap_qp.se3 import transform_points
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.base import Layout, sized_human
 from handmap_qp.trackers.layouts.markers import MarkerLayout
@@ -30,9 +31,6 @@ _LANDMARK = (0.13, 0.40, 0.85)
 _OTHER = (0.55, 0.57, 0.60)
 _AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 _AXIS_LENGTH = 0.045  # m
-# Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
-_UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
-_TO_PICTURE = affine(_UPRIGHT, np.zeros(3))
 # Abduction of the fingers in the picture [rad].
 _SPREADS = {
     "thumb": 0.75,
@@ -89,11 +87,11 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
 def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
     human = sized_human(side)
     q = _open_posture(human)
-    solid = load_shape(human, colour=_SKIN).triangles(q).moved(_TO_PICTURE)
+    solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)
     points, labels, is_used = _entries(layout, human, q)
-    places = transform_points(_TO_PICTURE, points)
+    places = transform_points(UPRIGHT, points)
     directions = _wrist_axes(layout, side)
-    ends = transform_points(_TO_PICTURE, _AXIS_LENGTH * directions)
+    ends = transform_points(UPRIGHT, _AXIS_LENGTH * directions)
     around = np.concatenate(
         [solid.vertices.reshape(-1, 3), places, ends, np.zeros((1, 3))]
     )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from handmap_qp.se3 import affine, transform_points
+from handmap_qp.se3 import affine, transform_points, unit
 
 _NEAR = 1e-3
 # The z-buffer's key: nearness in the high bits, triangle index in the low bits.
@@ -328,12 +328,6 @@ def _shaded(
     picture[pixels, :3] = albedo * light[:, None] + highlight[:, None]
     picture[pixels, 3] = 1.0
     return picture.reshape(height, width, 4)
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors of length 1 along others of shape (..., 3); zero where they are zero."""
-    sizes = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.maximum(sizes, 1e-15)
 
 
 def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:

@@ -21,7 +21,7 @@ from handmap_qp.hands.fingers import (
     nearing,
     zero_posture,
 )
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import lengths, unit
 
 # Least cosine between the tip motions of a base joint and of the curling joints for flexion.
 _FLEXING = 0.6
@@ -235,8 +235,3 @@ def _alike(slopes: dict[int, np.ndarray]) -> list[list[int]]:
         else:
             alike.append(i)
     return sorted(found, key=len, reverse=True)
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """Return vectors (..., 3) with length 1; a zero vector stays one."""
-    return vectors / np.maximum(lengths(vectors)[..., None], 1e-9)

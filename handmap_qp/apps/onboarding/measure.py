@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from handmap_qp.apps.onboarding.anatomy import angle_between
-from handmap_qp.apps.onboarding.flexion import HandFlexion, unit
+from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.fingers import (
     Finger,
@@ -23,7 +23,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.human.landmarks import human_name
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import lengths, unit
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from handmap_qp.apps.drawing.contact_sheet import FINGER_COLOURS
 from handmap_qp.apps.drawing.hands import (
+    UPRIGHT,
     HandShape,
     draw_hands,
     load_shape,
@@ -21,7 +22,7 @@ from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
 from handmap_qp.hands.fingers import PalmKinematics, place_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.se3 import affine, inverse_pose, lengths, transform_points
+from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
 _PANEL = (760, 820)
 # From the end of an axis to the middle of its label, to the side and up [pixel].
@@ -34,7 +35,6 @@ _AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 _VIEWS = {"back of the hand": 90.0, "palm, from the thumb's side": 215.0}
 _ELEVATION = 12.0
 # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
-_UPRIGHT = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 _BOX = {
     "facecolor": "white",
     "alpha": 0.75,
@@ -94,10 +94,10 @@ class _Scene:
         self.hand = hand
         to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
         points = transform_points(to_palm, hand.points(hand.rest))
-        self.points = points @ _UPRIGHT.T
+        self.points = transform_points(UPRIGHT, points)
         self.size = lengths(points).max()
-        self.triangles = self._solid().moved(affine(_UPRIGHT, np.zeros(3)))
-        self.axes = 0.28 * self.size * _UPRIGHT.T
+        self.triangles = self._solid().moved(UPRIGHT)
+        self.axes = 0.28 * self.size * UPRIGHT[:3, :3].T
         self.marks = self._marks()
 
     def draw(self, axes: Any, azimuth: float) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handmap_qp.apps.drawing.hands import load_shape, solid
+from handmap_qp.apps.drawing.hands import UPRIGHT, load_shape, solid
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.apps.simulation.physics import surface, turn_up
 from handmap_qp.apps.simulation.simulator import Episode, Instant
@@ -26,7 +26,6 @@ _OBJECT_COLOUR = (0.93, 0.55, 0.15)
 _PAPER = np.array([0.965, 0.97, 0.975])
 _SIZE = (480, 360)
 # From +z up, as in pictures, to +y up and seen along +z, as in the view.
-_TO_VIEW = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 
 
 def frames(
@@ -131,7 +130,7 @@ def write_page(
         MissingExtraError: If viser is not installed.
         InvalidInputError: If the file cannot be written.
     """
-    axes = _TO_VIEW @ turn_up(up)
+    axes = UPRIGHT[:3, :3] @ turn_up(up)
     variants = []
     for name, episode in episodes.items():
         mesh = surface(episode.body.shape)
