@@ -38,7 +38,11 @@ UPRIGHT = affine(
 )
 """From palm axes (+y distal, +z dorsal) to a picture's: +z up the fingers, -y out of the palm."""
 
-_GREY = (0.62, 0.64, 0.67)
+GREY = (0.62, 0.64, 0.67)
+"""Colour of parts without one."""
+AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
+"""Colours of the axes x, y and z."""
+
 # Most triangles kept per mesh file.
 _MAX_MESH_TRIANGLES = 4000
 # Faces that meet at a smaller angle than this are shaded as one smooth surface.
@@ -395,6 +399,6 @@ def _colour(
     """Return the colour of a URDF material, its own or by name; grey without one."""
     own = material and (material.color or palette.get(material.name))
     if not own:
-        return _GREY
+        return GREY
     red, green, blue, *_ = map(float, own.rgba)
     return red, green, blue

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.apps.drawing.hands import (
+    AXIS_COLOURS,
+    HUMAN_COLOUR,
     UPRIGHT,
     draw_hands,
     load_shape,
@@ -27,9 +29,7 @@ from handmap_qp.trackers.layouts.points import PointLayout
 
 _PANEL = (430, 500)
 _SKIN = (0.93, 0.80, 0.72)
-_LANDMARK = (0.13, 0.40, 0.85)
 _OTHER = (0.55, 0.57, 0.60)
-_AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 _AXIS_LENGTH = 0.045  # m
 # Abduction of the fingers in the picture [rad].
 _SPREADS = {
@@ -98,7 +98,7 @@ def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
     camera = Camera.framing(around, _PANEL, azimuth=90.0, elevation=14.0, margin=0.07)
     draw_hands(axes, solid, camera)
     shown = camera.project(places)[:, :2]
-    colours = np.where(is_used[:, None], _LANDMARK, _OTHER)
+    colours = np.where(is_used[:, None], HUMAN_COLOUR, _OTHER)
     sizes = np.where(is_used, 34.0, 16.0)
     axes.scatter(
         *shown.T, s=sizes, c=colours, edgecolors="white", linewidths=0.8, zorder=3
@@ -121,7 +121,7 @@ def _draw_axes(
     """Draw the wrist's axes as arrows with their names; an axis at right angles says its side."""
     origin = camera.project(np.zeros(3))[:2]
     for end, direction, name, colour in zip(
-        ends, directions, "xyz", _AXIS_COLOURS, strict=True
+        ends, directions, "xyz", AXIS_COLOURS, strict=True
     ):
         if not direction.any():
             continue

@@ -9,6 +9,8 @@ import numpy as np
 
 from handmap_qp.apps.drawing.contact_sheet import FINGER_COLOURS
 from handmap_qp.apps.drawing.hands import (
+    AXIS_COLOURS,
+    GREY,
     UPRIGHT,
     HandShape,
     draw_hands,
@@ -27,10 +29,8 @@ from handmap_qp.se3 import inverse_pose, lengths, transform_points
 _PANEL = (760, 820)
 # From the end of an axis to the middle of its label, to the side and up [pixel].
 _AXIS_GAP = np.array([38.0, -14.0])
-_GREY = (0.62, 0.64, 0.67)
 _OTHER_COLOUR = (0.25, 0.25, 0.28)
 _AXES = ("x, across", "y, distal", "z, dorsal")
-_AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 # Title and azimuth [deg] of the two views; the second azimuth is that of a right hand.
 _VIEWS = {"back of the hand": 90.0, "palm, from the thumb's side": 215.0}
 _ELEVATION = 12.0
@@ -113,7 +113,7 @@ class _Scene:
         )
         draw_hands(axes, self.triangles, camera, marks=self.marks, supersampling=2)
         origin = camera.project(np.zeros(3))[:2]
-        for tip, name, colour in zip(self.axes, _AXES, _AXIS_COLOURS, strict=True):
+        for tip, name, colour in zip(self.axes, _AXES, AXIS_COLOURS, strict=True):
             # Write beyond the end of the axis, so that the end stays visible.
             way = camera.project(tip)[:2] - origin
             axes.annotate(
@@ -164,7 +164,7 @@ class _Scene:
             spheres(self.points[i : i + 1], 0.022 * self.size, self._colour(i))
             for i in range(len(self.points))
         ]
-        for tip, colour in zip(self.axes, _AXIS_COLOURS, strict=True):
+        for tip, colour in zip(self.axes, AXIS_COLOURS, strict=True):
             path = np.array([np.zeros(3), tip])
             parts.append(tube(path, 0.008 * self.size, colour))
             parts.append(spheres(tip, 0.016 * self.size, colour))
@@ -200,4 +200,4 @@ class _Scene:
         places = [place for stick in sticks for place in stick]
         ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)
         ends = ends[lengths(ends[:, 1] - ends[:, 0]) > 1e-4]
-        return merged([tube(pair, 0.015 * self.size, _GREY) for pair in ends])
+        return merged([tube(pair, 0.015 * self.size, GREY) for pair in ends])
