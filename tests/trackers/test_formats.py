@@ -503,6 +503,23 @@ def test_a_bad_file_is_one_line_with_its_place(
     assert "\n" not in str(caught.value)
 
 
+def test_whatever_a_format_raises_is_an_error_of_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "take.npz"
+    write_recordings([hand()], path)
+
+    def fails(self: RecordingFormat, file: Path, entry: object = None) -> None:
+        raise KeyError("absent\nhere")
+
+    for method in ("read", "entries"):
+        monkeypatch.setattr(type(FORMATS["npz"]), method, fails)
+        with pytest.raises(RecordingError, match="absent") as caught:
+            read_recording(path)
+        assert caught.value.file == path
+        assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("form", READ, ids=lambda form: form.name)
 def test_files_of_noise_are_refused_in_one_line(
     form: RecordingFormat, tmp_path: Path

@@ -99,13 +99,12 @@ def _by_side(
     rows: Iterable[Row],
 ) -> Iterator[tuple[Side, Row]]:
     """Yield the rows with their hands, of a table that has all columns of a recording."""
-    poses = COLUMNS["wrist"]
-    has_poses = any(name in header for name in poses)
-    needed = ("side", "time", *COLUMNS["landmarks"], *(poses if has_poses else ()))
+    needed = ["side", "time", *COLUMNS["landmarks"]]
+    if not set(COLUMNS["wrist"]).isdisjoint(header):
+        needed += COLUMNS["wrist"]
     for name in needed:
         if name not in header:
-            about = "wrist poses, but " if name in poses else ""
-            raise InvalidInputError(f"has {about}no column {name!r}")
+            raise InvalidInputError(f"has no column {name!r}")
     for row in rows:
         yield side_of(row[header["side"]], "side"), row
 
