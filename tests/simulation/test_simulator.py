@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import mujoco
 import numpy as np
 import pytest
@@ -360,6 +362,19 @@ def test_bodies_are_where_pinocchio_has_them(name: str) -> None:
         body = simulator.data.body(joint)
         pose = affine(body.xmat.reshape(3, 3), body.xpos)
         np.testing.assert_allclose(pose, hand.frame_pose(joint, q, wrist), atol=1e-12)
+
+
+def test_links_without_mass_have_that_of_their_shapes() -> None:
+    hand = load_hand("three_finger")
+    text = re.sub(r"<inertial>.*?</inertial>", "", hand.urdf_text, flags=re.DOTALL)
+    light = Hand(hand.spec, urdf_text=text)
+    masses = [
+        Simulator(light, Body(CUBE), Physics(density=density)).model.body_mass
+        for density in (500.0, 1000.0)
+    ]
+    fingers = masses[0] != masses[1]
+    assert fingers.sum() >= 6
+    np.testing.assert_allclose(masses[1][fingers], 2.0 * masses[0][fingers])
 
 
 @pytest.mark.parametrize(

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 from simulation_cases import CUBE
@@ -24,6 +26,7 @@ from handmap_qp.apps.simulation.physics import (
 )
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
+    Pads,
     PinchOutcome,
     PinchScene,
     PinchTrial,
@@ -32,7 +35,10 @@ from handmap_qp.apps.simulation.pinch import (
     success_rate,
 )
 from handmap_qp.apps.simulation.simulator import Episode, Simulator
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.pads import find_pads
+from handmap_qp.hands.spec import PadSpec
 from handmap_qp.human.recording import Recording
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -76,6 +82,37 @@ def test_the_object_stands_where_the_robots_own_pads_meet(pinching: PinchScene) 
     # What is nearer than the pads can come is met at their nearest.
     never = pinching.meeting(-1.0)
     assert pinching.pads.gap(never.places) < 0.005
+
+
+def test_the_middle_is_as_far_from_the_surfaces_of_both_pads() -> None:
+    """A description may give the thumb a larger pad than the hand's shapes have."""
+    spec = load_hand("three_finger").spec
+    pad = PadSpec(radius=0.012)
+    points = tuple(
+        msgspec.structs.replace(point, pad=pad) if point.finger == "thumb" else point
+        for point in spec.points
+        if point.name in spec.sets["fingertips"]
+    )
+    sets = {"fingertips": spec.sets["fingertips"]}
+    hand = load_hand(msgspec.structs.replace(spec, points=points, sets=sets))
+    pads, chains = Pads(hand), find_fingers(hand)
+    thumb, finger = find_pads(hand, {n: chains[n] for n in ("thumb", "index")}).values()
+    assert thumb.radius > finger.radius + 1e-3
+    simulator = Simulator(hand, Body(CUBE))
+    simulator.reset(hand.rest, np.eye(4), np.eye(4))
+    places = pads.places(simulator)
+    middle = pads.middle(places)
+    to_thumb, to_finger = np.linalg.norm(places - middle, axis=1)
+    half = pads.gap(places) / 2.0
+    assert to_thumb - thumb.radius == pytest.approx(half)
+    assert to_finger - finger.radius == pytest.approx(half)
+
+
+def test_the_stand_lets_go_when_both_pads_press(lifted: PinchOutcome) -> None:
+    """Not when the pads should have met the object a while ago."""
+    at = lifted.episode.at
+    pressed = np.flatnonzero(at.links_touching >= 2)[0]
+    assert lifted.pinch_time == pytest.approx(at.time[-1] - at.time[pressed], abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -267,6 +304,27 @@ def test_the_command_counts_every_trial_and_writes_a_simulation(
     }
     assert str(columns["robot"]) == "panda_gripper"
     assert columns["q"].shape == (len(columns["time"]), len(columns["joint_names"]))
+
+
+def test_the_json_says_which_mapping_held_which_object(
+    lifted: PinchOutcome,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    heavy = [trial.mass > 0.05 for trial in random_trials(6, 0)]
+    assert any(heavy)
+    assert not all(heavy)
+
+    def run(_: PinchScene, trial: PinchTrial) -> PinchOutcome:
+        return replace(lifted, is_held=trial.mass > 0.05)
+
+    monkeypatch.setattr(PinchScene, "run", run)
+    words = ["simulate", "demo::right", "--robot", "panda_gripper", "--json"]
+    assert cli.main([*words, "--methods", "fingertip-vectors", "--trials", "6"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    wanted = [["fingertip-vectors"] if is_heavy else [] for is_heavy in heavy]
+    assert [trial["held"] for trial in found["trials"]] == wanted
+    assert found["rows"][0]["held %"] == round(100.0 * float(np.mean(heavy)), 1)
 
 
 def test_a_hand_without_shapes_cannot_touch() -> None:

@@ -104,22 +104,17 @@ class Simulate:
         found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
         if self.trials:
             found["rows"] = [trial_row(name, made) for name, made in outcomes.items()]
-            found["trials"] = [
-                describe_trial(trial)
-                | {"held": [name for name, made in outcomes.items() if made[i].is_held]}
-                for i, trial in enumerate(trials)
-            ]
+            found["trials"] = _described(trials, outcomes)
         else:
             firsts = {name: made[0] for name, made in outcomes.items()}
             found["rows"] = [outcome_row(name, made) for name, made in firsts.items()]
             self._write({name: made.episode for name, made in firsts.items()})
         if self.json:
             print(json.dumps(found))
-        else:
-            print_rows(f"{self.robot}: simulated", found["rows"])
-            for path in (self.out, self.picture, self.film, self.html):
-                if path is not None:
-                    print(f"wrote {path}")
+            return
+        print_rows(f"{self.robot}: simulated", found["rows"])
+        for path in filter(None, (self.out, self.picture, self.film, self.html)):
+            print(f"wrote {path}")
 
     def _check(self) -> None:
         """Reject options that contradict each other, before any work is done."""
@@ -182,3 +177,14 @@ class Simulate:
             film(episode, up, self.film)
         if self.html is not None:
             write_page(self.html, episodes, up, f"{self.robot}, simulated")
+
+
+def _described(
+    trials: list[PinchTrial], outcomes: dict[str, list[PinchOutcome]]
+) -> list[dict[str, Any]]:
+    """Describe every trial by plain values, with the mappings that held its object."""
+    described = []
+    for i, trial in enumerate(trials):
+        held = [name for name, made in outcomes.items() if made[i].is_held]
+        described.append(describe_trial(trial) | {"held": held})
+    return described
