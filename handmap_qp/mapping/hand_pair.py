@@ -13,12 +13,12 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.fingers import (
     Finger,
-    PalmKinematics,
+    Place,
     find_fingers,
     partner_names,
-    place_of,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
@@ -35,7 +35,7 @@ from handmap_qp.mapping.landmarks import (
     require_points,
 )
 from handmap_qp.mapping.matched_posture import nearest_posture
-from handmap_qp.se3 import as_floats, frozen, lengths, transform_points
+from handmap_qp.se3 import as_floats, frozen, inverse_pose, lengths, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
 """Landmark at the base of each finger, by the finger's name."""
@@ -145,9 +145,7 @@ class HandPair:
         self.partners = np.array([names[partner] for partner in wanted])
         shape = [table[finger] for finger in FINGERS for table in (TIPS, MIDDLES)]
         self.shape_points = np.array([names[name] for name in shape if name in names])
-        places = [place_of(human, point) for point in human.reference_points]
-        at_rest = PalmKinematics(human).points(resting_posture(human), places)
-        self.human_rest = frozen(at_rest)
+        self.human_rest = frozen(points_in_palm(human, resting_posture(human)))
         self.human_reach = bone_lengths(human, self.fingers)
         self.robot_reach = np.array(
             [self.chains[finger].reach for finger in self.fingers]
@@ -163,24 +161,22 @@ class HandPair:
 
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
-        view, others = PalmKinematics(self.robot), self._others
-        own = [place_of(self.robot, point) for point in self.robot.reference_points]
-        self.robot_rest = frozen(view.points(self.matched, own))
+        others = self._others
+        self.robot_rest = frozen(points_in_palm(self.robot, self.matched))
         chains = [self.chains[finger] for finger in self.fingers]
         places = [
             place
             for chain in chains
             for place in (chain.knuckle, chain.tip, chain.middle)
         ]
-        points = view.points(self.matched, places).reshape(-1, 3, 3)
+        points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
         self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
         self.human_knuckles = frozen(
             self.human_rest[self.knuckles[others]].mean(axis=0)
         )
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
-        self.robot_extension = frozen(
-            lengths(points[:, 1] - points[:, 0]) / self.robot_reach
-        )
+        spans = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+        self.robot_extension = frozen(spans / self.robot_reach)
 
     def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
         given = self.robot.matched if matched is None else matched
@@ -196,12 +192,13 @@ class HandPair:
         """
         if self.has_jaws:
             at_rest = self.human_rest[self.tips]
-            gaps = lengths(at_rest[1:] - at_rest[0])
+            gaps = np.linalg.norm(at_rest[1:] - at_rest[0], axis=1)
             pads = [self.pads[finger] for finger in self.fingers]
-            return _posture_with_gaps(self.robot, _OPENING, pads, gaps)
+            placed = _with_gaps(self.robot, _OPENING, pads, gaps)
+            return placed.q[self.robot.q_indices]
         robot = self.robot
         places = [self.chains[finger].knuckle for finger in self.fingers]
-        knuckles = PalmKinematics(robot).points(robot.rest, places)
+        knuckles = points_in_palm(self._measured.hand, robot.rest, places)
         in_palm = np.empty((len(robot.reference_points), 3))
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
@@ -329,13 +326,14 @@ def _finger_points(
     robot: Hand, chains: dict[str, Finger], tip_weight: float
 ) -> list[PointSpec]:
     """Make reference points of the fingertips, and of the middle joints except the thumb's."""
-    view = PalmKinematics(robot)
     points = []
     for finger, chain in chains.items():
         points.append(_point(robot, finger, TIPS[finger], chain.tip, tip_weight))
     for finger, chain in chains.items():
         apart = np.linalg.norm(
-            np.subtract(*view.points(robot.rest, [chain.middle, chain.knuckle]))
+            np.subtract(
+                *points_in_palm(robot, robot.rest, [chain.middle, chain.knuckle])
+            )
         )
         is_bending = len(chain.joints) > 1 and not chain.is_jaw
         if finger != THUMB and is_bending and apart > 0.1 * chain.reach:
@@ -360,6 +358,26 @@ def _point(
     return PointSpec(name, frame.name, (xyz[0], xyz[1], xyz[2]), finger, weight, name)
 
 
+def points_in_palm(
+    hand: Hand, q: np.ndarray, places: Sequence[Place] | None = None
+) -> np.ndarray:
+    """Return points of a hand in palm axes [m], shape (k, 3).
+
+    Args:
+        hand: The hand.
+        q: Its joint positions [rad or m], shape (n,).
+        places: Points on joints; the hand's reference points if omitted.
+    """
+    # A workspace for once: one that stays is a megabyte a hand.
+    placed = hand.configuration()
+    placed.place_frames(hand.configuration_vector(q))
+    points = placed.points
+    if places is not None:
+        points = AttachedPoints(hand, places).positions(placed)
+    palm = placed.frame_pose(hand.model.frames[hand.palm_frame_id])
+    return transform_points(inverse_pose(palm), points)
+
+
 def resting_posture(human: Hand) -> np.ndarray:
     """Return the human's rest posture with the thumb where recorded thumbs are at rest, (n,)."""
     q = human.rest.copy()
@@ -371,11 +389,11 @@ def resting_posture(human: Hand) -> np.ndarray:
 
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
-    points = {point.name: point for point in human.spec.points}
-    names = [name for finger in fingers for name in chain_landmarks(finger)]
-    places = [place_of(human, points[name]) for name in names]
-    joints = PalmKinematics(human).points(human.rest, places).reshape(-1, 4, 3)
-    return lengths(np.diff(joints, axis=1)).sum(axis=1)
+    described = human.with_points(human.spec.points)
+    index = point_indices(described)
+    chosen = [index[name] for finger in fingers for name in chain_landmarks(finger)]
+    joints = described.points(human.rest)[chosen].reshape(-1, 4, 3)
+    return np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
 
 
 def _pinching_thumb(
@@ -383,26 +401,25 @@ def _pinching_thumb(
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     # Reference points have no weight here, and one of them takes the least time.
-    light = hand.with_points(hand.reference_points[:1])
-    postures = [
-        _posture_with_gaps(
-            light, _PINCHING, [pads[THUMB], pads[finger]], [0.0], _PINCH_STEPS
-        )
-        for finger in chains
-        if finger != THUMB
-    ]
-    tips = PalmKinematics(hand).points(np.array(postures), [chains[THUMB].tip])
-    return tips[:, 0].mean(axis=0)
+    hand = hand.with_points(hand.reference_points[:1])
+    tip, tips = AttachedPoints(hand, [chains[THUMB].tip]), []
+    for finger in chains:
+        if finger != THUMB:
+            used = [pads[THUMB], pads[finger]]
+            placed = _with_gaps(hand, _PINCHING, used, [0.0], _PINCH_STEPS)
+            palm = placed.wrist.homogeneous @ hand.wrist_to_palm
+            tips.append(transform_points(inverse_pose(palm), tip.positions(placed))[0])
+    return np.mean(tips, axis=0)
 
 
-def _posture_with_gaps(
+def _with_gaps(
     hand: Hand,
     options: IkOptions,
     pads: Sequence[Pad],
     gaps: Iterable[float],
     steps: int = 1,
-) -> np.ndarray:
-    """Solve the posture, from rest on, in which the first pad has gaps to the others.
+) -> Configuration:
+    """Move a hand from rest so that the first pad has gaps to the others.
 
     Args:
         hand: The hand.
@@ -412,7 +429,7 @@ def _posture_with_gaps(
         steps: Most QP solutions; fewer if the gaps are reached before.
 
     Returns:
-        Joint positions [rad or m], shape (n,).
+        The hand there.
     """
     points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
     pairs = [(0, k) for k in range(1, len(pads))]
@@ -427,4 +444,4 @@ def _posture_with_gaps(
         places = points.positions(ik.configuration)
         if np.abs(lengths(places[1:] - places[0]) - wanted).max() < _TOUCHING:
             break
-    return ik.configuration.q[hand.q_indices]
+    return ik.configuration

@@ -21,11 +21,12 @@ from typing import Annotated, Literal
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.fingers import PalmKinematics, find_fingers
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.hand_pair import (
     KNUCKLES,
     bone_lengths,
+    points_in_palm,
     require_partners,
 )
 from handmap_qp.mapping.landmarks import PalmMap, PalmMethod, require_points
@@ -121,7 +122,7 @@ class BoundFingertipVectors(PalmMethod):
         knuckles = [KNUCKLES[finger] for finger in leading]
         self.human_origins = require_points(human, knuckles, "origin=knuckle")
         places = [chains[finger].knuckle for finger in led]
-        self.robot_origins = PalmKinematics(robot).points(robot.rest, places)
+        self.robot_origins = points_in_palm(robot, robot.rest, places)
         reaches = np.array([chains[finger].reach for finger in led])
         lengths = bone_lengths(human, leading)
         self.scales = (
