@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -324,7 +323,7 @@ class HandMapper:
         q = configuration.q[robot.q_indices]
         wrist = configuration.wrist.homogeneous
         if plan.bound.renews_reference:
-            kept = _copied(sample)
+            kept = deepcopy(sample)
             posture = RobotPosture(q.copy(), result.points.copy(), wrist.copy())
             self._reference = _Reference(kept, posture, plan.bound.start(kept, posture))
         return MapStep(
@@ -465,12 +464,12 @@ class HandMapper:
             contacts = bound.contacts
             motion = plan.ik.gate.motion
             solver = PointIk(bound.robot, plan.ik.options, motion, contacts=contacts)
-            plan = replace(plan, method=chosen, bound=bound, ik=solver)
+            plan = plan._replace(method=chosen, bound=bound, ik=solver)
             reference = None if reference is None else _bound_again(reference, bound)
         if ik is not None:
-            plan = replace(plan, ik=plan.ik.with_options(ik))
+            plan = plan._replace(ik=plan.ik.with_options(ik))
         if tasks is not None:
-            plan = replace(plan, tasks=tuple(tasks))
+            plan = plan._replace(tasks=tuple(tasks))
         self._plan = plan
         self._reference = reference
 
@@ -490,10 +489,9 @@ class HandMapper:
                 palm = bound.start_palm(sample)
             to_wrist = inverse_pose(bound.robot.wrist_to_palm)
             vector = start.vector(bound.robot, palm @ to_wrist)
-        kept = _copied(sample)
-        posture = _posture(bound.robot, vector)
-        begins_at = None if start is None else vector.copy()
-        return _Reference(kept, posture, bound.start(kept, posture), begins_at)
+        # The caller has the sample's arrays too, and may write into them.
+        reference = _count_from(bound, deepcopy(sample), vector)
+        return reference._replace(begins_at=None if start is None else vector.copy())
 
     def _begin(self, reference: _Reference) -> None:
         """Take a reference, and put the robot where it begins unless it is on its way."""
@@ -544,8 +542,7 @@ class HandMapper:
         return check_pose(robot_wrist, "robot_wrist", self.quat_order)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Plan:
+class _Plan(NamedTuple):
     """All that `configure` changes: the method, what it is for these hands, and the solver."""
 
     method: Method
@@ -554,8 +551,7 @@ class _Plan:
     tasks: tuple[Task, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Start:
+class _Start(NamedTuple):
     """Posture of the robot at the reference: joints (n,); wrist, None for the human's palm."""
 
     q: np.ndarray
@@ -568,8 +564,7 @@ class _Start:
         return robot.configuration_vector(self.q, wrist if robot.is_floating else None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Reference:
+class _Reference(NamedTuple):
     """Both hands at the reference, what the method made of them, and where the robot is put."""
 
     sample: HumanPose
@@ -578,16 +573,21 @@ class _Reference:
     begins_at: np.ndarray | None = None
 
 
+def _count_from(
+    bound: BoundMethod, sample: HumanPose, vector: np.ndarray
+) -> _Reference:
+    """Count from a sample and a configuration (nq,) of the robot."""
+    posture = _posture(bound.robot, vector)
+    return _Reference(sample, posture, bound.start(sample, posture))
+
+
 def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None:
     """Count from the same reference by another method; None if it lacks what that needs."""
-    sample = reference.sample
-    robot = bound.robot
-    before = reference.posture
+    sample, posture = reference.sample, reference.posture
     if (bound.needs_wrist or bound.reference_needs_wrist) and sample.wrist is None:
         return None
-    wrist = before.wrist if robot.is_floating else None
-    posture = _posture(robot, robot.configuration_vector(before.q, wrist))
-    return _Reference(sample, posture, bound.start(sample, posture))
+    vector = _Start(posture.q, posture.wrist).vector(bound.robot, posture.wrist)
+    return _count_from(bound, sample, vector)
 
 
 def _method_of(
@@ -636,13 +636,6 @@ def _check_joints(
             value=float(angles[i]),
         )
     return angles, excess
-
-
-def _copied(sample: HumanPose) -> HumanPose:
-    """Copy a sample that is kept: the caller has its arrays too, and may write into them."""
-    return HumanPose(
-        sample.points.copy(), None if sample.wrist is None else sample.wrist.copy()
-    )
 
 
 def check_dt(dt: float) -> float:
