@@ -197,11 +197,9 @@ class BoundTeleoperation(PalmMethod):
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
         )
-        self.pinched = (
-            tuple(f for f in pair.fingers if f != THUMB)
-            if THUMB in pair.fingers
-            else ()
-        )
+        # The thumb comes first.
+        self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
+        self.pads = [pair.pads[f] for f in (THUMB, *self.pinched) if self.pinched]
         self._prepare_distances()
         self._prepare_margins()
 
@@ -220,21 +218,18 @@ class BoundTeleoperation(PalmMethod):
     def _prepare_distances(self) -> None:
         """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
         pair = self.pair
-        places, pairs = [], []
-        for finger in pair.fingers:
-            chain = pair.chains[finger]
-            pairs.append((len(places), len(places) + 1))
-            places += [chain.knuckle, chain.tip]
-        pads = [pair.pads[f] for f in (THUMB, *self.pinched)] if self.pinched else []
+        chains = [pair.chains[finger] for finger in pair.fingers]
+        places = [place for chain in chains for place in (chain.knuckle, chain.tip)]
         first = len(places)
-        pairs += [(first, first + k) for k in range(1, len(pads))]
-        places += [(pad.joint, pad.offset) for pad in pads]
-        points = AttachedPoints(pair.robot, places)
-        damping = [_EXTENSION_DAMPING] * len(pair.fingers) + [_PINCH_DAMPING] * len(
-            self.pinched
-        )
+        pairs = [(k, k + 1) for k in range(0, first, 2)]
+        pairs += [(first, first + k) for k in range(1, len(self.pads))]
+        places += [(pad.joint, pad.offset) for pad in self.pads]
+        counts = [len(chains), len(self.pinched)]
         self.distances = PointDistances(
-            points, pairs, np.zeros(len(pairs)), damping=damping
+            AttachedPoints(pair.robot, places),
+            pairs,
+            np.zeros(len(pairs)),
+            damping=np.repeat([_EXTENSION_DAMPING, _PINCH_DAMPING], counts),
         )
         self._prepare_aims()
 
@@ -245,9 +240,10 @@ class BoundTeleoperation(PalmMethod):
         human = self.pair.human_rest
         at_rest = np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1)
         posture = pair.robot_extension - at_rest / pair.human_reach
-        radii = [pair.pads[f].radius for f in (THUMB, *self.pinched) if self.pinched]
         # The robot's pads press on each other here.
-        touching = np.array([radii[0] + radius - _SQUEEZE for radius in radii[1:]])
+        touching = np.array(
+            [self.pads[0].radius + pad.radius - _SQUEEZE for pad in self.pads[1:]]
+        )
         # Between jaws, an object is as large as between the human's fingers.
         ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
         many = np.ones(len(pair.fingers))
@@ -288,8 +284,7 @@ class BoundTeleoperation(PalmMethod):
         self.pinch_pairs, self.pinch_of_pair = (
             np.array(closing, dtype=int).reshape(-1, 2).T
         )
-        pads = self.pair.pads
-        covers = [pads[THUMB].cover + pads[finger].cover for finger in self.pinched]
+        covers = [self.pads[0].cover + pad.cover for pad in self.pads[1:]]
         self.pinch_margins = _CONTACT_MARGIN + np.array(covers).take(self.pinch_of_pair)
 
 
@@ -308,10 +303,9 @@ class TeleoperationMap(PalmMap):
         self._palm_before = palm_of(sample, method.human)
         # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
         # thumb's.
-        thumb = pair.tips[[pair.fingers.index(THUMB) for _ in method.pinched]]
-        pinched = pair.tips[[pair.fingers.index(finger) for finger in method.pinched]]
-        self._from = np.concatenate([pair.knuckles, thumb])
-        self._to = np.concatenate([pair.tips, pinched])
+        count = len(method.pinched)
+        self._from = np.append(pair.knuckles, pair.tips[:1].repeat(count))
+        self._to = np.append(pair.tips, pair.tips[1 : 1 + count])
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
