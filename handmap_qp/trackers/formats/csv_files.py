@@ -110,8 +110,15 @@ def _by_side(
 
 
 @contextmanager
-def opened_table(path: Path) -> Iterator[tuple[dict[str, int], Iterator[Row]]]:
+def opened_table(
+    path: Path, *, is_padded: bool = False
+) -> Iterator[tuple[dict[str, int], Iterator[Row]]]:
     """Open a CSV file of any columns.
+
+    Args:
+        path: The file.
+        is_padded: Whether a row may end early, as those of trackers that lost the hand do; its last
+            fields are then empty.
 
     Yields:
         Places of the columns by name, and the rows below the header that are not empty.
@@ -123,16 +130,18 @@ def opened_table(path: Path) -> Iterator[tuple[dict[str, int], Iterator[Row]]]:
     with reading(path), path.open(encoding="utf-8-sig", newline="") as file:
         reader = csv.reader(file)
         with reading(path, problem, table=reader):
-            rows = _rows(reader)
+            rows = _rows(reader, is_padded)
             names = next(rows, [])
             yield {name.strip(): place for place, name in enumerate(names)}, rows
 
 
-def _rows(reader: Iterable[Row]) -> Iterator[Row]:
+def _rows(reader: Iterable[Row], is_padded: bool) -> Iterator[Row]:
     count = 0
     for row in reader:
         if any(map(str.strip, row)):
             count = count or len(row)
+            if is_padded:
+                row += [""] * (count - len(row))
             got = f"{len(row)}"
             expect(len(row) == count, "", f"{count} fields", got=got)
             yield row

@@ -194,7 +194,7 @@ def _read_columns(
     side: Side | None,
 ) -> dict[str, np.ndarray]:
     """Return the columns of a CSV file by the names that an `.npz` file has for them."""
-    with opened_table(file) as (header, rows):
+    with opened_table(file, is_padded=True) as (header, rows):
         hand = side or _named_side(" ".join(header).lower())
         own = layout.find_columns(tuple(header), hand or "right").values()
         times = [name for name in _time_units(layout) if name in header][:1]
