@@ -182,7 +182,8 @@ def fit_side(recording: Recording, robot: Hand, *, mirror: bool) -> Recording:
         InvalidInputError: If the sides differ and no mirror image is asked for, or the other way
             round.
     """
-    side, own = recording.side, robot.spec.side
+    side = recording.side
+    own = robot.spec.side
     fingers = {point.finger for point in robot.spec.points} & set(FINGERS)
     if mirror and side == own:
         raise InvalidInputError(
@@ -337,7 +338,8 @@ class MappingArguments:
 
     def changed(self) -> list[str]:
         """Return the options that were given, as `--ridge` or `--ik.damping`."""
-        usual, names = MappingArguments(), []
+        usual = MappingArguments()
+        names = []
         for prefix, flags in (("--", self.method), ("--ik.", self.ik)):
             names += [prefix + name.replace("_", "-") for name in _given(flags)]
         for name in ("preset", "human_points", "robot_points", "options", "smooth"):

@@ -155,7 +155,8 @@ def kinematics_difference(
     robot_data = robot.createData()
     worst = 0.0
     for _ in range(postures):
-        data.qpos[:], turns = model.qpos0, np.zeros(robot.nv)
+        data.qpos[:] = model.qpos0
+        turns = np.zeros(robot.nv)
         for joint, name in converted.joints.items():
             position = random.uniform(-1.0, 1.0)
             data.qpos[model.jnt_qposadr[joint]] = position

@@ -293,10 +293,12 @@ def fit_recording(
         if valid[i]:
             q[i], wrist[i], error[i] = fitter.fit(recording.landmarks[i])
         else:
-            q[i], wrist[i] = q[i - 1], wrist[i - 1]
+            q[i] = q[i - 1]
+            wrist[i] = wrist[i - 1]
         if progress is not None:
             progress(i + 1)
-    q[:first], wrist[:first] = q[first], wrist[first]
+    q[:first] = q[first]
+    wrist[:first] = wrist[first]
     steps = recording.steps
     return HumanMotion(fitter.human, recording.time, steps, q, wrist, valid, error)
 

@@ -78,7 +78,8 @@ class Recording:
         is_right = ~valid | finite_samples(landmarks)
         finite = "finite numbers in every valid sample"
         _expect_each(is_right, "landmarks", finite, landmarks, "others in sample {1}")
-        wrist, confidence = self.wrist, self.confidence
+        wrist = self.wrist
+        confidence = self.confidence
         if wrist is not None:
             wrist = check_poses(wrist, "wrist", valid)
         if confidence is not None:

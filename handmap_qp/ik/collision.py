@@ -64,7 +64,8 @@ _TOLERANCE = 1e-9
 _FEW = 20
 # Points of a path that are measured, at most; a path that needs more counts as not clear.
 _MOST_POINTS = 30
-_YZX, _ZXY = [1, 2, 0], [2, 0, 1]
+_YZX = [1, 2, 0]
+_ZXY = [2, 0, 1]
 # Part of the free distance that one step may use.
 _GAIN = 0.85
 # Where there is a horizon, pairs get rows that may be within their margin, this distance [m], and
@@ -122,7 +123,8 @@ class ShapeDistances:
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
         self._model = model
         self._geometry = geometry
-        self._data, self._shapes = model.createData(), geometry.createData()
+        self._data = model.createData()
+        self._shapes = geometry.createData()
         for request in self._shapes.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
         self.levers, self.turns = _pair_motions(model, geometry)
@@ -267,7 +269,8 @@ class ShapeDistances:
             those = those[is_open]
             before = before[is_open]
             after = after[is_open]
-            middle, taken = 0.5 * (low + high), taken + 1
+            middle = 0.5 * (low + high)
+            taken = taken + 1
             between = self._found_at(
                 pin.integrate(self._model, start.q, middle * step), pairs[those]
             )
@@ -352,7 +355,8 @@ def _extent(shape: pin.GeometryObject) -> tuple[np.ndarray, float]:
 
     The corners of its bounding box, or the centre of its bounding ball if that is smaller.
     """
-    geometry, place = shape.geometry, shape.placement
+    geometry = shape.geometry
+    place = shape.placement
     geometry.computeLocalAABB()
     least = geometry.aabb_local.min_
     most = geometry.aabb_local.max_
@@ -532,7 +536,8 @@ def feasible(
         h = h - G.dot(so_far)
     witness = clip(0.0, lower, upper)
     kept = G.dot(witness)
-    excess, loose = kept - h, np.maximum(h, kept)
+    excess = kept - h
+    loose = np.maximum(h, kept)
     is_nearer = excess > _ROUGHLY
     if not is_nearer.any():
         return G, loose

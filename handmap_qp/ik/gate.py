@@ -218,7 +218,8 @@ class Gate:
         Returns:
             Whether it is reached.
         """
-        dt, motion = max(dt, SHORTEST_DT), self.motion
+        dt = max(dt, SHORTEST_DT)
+        motion = self.motion
         change = pin.difference(self._hand.model, motion.q, goal)[
             self._hand.active_columns
         ]

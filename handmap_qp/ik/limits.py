@@ -134,7 +134,8 @@ class BoxLimits:
         """
         here = q[self._coordinates]
         farthest = self.speeds * dt
-        down, up = self._lower - here, self._upper - here
+        down = self._lower - here
+        up = self._upper - here
         lower = clip(down, -farthest, farthest)
         upper = clip(up, -farthest, farthest)
         if self.acceleration == math.inf:
@@ -151,7 +152,8 @@ class BoxLimits:
             most = np.minimum(braking_displacement(distance, change), usable)
             return np.where(self.together, np.minimum(most, distance / stretch), most)
 
-        least, most = -admissible(-down), admissible(up)
+        least = -admissible(-down)
+        most = admissible(up)
         lowest = middle - change
         highest = middle + change
         slack = _ROUNDING * dt

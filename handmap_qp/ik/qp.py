@@ -105,7 +105,8 @@ def weighted_task(
         wrist: Target of the wrist frame; None leaves it free, with zeros in its rows.
     """
     costs = _costs(hand, options)
-    twist, derivative = np.zeros(6), np.zeros((6, 6))
+    twist = np.zeros(6)
+    derivative = np.zeros((6, 6))
     if wrist is not None:
         offset = wrist.actInv(configuration.wrist)
         twist = pin.log6(offset).vector
@@ -274,7 +275,8 @@ class PointIk:
         configuration = self.configuration
         gate = self.gate
         collisions = self.collisions
-        dt, start = max(dt, SHORTEST_DT), gate.motion.q
+        dt = max(dt, SHORTEST_DT)
+        start = gate.motion.q
         self._catch_up()
         goal = self._goal(point_targets, wrist_target, dt, rest, tasks)
         lower, upper = gate.bounds(dt, speed)
@@ -291,7 +293,8 @@ class PointIk:
             and iterations < self.options.max_iterations
         ):
             # Leave later iterations the rest of the bounds, which hold for the whole sample.
-            least, most = lower - total, upper - total
+            least = lower - total
+            most = upper - total
             if linear is not None:
                 stopping = gate.stopping(dt)
                 rows = feasible(linear, least, most, stopping=stopping, so_far=total)

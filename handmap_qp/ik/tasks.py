@@ -174,7 +174,8 @@ class PointDistances:
                 expected=f"two different points below {len(points)}",
                 value=pairs,
             )
-        self._points, (self._first, self._second) = points, indices.T
+        self._points = points
+        (self._first, self._second) = indices.T
         self._distances = _check_numbers(distances, len(indices), "distances")
         self._weights = _check_numbers(weights, len(indices), "weights")
         self._damping = _check_numbers(damping, len(indices), "damping")
@@ -187,7 +188,8 @@ class PointDistances:
             weights: Weight of each pair per 10 mm of error, shape (p,).
         """
         task = copy(self)
-        task._distances, task._weights = distances, weights
+        task._distances = distances
+        task._weights = weights
         return task
 
     def linearise(self, hand: Configuration) -> TaskRows:

@@ -202,7 +202,8 @@ def _episode(
     time = columns["time"]
     count = int(np.floor((time[-1] - time[0]) * fps + 1e-6)) + 1
     instants = np.minimum(time[0] + np.arange(count) / fps, time[-1])
-    states, valid = [], []
+    states = []
+    valid = []
     for side, hand in hands.items():
         state = np.tile([*hand.rest, *_NO_WRIST], (count, 1))
         seen = np.zeros(count, dtype=bool)
@@ -225,7 +226,8 @@ def _resampled(
     columns: dict[str, np.ndarray], instants: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate joints and wrist; a frame is valid between two valid samples."""
-    time, wrist = columns["time"], columns["wrist"]
+    time = columns["time"]
+    wrist = columns["wrist"]
     quats = continuous_quats(wrist[:, :3, :3])
     rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
     state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)

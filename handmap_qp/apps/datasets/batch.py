@@ -152,7 +152,8 @@ def run_batch(
         DiskFullError: If the disk is full. The episodes that have a line are done.
         InvalidInputError: If the manifest cannot be written.
     """
-    started, useful = _cpu_time(), 0.0
+    started = _cpu_time()
+    useful = 0.0
     last: dict[str, Line] = {}
     with open_manifest(folder, shard) as append:
         for line in engine.outcomes(plan.jobs, dict(plan.kills), is_stopped):

@@ -108,7 +108,8 @@ class Job:
         self, status: Status, *, error: str = "", kills: int = 0, cpu_s: float = 0.0
     ) -> Line:
         """Return a line of the manifest about this job, without results."""
-        task, file = self.task, self.task.file
+        task = self.task
+        file = self.task.file
         return Line(
             key=task.key,
             status=status,

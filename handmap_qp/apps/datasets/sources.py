@@ -178,7 +178,8 @@ def _paths_of(
             argument="INPUT", problem=f"{given}: no such file or folder"
         )
     # Links come last, so that they do not change the names of the files they lead to.
-    waiting, links = deque([given]), deque[Path]()
+    waiting = deque([given])
+    links = deque[Path]()
     while waiting or links:
         path = (waiting or links).popleft()
         identity = _identity(path)

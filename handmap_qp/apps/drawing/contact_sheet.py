@@ -177,7 +177,8 @@ def contact_sheet(
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     pictures = pose_pictures(columns, rows, side=side)
-    (width, height), (count, wide) = CELL, pictures.shape[:2]
+    width, height = CELL
+    count, wide = pictures.shape[:2]
     bottom = _TOP + count * height
     span = len(VIEWS) * width
     canvas = np.ones((bottom + _BOTTOM, _LEFT + wide * span, 3))

@@ -125,7 +125,8 @@ def load_shape(
     ).robot
     palette = _palette(robot)
     has_visuals = any(link.visuals for link in robot.links)
-    links, missing = [], []
+    links = []
+    missing = []
     for link in robot.links:
         parts = []
         for shape in link.visuals if has_visuals else link.collisions:

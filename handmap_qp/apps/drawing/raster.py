@@ -141,7 +141,8 @@ class Camera:
 
     def magnified(self, factor: int) -> Camera:
         """Return the same view with `factor` times as many pixels along each side."""
-        (x, y), (width, height) = self.centre, self.size
+        x, y = self.centre
+        width, height = self.size
         return Camera(
             self.world_to_camera,
             factor * self.focal_length,
@@ -243,8 +244,10 @@ def _planes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Shapes (n, 3, 3) and (n,); the area is positive if the triangle is seen from the front.
     """
-    x, y = corners[..., 0], corners[..., 1]
-    after, before = [1, 2, 0], [2, 0, 1]
+    x = corners[..., 0]
+    y = corners[..., 1]
+    after = [1, 2, 0]
+    before = [2, 0, 1]
     constant = x[:, after] * y[:, before] - x[:, before] * y[:, after]
     area = constant.sum(axis=1)
     planes = np.stack(
@@ -262,7 +265,8 @@ def _spans(
     width, height = size
     seen = np.flatnonzero(is_seen)
     y = corners[seen, :, 1]
-    low, high = y.min(axis=1), y.max(axis=1)
+    low = y.min(axis=1)
+    high = y.max(axis=1)
     top = np.clip(np.ceil(low - 0.5), 0, height).astype(np.int64)
     bottom = np.clip(np.floor(high - 0.5) + 1, 0, height).astype(np.int64)
     rows = np.maximum(bottom - top, 0)
@@ -304,7 +308,8 @@ def _shaded(
     pixels = surface.pixels
     triangle = surface.triangle
     rotation = camera.world_to_camera[:3, :3]
-    x, y = pixels % width, pixels // width
+    x = pixels % width
+    y = pixels // width
     corners = triangles.normals[triangle] @ rotation.T
     shares = [_at(surface.planes[triangle, corner], x, y) for corner in range(3)]
     normals = unit(np.einsum("ck,kcj->kj", shares, corners))
@@ -344,7 +349,8 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     # Repeat the border of the picture, and look at solid pixels only.
     room = int(np.ceil(reach)) + 1
     padded = np.pad(depth, room, mode="edge")
-    stride, padded = padded.shape[1], padded.ravel()
+    stride = padded.shape[1]
+    padded = padded.ravel()
     rows, columns = np.nonzero(is_solid)
     places = (rows + room) * stride + columns + room
     solid = depth[is_solid]

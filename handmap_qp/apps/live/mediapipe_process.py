@@ -71,7 +71,8 @@ def position_in_camera(
     u = (places - centre) / focal_length
     rows = np.zeros((2, len(shape), 3))
     rows[0, :, 0] = rows[1, :, 1] = 1.0
-    rows[0, :, 2], rows[1, :, 2] = -u[:, 0], -u[:, 1]
+    rows[0, :, 2] = -u[:, 0]
+    rows[1, :, 2] = -u[:, 1]
     sides = u.T * shape[:, 2] - shape[:, :2].T
     return np.linalg.lstsq(rows.reshape(-1, 3), sides.ravel(), rcond=None)[0]
 
@@ -130,13 +131,15 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     name = f"video {arguments.video}"
     patience = 0
     if not (is_file := arguments.video is not None):
-        source, patience = arguments.camera, _LOST
+        source = arguments.camera
+        patience = _LOST
         name = f"camera {source}"
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         _stop(f"{name} cannot be read")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
-    start, count = time.monotonic(), 0
+    start = time.monotonic()
+    count = 0
     for count, picture in enumerate(_read(capture, patience), start=1):
         stamp = start + (count - 1) / rate if is_file else time.monotonic()
         time.sleep(max(0.0, stamp - time.monotonic()) * arguments.paced)

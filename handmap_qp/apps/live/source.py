@@ -96,7 +96,8 @@ def run(
             open_sinks.enter_context(sink)
         with contextlib.suppress(KeyboardInterrupt):
             for sample in source:
-                count, seen = count + 1, seen + sample.valid
+                count = count + 1
+                seen = seen + sample.valid
                 times.append(sample.time)
                 for sink in sinks:
                     sink.put(sample)
@@ -157,7 +158,8 @@ class Replay:
 
     def _timed(self) -> Iterator[HumanSample]:
         """Yield samples with time stamps that start at 0 and keep increasing through all loops."""
-        recording, offset = self._recording, 0.0
+        recording = self._recording
+        offset = 0.0
         duration = recording.time[-1] - recording.time[0] + np.median(recording.steps)
         while True:
             for sample in recording_samples(recording):

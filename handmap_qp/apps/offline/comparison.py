@@ -292,7 +292,8 @@ def compare_methods(
             advice="name the fingers of its points in hand.yaml",
         )
     workspace = sample_workspace(robot, chains)
-    runs, total = [], len(takes) * len(methods)
+    runs = []
+    total = len(takes) * len(methods)
     for take in takes:
         for method in methods:
             progress(f"{method.name} on {take.name}", len(runs), total)
@@ -383,7 +384,8 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
 def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
     """Map the landmarks of a take, with the palm that it is measured against."""
     _, method, ik = preset_choice(base_name(name), take.human)
-    recording, wrist = take.recording, take.wrist
+    recording = take.recording
+    wrist = take.wrist
     if name.endswith(LOOK_AHEAD):
         options = LookAhead()
         wrist = smooth_poses(recording.time, wrist, recording.valid, options)

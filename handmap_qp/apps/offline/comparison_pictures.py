@@ -228,7 +228,8 @@ def _range(metric: Metric, means: list[float]) -> tuple[float, float]:
     finite = np.array([v for v in means if np.isfinite(v)])
     if not len(finite):
         return 0.0, 1.0
-    low, high = min(0.0, finite.min()), finite.max()
+    low = min(0.0, finite.min())
+    high = finite.max()
     middle = np.median(np.abs(finite))
     if metric.better == "high":
         high = max(high, 1.0) if high > 0.5 else high

@@ -162,7 +162,8 @@ def errors_figure(trajectory: Trajectory) -> Figure:
 
 def joints_figure(trajectory: Trajectory) -> Figure:
     """Draw each joint of the robot over time, with its limits."""
-    robot, time = trajectory.robot, trajectory.time
+    robot = trajectory.robot
+    time = trajectory.time
     rows = -(-len(robot.joint_names) // 4)
     figure = require("matplotlib.figure", "plot").Figure(
         figsize=(9.5, 2.1 * rows + 0.4), layout="constrained"

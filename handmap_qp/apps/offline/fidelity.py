@@ -191,7 +191,8 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> dict[str, np.ndarray]:
     by the mean ratio of reaches. So it does not depend on the origin of the palm frame, which is a
     convention of each robot's description. Both are in mm of the human's hand.
     """
-    one, other = human.extension, robot.extension
+    one = human.extension
+    other = robot.extension
     is_still = np.minimum(np.ptp(one, axis=0), np.ptp(other, axis=0)) < _STILL
     low, high = np.percentile(one, (2.0, 98.0), axis=0)
     knuckle_h, tip_h = (human.local[:, :, place] for place in (KNUCKLE, TIP))
@@ -283,7 +284,8 @@ def gap_metrics(
     shared = [name for name in wanted if name in gaps.pinches]
     h = np.array([wanted[name] for name in shared]).ravel()
     r = np.array([gaps.pinches[name][counts] for name in shared]).ravel()
-    pinched, apart = r[h < PINCH], r[h > OPEN]
+    pinched = r[h < PINCH]
+    apart = r[h > OPEN]
     nearest = gaps.nearest[counts]
     found: Values = {
         "self_penetration": (nearest < -TOUCHING).mean(),
@@ -352,7 +354,8 @@ def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
     lags = range(-most, most + 1)
     values = np.array([_lagged_correlation(a, b, lag) for lag in lags])
-    best, shift = int(np.argmax(values)), 0.0
+    best = int(np.argmax(values))
+    shift = 0.0
     if 0 < best < 2 * most:
         before, here, after = values[best - 1 : best + 2]
         curvature = before - 2.0 * here + after

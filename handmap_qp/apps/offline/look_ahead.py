@@ -87,7 +87,8 @@ def look_ahead(recording: Recording, options: LookAhead | None = None) -> Record
         tracker are left out, because the filled samples have none.
     """
     chosen = options or LookAhead()
-    time, valid = recording.time, recording.valid
+    time = recording.time
+    valid = recording.valid
     filled = _filled(time, valid, chosen.longest_gap)
     landmarks = recording.landmarks.copy()
     for part in stretches(filled):

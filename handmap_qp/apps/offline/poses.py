@@ -77,7 +77,8 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
         flexion = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).sum(axis=2)
     # The turn about the normal from index to little finger: on both hands, the normal is such
     # that the little finger's side is the positive one.
-    index, little = bones[:, 0, 1], bones[:, 3, 1]
+    index = bones[:, 0, 1]
+    little = bones[:, 3, 1]
     sine = (np.cross(index, little) * normal).sum(axis=1)
     along = (index * normal).sum(axis=1) * (little * normal).sum(axis=1)
     cosine = (index * little).sum(axis=1) - along

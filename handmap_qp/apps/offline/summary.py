@@ -127,7 +127,8 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
     Returns:
         Formatted values, with their units, by label.
     """
-    number, events = summary, summary["events"]
+    number = summary
+    events = summary["events"]
     holds = [
         f"{event['rule']} at {event['start']:.2f} s for {event['duration']:.2f} s"
         for event in events[:_NAMED_HOLDS]
@@ -161,7 +162,8 @@ def _arm(trajectory: Trajectory) -> dict[str, float] | None:
     The scale is the largest one at which no target is farther from the first sample than the wrist
     got.
     """
-    robot, seen = trajectory.robot, trajectory.valid
+    robot = trajectory.robot
+    seen = trajectory.valid
     if robot.is_floating or not robot.has_moving_wrist or not seen.any():
         return None
     places = trajectory.wrist[seen, :3, 3]

@@ -318,7 +318,8 @@ def rms_derivative(
         RMS over columns and instants [unit/s^order]; NaN without `order + 1` consecutive valid
         samples.
     """
-    differences, usable = values, valid
+    differences = values
+    usable = valid
     for k in range(1, order + 1):
         # k! f[t_0 .. t_k] is the k-th derivative of the polynomial through k + 1 samples.
         differences = k * np.diff(differences, axis=0) / (time[k:] - time[:-k])[:, None]

@@ -160,7 +160,8 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
         except HandError as error:
             report.findings.append(Finding("error", error.key or "hand", str(error)))
             return report
-        report.name, report.measured["Joints"] = built.name, _joint_rows(built)
+        report.name = built.name
+        report.measured["Joints"] = _joint_rows(built)
         for check in _CHECKS[: None if has_motion else -1]:
             try:
                 report.findings += check(built, report.measured)

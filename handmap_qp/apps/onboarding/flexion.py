@@ -84,7 +84,8 @@ class HandFlexion:
         for i, finger in enumerate(fingers):
             self.moves[i, finger.columns] = True
             if (group := finger.flexion) is not None and group.curls:
-                self._groups[i], self.bases[i] = group, group.knuckle
+                self._groups[i] = group
+                self.bases[i] = group.knuckle
                 straight[i, group.columns] = group.straight
                 self.sign[group.columns] += group.certainty * group.sense * group.signs
         # A joint that moves several fingers takes the mean of their straight positions.

@@ -534,7 +534,8 @@ class Session:
         Raises:
             RefusedError: With the option at fault. Nothing has changed then.
         """
-        mapper, human = hands.mapper, hands.mapper.human
+        mapper = hands.mapper
+        human = hands.mapper.human
         if self._gap_meter is not None and hands is self._hands:
             human = human.with_contact_gap(self._gap_meter.gap)
         choice = read_choice(wanted, human, hands.robot)

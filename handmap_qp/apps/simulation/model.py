@@ -155,7 +155,8 @@ def _add_joint(body: Any, model: pin.Model, index: int) -> None:
         model.upperPositionLimit[joint.idx_q],
     ]
     if np.abs(ends).max() < _UNLIMITED:
-        made.limited, made.range = mujoco.mjtLimited.mjLIMITED_TRUE, ends
+        made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+        made.range = ends
 
 
 def _set_inertia(

@@ -59,7 +59,8 @@ Objects = Literal["nominal", "varied"]
 """One object at random places, or random objects at random places."""
 
 # Standard deviation of the place along each axis [m], and largest turn about the vertical [rad].
-_PLACE, _YAW = 0.004, math.radians(20.0)
+_PLACE = 0.004
+_YAW = math.radians(20.0)
 _SIZES = (0.02, 0.045)
 _MASSES = (0.02, 0.2)
 _FRICTIONS = (0.5, 1.0)
@@ -212,7 +213,9 @@ class PinchScene:
             self.physics.replaced(friction=trial.friction),
             affine(self._upright(met, trial.yaw), place),
         )
-        instants, times, distances = [], [], []
+        instants = []
+        times = []
+        distances = []
         for time in self._play(simulator):
             instants.append(simulator.instant())
             is_late = time >= met.time + _LATEST
@@ -250,7 +253,8 @@ class PinchScene:
         last = int(near[0])
         if last == 0:
             return instants[0]
-        before, after = instants[last - 1], instants[last]
+        before = instants[last - 1]
+        after = instants[last]
         share = (gaps[last - 1] - width) / (gaps[last - 1] - gaps[last])
         return Meeting(
             before.time + share * (after.time - before.time),

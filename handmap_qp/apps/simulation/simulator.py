@@ -201,7 +201,9 @@ class Simulator:
         # Pinocchio and MuJoCo have one number for each joint, after those of the base.
         first = 1
         if hand.is_floating:
-            first, base, positions = 2, positions[:7], positions[7:]
+            first = 2
+            base = positions[:7]
+            positions = positions[7:]
             data.joint(hand.model.names[1]).qpos = base[_SEVEN]
         for name, position in zip(hand.model.names[first:], positions, strict=True):
             data.joint(name).qpos = position
@@ -252,7 +254,8 @@ class Simulator:
 
     def contacts(self) -> Contacts:
         """Return the contacts between the hand and the object."""
-        model, data = self.model, self.data
+        model = self.model
+        data = self.data
         contact = data.contact
         is_object = data.contact.geom == model.geom(OBJECT).id
         rows = np.flatnonzero(is_object.any(axis=1) & (contact.efc_address >= 0))

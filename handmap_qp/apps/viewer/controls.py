@@ -44,7 +44,8 @@ def say(handle: Any, said: str | HandmapError | None) -> None:
         said: The message.
     """
     text = f"**Not possible:** {said}" if isinstance(said, HandmapError) else said or ""
-    handle.visible, handle.content = text != "", text
+    handle.visible = text != ""
+    handle.content = text
 
 
 class _Control:
@@ -85,7 +86,8 @@ class _Control:
 
     def set_visible(self, is_visible: bool) -> None:
         """Show or hide the control; what the user changed before then does not count."""
-        self._taken, self.handle.visible = self.handle.value, is_visible
+        self._taken = self.handle.value
+        self.handle.visible = is_visible
 
 
 def _take_changes(controls: dict[str, _Control]) -> dict[str, Any]:
@@ -231,7 +233,8 @@ class SteeringControls:
 
     def show_released(self, is_released: bool) -> None:
         """Enable the button that has an effect."""
-        self.release.disabled, self.clutch.disabled = is_released, not is_released
+        self.release.disabled = is_released
+        self.clutch.disabled = not is_released
 
 
 class OptionControls:
@@ -307,7 +310,8 @@ class OptionControls:
         high = min(high, max(usual, low + 1.0) if low else usual)
         step = 10.0 ** math.floor(math.log10((high - low) / 40.0))
         if isinstance(option.default, int):
-            step, high = 1, int(high)
+            step = 1
+            high = int(high)
         handle = self._gui.add_slider(label, low, high, step, low, hint=option.about)
 
         def to_shown(value: float | None) -> float:

@@ -139,7 +139,8 @@ class Figure(ABC):
         """Turn the figure's world to other axes (3, 3), and forget which room it needs."""
         self.axes = axes
         self._frame.wxyz = quat_wxyz_from_rotation(axes)
-        self.extent, self.travel = np.empty((0, 3)), np.empty((0, 3))
+        self.extent = np.empty((0, 3))
+        self.travel = np.empty((0, 3))
 
     def fit(self, samples: Iterable[ViewSample]) -> None:
         """Make room for instants that are known beforehand, save for rare excursions."""
@@ -404,7 +405,8 @@ class HandFigure(Figure):
         quats = Rotation.from_matrix(placed[:, :3, :3]).as_quat(scalar_first=True)
         nodes = (self._body, *self._links.values())
         for node, quat, position in zip(nodes, quats, placed[:, :3, 3], strict=True):
-            node.wxyz, node.position = quat, position
+            node.wxyz = quat
+            node.position = position
 
     def _box(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
@@ -460,7 +462,8 @@ class HumanFigure(HandFigure):
 
     def seen(self, sample: ViewSample) -> Seen:
         """Return the human hand of a sample."""
-        q, wrist = sample.human_q, sample.human_wrist
+        q = sample.human_q
+        wrist = sample.human_wrist
         posture = None if q is None or wrist is None else (q, wrist)
         return Seen(sample.human_points, posture)
 
@@ -473,7 +476,8 @@ class HumanFigure(HandFigure):
     def draw(self, sample: ViewSample) -> None:
         """Draw the hand, its points and the deformation."""
         super().draw(sample)
-        linear, pivot = sample.deformation, sample.pivot
+        linear = sample.deformation
+        pivot = sample.pivot
         shape = "off" if linear is None else self.shape
         self._ball.visible = self._ellipsoid.visible = shape == "ellipsoid"
         self._cube.visible = shape == "cube"

@@ -166,7 +166,8 @@ class InstantGauges:
         The bar is red at a position limit, and orange where the speed limit held the joint. The
         second robot's is a narrow bar below.
         """
-        robot, (sample, *others) = self._robot, samples[:2]
+        robot = self._robot
+        (sample, *others) = samples[:2]
         low = robot.lower_limits
         high = robot.upper_limits
         q = sample.robot_q
@@ -377,7 +378,8 @@ def error_plot(
         latest: As of `draw_plot`.
     """
     name = labels[0] if len(labels) > 1 else "mean"
-    (time, mean, largest, _), others = rows[0].T, rows[1:, :, 1]
+    (time, mean, largest, _) = rows[0].T
+    others = rows[1:, :, 1]
     lines = [(name, FIRST, mean), ("largest", GREY, largest)]
     lines += zip(labels[1:], cycle(ROBOTS[1:]), others, strict=False)
     return draw_plot("point error [mm]", time, lines, latest=latest)

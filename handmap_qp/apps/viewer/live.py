@@ -179,7 +179,8 @@ class LiveViewer(Window):
 
     def _page(self) -> bytes:
         """Return the last 10 s as a page."""
-        variant, source = self._variant(), self._source
+        variant = self._variant()
+        source = self._source
         title = f"{source.robot.name}, {variant.label}"
         samples = [sample for sample, _ in tuple(self.recent)]
         return make_page(title, source.human, [replace(variant, samples=samples)])

@@ -291,7 +291,8 @@ class ReplayViewer(Window):
 
         A slider moved during the mapping takes effect with its value after the mapping.
         """
-        steering, replay = self.steering, self.replay
+        steering = self.steering
+        replay = self.replay
         chosen = steering.take_lists()
         changes = steering.options.take_changes()
         requests = steering.take_requests()

@@ -234,7 +234,8 @@ class BrowserCameras:
                 direction = _DIRECTION if is_new else offset / np.linalg.norm(offset)
                 middle = np.array([0.0, low, 0.0])
                 # Setting the position moves `look_at` too, so set both.
-                camera.position, camera.look_at = middle + distance * direction, middle
+                camera.position = middle + distance * direction
+                camera.look_at = middle
         self._views = views
 
     def _view(self, columns: int, rows: int) -> tuple[float, float]:

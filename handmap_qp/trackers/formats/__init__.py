@@ -101,7 +101,8 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     if not file.exists():
         before, separator, after = str(path).rpartition(SEPARATOR)
         if separator:
-            file, name = Path(before), after
+            file = Path(before)
+            name = after
     if str(file) == DEMO and not file.is_file():
         file = DEMO_FILE
     with reading(file):

@@ -183,7 +183,8 @@ def reading(
     except Exception as error:
         text = " ".join(str(error).split())[:160]
         if isinstance(error, OSError) and error.strerror:
-            problem, text = "cannot be read", error.strerror
+            problem = "cannot be read"
+            text = error.strerror
         problem = f"{problem}: {text}".rstrip(": ")
         line = table and table.line_num
         raise RecordingError(problem, file=file, array=array, line=line) from error

@@ -211,7 +211,8 @@ def _posed_joints(
     tips = vertices[TIP_VERTICES] + np.einsum("vck,tk->tvc", directions, offsets)
     turn = np.empty_like(rotations)
     place = np.empty((len(turns), _JOINTS, 3))
-    turn[:, 0], place[:, 0] = rotations[:, 0], rest[0]
+    turn[:, 0] = rotations[:, 0]
+    place[:, 0] = rest[0]
     for joint, up in enumerate(model["kintree_table"][0, 1:].astype(int), start=1):
         turn[:, joint] = turn[:, up] @ rotations[:, joint]
         place[:, joint] = place[:, up] + turn[:, up] @ (rest[joint] - rest[up])

@@ -112,7 +112,8 @@ class AngleLayout(Layout[AngleTable]):
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every angle."""
-        meaning, rows = f"joint [{self.table.unit}]", []
+        meaning = f"joint [{self.table.unit}]"
+        rows = []
         for i, entry in enumerate(self.table.angles):
             offset = f" {entry.offset:+g}" if entry.offset else ""
             row = {"index": i, "angle": entry.name}

@@ -127,7 +127,8 @@ class MarkerLayout(Layout[MarkerTable]):
         palm = human.points(human.rest)[self._on_palm]
         wrist = rigid_fit(palm, markers[0, self._on_palm])
         ik.place(human.configuration_vector(human.rest, wrist))
-        found, poses = [], []
+        found = []
+        poses = []
         for sample in markers:
             ik.solve(sample, None, 1.0)
             q = ik.configuration.q[human.q_indices]
