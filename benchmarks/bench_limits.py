@@ -11,7 +11,6 @@ a position limit and others have none: point errors of the former and of the lat
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import common
@@ -172,9 +171,8 @@ def main(words: Sequence[str] | None = None) -> None:
                         scenes.robot_for(family, scene.side),
                         MappingOptions(),
                     )
-                    mapper._plan = replace(
-                        mapper._plan, ik=make(mapper.robot, IkOptions())
-                    )
+                    ik = make(mapper.robot, IkOptions())
+                    mapper._plan = mapper._plan._replace(ik=ik)
                     trajectories.append(map_motion(mapper, scene.motion))
                     advance()
                 results[family].append({"way": way, **measure(trajectories)})
