@@ -212,7 +212,12 @@ def estimate_motion(
     expected = f"{len(before)} points as in points_before"
     is_same = len(after) == len(before)
     expect(is_same, "points_after", expected, got=f"{len(after)}")
-    shares = None if weights is None else _check_weights(weights, len(before))
+    shares = None
+    if weights is not None:
+        shares = as_floats(weights, "weights", shape=(len(before),), is_finite=True)
+        is_usable = shares.min() >= 0.0 and shares.max() > 0.0
+        expected = f"{len(before)} numbers >= 0, not all zero"
+        expect(is_usable, "weights", expected, value=weights)
     pull = float(as_floats(ridge, "ridge", shape=(), is_finite=True))
     expect(pull >= 0.0, "ridge", "a number >= 0", value=ridge)
     estimator = MotionEstimator(
@@ -233,11 +238,4 @@ def _check_points(points: npt.ArrayLike, name: str) -> np.ndarray:
     if not np.abs(array).max(initial=np.inf if len(array) == 0 else 0.0) <= FARTHEST:
         expected = f"finite coordinates within {FARTHEST:g} m, of one point or more"
         raise InvalidInputError(argument=name, expected=expected, value=array.tolist())
-    return array
-
-
-def _check_weights(weights: npt.ArrayLike, count: int) -> np.ndarray:
-    array = as_floats(weights, "weights", shape=(count,), is_finite=True)
-    expected = f"{count} numbers >= 0, not all zero"
-    expect(array.min() >= 0.0 and array.max() > 0.0, "weights", expected, value=weights)
     return array

@@ -192,6 +192,10 @@ PRESETS = {
 }
 
 
+_NEEDING_WRIST = [("pivot", "palm"), ("alignment", "palm"), ("reference", "rest")]
+"""Choices that need the wrist of the reference sample."""
+
+
 class BoundHomogeneous:
     """The method for two hands; see `BoundMethod`."""
 
@@ -204,11 +208,10 @@ class BoundHomogeneous:
         self.renews_reference = options.reference == "previous"
         self.needs_wrist = "rigid_from='wrist'" if options.rigid_from == "wrist" else ""
         needs = [
-            f"{name}='palm'"
-            for name in ("pivot", "alignment")
-            if _is_palm(options, name)
+            f"{name}={value!r}"
+            for name, value in options.values.items()
+            if (name, value) in _NEEDING_WRIST
         ]
-        needs += ["reference='rest'"] if options.reference == "rest" else []
         self.reference_needs_wrist = " and ".join(needs)
         self._check_hands()
         self.partners = (
@@ -226,7 +229,7 @@ class BoundHomogeneous:
     def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm in the robot's world; its origin with `alignment="palm"`."""
         palm = np.eye(4)
-        if not _is_palm(self.options, "alignment") and sample.wrist is not None:
+        if self.options.alignment != "palm" and sample.wrist is not None:
             palm = sample.wrist @ self.human.wrist_to_palm
             if not isinstance(self.options.alignment, str):
                 palm[:3] = np.array(self.options.alignment) @ palm[:3]
@@ -412,11 +415,6 @@ class HomogeneousDiagnostics(Diagnostics):
     def residual_norms(self) -> np.ndarray:
         """Distance of each human point from where T takes it [m], shape (n_h,)."""
         return self._estimate.residual_norms
-
-
-def _is_palm(options: Homogeneous, name: str) -> bool:
-    value = getattr(options, name)
-    return isinstance(value, str) and value == "palm"
 
 
 def _alignment(
