@@ -72,7 +72,13 @@ from .mapping.estimation import (
     estimate_motion as estimate_motion,
 )
 from .mapping.mapper import HandMapper as HandMapper
+from .mapping.method import (
+    MapStep as MapStep,
+)
 from .mapping.method import Method as Method
+from .mapping.method import (
+    RobotCommand as RobotCommand,
+)
 from .mapping.methods.fingertip_vectors import FingertipVectors as FingertipVectors
 from .mapping.methods.homogeneous import (
     TELEMANIPULATION as TELEMANIPULATION,
@@ -92,12 +98,6 @@ from .mapping.methods.virtual_object import (
     VirtualSphere as VirtualSphere,
 )
 from .mapping.presets import PRESETS as PRESETS
-from .mapping.step import (
-    MapStep as MapStep,
-)
-from .mapping.step import (
-    RobotCommand as RobotCommand,
-)
 from .stream.follower import Follower as Follower
 from .stream.smoothing import Smoothing as Smoothing
 from .trackers.formats import read_recording as read_recording

@@ -30,13 +30,14 @@ from handmap_qp.mapping.landmarks import LandmarkReader, check_near
 from handmap_qp.mapping.method import (
     BoundMethod,
     HumanPose,
+    MapStep,
     Method,
+    RobotCommand,
     RobotPosture,
     TargetMap,
     Targets,
 )
 from handmap_qp.mapping.presets import default_preset, get_preset
-from handmap_qp.mapping.step import MapStep, RobotCommand
 from handmap_qp.se3 import (
     PoseLike,
     QuatOrder,

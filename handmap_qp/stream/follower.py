@@ -21,8 +21,7 @@ from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
 from handmap_qp.human.verdict import Verdict
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt
-from handmap_qp.mapping.method import HumanPose, Targets
-from handmap_qp.mapping.step import MapStep
+from handmap_qp.mapping.method import HumanPose, MapStep, Targets
 from handmap_qp.se3 import affine, lengths
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.smoothing import Smoothing, SmoothState, smooth_sample

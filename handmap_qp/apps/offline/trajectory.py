@@ -19,7 +19,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.human.verdict import RULES, Rule, Verdict
 from handmap_qp.mapping.mapper import HandMapper
-from handmap_qp.mapping.step import MapStep
+from handmap_qp.mapping.method import MapStep
 from handmap_qp.output_files import replaced_file
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.smoothing import Smoothing

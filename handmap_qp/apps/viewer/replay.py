@@ -23,13 +23,13 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.presets import (
     Choice,
     options_text,
     possible_presets,
     preset_choice,
 )
-from handmap_qp.mapping.step import MapStep
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.smoothing import Smoothing
 
