@@ -335,3 +335,15 @@ def test_reset_puts_the_robot_where_it_is_told() -> None:
     np.testing.assert_allclose(
         mapper.map_step(HUMAN.rest, np.eye(4)).command.q, q, atol=1e-12
     )
+
+
+@pytest.mark.parametrize(
+    "choice", [{"pivot": "palm"}, {"alignment": "palm"}, {"reference": "rest"}], ids=str
+)
+def test_a_reference_without_wrist_is_refused_by_what_needs_it(
+    choice: dict[str, Any],
+) -> None:
+    mapper = HandMapper(HUMAN, load_hand("allegro_right"), **choice)
+    [(name, value)] = choice.items()
+    with pytest.raises(InvalidInputError, match=f"needed for {name}='{value}'"):
+        mapper.map_points(HUMAN.points(HUMAN.rest))
