@@ -233,7 +233,8 @@ def _description(kind: Any) -> str:
 
 def _in_words(kind: Any) -> str:
     """Return what the values of a type that is no union are."""
-    bare, meta = _bare(kind), _meta(kind)
+    bare = _bare(kind)
+    meta = _meta(kind)
     if words := _words(kind):
         return f"one of {', '.join(words)}"
     if parts := get_args(bare):  # a tuple

@@ -72,7 +72,8 @@ def affine(linear: np.ndarray, translation: npt.ArrayLike) -> np.ndarray:
         Motion, shape (..., 4, 4); a new array.
     """
     motion = np.zeros((*linear.shape[:-2], 4, 4))
-    motion[..., :3, :3], motion[..., :3, 3] = linear, translation
+    motion[..., :3, :3] = linear
+    motion[..., :3, 3] = translation
     motion[..., 3, 3] = 1.0
     return motion
 
@@ -118,9 +119,11 @@ def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     if matrix.size != 9:
         return np.linalg.svd(matrix)
     # Eigen takes a quarter of the time of numpy on a single matrix.
-    found, shape = _WORKSPACE.svd, matrix.shape
+    found = _WORKSPACE.svd
+    shape = matrix.shape
     found.compute(matrix.reshape(3, 3))
-    left, right = found.matrixU(), found.matrixV().T
+    left = found.matrixU()
+    right = found.matrixV().T
     values = found.singularValues().reshape(shape[:-1])
     return left.reshape(shape), values, right.reshape(shape)
 
@@ -183,7 +186,8 @@ def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
     """
     (_, xy, xz), (_, yy, yz), (zx, zy, zz) = rotation
     roll = math.atan2(zy, zz)
-    cos, sin = math.cos(roll), math.sin(roll)
+    cos = math.cos(roll)
+    sin = math.sin(roll)
     # Of the rotation that is left without the roll, so that an uncertain roll does no harm.
     yaw = math.atan2(sin * xz - cos * xy, cos * yy - sin * yz)
     return np.array([roll, math.atan2(-zx, sin * zy + cos * zz), yaw])
@@ -399,7 +403,8 @@ def as_floats(
         InvalidInputError: If these are not real numbers, a ragged sequence of them, of another
             shape, or not finite where they must be.
     """
-    array, got = _as_array(value), ""
+    array = _as_array(value)
+    got = ""
     if array is None:
         got = f"{type(value).__name__} {describe_value(value)}"
     elif shape is not None and not _has_shape(array, shape):

@@ -123,7 +123,8 @@ class HandPair:
     def __init__(
         self, human: Hand, robot: Hand, matched: np.ndarray | None = None
     ) -> None:
-        self.human, self._measured = human, _robot_fingers(robot)
+        self.human = human
+        self._measured = _robot_fingers(robot)
         self.fingers = self._measured.names
         self.has_jaws = self._measured.has_jaws
         if not self.fingers:
@@ -134,7 +135,8 @@ class HandPair:
             )
         needed = finger_landmarks(self.fingers)
         points = require_points(human, needed, "this method").reshape(-1, 3)
-        self.tips, self.knuckles = points[:, 0], points[:, 2]
+        self.tips = points[:, 0]
+        self.knuckles = points[:, 2]
         # Shapes are read only for hands that can be a pair: it takes longest.
         self.chains = self._measured.chains
         self.pads = self._measured.pads
@@ -402,7 +404,8 @@ def _pinching_thumb(
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     # Reference points have no weight here, and one of them takes the least time.
     hand = hand.with_points(hand.reference_points[:1])
-    tip, tips = AttachedPoints(hand, [chains[THUMB].tip]), []
+    tip = AttachedPoints(hand, [chains[THUMB].tip])
+    tips = []
     for finger in chains:
         if finger != THUMB:
             used = [pads[THUMB], pads[finger]]
@@ -438,7 +441,8 @@ def _with_gaps(
     ik = PointIk(hand, options)
     ik.place(hand.configuration_vector(hand.rest))
     placed = ik.configuration
-    targets, wrist = placed.points.copy(), placed.wrist.homogeneous
+    targets = placed.points.copy()
+    wrist = placed.wrist.homogeneous
     for _ in range(steps):
         ik.solve(targets, wrist, 1e3, tasks=[task])
         places = points.positions(ik.configuration)

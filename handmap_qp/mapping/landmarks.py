@@ -73,7 +73,8 @@ class PalmMap:
         robot_anchor: np.ndarray = _ORIGIN,
         scale: float = 1.0,
     ) -> None:
-        human, robot = method.human, method.robot
+        human = method.human
+        robot = method.robot
         self.rest = robot.rest
         self._human_wrist_to_palm = human.wrist_to_palm
         self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
@@ -168,7 +169,8 @@ def require_points(human: Hand, names: Iterable[str], user: str) -> np.ndarray:
     Raises:
         InvalidOptionsError: If the hand has no reference point of a name.
     """
-    wanted, known = list(names), point_indices(human)
+    wanted = list(names)
+    known = point_indices(human)
     if missing := [name for name in wanted if name not in known]:
         raise InvalidOptionsError(
             option="human_points",

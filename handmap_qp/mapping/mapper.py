@@ -361,7 +361,8 @@ class HandMapper:
         started = perf_counter()
         ik = self._plan.ik
         robot = self.robot
-        held, start = ik.hold(check_dt(dt)), self._start
+        held = ik.hold(check_dt(dt))
+        start = self._start
         # Before the first sample, a floating robot has no place yet.
         vector = ik.configuration.q if start is None else start.vector(robot, np.eye(4))
         posture = _posture(robot, vector)
@@ -457,7 +458,8 @@ class HandMapper:
             DegeneratePointsError: If with them the reference points do not determine the motion;
                 likewise.
         """
-        plan, reference = self._plan, self._reference
+        plan = self._plan
+        reference = self._reference
         if method is not None:
             chosen, weights = _method_of(method, {})
             ik = weights if ik is None and isinstance(method, str) else ik
@@ -503,7 +505,8 @@ class HandMapper:
 
     def _needs_wrist(self) -> str:
         """Return what the next sample's wrist pose is needed for; empty if for nothing."""
-        bound, needs = self._plan.bound, ""
+        bound = self._plan.bound
+        needs = ""
         if self._reference is None or bound.renews_reference:
             start = self._start
             needs = bound.reference_needs_wrist
@@ -584,7 +587,8 @@ def _count_from(
 
 def _bound_again(reference: _Reference, bound: BoundMethod) -> _Reference | None:
     """Count from the same reference by another method; None if it lacks what that needs."""
-    sample, posture = reference.sample, reference.posture
+    sample = reference.sample
+    posture = reference.posture
     if (bound.needs_wrist or bound.reference_needs_wrist) and sample.wrist is None:
         return None
     vector = _Start(posture.q, posture.wrist).vector(bound.robot, posture.wrist)

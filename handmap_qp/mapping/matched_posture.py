@@ -57,7 +57,8 @@ def nearest_posture(
         step = solve_by_daqp(_convex(here.hessian), here.gradient, lower - x, upper - x)
         if step is None:
             break
-        slope, share = float(step @ here.gradient), 1.0
+        slope = float(step @ here.gradient)
+        share = 1.0
         while True:
             ahead = np.clip(x + share * step, lower, upper)
             there = distance.at(ahead)
@@ -67,7 +68,8 @@ def nearest_posture(
             if share < _SMALLEST_SHARE:
                 return distance.whole(x)
         length = float(np.abs(ahead - x).max())
-        x, here = ahead, there
+        x = ahead
+        here = there
         if length < _SMALLEST_STEP:
             break
     return distance.whole(x)
@@ -93,7 +95,8 @@ class _Distance:
     ) -> None:
         self._hand = hand
         self._targets = targets
-        self._costs, self._row_costs = costs[:, None] ** 2, np.repeat(costs, 3)[:, None]
+        self._costs = costs[:, None] ** 2
+        self._row_costs = np.repeat(costs, 3)[:, None]
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
         self._vector = hand.configuration_vector(hand.rest)
@@ -106,7 +109,8 @@ class _Distance:
             np.eye(self._placed.nv) if hand.expansion is None else hand.expansion.matrix
         )
         self._spread = active[:, hand.joint_columns[self.free]]
-        self._rest, self._q = hand.rest[self.free], hand.rest.copy()
+        self._rest = hand.rest[self.free]
+        self._q = hand.rest.copy()
         model = hand.model
         carriers = np.repeat(np.arange(model.njoints), model.nvs)
         self._is_ancestor = moved_by(model, carriers.tolist()).T
@@ -119,7 +123,8 @@ class _Distance:
 
     def at(self, x: np.ndarray) -> _Terms:
         """Return f and its derivatives at positions of the free joints, shape (k,)."""
-        placed, away = self._placed, x - self._rest
+        placed = self._placed
+        away = x - self._rest
         self._hand.write_configuration(self._vector, self.whole(x))
         placed.place_with_jacobians(self._vector)
         errors = placed.points - self._targets

@@ -170,7 +170,8 @@ class Choice(NamedTuple):
 
     def changes_to(self, other: Choice) -> dict[str, Any]:
         """Return the changes that turn this choice into another one."""
-        start, changes = self, {}
+        start = self
+        changes = {}
         if self.preset != other.preset:
             start = preset_choice(other.preset)
             changes = {"preset": other.preset}

@@ -101,7 +101,8 @@ class Rejoin(NamedTuple):
         if before is None or (before.wrist is None) != (pose.wrist is None):
             return self._replace(offset=None)
         points = before.in_wrist - pose.in_wrist
-        position, turn = np.zeros(3), np.zeros(3)
+        position = np.zeros(3)
+        turn = np.zeros(3)
         if before.wrist is not None and pose.wrist is not None:
             position = before.wrist[:3, 3] - pose.wrist[:3, 3]
             turn = pin.log3(pose.wrist[:3, :3].T @ before.wrist[:3, :3])

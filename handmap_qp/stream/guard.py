@@ -245,7 +245,8 @@ def is_zero(landmarks: np.ndarray) -> bool:
 def first_track(now: float, landmarks: np.ndarray) -> Track:
     """Return landmarks (21, 3) [m] at a time [s] as a sample without motion."""
     centre = landmarks[PALM].mean(axis=0)
-    points, still = landmarks - centre, np.zeros(3)
+    points = landmarks - centre
+    still = np.zeros(3)
     fixed = fixed_lengths(landmarks)
     return Track(now, points, centre, fixed, still, still, np.zeros_like(points))
 
@@ -468,7 +469,8 @@ class StreamGuard:
         state: GuardState,
     ) -> bool:
         """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
-        good, now = state.good, state.now
+        good = state.good
+        now = state.now
         if good is None:
             return not rule
         since_good = max(now - good.time, state.clock.shortest)

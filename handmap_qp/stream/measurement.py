@@ -57,7 +57,8 @@ def _joined(recordings: Sequence[Recording]) -> Recording:
     if len(recordings) == 1:
         return recordings[0]
     right = [each if each.side == "right" else mirrored(each) for each in recordings]
-    times, start = [], 0.0
+    times = []
+    start = 0.0
     for each in right:
         times.append(each.time - each.time[0] + start)
         start = times[-1][-1] + 1.0

@@ -73,7 +73,8 @@ def smooth_sample(
     Returns:
         The smoothed sample, and the state for the next one.
     """
-    points, wrist = sample.in_wrist, sample.wrist
+    points = sample.in_wrist
+    wrist = sample.wrist
     count = len(points)
     if before is None or dt > _LONGEST_GAP or (before.wrist is None) != (wrist is None):
         still = np.zeros((count if wrist is None else count + 2, 3))

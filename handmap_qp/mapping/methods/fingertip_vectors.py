@@ -108,7 +108,8 @@ class BoundFingertipVectors(PalmMethod):
 
     def _begin_at_knuckles(self, scale: float | None) -> None:
         """Find both hands' knuckles and the ratio of reaches of each pair's finger."""
-        human, robot = self.human, self.robot
+        human = self.human
+        robot = self.robot
         chains = find_fingers(robot)
         led = [str(robot.reference_points[j].finger) for j in self.pairs[0]]
         leading = [str(human.reference_points[k].finger) for k in self.pairs[1]]

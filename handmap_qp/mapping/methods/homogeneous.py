@@ -336,9 +336,11 @@ class HomogeneousMap:
                 factors.rotation
             )
         if options.rigid_from == "none":
-            rotation, rigid_image = np.eye(3), pivot
+            rotation = np.eye(3)
+            rigid_image = pivot
         elif turn is None or rigid_image is None:
-            rotation, rigid_image = factors.rotation, image
+            rotation = factors.rotation
+            rigid_image = image
         else:
             rotation = turn
         points = self._robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
@@ -364,7 +366,8 @@ class HomogeneousMap:
         """Return the wrist's rotation since the reference, and where it takes the pivot."""
         if self._options.rigid_from != "wrist":
             return None, None
-        before, now = self._wrist, sample.wrist
+        before = self._wrist
+        now = sample.wrist
         if before is None or now is None:
             raise InvalidInputError(
                 argument="wrist_pose", problem="needed for rigid_from='wrist'"

@@ -226,7 +226,8 @@ class JointPositions:
     """
 
     def __init__(self, robot: Hand, columns: np.ndarray, q: np.ndarray) -> None:
-        self._q_indices, self._wanted = robot.q_indices[columns], q[columns]
+        self._q_indices = robot.q_indices[columns]
+        self._wanted = q[columns]
         self._active = robot.joint_columns[columns]
 
     def linearise(self, hand: Configuration) -> TaskRows:
@@ -301,7 +302,8 @@ class JointMap(PalmMap):
 
     def targets(self, sample: HumanPose) -> Targets:
         """Measure the human's angles, and place the robot's points where its joints would."""
-        method, robot = self._method, self._method.robot
+        method = self._method
+        robot = self._method.robot
         _, palm, now = self.follow(sample)
         angles = method.angles.measure(now)
         q = method.positions(angles)
@@ -329,7 +331,8 @@ def _finger_links(
     spreads = [column for column in columns if column not in flexes]
     if is_thumb and spreads:
         # A thumb's axes are not parallel: the first joint brings it before the palm.
-        spreads, flexes = columns[:1], columns[1:]
+        spreads = columns[:1]
+        flexes = columns[1:]
     pairs = [(column, [0]) for column in spreads[:1]]
     pairs += [
         (column, _leaders(place, len(flexes))) for place, column in enumerate(flexes)

@@ -190,7 +190,8 @@ class BoundTeleoperation(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
     def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
-        self.choices, self.pair = choices, hand_pair(human, robot)
+        self.choices = choices
+        self.pair = hand_pair(human, robot)
         pair = self.pair
         super().__init__(human, pair.robot)
         self.contacts = pair.contacts if choices.avoids_contact else None
@@ -294,7 +295,8 @@ class TeleoperationMap(PalmMap):
     def __init__(
         self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
     ) -> None:
-        pair, scale = method.pair, method.choices.scale
+        pair = method.pair
+        scale = method.choices.scale
         anchors = pair.human_knuckles, pair.robot_knuckles
         super().__init__(method, sample, robot, *anchors, scale)
         self.rest = pair.matched
@@ -353,7 +355,8 @@ class TeleoperationMap(PalmMap):
         c and c' the centroids, k the ratio of reaches and g the gain:
         `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
         """
-        pair, ratio = self._pair, self._pair.finger_ratio
+        pair = self._pair
+        ratio = self._pair.finger_ratio
         gain = self._method.choices.residual_gain * ratio
         centroid = estimate.centroid_before
         shift = estimate.centroid_after[..., None, :]

@@ -182,15 +182,18 @@ class Enclosing:
         Args:
             points: The points now [m], in the order in which they were enclosed, shape (n, 3).
         """
-        mean, gain = points.mean(axis=0), self._gain
+        mean = points.mean(axis=0)
+        gain = self._gain
         covariance = (points - mean).T.dot(self._offsets)
-        ratios, rotation = np.ones(3), np.eye(3)
+        ratios = np.ones(3)
+        rotation = np.eye(3)
         for _ in range(_MOST_TURNS):
             rotation = nearest_rotation(covariance * ratios)
             along = np.einsum("ij,ij->j", rotation, covariance)
             common = max(float(along.sum()) / float(self._squares.sum()), 0.0)
             pulled = gain * along + (1.0 - gain * self._squares) * common
-            before, ratios = ratios, np.maximum(pulled, 0.0)
+            before = ratios
+            ratios = np.maximum(pulled, 0.0)
             if np.abs(ratios - before).max() <= _SETTLED:
                 break
         linear = (rotation * ratios).dot(self.axes.T)
@@ -300,7 +303,8 @@ def enclosing_ball(
     Returns:
         Centre [m], shape (3,), and radius [m].
     """
-    centre, radius = np.zeros(3), -1.0
+    centre = np.zeros(3)
+    radius = -1.0
     if surface:
         edges = np.array(surface) - surface[0]
         # Centre of the circumscribed ball in the span of the edges.
