@@ -52,21 +52,21 @@ class Limit(NamedTuple):
 
 
 BUDGET = {
-    "lines": Limit(49_600, 34_000),
-    "tokens": Limit(269_900, 200_000),
-    "tokens per code line": Limit(8.57, 8),
-    "closure: files": Limit(30, None),
-    "closure: lines": Limit(8_520, 7_500),
-    "files of a sample: map_landmarks": Limit(13, 10),
-    "files of a sample: map_sample": Limit(22, None),
-    "files of a sample: service": Limit(33, 20),
+    "lines": Limit(45_800, 34_000),
+    "tokens": Limit(247_200, 200_000),
+    "tokens per code line": Limit(8.55, 8),
+    "closure: files": Limit(29, None),
+    "closure: lines": Limit(8_500, 7_500),
+    "files of a sample: map_landmarks": Limit(12, 10),
+    "files of a sample: map_sample": Limit(18, None),
+    "files of a sample: service": Limit(29, 20),
     "top view: rooms": Limit(14, 14),
     "top view: arrows": Limit(49, 60),
     "circles": Limit(0, 0),
-    "files of a method": Limit(3, 1),
-    "functions with more than 10 paths": Limit(27, 40),
+    "files of a method": Limit(2, 1),
+    "functions with more than 10 paths": Limit(24, 40),
     "functions with more than 20 paths": Limit(0, 0),
-    "imports inside functions": Limit(16, 0),
+    "imports inside functions": Limit(13, 0),
 }
 """The most that each row may have, and the goal; rows without a goal are for information."""
 
