@@ -55,8 +55,8 @@ BUDGET = {
     "lines": Limit(45_800, 34_000),
     "tokens": Limit(247_200, 200_000),
     "tokens per code line": Limit(8.55, 8),
-    "closure: files": Limit(29, None),
-    "closure: lines": Limit(8_500, 7_500),
+    "closure: files": Limit(26, None),
+    "closure: lines": Limit(7_710, 7_500),
     "files of a sample: map_landmarks": Limit(12, 10),
     "files of a sample: map_sample": Limit(18, None),
     "files of a sample: service": Limit(29, 20),
@@ -66,7 +66,7 @@ BUDGET = {
     "files of a method": Limit(2, 1),
     "functions with more than 10 paths": Limit(24, 40),
     "functions with more than 20 paths": Limit(0, 0),
-    "imports inside functions": Limit(13, 0),
+    "imports inside functions": Limit(12, 0),
 }
 """The most that each row may have, and the goal; rows without a goal are for information."""
 

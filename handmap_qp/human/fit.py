@@ -13,8 +13,6 @@ Newton, Bertsekas 1982).
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from handmap_qp.errors import expect
@@ -252,16 +250,12 @@ class LandmarkFitter:
 
 
 def fit_recording(
-    recording: Recording,
-    progress: Callable[[int], None] | None = None,
-    *,
-    lengths: HumanLengths | None = None,
+    recording: Recording, *, lengths: HumanLengths | None = None
 ) -> HumanMotion:
     """Fit joint angles and wrist poses of a hand scaled to the person to a recording.
 
     Args:
         recording: The recording.
-        progress: Called with the number of samples done after each one.
         lengths: The person's lengths; measured in the recording if omitted.
 
     Returns:
@@ -276,13 +270,11 @@ def fit_recording(
     fitter = LandmarkFitter(recording.side, lengths)
     valid = recording.valid.copy()
     valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])
-    expected = "a hand that keeps its size"
-    got = "no sample as large as the median of all"
     expect(
         valid.any(),
         "landmarks",
-        expected,
-        got=got,
+        "a hand that keeps its size",
+        got="no sample as large as the median of all",
     )
     count = len(recording)
     first = int(np.argmax(valid))
@@ -295,8 +287,6 @@ def fit_recording(
         else:
             q[i] = q[i - 1]
             wrist[i] = wrist[i - 1]
-        if progress is not None:
-            progress(i + 1)
     q[:first] = q[first]
     wrist[:first] = wrist[first]
     steps = recording.steps

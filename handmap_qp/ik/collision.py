@@ -52,7 +52,6 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration, Placements, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
-from handmap_qp.ik.limits import clip
 from handmap_qp.ik.solvers import Rows
 
 KEPT = 2e-4
@@ -73,17 +72,6 @@ _GAIN = 0.85
 _NEAR, _APPROACH = 0.001, 0.5
 # They approach by no more than this part of their travel in the last sample.
 _EXPECTED = 0.25
-# Pairs that are nearer than their margin by less than this need not part [m].
-_ROUGHLY = 2e-5
-# Share of their excess by which pairs part in a sample. All of it makes links oscillate that are
-# pressed together.
-_PARTED = 0.3
-# Pairs whose distance changes by less than this part slowly [m/rad]: all of the box would part them
-# by a few um, and the fingers would jump.
-_LEVER = 0.015
-# Parting takes this share of the box at most. All of it may leave nothing but its corner, which
-# DAQP reports as infeasible.
-_INSIDE = 0.9
 
 
 class NearPairs(NamedTuple):
@@ -502,49 +490,3 @@ class CollisionLimit:
         G = self._opposing_support[pairs] * wrenches.dot(configuration.joint_jacobian())
         kept = self.margin if margins is None else margins[pairs]
         return configuration.contracted(G), _GAIN * (near.bounds[pairs] - kept)
-
-
-def feasible(
-    rows: Rows,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    *,
-    stopping: float = 0.0,
-    so_far: np.ndarray | None = None,
-) -> Rows:
-    """Loosen rows where they contradict each other or a box.
-
-    The displacement nearest to none inside the box always satisfies them: where a pair is nearer
-    than the margin already, it need not part at once, only not come closer than the limits make it.
-    Where a displacement is found that parts all those pairs without harm to the others, that is
-    what they are held to; it is damped, so that pairs whose distance hardly depends on the joints
-    part slowly. Pairs that are nearer by a few um are not parted.
-
-    Args:
-        rows: G and h of `CollisionLimit.rows`, for the whole displacement of a sample.
-        lower: Lower bound of the rest of the displacement, shape (n,).
-        upper: Upper bound, shape (n,).
-        stopping: Part of the sample's displacement that the hand needs to stop behind it.
-        so_far: Displacement of the sample up to here, shape (n,); none if omitted.
-
-    Returns:
-        G, shape (r, n), and h, shape (r,), for the rest of the displacement.
-    """
-    G, h = rows
-    h = h / (1.0 + stopping)
-    if so_far is not None:
-        h = h - G.dot(so_far)
-    witness = clip(0.0, lower, upper)
-    kept = G.dot(witness)
-    excess = kept - h
-    loose = np.maximum(h, kept)
-    is_nearer = excess > _ROUGHLY
-    if not is_nearer.any():
-        return G, loose
-    apart = G[is_nearer]
-    gram = apart.dot(apart.T) + _LEVER**2 * np.eye(len(apart))
-    parting = -_PARTED * np.linalg.solve(gram, excess[is_nearer]).dot(apart)
-    within = clip(parting, _INSIDE * (lower - witness), _INSIDE * (upper - witness))
-    parted = kept + G.dot(within)
-    does_harm = (parted > loose) & ~is_nearer
-    return G, loose if does_harm.any() else np.maximum(h, parted)

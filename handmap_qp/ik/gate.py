@@ -30,16 +30,24 @@ iterations is longer, and farther from the start, where the rows of the QP are e
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.ik.collision import CollisionLimit, NearPairs, feasible
-from handmap_qp.ik.limits import SHORTEST_DT, BoxLimits, braking_displacement, clip
+from handmap_qp.ik.limits import (
+    SHORTEST_DT,
+    BoxLimits,
+    braking_displacement,
+    clip,
+    feasible,
+)
 from handmap_qp.ik.solvers import solve_by_daqp
+
+if TYPE_CHECKING:
+    from handmap_qp.ik.collision import CollisionLimit, NearPairs
 
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 # Displacements of a sample are near this size [rad]; the solver is exact near one.

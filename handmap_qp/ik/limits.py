@@ -33,6 +33,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
+from handmap_qp.ik.solvers import Rows
 
 SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].
@@ -46,6 +47,17 @@ _ROUNDING = 1e-12
 _NO_LIMIT = 1e100
 # Distances count as no more than this, because a floating wrist has infinite ones [rad or m].
 _FAR = 1e9
+# Pairs that are nearer than their margin by less than this need not part [m].
+_ROUGHLY = 2e-5
+# Share of their excess by which pairs part in a sample. All of it makes links oscillate that are
+# pressed together.
+_PARTED = 0.3
+# Pairs whose distance changes by less than this part slowly [m/rad]: all of the box would part them
+# by a few um, and the fingers would jump.
+_LEVER = 0.015
+# Parting takes this share of the box at most. All of it may leave nothing but its corner, which
+# DAQP reports as infeasible.
+_INSIDE = 0.9
 
 
 class Box(NamedTuple):
@@ -229,3 +241,49 @@ def braking_displacement(distance: np.ndarray, change: float) -> np.ndarray:
         change: `a dt^2`, likewise.
     """
     return 2.0 * distance / (1.0 + np.sqrt(1.0 + 2.0 * distance / change))
+
+
+def feasible(
+    rows: Rows,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    *,
+    stopping: float = 0.0,
+    so_far: np.ndarray | None = None,
+) -> Rows:
+    """Loosen rows where they contradict each other or a box.
+
+    The displacement nearest to none inside the box always satisfies them: where a pair is nearer
+    than the margin already, it need not part at once, only not come closer than the limits make it.
+    Where a displacement is found that parts all those pairs without harm to the others, that is
+    what they are held to; it is damped, so that pairs whose distance hardly depends on the joints
+    part slowly. Pairs that are nearer by a few um are not parted.
+
+    Args:
+        rows: G and h of `CollisionLimit.rows`, for the whole displacement of a sample.
+        lower: Lower bound of the rest of the displacement, shape (n,).
+        upper: Upper bound, shape (n,).
+        stopping: Part of the sample's displacement that the hand needs to stop behind it.
+        so_far: Displacement of the sample up to here, shape (n,); none if omitted.
+
+    Returns:
+        G, shape (r, n), and h, shape (r,), for the rest of the displacement.
+    """
+    G, h = rows
+    h = h / (1.0 + stopping)
+    if so_far is not None:
+        h = h - G.dot(so_far)
+    witness = clip(0.0, lower, upper)
+    kept = G.dot(witness)
+    excess = kept - h
+    loose = np.maximum(h, kept)
+    is_nearer = excess > _ROUGHLY
+    if not is_nearer.any():
+        return G, loose
+    apart = G[is_nearer]
+    gram = apart.dot(apart.T) + _LEVER**2 * np.eye(len(apart))
+    parting = -_PARTED * np.linalg.solve(gram, excess[is_nearer]).dot(apart)
+    within = clip(parting, _INSIDE * (lower - witness), _INSIDE * (upper - witness))
+    parted = kept + G.dot(within)
+    does_harm = (parted > loose) & ~is_nearer
+    return G, loose if does_harm.any() else np.maximum(h, parted)

@@ -16,22 +16,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp import ik
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import ShapePairs
-from handmap_qp.ik.collision import CollisionLimit, feasible
 from handmap_qp.ik.gate import Gate, Motion
-from handmap_qp.ik.limits import SHORTEST_DT, clip
+from handmap_qp.ik.limits import SHORTEST_DT, clip, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.solvers import Rows, make_solver, solve_problem
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
 from handmap_qp.se3 import frozen
+
+if TYPE_CHECKING:
+    from handmap_qp.hands.shape_pairs import ShapePairs
+    from handmap_qp.ik.collision import CollisionLimit
 
 # Count a hand as at rest if its last step is shorter than this [rad or m].
 _AT_REST = 1e-3
@@ -193,11 +196,17 @@ class PointIk:
             # A square that overflows is refused here, not at a sample.
             math.pow(getattr(options, name), 2.0)
         self.configuration = hand.configuration()
-        if isinstance(contacts, ShapePairs):
-            contacts = CollisionLimit(hand, pairs=contacts, horizon=_HORIZON)
-        self._contacts = collisions = contacts
-        if contacts is None and options.avoids_self_collision:
-            collisions = CollisionLimit(hand)
+        if contacts is None:
+            collisions = None
+            if options.avoids_self_collision:
+                collisions = ik.collision.CollisionLimit(hand)
+        elif isinstance(contacts, ik.collision.CollisionLimit):
+            collisions = contacts
+        else:
+            collisions = ik.collision.CollisionLimit(
+                hand, pairs=contacts, horizon=_HORIZON
+            )
+        self._contacts = None if contacts is None else collisions
         self._tasks = tasks_named(options.tasks, hand)
         self._solver = make_solver(options.solver)
         self.gate = Gate(
@@ -369,10 +378,8 @@ class PointIk:
     ) -> np.ndarray | None:
         problem = self.hand, self.options, self.configuration, goal
         if self.options.formulation == "mink":
-            from handmap_qp.ik import mink_problem
-
-            limit = mink_problem.RowsLimit(lower, upper, rows)
-            posed = mink_problem.build_problem(*problem, limit)
+            limit = ik.mink_problem.RowsLimit(lower, upper, rows)
+            posed = ik.mink_problem.build_problem(*problem, limit)
             return solve_problem(posed, self.options.solver)
         return self._solver(*direct_cost(*problem), lower, upper, rows)
 

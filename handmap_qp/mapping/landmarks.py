@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.human.landmarks import landmarks_at_rest
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.se3 import (
@@ -20,6 +20,9 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
+
+if TYPE_CHECKING:
+    from handmap_qp.hands.shape_pairs import ShapePairs
 
 _ORIGIN = frozen(np.zeros(3))
 

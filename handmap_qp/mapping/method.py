@@ -19,20 +19,29 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
-from typing import Literal, NamedTuple, Protocol, Self, runtime_checkable
+from typing import (
+    TYPE_CHECKING,
+    Literal,
+    NamedTuple,
+    Protocol,
+    Self,
+    runtime_checkable,
+)
 
 import msgspec
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.human.verdict import Finding, Rule, Verdict
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Task
 from handmap_qp.options import Options
 from handmap_qp.se3 import transform_points
+
+if TYPE_CHECKING:
+    from handmap_qp.hands.shape_pairs import ShapePairs
 
 
 class HumanPose(msgspec.Struct, frozen=True, eq=False):

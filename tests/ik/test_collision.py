@@ -23,7 +23,8 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import CollisionSpec, Mount, read_hand_spec
-from handmap_qp.ik.collision import CollisionLimit, feasible
+from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.limits import feasible
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.solvers import solve_by_daqp
 

@@ -44,6 +44,7 @@ AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 """Colours of the axes x, y and z."""
 
 # Most triangles kept per mesh file.
+_TUBE_SIDES = 10
 _MAX_MESH_TRIANGLES = 4000
 # Faces that meet at a smaller angle than this are shaded as one smooth surface.
 _SMOOTH_ANGLE = np.radians(40.0)
@@ -192,8 +193,6 @@ def tube(
     path: npt.ArrayLike,
     radius: float,
     colour: tuple[float, float, float],
-    *,
-    sides: int = 10,
 ) -> Triangles:
     """Return a thin tube along a path.
 
@@ -201,7 +200,6 @@ def tube(
         path: Points of the path [m], shape (n, 3), n >= 2.
         radius: Radius [m].
         colour: Red, green and blue in 0..1.
-        sides: Number of corners of its cross-section.
 
     Returns:
         Its triangles.
@@ -219,16 +217,16 @@ def tube(
     tangents = unit(np.gradient(points, axis=0))
     # Propagate the first normal and project it at right angles to each tangent: no twist.
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
-    rings = np.empty((len(points), sides, 3))
-    angles = 2.0 * np.pi * np.arange(sides) / sides
+    rings = np.empty((len(points), _TUBE_SIDES, 3))
+    angles = 2.0 * np.pi * np.arange(_TUBE_SIDES) / _TUBE_SIDES
     for ring, tangent in zip(rings, tangents, strict=True):
         normal = unit(normal - (normal @ tangent) * tangent)
         ring[:] = np.outer(np.cos(angles), normal)
         ring += np.outer(np.sin(angles), np.cross(tangent, normal))
-    pieces = np.moveaxis(np.mgrid[: len(points) - 1, :sides], 0, -1)
+    pieces = np.moveaxis(np.mgrid[: len(points) - 1, :_TUBE_SIDES], 0, -1)
     rows, columns = np.moveaxis(pieces.reshape(-1, 1, 1, 2) + _TWO_TRIANGLES, -1, 0)
     rows = rows.reshape(-1, 3)
-    columns = columns.reshape(-1, 3) % sides
+    columns = columns.reshape(-1, 3) % _TUBE_SIDES
     surface = points[:, None] + radius * rings
     vertices = surface[rows, columns]
     return Triangles(

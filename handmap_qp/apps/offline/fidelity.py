@@ -408,7 +408,6 @@ def sample_workspace(
     chains: dict[str, Finger] | None = None,
     *,
     count: int = 20_000,
-    seed: int = 42,
 ) -> dict[str, np.ndarray]:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 
@@ -416,12 +415,11 @@ def sample_workspace(
         hand: The robot hand.
         chains: Its fingers, if they have been found before.
         count: Number of postures.
-        seed: Of the random numbers.
 
     Returns:
         Points in the palm frame by finger [m], shape (count, 3) each.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(42)
     q = random.uniform(
         hand.lower_limits, hand.upper_limits, (count, len(hand.joint_names))
     )

@@ -55,8 +55,6 @@ class Instant(NamedTuple):
         wrist: Pose of the wrist, shape (4, 4).
         object_pose: Pose of the object, shape (4, 4).
         normal_force: Sum of the normal forces of the hand on the object [N].
-        friction_use: Sum of the tangential forces' lengths over what friction allows; NaN without
-            contact.
         links_touching: Number of joints whose links touch the object.
     """
 
@@ -66,7 +64,6 @@ class Instant(NamedTuple):
     wrist: np.ndarray
     object_pose: np.ndarray
     normal_force: np.ndarray
-    friction_use: np.ndarray
     links_touching: np.ndarray
 
 
@@ -162,18 +159,13 @@ class Simulator:
     def instant(self) -> Instant:
         """Return what is now."""
         contacts = self.contacts()
-        pressing = contacts.normal_forces
-        sliding = contacts.forces - pressing[:, None] * contacts.normals
-        allowed = self.physics.friction * pressing.sum()
-        used = np.linalg.norm(sliding, axis=1).sum()
         return Instant(
             time=np.array(self.time),
             q=self.q,
             command=self.target[0],
             wrist=self.wrist,
             object_pose=self.object_pose,
-            normal_force=pressing.sum(),
-            friction_use=np.array(used / allowed if allowed > 0.0 else np.nan),
+            normal_force=contacts.normal_forces.sum(),
             links_touching=np.array(len(set(contacts.bodies))),
         )
 

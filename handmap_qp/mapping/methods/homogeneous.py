@@ -18,7 +18,6 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
@@ -199,7 +198,7 @@ _NEEDING_WRIST = [("pivot", "palm"), ("alignment", "palm"), ("reference", "rest"
 class BoundHomogeneous:
     """The method for two hands; see `BoundMethod`."""
 
-    contacts: ShapePairs | None = None
+    contacts = None
 
     def __init__(self, options: Homogeneous, human: Hand, robot: Hand) -> None:
         self.options = options

@@ -1,0 +1,6 @@
+from . import (
+    collision as collision,
+)
+from . import (
+    mink_problem as mink_problem,
+)
