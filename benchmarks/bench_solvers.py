@@ -24,8 +24,14 @@ import synthetic
 from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion
-from handmap_qp.ik.qp import PointIk, direct_cost
-from handmap_qp.ik.solvers import QpSolver, Rows, make_solver, solve_by_daqp
+from handmap_qp.ik.qp import (
+    PointIk,
+    QpSolver,
+    Rows,
+    direct_cost,
+    make_solver,
+    solve_by_daqp,
+)
 from handmap_qp.se3 import affine
 
 _HARD = 5000

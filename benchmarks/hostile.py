@@ -30,7 +30,7 @@ from handmap_qp import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Mount
-from handmap_qp.ik.gate import Motion
+from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import nearest_rotation
 

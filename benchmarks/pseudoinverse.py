@@ -23,10 +23,9 @@ import numpy as np
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.collision import NearPairs
-from handmap_qp.ik.gate import Gate, Motion
+from handmap_qp.ik.limits import Gate, Motion, Rows
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk, weighted_task
-from handmap_qp.ik.solvers import Rows
 from handmap_qp.ik.tasks import Goal
 
 RANK_TOLERANCE = 1e-10
@@ -133,7 +132,7 @@ class _NoLimits(Gate):
         end: NearPairs | None = None,
     ) -> np.ndarray:
         """Move the robot by a displacement, whatever it is."""
-        placed = self._placed
+        placed = self.hand.configuration()
         placed.displace(self.motion.q, wanted)
         self.motion = Motion(placed.q.copy(), wanted, dt, np.zeros(len(wanted)))
         return wanted

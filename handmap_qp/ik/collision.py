@@ -13,7 +13,7 @@ becomes
 with J_a and J_b the Jacobians of the nearest points. Both lie on one line along n, so the wrench
 (n, p x n) of either does for both. The first order is an approximation: a shape that turns by an
 angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is for that, and
-`handmap_qp.ik.gate` checks the whole displacement afterwards.
+`handmap_qp.ik.limits.Gate` checks the whole displacement afterwards.
 
 Rows are linearised where a sample starts, and hold for its whole displacement: a later iteration of
 the QP has what the ones before it left. So distances are measured once a sample, where it ends, for
@@ -52,7 +52,7 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration, Placements, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
-from handmap_qp.ik.solvers import Rows
+from handmap_qp.ik.limits import Rows
 
 KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start, where a path is measured; and

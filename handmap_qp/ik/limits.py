@@ -1,6 +1,8 @@
-"""Position, speed and acceleration limits as one box on the displacement, never empty.
+"""Limits of a displacement: a box that is never empty, and a gate that every displacement passes.
 
-    clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
+**The box** of position, speed and acceleration limits is
+
+    clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt).
 
 Clipping is monotone, so the lower bound never passes the upper one, also where `q` starts outside
 its limits: there both bounds meet at the speed limit and the joint comes back as fast as it may.
@@ -13,28 +15,54 @@ limit only as fast as it can still brake,
     v dt + v^2 / (2 a) <= distance to the limit.
 
 Once true, this stays true from sample to sample for any sample times. So a joint that starts at
-rest inside its limits keeps both limits.
+rest inside its limits keeps both limits. No coordinate moves faster than `a LONGEST_STOP`, so every
+stop takes at most that time, whatever the limit is.
 
-Joints can also brake together, each in proportion to its speed, so that the hand stops on the
-straight line that it moves on. The joint that needs the longest sets the time `T` of that stop. The
-displacement x of a sample and the stop behind it are the line `(1 + T / (2 dt)) x` together, for
-any sample times to come.
+**The gate** keeps a stop behind every displacement possible. A displacement x takes a sample of dt.
+Behind it each coordinate can brake in a time T, and moves by half of T times its velocity
+meanwhile. So the sample and the stop are the line from q to
 
-With an acceleration limit a, no coordinate moves faster than `a LONGEST_STOP`. So every stop takes
-at most that time, whatever the limit is.
+    q + (1 + T / (2 dt)) x
+
+together. Coordinates that move shapes against each other brake together, each in proportion to its
+speed, with the T of the slowest, so that the hand stays on the straight line that it moves on. A
+displacement is admitted if
+
+- it is within the limits of position, speed and acceleration,
+- the whole line is inside the position limits and, where links are kept apart, clear of overlaps,
+- T is at most `LONGEST_STOP`.
+
+The stop that was admitted last stays possible while the hand brakes, for any sample times:
+
+    x_brake = v (1 - dt / T) dt,    v the last velocity,
+
+ends on the line that was found clear, and needs the time T - dt. Another displacement that is not
+admitted is shortened towards x_brake, and replaced by it at last. Both are within the limits of
+speed and acceleration, so all between are. A hand that starts without an overlap never has one.
+
+Where a limit is lowered while the hand moves, the stop that was found under the former one stays in
+force until a stop under the new one is admitted.
+
+The displacement that is shortened is that of the first iteration of the QP. The sum of all
+iterations is longer, and farther from the start, where the rows of the QP are exact.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.ik.solvers import Rows
 
+if TYPE_CHECKING:
+    from handmap_qp.ik.collision import CollisionLimit, NearPairs
+
+Rows = tuple[np.ndarray, np.ndarray]
+"""G, shape (r, n), and h, shape (r,), of `G x <= h`."""
 SHORTEST_DT = 1e-6
 """Least time that a sample accounts for [s].
 
@@ -58,6 +86,7 @@ _LEVER = 0.015
 # Parting takes this share of the box at most. All of it may leave nothing but its corner, which
 # DAQP reports as infeasible.
 _INSIDE = 0.9
+_SHARES = (1.0, 0.5, 0.25, 0.1)
 
 
 class Box(NamedTuple):
@@ -287,3 +316,228 @@ def feasible(
     parted = kept + G.dot(within)
     does_harm = (parted > loose) & ~is_nearer
     return G, loose if does_harm.any() else np.maximum(h, parted)
+
+
+class Motion(NamedTuple):
+    """How a robot moves; do not write to the arrays.
+
+    Attributes:
+        q: Pinocchio configuration last commanded, shape (nq,).
+        displacement: Displacement of the last sample in the active coordinates, shape (nv,).
+        dt: Time of that sample [s].
+        stop_times: Time in which each coordinate can stop on the line that was admitted [s], shape
+            (nv,); 0 for at once.
+    """
+
+    q: np.ndarray
+    displacement: np.ndarray
+    dt: float
+    stop_times: np.ndarray
+
+    @classmethod
+    def at_rest(cls, q: np.ndarray, nv: int) -> Motion:
+        """Return the motion of a robot that stands at a configuration."""
+        return cls(np.array(q), np.zeros(nv), 1.0, np.zeros(nv))
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Velocity in the last sample, shape (nv,)."""
+        return self.displacement / self.dt
+
+    @property
+    def is_braking(self) -> bool:
+        """Whether the robot moves, and its acceleration limit keeps it from standing at once."""
+        return bool(self.stop_times.any() and self.displacement.any())
+
+
+class Gate:
+    """Owns the motion of a robot, and admits its displacements.
+
+    Args:
+        hand: The robot.
+        motion: How it moves; it may come from the gate of another limit.
+        has_velocity_limits: Whether speed limits hold; position limits always do.
+        max_acceleration: Limit of every coordinate [rad/s^2, m/s^2]; None for none.
+        collisions: Pairs of shapes to keep apart; none if omitted.
+
+    Attributes:
+        hand: As given.
+        limits: Of position, speed and acceleration.
+        motion: How the robot moves.
+        collisions: As given.
+        measured: What was found last of the pairs of shapes, in this posture or one before.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        motion: Motion,
+        *,
+        has_velocity_limits: bool = True,
+        max_acceleration: float | None = None,
+        collisions: CollisionLimit | None = None,
+    ) -> None:
+        self.motion = motion
+        self.collisions = collisions
+        self.hand = hand
+        self.measured: NearPairs | None = None
+        self.limits = BoxLimits(
+            hand,
+            has_velocity_limits=has_velocity_limits,
+            max_acceleration=max_acceleration,
+            together=None if collisions is None else collisions.columns,
+        )
+        self._together = self.limits.together
+
+    def place(self, q: np.ndarray) -> None:
+        """Put the robot at a configuration, at rest.
+
+        Args:
+            q: Pinocchio configuration, shape (nq,).
+        """
+        self.motion = Motion.at_rest(q, self.limits.size)
+        self.measured = None
+
+    def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+        """Return the bounds of the next displacement, shape (nv,) each.
+
+        Args:
+            dt: Time for it [s].
+            share: Share of the speed limits to use, as far as braking allows.
+        """
+        lower, upper, *_ = self.limits.box(self.motion.q, dt, self.motion.velocity)
+        farthest = share * dt * self.limits.speeds
+        # Up to that displacement, or the nearest corner of the box.
+        return clip(-farthest, lower, upper), clip(farthest, lower, upper)
+
+    def stopping(self, dt: float) -> float:
+        """Return a bound of the stop behind the next displacement, as a multiple of it."""
+        return self.limits.stopping(self.motion.velocity, dt)
+
+    def near(
+        self, collisions: CollisionLimit, dt: float, margins: np.ndarray | None = None
+    ) -> NearPairs:
+        """Return the pairs of shapes where the robot is, measured unless they are known.
+
+        Args:
+            collisions: The gate's.
+            dt: Time of the next sample [s].
+            margins: Distance that each pair keeps [m], shape (k,); the hand's own if omitted.
+        """
+        near = self.measured
+        if near is None or near.q.tobytes() != self.motion.q.tobytes():
+            near = collisions.measure(self.motion.q, dt, margins, before=near)
+            self.measured = near
+        return near
+
+    def admit(
+        self,
+        wanted: np.ndarray,
+        first: np.ndarray,
+        dt: float,
+        end: NearPairs | None = None,
+    ) -> np.ndarray:
+        """Move the robot by a displacement, or by another one that is admitted.
+
+        Args:
+            wanted: Displacement in the active coordinates, shape (nv,).
+            first: Another one that is shortened if the wanted one is not admitted, likewise.
+            dt: Time for it [s].
+            end: The pairs of shapes where `wanted` ends; measured where it matters if omitted.
+
+        Returns:
+            The displacement taken: `wanted` itself if it is admitted.
+        """
+        box = self.limits.box(self.motion.q, dt, self.motion.velocity)
+        # This also replaces NaN.
+        taken = np.fmin(np.fmax(wanted, box.lower), box.upper)
+        times = self.limits.stop_times(taken, dt)
+        is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
+        if not (is_inside and self._is_clear(taken, times, dt, end)):
+            first = np.fmin(np.fmax(first, box.lower), box.upper)
+            taken, times = self._shortened(None if is_inside else taken, first, dt)
+        self.measured = self.measured if end is None else end
+        self._move(taken, times, dt)
+        return taken
+
+    def brake(self, dt: float) -> np.ndarray:
+        """Take the stop that was admitted last, for one sample; return the displacement.
+
+        Args:
+            dt: Time of the sample [s].
+        """
+        dt = max(dt, SHORTEST_DT)
+        displacement = self._braking(dt)
+        self._move(displacement, np.maximum(self.motion.stop_times - dt, 0.0), dt)
+        return displacement
+
+    def _braking(self, dt: float) -> np.ndarray:
+        """Return the displacement of the stop that was admitted last."""
+        share = 1.0 - dt / np.maximum(self.motion.stop_times, dt)
+        return self.motion.velocity * (dt * share)
+
+    def _shortened(
+        self, wanted: np.ndarray | None, first: np.ndarray, dt: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return a displacement that is admitted, and the times of the stop behind it.
+
+        Coordinates that stop alone take theirs, or brake. The others take shares of `first`.
+
+        Args:
+            wanted: Displacement to try before, shape (nv,); None for none.
+            first: The one that is shortened, likewise.
+            dt: Its time [s].
+        """
+        brake = self._braking(dt)
+        left = np.maximum(self.motion.stop_times - dt, 0.0)
+        middle = self.motion.velocity * dt
+        change = self.limits.change(dt)
+        together = self._together
+        # From a higher limit, the stop in force may brake harder than the limit allows.
+        least = np.minimum(middle - change, brake)
+        most = np.maximum(middle + change, brake)
+        first = clip(first, least, most)
+        base = np.where(together, brake, first)
+        candidates = [base + share * (first - base) for share in _SHARES]
+        if wanted is not None:
+            candidates.insert(0, clip(wanted, least, most))
+        for tried in (*candidates, base):
+            times = self.limits.stop_times(tried, dt)
+            can_stop = self.limits.is_inside(
+                self.motion.q, tried * (1.0 + 0.5 * times / dt)
+            )
+            can_stop &= times <= LONGEST_STOP * (1.0 + 1e-9)
+            brakes = ~(can_stop | together)
+            taken = np.where(brakes, brake, tried)
+            times = np.where(brakes, left, times)
+            is_admitted = tried is not base and bool(can_stop[together].all())
+            if is_admitted and self._is_clear(taken, times, dt):
+                return taken, times
+        # The line of the stop in force was found clear before.
+        return taken, np.where(together, left, times)
+
+    def _is_clear(
+        self,
+        displacement: np.ndarray,
+        times: np.ndarray,
+        dt: float,
+        end: NearPairs | None = None,
+    ) -> bool:
+        """Return whether a displacement and the stop behind it are clear of overlaps."""
+        if self.collisions is None:
+            return True
+        near = self.near(self.collisions, dt)
+        time = times.max(initial=0.0, where=self._together)
+        if time == 0.0 and end is not None:
+            return self.collisions.is_clear(near, displacement, end)
+        whole = np.where(self._together, (1.0 + 0.5 * time / dt) * displacement, 0.0)
+        return self.collisions.is_clear(near, whole)
+
+    def _move(
+        self, displacement: np.ndarray, stop_times: np.ndarray, dt: float
+    ) -> None:
+        q = self.motion.q
+        expansion = self.hand.expansion
+        step = displacement if expansion is None else expansion.matrix.dot(displacement)
+        reached = self.limits.clipped(pin.integrate(self.hand.model, q, step), q)
+        self.motion = Motion(reached, displacement, dt, stop_times)

@@ -22,8 +22,8 @@ import qpsolvers
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.limits import Rows
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.solvers import Rows
 from handmap_qp.ik.tasks import Goal, Task
 
 ErrorAndJacobian = tuple[np.ndarray, np.ndarray]

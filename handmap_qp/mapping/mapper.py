@@ -22,7 +22,7 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.ik.gate import Motion
+from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Task

@@ -16,7 +16,7 @@ import numpy as np
 
 from handmap_qp.hands.configuration import CROSS, moved_by
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.solvers import solve_by_daqp
+from handmap_qp.ik.qp import solve_by_daqp
 
 _MOST_STEPS, _SMALLEST_STEP = 50, 1e-6  # rad or m
 _LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4

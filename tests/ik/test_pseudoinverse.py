@@ -16,8 +16,7 @@ from handmap_qp import IkOptions, load_hand
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import BoxLimits
-from handmap_qp.ik.qp import PointIk, weighted_task
-from handmap_qp.ik.solvers import solve_by_daqp
+from handmap_qp.ik.qp import PointIk, solve_by_daqp, weighted_task
 from handmap_qp.ik.tasks import Goal
 
 PLAIN = IkOptions(error_damping=0.0, has_velocity_limits=False, max_iterations=1)

@@ -14,7 +14,6 @@ from service_tools import Sampler, change, human_q, make_session
 from handmap_qp import IkOptions, MappingOptions
 from handmap_qp.client.messages import Pose
 from handmap_qp.errors import RefusedError
-from handmap_qp.ik import solvers
 from handmap_qp.options import options_of
 
 PERIOD = 1.0 / 60.0
@@ -136,7 +135,7 @@ def test_the_solver_does_not_go_round_in_circles(
         return result
 
     solve = daqp.solve
-    monkeypatch.setattr(solvers.daqp, "solve", counting)
+    monkeypatch.setattr(daqp, "solve", counting)
     # Targets so far away that the cost cannot distinguish them.
     mapping, ik = (
         {"scale": 9e18, "reference": "previous"},

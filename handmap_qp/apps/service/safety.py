@@ -6,7 +6,7 @@ outlasts everything but its clearing, which leaves the robot released.
 
 A mapper does not know how much time has really passed, that it was reset, that the former session
 left the robot elsewhere, or that a client switched speed limits off. So the robot has a gate of its
-own (`handmap_qp.ik.gate`), and `StepClock` limits the time that the next command may account for.
+own (`handmap_qp.ik.limits`), and `StepClock` limits the time that the next command may account for.
 """
 
 from __future__ import annotations
@@ -15,13 +15,23 @@ import math
 from enum import Enum, auto
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.gate import Gate, Motion
-from handmap_qp.ik.limits import SHORTEST_DT
-from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.ik.limits import (
+    SHORTEST_DT,
+    Gate,
+    Motion,
+    braking_displacement,
+    clip,
+    feasible,
+)
+from handmap_qp.ik.qp import PointIk, solve_by_daqp
 
+# Displacements of a sample are near this size [rad]; the solver is exact near one.
+_SCALE = 0.05
 HEARTBEAT = 0.1
 """Time between commands that repeat a hold [s]."""
 RETURN_PERIOD = 1.0 / 60.0
@@ -250,6 +260,7 @@ class CommandedRobot(Gate):
         self, robot: Hand, q: np.ndarray, wrist: np.ndarray | None = None
     ) -> None:
         self.is_placed = wrist is not None or not robot.is_floating
+        self._placed = robot.configuration()
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
         columns = len(robot.active_columns)
         super().__init__(robot, Motion.at_rest(vector, columns))
@@ -264,7 +275,7 @@ class CommandedRobot(Gate):
     @property
     def q(self) -> np.ndarray:
         """Joint angles last commanded [rad], shape (n,)."""
-        return self.motion.q[self._hand.q_indices]
+        return self.motion.q[self.hand.q_indices]
 
     @property
     def wrist(self) -> np.ndarray | None:
@@ -299,11 +310,82 @@ class CommandedRobot(Gate):
             self.brake(dt)
             return False
         if not self.is_placed and wrist is not None:
-            self.place(self._hand.configuration_vector(self.q, wrist))
+            self.place(self.hand.configuration_vector(self.q, wrist))
             self.is_placed = True
         goal = self.motion.q.copy()
-        self._hand.write_configuration(goal, q, wrist)
+        self.hand.write_configuration(goal, q, wrist)
         return self.approach(goal, dt, share, stops=stops)
+
+    def approach(
+        self, goal: np.ndarray, dt: float, share: float = 1.0, *, stops: bool = False
+    ) -> bool:
+        """Move towards a configuration.
+
+        Where links are kept apart, the robot takes the nearest displacement that the rows of
+        self-collision avoidance allow,
+
+            min |x - wanted|^2   s.t.   lower <= x <= upper,   G x <= h,
+
+        so that links slide along each other instead of meeting, or a part of it, or it brakes.
+
+        Args:
+            goal: Pinocchio configuration, shape (nq,).
+            dt: Time for it [s].
+            share: Share of the speed limits to use.
+            stops: Whether the robot must be able to stop there at once.
+
+        Returns:
+            Whether it is reached.
+        """
+        dt = max(dt, SHORTEST_DT)
+        motion = self.motion
+        change = pin.difference(self.hand.model, motion.q, goal)[
+            self.hand.active_columns
+        ]
+        lower, upper = self.bounds(dt)
+        limit = self.limits.speeds * (dt * share)
+        slack = 1e-12 + 1e-9 * limit
+        reach = np.minimum(limit, self.limits.change(dt)) if stops else limit
+        is_near = (np.abs(change) <= reach + slack) & (change <= upper + slack)
+        is_there = bool((is_near & (change >= lower - slack)).all())
+        nearest = clip(self._towards(change, limit, dt), lower, upper)
+        wanted = change if is_there else nearest
+        if self.collisions is not None:
+            nearest = self._along_links(self.collisions, wanted, lower, upper, dt)
+        taken = self.admit(wanted, nearest, dt)
+        is_there = is_there and bool((np.abs(taken - change) <= slack).all())
+        if is_there:
+            self.motion = self.motion._replace(q=self.limits.clipped(goal, motion.q))
+        return is_there
+
+    def _towards(self, change: np.ndarray, limit: np.ndarray, dt: float) -> np.ndarray:
+        """Return the part of a path that the robot takes if it must stop at its end."""
+        allowed = braking_displacement(np.abs(change), self.limits.change(dt))
+        if self.hand.is_floating:
+            # Scale all six coordinates alike, so that the wrist stays on its path.
+            allowed[:6] *= (limit[:6] / np.maximum(allowed[:6], 1e-300)).min(
+                initial=1.0
+            )
+        return np.copysign(np.minimum(allowed, limit), change)
+
+    def _along_links(
+        self,
+        collisions: CollisionLimit,
+        wanted: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        dt: float,
+    ) -> np.ndarray:
+        """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
+        self._placed.place_with_jacobians(self.motion.q)
+        rows = collisions.rows(self._placed, self.near(collisions, dt))
+        G, h = feasible(rows, lower, upper, stopping=self.stopping(dt))
+        if not (G.dot(wanted) > h).any():
+            return wanted
+        scaled = [each / _SCALE for each in (-wanted, lower, upper, h)]
+        found = solve_by_daqp(np.eye(len(wanted)), *scaled[:3], (G, scaled[3]))
+        # Without a solution, only the brake is left.
+        return clip(0.0 if found is None else found * _SCALE, lower, upper)
 
 
 class StepClock:

@@ -57,7 +57,7 @@ from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.contact_gap import ContactGapMeter
 from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
-from handmap_qp.ik.gate import Motion
+from handmap_qp.ik.limits import Motion
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
