@@ -16,6 +16,7 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from types import ModuleType
 
+from handmap_qp import hands
 from handmap_qp.errors import (
     HandError,
     MissingExtraError,
@@ -140,10 +141,7 @@ def urdf_path(spec: HandSpec | ArmSpec) -> Path:
     try:
         path = source_file(spec)
         if is_mjcf(path):
-            # MuJoCo takes a second to load.
-            from handmap_qp.hands.mjcf import cached_urdf
-
-            return cached_urdf(path)
+            return hands.mjcf.cached_urdf(path)
     except HandError as error:
         raise _source_error(spec, error.problem) from error
     return path
