@@ -28,8 +28,8 @@ from scipy.spatial.transform import Rotation
 from handmap_qp import load_hand, read_recording
 from handmap_qp.human import fit as fitting
 from handmap_qp.human.fit import LandmarkFitter
-from handmap_qp.human.landmarks import TIPS
 from handmap_qp.human.measure import measure_hand
+from handmap_qp.human.sample import TIPS
 
 _FINGERS = {"index": "index", "middle": "middle", "ring": "ring", "little": "pinky"}
 _FURTHER = 200

@@ -26,11 +26,9 @@ import numpy as np
 
 from handmap_qp import InvalidInputError, load_hand, read_recording
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HumanSample
-from handmap_qp.human.verdict import Verdict
+from handmap_qp.human.sample import HumanSample, Verdict, human_name
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers import plausibility
 from handmap_qp.trackers.hand_geometry import log_size, own_distances, palmar_evidence

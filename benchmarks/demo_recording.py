@@ -19,7 +19,7 @@ import numpy as np
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.sample import human_name
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import affine, quat_wxyz_from_rotation, rotation_from_rpy
 

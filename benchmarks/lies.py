@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from handmap_qp import load_hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.sample import human_name
 from handmap_qp.se3 import affine
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.tables import load_layout

@@ -30,7 +30,7 @@ from handmap_qp.client.messages import (
     Pose,
     Request,
 )
-from handmap_qp.human.verdict import RULES
+from handmap_qp.human.sample import RULES
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.presets import PRESETS
 

@@ -26,9 +26,9 @@ from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.landmarks import PALM
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.human.sample import PALM
 from handmap_qp.se3 import inverse_pose, rigid_fit
 from peers import build, runner
 

@@ -12,8 +12,8 @@ from collections import deque
 
 import numpy as np
 
-from handmap_qp.human.landmarks import TIPS
 from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import TIPS
 
 CONTACT_GAPS = (0.012, 0.020)
 """Least and largest contact gap that is measured [m]."""

@@ -20,10 +20,9 @@ from handmap_qp.hands.configuration import CROSS
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import PALM, PalmShape, human_name
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import HumanMotion, Recording
-from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.human.sample import LANDMARK_COUNT, PALM, PalmShape, human_name
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.se3 import affine, as_floats, nearest_rotation
 from handmap_qp.se3 import lengths as norms

@@ -11,8 +11,8 @@ from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.landmarks import FIRST_JOINTS, PALM, check_length, human_name
 from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import FIRST_JOINTS, PALM, check_length, human_name
 from handmap_qp.se3 import frozen, lengths, rigid_fit, transform_points
 
 _BENT = math.sin(math.radians(15.0))

@@ -13,7 +13,7 @@ import yaml
 
 from handmap_qp.errors import InvalidInputError, expect, without_errno
 from handmap_qp.hands.human import FINGERS, HumanLengths
-from handmap_qp.human.landmarks import expect_hand_length
+from handmap_qp.human.sample import expect_hand_length
 from handmap_qp.output_files import replaced_file
 
 LARGEST_GAP = 0.04

@@ -1,15 +1,23 @@
-"""`HumanSample`: one human hand at one instant, as a tracker saw it."""
+"""A sample of a human hand: its landmarks, the palm that they show, and what is said about it.
+
+Trackers, files and layouts make each `HumanSample`; `stream.guard` and `trackers.plausibility` make
+its `Verdict`, which `MapStep` carries. `measure` measures a person's hand in a recording, and `fit`
+fits joint angles to it.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from handmap_qp.errors import expect
+from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.se3 import as_floats, check_pose, frozen
+from handmap_qp.se3 import as_floats, check_pose, frozen, lengths
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
@@ -23,6 +31,17 @@ LANDMARK_NAMES: tuple[str, ...] = (
     ),
 )
 """Their names, in their order; the set `landmarks` of the human hand has the same ones."""
+PALM = np.array([0, 5, 9, 13, 17])
+"""Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
+FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
+"""First joint of every finger: thumb CMC and the four MCPs."""
+TIPS = np.array([4, 8, 12, 16, 20])
+"""The fingertips."""
+HAND_LENGTHS = (0.12, 0.25)
+"""Lengths that a hand may have [m], from wrist to middle fingertip: from a child's of five years to
+more than those of nearly all men. Adults that were tracked have 0.175 to 0.195."""
+_PALM_RATIOS = (0.5, 2.0)
+"""Size of a sample's palm over the hand's own, which is constant; 0.87 to 1.12 in recordings."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,3 +102,231 @@ class HumanSample:
             "a number from 0 to 1",
             value=share,
         )
+
+
+class PalmShape:
+    """The palm of a human hand, to recognise landmarks of another size.
+
+    Args:
+        human: The hand, scaled to the person.
+
+    Attributes:
+        points: Its landmarks in the frame of the wrist [m], shape (5, 3).
+
+    Raises:
+        HandError: If the hand has no landmarks.
+    """
+
+    def __init__(self, human: Hand) -> None:
+        self.points = landmarks_at_rest(human)[PALM]
+        self._size = float(palm_sizes(self.points))
+
+    def ratios(self, landmarks: np.ndarray) -> np.ndarray:
+        """Return the size of palms over this one's, shape (...).
+
+        Args:
+            landmarks: Of one sample or many [m], shape (..., 21, 3).
+        """
+        return palm_sizes(landmarks[..., PALM, :]) / self._size
+
+    def fits(self, landmarks: np.ndarray) -> np.ndarray:
+        """Tell whether landmarks belong to a hand about as large as this one.
+
+        Landmarks in other units, or all in one place, do not.
+
+        Args:
+            landmarks: As of `ratios`.
+
+        Returns:
+            True or False for every sample, shape (...); False for NaN.
+        """
+        ratios = self.ratios(landmarks)
+        return np.asarray((ratios >= _PALM_RATIOS[0]) & (ratios <= _PALM_RATIOS[1]))
+
+    def check(self, landmarks: np.ndarray) -> None:
+        """Reject landmarks of a hand that is much larger or smaller.
+
+        Args:
+            landmarks: Of one sample [m], shape (21, 3).
+
+        Raises:
+            InvalidInputError: If the palm is less than half or more than twice as large.
+        """
+        expect(
+            self.fits(landmarks),
+            "landmarks",
+            "metres and a palm as large as the hand's",
+            value=landmarks,
+            got=f"one {self.ratios(landmarks):.3g} times as large",
+        )
+
+
+@lru_cache(maxsize=8)
+def landmarks_at_rest(human: Hand) -> np.ndarray:
+    """Return the landmarks of a hand at rest in the frame of its wrist [m], shape (21, 3).
+
+    Raises:
+        HandError: If the hand has no landmarks.
+    """
+    hand = human.with_points("landmarks")
+    # A workspace for once: the hand's own would stay, a megabyte a person.
+    placed = hand.configuration()
+    placed.place_frames(hand.configuration_vector(hand.rest))
+    return frozen(placed.points.copy())
+
+
+def human_name(side: Side) -> str:
+    """Return the name of the human hand of a side.
+
+    Raises:
+        InvalidInputError: If the side is neither `right` nor `left`.
+    """
+    check_side(side)
+    return "human" if side == "right" else "human_left"
+
+
+def check_length(landmarks: np.ndarray) -> np.ndarray:
+    """Reject landmarks that are not a plausible hand in metres.
+
+    Args:
+        landmarks: Of one sample or more [m], shape (T, 21, 3).
+
+    Returns:
+        Bone lengths, the median over the samples [m], shape (5, 3).
+
+    Raises:
+        InvalidInputError: On a wrong shape, anything but finite numbers, or a length outside
+            `HAND_LENGTHS`.
+    """
+    shape = ("T", LANDMARK_COUNT, 3)
+    landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
+    bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
+    segments = np.median(bones, axis=0)
+    palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
+    expect_hand_length(float(palm + segments[2].sum()), "landmarks")
+    return segments
+
+
+def expect_hand_length(length: float, argument: str) -> None:
+    """Reject a length from wrist to middle fingertip that no hand has in metres.
+
+    Raises:
+        InvalidInputError: If it is outside `HAND_LENGTHS`.
+    """
+    low, high = HAND_LENGTHS
+    expect(
+        low <= length <= high,
+        argument,
+        f"metres and a hand of {low} to {high} m from wrist to middle fingertip",
+        value=length,
+        got=f"{length:.3g}",
+    )
+
+
+def palm_sizes(palms: np.ndarray) -> np.ndarray:
+    """Return RMS distances of palms' points (..., 5, 3) from their centroids [m], shape (...)."""
+    offsets = palms - palms.mean(axis=-2, keepdims=True)
+    return np.sqrt(np.square(offsets).sum(axis=(-2, -1)) / len(PALM))
+
+
+Rule = Literal[
+    "",
+    "missing",
+    "zero",
+    "size",
+    "outlier",
+    "jump",
+    "flip",
+    "frozen",
+    "gap",
+    "settling",
+    "duplicate",
+    "disorder",
+    "clock_jump",
+    "time",
+    "unit",
+    "order",
+    "side",
+    "flexion",
+    "wrist",
+    "unproven",
+]
+"""Name of what is wrong with a sample; empty if nothing is."""
+
+RULES: dict[Rule, str] = {
+    "missing": "the tracker did not see the hand, or its confidence is 0",
+    "zero": "landmarks lie in one place or at the origin, as trackers send when they see no hand",
+    "size": "the palm is less than half or more than twice as large as the person's, or the hand's "
+    "size changed for a while",
+    "outlier": "one landmark left its place on the hand: lengths of bones changed at once",
+    "jump": "the hand moved faster, or from one speed to another, than hands do",
+    "flip": "the hand turned over or became its mirror image from one sample to the next",
+    "frozen": "the landmarks have repeated exactly for 0.25 s, or one finger for a while",
+    "gap": "no sample came for more than 0.25 s; it is followed where the hand has not moved",
+    "settling": "the samples make sense again, but not yet for long enough",
+    "duplicate": "the time stamp is the same as that of the sample before",
+    "disorder": "the time stamp is earlier than that of the sample before",
+    "clock_jump": "the tracker's clock was set; the hand is where it was and is followed",
+    "time": "for a while: time stamps are not in seconds, or do not run as samples arrive",
+    "unit": "for a while: landmarks are not in metres",
+    "order": "for a while: landmarks are in another order",
+    "side": "for a while: landmarks are those of the other hand, or of a mirrored world",
+    "flexion": "for a while: fingers bend backwards",
+    "wrist": "for a while: the wrist's orientation does not follow the palm of the landmarks",
+    "unproven": "the wrist has not followed a palm that turned yet; it is followed at a quarter of "
+    "the speed limits",
+}
+"""The rules, in words."""
+
+UNPROVEN_SPEED = 0.25
+"""Share of the speed limits at which the robot follows a wrist that is not proven yet."""
+
+Mistake = Literal["time", "unit", "order", "side", "flexion", "size", "frozen", "wrist"]
+"""Kinds of mistakes: the unit or rate of time, the unit of length, the order of landmarks, the
+other hand or a mirrored world, fingers that bend backwards, a size that changes, a finger that
+repeats, the wrist's orientation."""
+
+
+class Finding(NamedTuple):
+    """What is wrong with the input.
+
+    Attributes:
+        kind: The kind of mistake.
+        problem: What was found, in one line.
+        advice: What to do about it.
+    """
+
+    kind: Mistake
+    problem: str
+    advice: str
+
+    def __str__(self) -> str:
+        """Compose `problem: advice`."""
+        return f"{self.problem}: {self.advice}"
+
+
+class Verdict(NamedTuple):
+    """What the guard says about one sample.
+
+    Attributes:
+        rule: What is wrong with it; empty if nothing is.
+        is_held: The robot must hold: the sample is not to be followed.
+        is_return: The first sample to follow after a hold, a gap, or samples that came too late.
+        dt: Time that the sample accounts for [s].
+        consistency: RMS difference of the distances that cannot change (bones, and neighbours in
+            the palm) from the person's [m]; NaN if there are no landmarks.
+        finding: What the input is instead of what it says, in words, where the last samples agree
+            that it is something else (`trackers.plausibility`).
+    """
+
+    rule: Rule
+    is_held: bool
+    is_return: bool
+    dt: float
+    consistency: float
+    finding: Finding | None = None
+
+    @property
+    def speed(self) -> float:
+        """Share of the robot's speed limits at which the sample may be followed."""
+        return UNPROVEN_SPEED if self.rule == "unproven" else 1.0

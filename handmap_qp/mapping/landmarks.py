@@ -10,7 +10,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
-from handmap_qp.human.landmarks import landmarks_at_rest
+from handmap_qp.human.sample import landmarks_at_rest
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.se3 import (
     FARTHEST,

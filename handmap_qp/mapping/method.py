@@ -33,7 +33,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.verdict import Finding, Rule, Verdict
+from handmap_qp.human.sample import Finding, Rule, Verdict
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Task
@@ -313,7 +313,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
 
     @property
     def rule(self) -> Rule:
-        """Name of what is wrong with the sample (`human.verdict.RULES`); empty if nothing."""
+        """Name of what is wrong with the sample (`human.sample.RULES`); empty if nothing."""
         return "" if self.verdict is None else self.verdict.rule
 
     @property

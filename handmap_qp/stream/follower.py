@@ -17,8 +17,7 @@ import pinocchio as pin
 from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
-from handmap_qp.human.verdict import Verdict
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample, Verdict
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt
 from handmap_qp.mapping.method import HumanPose, MapStep, Targets

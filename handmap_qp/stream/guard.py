@@ -21,9 +21,16 @@ import pinocchio as pin
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import PALM, PalmShape, landmarks_at_rest, palm_sizes
-from handmap_qp.human.sample import HumanSample
-from handmap_qp.human.verdict import Finding, Rule, Verdict
+from handmap_qp.human.sample import (
+    PALM,
+    Finding,
+    HumanSample,
+    PalmShape,
+    Rule,
+    Verdict,
+    landmarks_at_rest,
+    palm_sizes,
+)
 from handmap_qp.se3 import lengths, nearest_rotation
 from handmap_qp.trackers.plausibility import InputCheck
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from handmap_qp.human.verdict import Finding
+from handmap_qp.human.sample import Finding
 from handmap_qp.se3 import lengths, nearest_rotation
 from handmap_qp.trackers.hand_geometry import median
 

@@ -20,8 +20,8 @@ from handmap_qp import (
 )
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import MOST_ITERATIONS, LandmarkFitter, fit_recording
-from handmap_qp.human.landmarks import TIPS, human_name
 from handmap_qp.human.measure import measure_hand
+from handmap_qp.human.sample import TIPS, human_name
 from handmap_qp.se3 import affine
 
 ROLLS = np.radians([0.0, -9.0, 4.0, 9.0, 18.0])

@@ -15,8 +15,7 @@ from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HumanSample
-from handmap_qp.human.verdict import RULES, Rule, Verdict
+from handmap_qp.human.sample import RULES, HumanSample, Rule, Verdict
 from handmap_qp.stream.guard import FROZEN_AFTER, SETTLING, StreamGuard
 from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.injection import inject, parse_faults

@@ -19,8 +19,7 @@ from handmap_qp import (
     InvalidOptionsError,
     load_hand,
 )
-from handmap_qp.human.sample import HumanSample
-from handmap_qp.human.verdict import UNPROVEN_SPEED
+from handmap_qp.human.sample import UNPROVEN_SPEED, HumanSample
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.se3 import affine
 from handmap_qp.stream.follower import FINGER_SPEED, PALM_SPEED, TURN_SPEED, RejoinKind

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from handmap_qp import HandmapError
 from handmap_qp.hands.library import load_hand
-from handmap_qp.human.landmarks import PALM
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.sample import PALM, HumanSample
 from handmap_qp.se3 import rigid_fit
 from handmap_qp.trackers.injection import (
     FAULT_KINDS,

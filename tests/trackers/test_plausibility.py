@@ -24,8 +24,7 @@ from handmap_qp import (
     read_recording,
 )
 from handmap_qp.human.measure import scaled_human
-from handmap_qp.human.sample import HumanSample
-from handmap_qp.human.verdict import Verdict
+from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.trackers.hand_geometry import misfit, own_distances, palmar_evidence
 from handmap_qp.trackers.plausibility import (

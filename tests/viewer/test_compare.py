@@ -29,7 +29,7 @@ from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.replay import ReplayViewer
 from handmap_qp.apps.viewer.sample import Solid, Variant, ViewSample
 from handmap_qp.apps.viewer.scene import BrowserCameras, HandScene
-from handmap_qp.human.landmarks import TIPS
+from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points

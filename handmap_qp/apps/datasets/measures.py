@@ -9,8 +9,8 @@ import numpy as np
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.human.landmarks import TIPS
 from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import TIPS
 from handmap_qp.se3 import lengths
 
 MOST_SURFACES = 60

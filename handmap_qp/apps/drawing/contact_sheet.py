@@ -31,10 +31,9 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import PALM
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.human.sample import LANDMARK_COUNT, PALM
 from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points, unit
 
 if TYPE_CHECKING:

@@ -47,9 +47,9 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.se3 import as_floats, inverse_pose

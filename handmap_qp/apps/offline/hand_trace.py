@@ -21,7 +21,7 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import FIRST_JOINTS, PALM, TIPS
+from handmap_qp.human.sample import FIRST_JOINTS, PALM, TIPS
 from handmap_qp.se3 import affine, nearest_rotation, rigid_fit
 
 MIDDLES = np.array([3, 6, 10, 14, 18])

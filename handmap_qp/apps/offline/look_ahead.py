@@ -30,10 +30,10 @@ from handmap_qp.apps.offline.trajectory import (
 )
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.landmarks import PALM
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import PALM
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.se3 import (
     affine,

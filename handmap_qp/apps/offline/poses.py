@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.human.landmarks import TIPS
 from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import TIPS
 from handmap_qp.se3 import as_floats, lengths
 
 STRAIGHT = 60.0

@@ -17,7 +17,7 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
-from handmap_qp.human.verdict import RULES, Rule, Verdict
+from handmap_qp.human.sample import RULES, Rule, Verdict
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.output_files import replaced_file
@@ -45,7 +45,7 @@ class Trajectory:
             joint from moving farther, shape (T, n).
         status: `MapStep.status` of each sample, shape (T,).
         step_cpu: CPU time of each step [s], shape (T,); NaN where the robot was held.
-        rule: What is wrong with each sample (`human.verdict.RULES`), shape (T,); empty where
+        rule: What is wrong with each sample (`human.sample.RULES`), shape (T,); empty where
             nothing is.
         consistency: RMS difference of bones and palm from the person's [m], shape (T,); NaN where
             it was not measured.

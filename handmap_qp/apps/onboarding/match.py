@@ -12,9 +12,9 @@ import yaml
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, load_hand
-from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.hand_pair import HandPair, resting_posture
 from handmap_qp.se3 import inverse_pose, transform_points
 

@@ -21,7 +21,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
-from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.se3 import lengths, unit
 

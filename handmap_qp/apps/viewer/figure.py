@@ -22,7 +22,7 @@ from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.human.landmarks import TIPS
+from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.se3 import inverse_pose, quat_wxyz_from_rotation, transform_points
 

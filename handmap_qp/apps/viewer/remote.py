@@ -21,7 +21,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import hand_files, load_hand
 from handmap_qp.human.fit import LandmarkFitter
-from handmap_qp.human.landmarks import human_name
+from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
 from handmap_qp.se3 import rigid_fit
 

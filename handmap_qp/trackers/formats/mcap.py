@@ -15,9 +15,8 @@ from handmap_qp.hands.human import HUMAN_JOINTS
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import fit_recording
-from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.recording import Recording, finite_samples
-from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.human.sample import LANDMARK_COUNT, human_name
 from handmap_qp.output_files import replaced_path
 from handmap_qp.se3 import pose_from_xyz_quat, quat_wxyz_from_rotation
 from handmap_qp.trackers.formats.base import (

@@ -22,9 +22,8 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side, check_side
 from handmap_qp.human.fit import LandmarkFitter
-from handmap_qp.human.landmarks import human_name
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.sample import HumanSample, human_name
 from handmap_qp.se3 import QuatOrder, affine, as_floats, check_poses, pose_from_xyz_quat
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import axes_convention

@@ -12,8 +12,7 @@ from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.landmarks import PALM
-from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, HumanSample
+from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, PALM, HumanSample
 from handmap_qp.se3 import (
     QuatOrder,
     affine,
