@@ -2,7 +2,7 @@
 
 The hand itself is an ordinary hand in `urdf/human`. It can be scaled to a person (`HumanLengths`,
 `scaled_human_urdf`), always as a right hand: a left person's lengths are given mirrored, and the
-URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirrored_urdf`).
+URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirror`).
 """
 
 from __future__ import annotations

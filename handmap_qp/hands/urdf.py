@@ -529,13 +529,6 @@ _MIRRORED = {
 }
 
 
-def mirrored_urdf(text: str) -> str:
-    """Mirror a URDF as text: `mirror`."""
-    robot = parse_urdf(text)
-    mirror(robot)
-    return ET.tostring(robot, encoding="unicode")
-
-
 def mirror(robot: ET.Element) -> None:
     """Mirror a URDF in the plane x = 0 of its root link: a right hand becomes a left one.
 

@@ -14,7 +14,7 @@ from hypothesis.extra.numpy import arrays
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.sources import urdf_directory
-from handmap_qp.hands.urdf import mirrored_urdf
+from handmap_qp.hands.urdf import mirror, parse_urdf
 
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 HUMAN = (urdf_directory() / "human" / "hand.urdf").read_text(encoding="utf-8")
@@ -53,6 +53,13 @@ MIXED = """
   <link name="tip"/>
 </robot>
 """
+
+
+def mirrored_urdf(text: str) -> str:
+    """Mirror a URDF as text."""
+    robot = parse_urdf(text)
+    mirror(robot)
+    return ET.tostring(robot, encoding="unicode")
 
 
 @cache
