@@ -293,6 +293,21 @@ def test_meshes_lie_where_mujoco_has_them(claw: tuple[ConvertedMjcf, Path]) -> N
         assert np.linalg.norm(found - corner, axis=1).min() < 1e-7
 
 
+def test_primitives_have_whole_lengths_where_mujoco_has_half(
+    claw: tuple[ConvertedMjcf, Path],
+) -> None:
+    robot = ET.fromstring(claw[0].text)
+    box = robot.find(".//collision/geometry/box")
+    lengths = {
+        float(shape.get("length", "nan"))
+        for shape in robot.iterfind(".//collision/geometry/cylinder")
+    }
+    assert box is not None
+    sizes = [float(size) for size in box.get("size", "").split()]
+    np.testing.assert_allclose(sizes, [0.08, 0.1, 0.02])
+    assert 0.04 in lengths
+
+
 @pytest.mark.parametrize(
     ("text", "word"),
     [
