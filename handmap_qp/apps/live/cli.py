@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import tyro
 from rich.console import Console
 
+from handmap_qp.apps import live
 from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
 from handmap_qp.apps.live.mediapipe_source import MediapipeSource, install_environment
 from handmap_qp.apps.live.source import Recorder, Replay, Sink, Source, run
@@ -113,10 +114,8 @@ class Target:
         if self.record is not None:
             sinks.append(Recorder(self.record, "--record"))
         if self.to is not None and self.robot is not None:
-            from handmap_qp.apps.live.service import ServiceSink
-
             sinks.append(
-                ServiceSink(
+                live.service.ServiceSink(
                     self.to,
                     self.robot,
                     source.side,
@@ -258,10 +257,10 @@ class TrackRecord:
 
     def run(self) -> None:
         """Record until the session ends or Ctrl-C."""
-        from handmap_qp.apps.live.service import ServiceSource
-
         recorder = Recorder(self.out, "OUT")
-        source = ServiceSource(self.source, session=self.session, keys=self.keys)
+        source = live.service.ServiceSource(
+            self.source, session=self.session, keys=self.keys
+        )
         _lead(source, [recorder], is_json=self.json)
 
 

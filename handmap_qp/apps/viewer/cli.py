@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from handmap_qp.apps import viewer
 from handmap_qp.apps.addresses import check_port
 from handmap_qp.apps.arguments import (
     InputArguments,
@@ -165,24 +166,22 @@ class View:
         print(f"wrote {self.html}")
 
     def _show_live(self, live: str) -> None:
-        from handmap_qp.apps.viewer.remote import ServiceSession
-
         # Connect before serving, so that a missing session is reported at once.
-        source = ServiceSession(
+        source = viewer.remote.ServiceSession(
             live, session=self.session, robot=self.robot, keys=self.keys
         )
         try:
             with self._serving() as server:
                 while True:
-                    viewer = LiveViewer(server, source)
+                    window = LiveViewer(server, source)
                     try:
-                        viewer.run()
+                        window.run()
                     finally:
-                        viewer.close()
+                        window.close()
                     # Its hands have changed.
                     server.gui.reset()
                     server.scene.reset()
-                    source = ServiceSession(
+                    source = viewer.remote.ServiceSession(
                         live, session=source.name, robot=self.robot, keys=self.keys
                     )
         finally:

@@ -1,0 +1,3 @@
+from . import (
+    service as service,
+)

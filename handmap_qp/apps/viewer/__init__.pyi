@@ -1,0 +1,3 @@
+from . import (
+    remote as remote,
+)
