@@ -148,22 +148,19 @@ def mirror_sign(orthogonal: np.ndarray) -> np.ndarray:
     return np.full(orthogonal.shape[:-2], math.copysign(1.0, turn))
 
 
-def rigid_fit(
-    points: np.ndarray, onto: np.ndarray, weights: npt.ArrayLike | None = None
-) -> np.ndarray:
-    """Fit the pose that best lays points onto others, in the weighted least-squares sense.
+def rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
+    """Fit the pose that best lays points onto others, in the least-squares sense.
 
     Args:
         points: Points [m], shape (..., n, 3). Where they lie on a line, the turn about it is
             arbitrary.
         onto: Where each of them should come to lie [m], shape (..., n, 3).
-        weights: Weight of each pair, not negative, shape (n,); equal if omitted.
 
     Returns:
         Pose that takes `points` to `onto`, shape (..., 4, 4).
     """
-    share = np.ones(points.shape[-2]) if weights is None else np.asarray(weights)
-    share = share / share.sum()
+    count = points.shape[-2]
+    share = np.ones(count) / count
     centre = share @ points
     centre_onto = share @ onto
     weighted = share[:, None] * (onto - centre_onto[..., None, :])

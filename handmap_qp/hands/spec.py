@@ -13,14 +13,14 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import numpy as np
 import yaml
 from msgspec import Meta
 
-from handmap_qp.errors import HandError, InvalidInputError, without_errno
+from handmap_qp.errors import HandError, without_errno
 
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
@@ -288,18 +288,6 @@ def read_hand_spec(path: Path) -> HandSpec:
 def is_named_source(reference: str) -> bool:
     """Return whether a `urdf` of a description has the same meaning in every folder."""
     return reference.startswith((PACKAGE_SCHEME, DESCRIPTION_SCHEME, "$"))
-
-
-def check_side(side: Any) -> None:
-    """Reject what is not a side of the body.
-
-    Raises:
-        InvalidInputError: If it is neither `right` nor `left`.
-    """
-    if not (isinstance(side, str) and side in get_args(Side)):
-        raise InvalidInputError(
-            argument="side", expected="'right' or 'left'", value=side
-        )
 
 
 def check_point(point: PointSpec) -> PointSpec:

@@ -13,8 +13,8 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Side, check_side
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample, check_side
 from handmap_qp.se3 import as_floats, check_poses, frozen
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])

@@ -10,13 +10,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import as_floats, check_pose, frozen, lengths
 
 LANDMARK_COUNT = 21
@@ -78,12 +78,7 @@ class HumanSample:
         """Check the values, and replace arrays by read-only copies."""
         is_number = isinstance(self.time, int | float | np.number)
         is_finite = is_number and math.isfinite(self.time)
-        expect(
-            is_finite,
-            "time",
-            "a finite instant",
-            value=self.time,
-        )
+        expect(is_finite, "time", "a finite instant", value=self.time)
         check_side(self.side)
         landmarks = as_floats(
             self.landmarks,
@@ -96,12 +91,17 @@ class HumanSample:
             wrist = check_pose(self.wrist, "wrist").copy()
             object.__setattr__(self, "wrist", frozen(wrist))
         share = self.confidence
-        expect(
-            0.0 <= share <= 1.0,
-            "confidence",
-            "a number from 0 to 1",
-            value=share,
-        )
+        expect(0.0 <= share <= 1.0, "confidence", "a number from 0 to 1", value=share)
+
+
+def check_side(side: Any) -> None:
+    """Reject what is not a side of the body.
+
+    Raises:
+        InvalidInputError: If it is neither `right` nor `left`.
+    """
+    is_side = isinstance(side, str) and side in get_args(Side)
+    expect(is_side, "side", "'right' or 'left'", value=side)
 
 
 class PalmShape:

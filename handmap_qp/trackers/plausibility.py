@@ -21,9 +21,9 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HAND_LENGTHS, LANDMARK_COUNT, Finding
+from handmap_qp.human.sample import HAND_LENGTHS, LANDMARK_COUNT, Finding, check_side
 from handmap_qp.trackers.hand_geometry import (
     Distances,
     carried_fingers,

@@ -20,10 +20,10 @@ from handmap_qp.errors import InvalidInputError, did_you_mean, expect
 from handmap_qp.hands.hand import Hand, Points
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side, check_side
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
-from handmap_qp.human.sample import HumanSample, human_name
+from handmap_qp.human.sample import HumanSample, check_side, human_name
 from handmap_qp.se3 import QuatOrder, affine, as_floats, check_poses, pose_from_xyz_quat
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.wrist_axes import axes_convention
