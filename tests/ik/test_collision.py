@@ -17,6 +17,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from ik_cases import problem_of, random_cases
+from scipy.optimize import linprog
 
 from handmap_qp import HandError, IkOptions, MissingExtraError, load_hand
 from handmap_qp.errors import InvalidOptionsError
@@ -194,6 +195,40 @@ def test_overlapping_links_part() -> None:
             assert dq is not None
             ik.place(pin.integrate(hand.model, ik.configuration.q, dq))
         assert limit.distances(ik.configuration).min() > 0.9 * limit.margin
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=60, deadline=None)
+def test_pairs_that_cannot_all_part_leave_a_solution(seed: int) -> None:
+    """What parts pairs may bring others nearer than their margin: then they need not part."""
+    rng = np.random.default_rng(seed)
+    count, size = int(rng.integers(2, 7)), int(rng.integers(1, 4))
+    G = rng.normal(size=(count, size))
+    h = rng.choice([-0.01, 0.0, 0.01], count)
+    bounds = rng.uniform(0.01, 0.2, size)
+    rows, limits = feasible((G, h), -bounds, bounds)
+    found = linprog(
+        np.zeros(size),
+        rows,
+        limits + 1e-12,
+        bounds=np.column_stack([-bounds, bounds]),
+    )
+    assert found.success, found.message
+    assert (limits <= h)[h >= 0.0].all()
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=30, deadline=None)
+def test_rows_of_a_later_iteration_hold_for_the_whole_sample(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    G, so_far = rng.normal(size=(4, 6)), rng.uniform(-0.01, 0.01, 6)
+    h = np.abs(rng.normal(size=4)) + 1.0
+    rows, limits = feasible((G, h), -np.ones(6), np.ones(6), so_far=so_far)
+    rest = rng.normal(size=(200, 6))
+    np.testing.assert_array_equal(
+        (rest @ rows.T <= limits).all(axis=1),
+        ((so_far + rest) @ G.T <= h).all(axis=1),
+    )
 
 
 def test_far_rows_change_no_step() -> None:

@@ -290,6 +290,21 @@ def test_a_limit_lowered_while_moving_breaks_no_limit_and_the_stop_is_bounded(
         assert not ik.gate.motion.displacement.any()
 
 
+def test_a_wrist_with_all_the_room_stops_in_time_too() -> None:
+    """After its limit is lowered, no stop that is admitted takes longer than all others."""
+    hand, dt = load_hand("three_finger", mount="floating"), 1.0 / 60.0
+    ik = PointIk(hand, IkOptions())
+    ik.place(hand.configuration_vector(hand.rest))
+    far = ik.configuration.wrist.homogeneous
+    far[:3, 3] += 10.0
+    for k in range(40):
+        if k == 20:
+            assert np.linalg.norm(ik.gate.motion.velocity[:3]) > 0.5
+            ik = ik.with_options(IkOptions(max_acceleration=0.5))
+        ik.solve(ik.configuration.points.copy(), far, dt)
+        assert (ik.gate.motion.stop_times <= LONGEST_STOP * (1.0 + 1e-9)).all()
+
+
 def test_a_stop_takes_no_longer_and_leads_no_farther_than_stated(case: Case) -> None:
     hand, dt = case.hand, 1.0 / 60.0
     elsewhere = hand.configuration()
