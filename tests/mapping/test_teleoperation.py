@@ -479,6 +479,17 @@ def test_a_gap_to_the_thumb_grows_with_the_hands_but_between_jaws_it_is_the_obje
     assert abs(ratio - 1.0) > 0.02 or pair.has_jaws
 
 
+def test_no_finger_is_asked_for_more_than_its_reach_and_no_pad_into_another() -> None:
+    method = Teleoperation().bind(HUMAN, ALLEGRO)
+    count = len(method.pair.fingers)
+    shortest = method.aims(np.zeros(len(method.aim_slopes)))
+    longest = method.aims(np.full(len(method.aim_slopes), 1.0))
+    np.testing.assert_array_equal(longest[:count], method.pair.robot_reach)
+    assert (shortest[:count] >= 0.0).all()
+    assert (shortest[count:] > 0.0).all()
+    assert (longest[count:] > shortest[count:] + 0.5).all()
+
+
 @pytest.mark.parametrize("gain", [0.0, 0.5, 1.0])
 def test_a_residual_counts_in_the_proportion_of_the_hands(gain: float) -> None:
     method = Teleoperation(residual_gain=gain).bind(HUMAN, ALLEGRO)
