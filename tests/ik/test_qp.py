@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import msgspec
 import numpy as np
 import pinocchio as pin
@@ -265,6 +267,30 @@ def test_a_hand_comes_back_into_its_limits_and_stays() -> None:
     q = ik.configuration.q[hand.q_indices]
     assert (q >= hand.lower_limits).all()
     assert (q <= hand.upper_limits).all()
+
+
+def test_what_the_gate_may_shorten_is_the_first_iteration(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Its rows are exact at the start of the sample; the sum of all is farther from there."""
+    hand = load_hand("allegro_right", mount="fixed")
+    offered = []
+    for most in (1, 4):
+        ik = PointIk(hand, IkOptions(max_iterations=most, step_tolerance=0.0))
+        ik.place(hand.configuration_vector(hand.rest))
+        admit = ik.gate.admit
+
+        def recording(*given: Any, admit: Any = admit) -> np.ndarray:
+            """Note what is wanted, and what comes first."""
+            offered.append(given[:2])
+            return admit(*given)
+
+        monkeypatch.setattr(ik.gate, "admit", recording)
+        ik.solve(hand.points(0.7 * hand.upper_limits), None, 0.1)
+    (once, first_of_one), (total, first_of_four) = offered
+    np.testing.assert_array_equal(first_of_one, once)
+    np.testing.assert_array_equal(first_of_four, once)
+    assert np.abs(total - once).max() > 1e-3
 
 
 def test_a_step_does_not_depend_on_the_steps_before_it() -> None:

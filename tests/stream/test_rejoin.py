@@ -20,9 +20,15 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.human.sample import UNPROVEN_SPEED, HumanSample
-from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.method import HumanPose, MapStep
 from handmap_qp.se3 import affine
-from handmap_qp.stream.follower import FINGER_SPEED, PALM_SPEED, TURN_SPEED, RejoinKind
+from handmap_qp.stream.follower import (
+    FINGER_SPEED,
+    PALM_SPEED,
+    TURN_SPEED,
+    Rejoin,
+    RejoinKind,
+)
 from handmap_qp.trackers.injection import inject, parse_faults
 
 RATE = 60.0
@@ -118,6 +124,25 @@ def test_gliding_ends_at_the_human_and_a_clutch_stays_where_it_is() -> None:
         )
 
 
+def test_a_glide_sets_out_and_arrives_gently() -> None:
+    """It begins and ends with no speed (minimum jerk), so that the robot does not jerk."""
+    points = HUMAN.points(HUMAN.rest)
+    here, there = np.eye(4), affine(np.eye(3), np.array([0.2, 0.0, 0.0]))
+    pose = HumanPose(points, here)
+    state = Rejoin(seen=HumanPose(points + there[:3, 3], there)).start(pose)
+    places = []
+    while state.offset is not None:
+        moved, state = state.advance(pose, 0.005)
+        assert moved.wrist is not None
+        places.append(moved.wrist[0, 3])
+    speeds = -np.diff(places) / 0.005
+    assert places[0] == pytest.approx(0.2, abs=1e-12)
+    assert places[-1] == pytest.approx(0.0, abs=1e-12)
+    assert (speeds >= -1e-12).all()
+    assert max(speeds[0], speeds[-1]) < 0.02 * speeds.max()
+    assert speeds.max() == pytest.approx(PALM_SPEED, rel=0.01)
+
+
 def test_a_second_hold_during_the_glide_goes_on_from_there() -> None:
     samples = list(
         inject(still(300, 0.2), parse_faults("dropout@2.2+0.5,dropout@3.0+0.3"))
@@ -159,7 +184,9 @@ def test_before_the_hand_is_seen_the_robot_rests_and_nothing_is_taken_for_the_re
     assert not seen.is_held
 
 
-def test_a_step_that_fails_leaves_guard_and_mapper_as_they_were() -> None:
+def test_a_step_that_fails_leaves_guard_and_mapper_as_they_were(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     samples = still(60)
     follower, calm = (teleoperation() for _ in range(2))
     for sample in samples[:10]:
@@ -169,10 +196,19 @@ def test_a_step_that_fails_leaves_guard_and_mapper_as_they_were() -> None:
         follower.map_sample(samples[10], dt=-1.0)
     with pytest.raises(InvalidInputError, match="side"):
         follower.map_sample(replace(samples[10], side="left"))
+    with monkeypatch.context() as patch:
+        # After the guard has let the sample pass.
+        patch.setattr(follower.mapper, "map", _failing)
+        with pytest.raises(InvalidInputError, match="refused"):
+            follower.map_sample(samples[10])
     for sample in samples[10:20]:
-        np.testing.assert_array_equal(
-            follower.map_sample(sample).command.q, calm.map_sample(sample).command.q
-        )
+        step, expected = follower.map_sample(sample), calm.map_sample(sample)
+        assert step.verdict == expected.verdict
+        np.testing.assert_array_equal(step.command.q, expected.command.q)
+
+
+def _failing(*_: Any, **__: Any) -> MapStep:
+    raise InvalidInputError(argument="sample", problem="refused")
 
 
 def test_confidence_and_rule_travel_in_the_step() -> None:

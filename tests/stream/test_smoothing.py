@@ -180,6 +180,19 @@ def test_a_follower_smooths_and_a_failed_step_leaves_the_filter_as_it_was() -> N
     assert calm < 0.9 * rough
 
 
+def test_a_new_reference_is_the_hand_as_it_is() -> None:
+    rng = np.random.default_rng(6)
+    follower = Follower(HandMapper(HUMAN, THREE, "object"), smoothing=OPTIONS)
+    for k in range(8):
+        wrist = little_pose(rng, 0.02)
+        pose = HumanPose(HUMAN.points(near_rest(rng, 0.3, HUMAN), wrist), wrist)
+        if k == 5:
+            follower.mapper.clutch()
+        seen = follower.map(pose, 1.0 / 60.0).human_points
+        is_smoothed = bool(np.abs(seen - pose.points).max() > 1e-6)
+        assert is_smoothed == (k not in (0, 5))
+
+
 @pytest.mark.parametrize(
     ("options", "name"),
     [
