@@ -52,21 +52,21 @@ class Limit(NamedTuple):
 
 
 BUDGET = {
-    "lines": Limit(45_800, 34_000),
-    "tokens": Limit(247_200, 200_000),
+    "lines": Limit(45_720, 34_000),
+    "tokens": Limit(246_900, 200_000),
     "tokens per code line": Limit(8.55, 8),
-    "closure: files": Limit(22, None),
-    "closure: lines": Limit(7_580, 7_500),
+    "closure: files": Limit(21, None),
+    "closure: lines": Limit(7_370, 7_500),
     "files of a sample: map_landmarks": Limit(10, 10),
     "files of a sample: map_sample": Limit(15, None),
-    "files of a sample: service": Limit(25, 20),
+    "files of a sample: service": Limit(23, 20),
     "top view: rooms": Limit(14, 14),
     "top view: arrows": Limit(49, 60),
     "circles": Limit(0, 0),
-    "files of a method": Limit(2, 1),
+    "files of a method": Limit(1, 1),
     "functions with more than 10 paths": Limit(24, 40),
     "functions with more than 20 paths": Limit(0, 0),
-    "imports inside functions": Limit(12, 0),
+    "imports inside functions": Limit(6, 0),
 }
 """The most that each row may have, and the goal; rows without a goal are for information."""
 

@@ -162,17 +162,24 @@ class Request(
     session: Annotated[str, Meta(max_length=64)] = ""
 
 
-FORMER_OPTIONS = {"mapping": "paper", "teleoperation": "teleoperation"}
-"""Former names of `options`, and the presets that they meant."""
+Former = Annotated[dict[str, Any], Meta()]
+"""A former name of `options`: that of a preset, or `mapping` for the preset paper."""
+
+
+def former_names(message: type[msgspec.Struct]) -> list[str]:
+    """Return the former names of `options` in a message."""
+    fields = msgspec.structs.fields(message)
+    return [field.name for field in fields if field.type is Former]
 
 
 def _rename_options(request: Open | Configure) -> None:
     """Move options of former names to their present one."""
-    for former, preset in FORMER_OPTIONS.items():
+    for former in former_names(type(request)):
         if given := getattr(request, former):
             msgspec.structs.force_setattr(request, "options", given | request.options)
             msgspec.structs.force_setattr(request, former, {})
             if isinstance(request, Open) and request.preset is None:
+                preset = "paper" if former == "mapping" else former
                 msgspec.structs.force_setattr(request, "preset", preset)
 
 
@@ -228,8 +235,8 @@ class Open(Request, frozen=True):
     mount: Literal["floating", "fixed"] | None = None
     preset: Preset | None = None
     options: dict[str, Any] = {}
-    mapping: dict[str, Any] = {}
-    teleoperation: dict[str, Any] = {}
+    mapping: Former = {}
+    teleoperation: Former = {}
     ik: dict[str, Any] = {}
     robot_q: Angles | None = None
     robot_wrist: Pose | None = None
@@ -347,8 +354,8 @@ class Configure(Named, frozen=True):
 
     preset: Preset | None = None
     options: dict[str, Any] = {}
-    mapping: dict[str, Any] = {}
-    teleoperation: dict[str, Any] = {}
+    mapping: Former = {}
+    teleoperation: Former = {}
     ik: dict[str, Any] = {}
     has_detail: bool | None = None
 
@@ -540,15 +547,15 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     mount: str | None
     preset: str
     options: dict[str, Any]
-    mapping: dict[str, Any] = {}
-    teleoperation: dict[str, Any] = {}
+    mapping: Former = {}
+    teleoperation: Former = {}
     ik: dict[str, Any]
     has_detail: bool
     is_shared: bool
 
     def __post_init__(self) -> None:
         """Give options their former names too."""
-        former = self.preset if self.preset in FORMER_OPTIONS else "mapping"
+        former = self.preset if self.preset in former_names(About) else "mapping"
         msgspec.structs.force_setattr(self, former, self.options)
 
 

@@ -29,12 +29,12 @@ from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
-from handmap_qp.mapping.landmarks import (
+from handmap_qp.mapping.matched_posture import nearest_posture
+from handmap_qp.mapping.palm import (
     chain_landmarks,
     point_indices,
     require_points,
 )
-from handmap_qp.mapping.matched_posture import nearest_posture
 from handmap_qp.se3 import as_floats, frozen, inverse_pose, lengths, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}

@@ -21,12 +21,16 @@ from msgspec import structs
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.sample import LANDMARK_COUNT
+from handmap_qp.human.sample import (
+    LANDMARK_COUNT,
+    LANDMARK_NAMES,
+    PALM,
+    landmarks_at_rest,
+)
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Task
-from handmap_qp.mapping.landmarks import LandmarkReader, check_near
 from handmap_qp.mapping.method import (
     BoundMethod,
     HumanPose,
@@ -39,11 +43,13 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.presets import default_preset, get_preset
 from handmap_qp.se3 import (
+    FARTHEST,
     PoseLike,
     QuatOrder,
     as_floats,
     check_pose,
     inverse_pose,
+    rigid_fit,
     transform_points,
 )
 
@@ -546,6 +552,47 @@ class HandMapper:
         return check_pose(robot_wrist, "robot_wrist", self.quat_order)
 
 
+class LandmarkReader:
+    """Turns the 21 landmarks of a tracker into samples of a human hand.
+
+    Args:
+        human: The human hand, scaled to the person.
+
+    Raises:
+        InvalidOptionsError: If a reference point of the hand is not a landmark.
+    """
+
+    def __init__(self, human: Hand) -> None:
+        known = {name: i for i, name in enumerate(LANDMARK_NAMES)}
+        missing = [
+            point.name for point in human.reference_points if point.name not in known
+        ]
+        if missing:
+            raise InvalidOptionsError(
+                option="human_points",
+                problem=f"{', '.join(missing)} cannot be read from landmarks",
+                advice="choose reference points among the landmarks, or call map_points",
+            )
+        self._used = np.array([known[point.name] for point in human.reference_points])
+        self._model = landmarks_at_rest(human)[PALM]
+
+    def read(self, landmarks: np.ndarray, wrist: np.ndarray | None = None) -> HumanPose:
+        """Return a sample, or many along leading axes.
+
+        Args:
+            landmarks: In MediaPipe's order, in the human's world [m], shape (..., 21, 3).
+            wrist: The tracker's own wrist pose, shape (..., 4, 4); fitted to the landmarks of the
+                palm (Kabsch 1976) if None.
+
+        Raises:
+            InvalidInputError: If a coordinate is not finite.
+        """
+        check_near(landmarks, "landmarks")
+        if wrist is None:
+            wrist = rigid_fit(self._model, landmarks[..., PALM, :])
+        return HumanPose(landmarks[..., self._used, :], wrist)
+
+
 class _Plan(NamedTuple):
     """All that `configure` changes: the method, what it is for these hands, and the solver."""
 
@@ -652,3 +699,11 @@ def check_dt(dt: float) -> float:
     if not (isinstance(dt, (int, float)) and 0.0 < dt < np.inf):
         raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt
+
+
+def check_near(points: np.ndarray, name: str) -> None:
+    """Reject points with a coordinate that is not finite, or farther away than any hand."""
+    # NaN is not near either.
+    if not np.abs(points).max(initial=0.0) <= FARTHEST:
+        expected = f"finite coordinates within {FARTHEST:g} m"
+        raise InvalidInputError(argument=name, expected=expected, value=points.tolist())

@@ -26,9 +26,9 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.hand_pair import hand_pair
-from handmap_qp.mapping.landmarks import PalmMap, PalmMethod
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import smoothstep
+from handmap_qp.mapping.palm import PalmMap, PalmMethod
 from handmap_qp.mapping.presets import PRESETS, default_preset
 from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
 

@@ -175,6 +175,7 @@ def test_without_its_packages_the_extra_is_named(
         # They are imported already where other tests ran before.
         importlib.import_module(f"handmap_qp.apps.service.{name}")
         monkeypatch.delitem(sys.modules, f"handmap_qp.apps.service.{name}")
+        monkeypatch.delattr(f"handmap_qp.apps.service.{name}")
     for name in ("zmq", "zmq.auth"):
         monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(MissingExtraError, match=r"handmap-qp\[service\]"):

@@ -4,7 +4,7 @@ Its messages are the types of `handmap_qp.client.messages`.
 
 One session, without sockets:
     session     samples become commands; options, reset, stop
-    safety      states, watchdog, the gate of the robot, time granted
+    safety      states, watchdog, the gate of the robot, time granted, rates
     opening     hands and mapper from a request; measurement of the human hand
 
 All sessions:
@@ -21,4 +21,10 @@ Transports:
 What users and operators see:
     cli         commands; messages.md and .json describe the messages
     logs        logs, the audit log, metrics
+
+Modules of `__init__.pyi` need ZeroMQ, and are imported at their first use.
 """
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 
+from handmap_qp.apps import service
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.errors import MissingExtraError
 
@@ -42,11 +43,7 @@ class Serve(Settings):
             if getattr(self, option):
                 print(file.read_text(encoding="utf-8"), end="")
                 return
-        try:
-            from handmap_qp.apps.service.server import run_server
-        except ModuleNotFoundError as error:
-            raise MissingExtraError(str(error.name), "service") from error
-        run_server(self, self.log_level)
+        _needing_extra("server").run_server(self, self.log_level)
 
 
 @dataclass(frozen=True)
@@ -67,12 +64,7 @@ class Keys:
 
     def run(self) -> None:
         """Make the keys, and print the files written."""
-        try:
-            from handmap_qp.apps.service.keys import make_keys
-        except ModuleNotFoundError as error:
-            raise MissingExtraError(str(error.name), "service") from error
-
-        written = make_keys(self.folder, self.client)
+        written = _needing_extra("keys").make_keys(self.folder, self.client)
         for file in written:
             is_back = (
                 file.parent.name == "clients" and self.folder / file.name not in written
@@ -83,3 +75,11 @@ class Keys:
             )
         if not written:
             print("wrote nothing: all keys exist")
+
+
+def _needing_extra(name: str) -> Any:
+    """Return a module of the service."""
+    try:
+        return getattr(service, name)
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(str(error.name), "service") from error

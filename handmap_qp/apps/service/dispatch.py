@@ -19,9 +19,9 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.apps.service.logs import AuditLog, Bucket, Metrics, Throttle
+from handmap_qp.apps.service.logs import AuditLog, Metrics, Throttle
 from handmap_qp.apps.service.opening import HandCache
-from handmap_qp.apps.service.safety import refuse_if
+from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import Settings

@@ -1,4 +1,4 @@
-"""What an operator sees of the service: logs, the audit log, and metrics; and limits of rates.
+"""What an operator sees of the service: logs, the audit log, and metrics.
 
 Logs are JSON lines: one object per line, with `time`, `level`, `event` and the event's data.
 
@@ -25,6 +25,7 @@ from typing import Any
 from prometheus_client import CollectorRegistry, Histogram, generate_latest
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
 
+from handmap_qp.apps.service.safety import Bucket
 from handmap_qp.errors import InvalidInputError, without_errno
 
 log = logging.getLogger("handmap_qp.apps.service")
@@ -118,40 +119,6 @@ def logs_on_stderr(level: str) -> Iterator[None]:
         log.removeHandler(handler)
         log.propagate = True
         log.setLevel(logging.NOTSET)
-
-
-class Bucket:
-    """A rate limit that permits short bursts (token bucket).
-
-    Args:
-        rate: Events per second.
-        now: The present [s].
-        burst: Events at once; those of a quarter of a second if omitted.
-    """
-
-    def __init__(self, rate: float, now: float, burst: float | None = None) -> None:
-        self._rate = rate
-        self._burst = self._left = max(1.0, 0.25 * rate if burst is None else burst)
-        self._then = now
-
-    def take(self, now: float) -> bool:
-        """Count an event; return whether it is allowed."""
-        if self.charge(now, 0.0) < 1.0:
-            return False
-        self._left -= 1.0
-        return True
-
-    def charge(self, now: float, count: float) -> float:
-        """Count events that have happened; return how many are left, negative for a debt.
-
-        Args:
-            now: The present [s].
-            count: Number of events; negative to take them back.
-        """
-        refilled = min(self._burst, self._left + (now - self._then) * self._rate)
-        self._left = min(self._burst, refilled - count)
-        self._then = now
-        return self._left
 
 
 class Throttle:

@@ -42,8 +42,7 @@ from handmap_qp.human.sample import (
 )
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
-from handmap_qp.mapping.landmarks import LandmarkReader
-from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.mapper import HandMapper, LandmarkReader
 from handmap_qp.mapping.presets import (
     IK_NAMES,
     Choice,

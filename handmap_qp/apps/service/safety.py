@@ -1,4 +1,4 @@
-"""What a session may do: its states, the watchdog, the gate of its robot, and the time granted.
+"""What a session may do: states, watchdog, the gate of its robot, time granted, rates of events.
 
 A client moves a session between waiting, following and released. While no samples arrive, the
 watchdog moves it to a hold, and by option on to a return to the rest posture. An emergency stop
@@ -441,6 +441,40 @@ class StepClock:
         elapsed = now - self._last
         self._last = now
         return min(max(elapsed, SHORTEST_DT), self._max_dt)
+
+
+class Bucket:
+    """A rate limit that permits short bursts (token bucket).
+
+    Args:
+        rate: Events per second.
+        now: The present [s].
+        burst: Events at once; those of a quarter of a second if omitted.
+    """
+
+    def __init__(self, rate: float, now: float, burst: float | None = None) -> None:
+        self._rate = rate
+        self._burst = self._left = max(1.0, 0.25 * rate if burst is None else burst)
+        self._then = now
+
+    def take(self, now: float) -> bool:
+        """Count an event; return whether it is allowed."""
+        if self.charge(now, 0.0) < 1.0:
+            return False
+        self._left -= 1.0
+        return True
+
+    def charge(self, now: float, count: float) -> float:
+        """Count events that have happened; return how many are left, negative for a debt.
+
+        Args:
+            now: The present [s].
+            count: Number of events; negative to take them back.
+        """
+        refilled = min(self._burst, self._left + (now - self._then) * self._rate)
+        self._left = min(self._burst, refilled - count)
+        self._then = now
+        return self._left
 
 
 def refuse_if(

@@ -16,9 +16,9 @@ from weakref import WeakSet
 
 import msgspec
 
-from handmap_qp.apps.service.logs import AuditLog, Bucket, Metrics, report
+from handmap_qp.apps.service.logs import AuditLog, Metrics, report
 from handmap_qp.apps.service.opening import Calibration, HandCache, Hands, prepare_hands
-from handmap_qp.apps.service.safety import refuse_if
+from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
 from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore, Record

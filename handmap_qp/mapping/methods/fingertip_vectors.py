@@ -29,7 +29,6 @@ from handmap_qp.mapping.hand_pair import (
     points_in_palm,
     require_partners,
 )
-from handmap_qp.mapping.landmarks import PalmMap, PalmMethod, require_points
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -38,6 +37,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
+from handmap_qp.mapping.palm import PalmMap, PalmMethod, require_points
 from handmap_qp.options import number, text
 
 

@@ -38,12 +38,6 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS, THUMB
 from handmap_qp.ik.tasks import TaskRows
-from handmap_qp.mapping.landmarks import (
-    PalmMap,
-    PalmMethod,
-    chain_landmarks,
-    require_points,
-)
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -51,6 +45,12 @@ from handmap_qp.mapping.method import (
     Preset,
     RobotPosture,
     Targets,
+)
+from handmap_qp.mapping.palm import (
+    PalmMap,
+    PalmMethod,
+    chain_landmarks,
+    require_points,
 )
 from handmap_qp.se3 import inverse_pose, transform_points
 

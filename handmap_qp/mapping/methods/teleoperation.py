@@ -20,13 +20,6 @@ from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import finger_landmarks, hand_pair
-from handmap_qp.mapping.landmarks import (
-    PalmMap,
-    PalmMethod,
-    palm_of,
-    point_indices,
-    transform_point,
-)
 from handmap_qp.mapping.method import (
     FOLLOWING,
     Diagnostics,
@@ -35,6 +28,13 @@ from handmap_qp.mapping.method import (
     Preset,
     RobotPosture,
     Targets,
+)
+from handmap_qp.mapping.palm import (
+    PalmMap,
+    PalmMethod,
+    palm_of,
+    point_indices,
+    transform_point,
 )
 from handmap_qp.options import number, text
 from handmap_qp.se3 import inverse_pose, lengths

@@ -37,7 +37,6 @@ import numpy as np
 from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
-from handmap_qp.mapping.landmarks import PalmMap, PalmMethod, palm_of
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -46,6 +45,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
+from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of
 from handmap_qp.options import number
 from handmap_qp.se3 import inverse_pose, nearest_rotation, transform_points
 

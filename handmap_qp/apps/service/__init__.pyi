@@ -1,0 +1,2 @@
+from . import keys as keys
+from . import server as server
