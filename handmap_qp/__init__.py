@@ -9,18 +9,6 @@ Public names are those of `__init__.pyi`. They are imported at their first use: 
 and the command line load no more than they need.
 """
 
-from typing import Any
-
 import lazy_loader
 
-_find, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
-
-
-def __getattr__(name: str) -> Any:
-    """Import a public name at its first use (PEP 562)."""
-    if name == "__version__":
-        from importlib.metadata import version
-
-        return version("handmap-qp")
-    value = globals()[name] = _find(name)
-    return value
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

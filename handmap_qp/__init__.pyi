@@ -1,3 +1,4 @@
+from .apps.doctor import __version__ as __version__
 from .errors import (
     DegeneratePointsError as DegeneratePointsError,
 )
@@ -105,5 +106,4 @@ from .trackers.layouts.base import Layout as Layout
 from .trackers.layouts.tables import load_layout as load_layout
 from .trackers.plausibility import InputCheck as InputCheck
 
-__version__: str
 __all__: list[str]

@@ -16,6 +16,7 @@ from typing import Any
 from handmap_qp.apps.tables import print_table
 
 _PACKAGE = "handmap-qp"
+__version__ = metadata.version(_PACKAGE)
 _CORE = (
     *("numpy", "scipy", "pin", "mink", "mujoco"),
     *("qpsolvers", "daqp", "osqp", "proxsuite", "tyro", "rich"),
@@ -65,7 +66,7 @@ def versions() -> dict[str, str]:
     """Return the versions of this package, Python, the system and the core dependencies."""
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     own = {
-        _PACKAGE: _version(_PACKAGE),
+        _PACKAGE: __version__,
         "python": sys.version.split()[0],
         "system": system,
     }
