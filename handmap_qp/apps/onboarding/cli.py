@@ -10,15 +10,12 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
+from handmap_qp.apps import onboarding
 from handmap_qp.apps.arguments import HandName, InputArguments, hinted
 from handmap_qp.apps.onboarding.check import check_hand
 from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
 from handmap_qp.apps.onboarding.detect import Detection, detect
-from handmap_qp.apps.onboarding.match import (
-    check_robot,
-    draw_match,
-    match_hand,
-)
+from handmap_qp.apps.onboarding.match import check_robot, match_hand
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
 from handmap_qp.apps.onboarding.source import open_source
 from handmap_qp.apps.onboarding.write import check_free, write_hand
@@ -251,16 +248,13 @@ class HandsCheck:
 
     def run(self) -> None:
         """Check the hand, draw it, and print the findings."""
-        # Drawing belongs to an extra, and takes a second to load.
-        from handmap_qp.apps.onboarding.picture import draw_hand, picture_path
-
         report = check_hand(self.hand, has_motion=self.motion)
         if report.hand is None and not self.json:
             # A table of one error would say it twice.
             report.raise_if_unusable()
-        picture = self.picture or picture_path(self.hand)
+        picture = self.picture or onboarding.picture.picture_path(self.hand)
         if picture is not None and report.hand is not None:
-            draw_hand(report.hand, picture)
+            onboarding.picture.draw_hand(report.hand, picture)
         if self.json:
             print(json.dumps(report.document(picture), allow_nan=False))
         else:
@@ -310,7 +304,7 @@ class HandsMatch:
         recording = None if source is None else InputArguments().read(source)
         match = match_hand(robot, recording=recording, human_length=self.human_length)
         if self.picture is not None:
-            draw_match(match, self.picture)
+            onboarding.picture.draw_match(match, self.picture)
         written = [] if self.picture is None else [str(self.picture)]
         if self.json:
             print(

@@ -1,9 +1,8 @@
-"""The matched posture of a robot hand: solve it, print it for a hand.yaml, and draw it."""
+"""The matched posture of a robot hand: solve it, and print it for a hand.yaml."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,8 +14,7 @@ from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.human.sample import human_name
-from handmap_qp.mapping.hand_pair import HandPair, resting_posture
-from handmap_qp.se3 import inverse_pose, transform_points
+from handmap_qp.mapping.hand_pair import HandPair
 
 # Positions are written with four decimals: 0.1 mrad or 0.1 mm.
 _SCALE = 1e4
@@ -98,32 +96,6 @@ def match_hand(
     inside = np.ceil(lower * _SCALE), np.floor(upper * _SCALE)
     rounded = np.clip(np.round(solved * _SCALE), *inside) / _SCALE
     return Match(human, robot, np.clip(rounded, lower, upper))
-
-
-def draw_match(match: Match, path: Path) -> None:
-    """Draw the resting human beside the robot at rest and matched, in their palm frames.
-
-    Args:
-        match: The posture.
-        path: Picture to write, PNG.
-
-    Raises:
-        InvalidInputError: If the file cannot be written.
-        MissingExtraError: If matplotlib or trimesh is not installed.
-    """
-    from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet
-    from handmap_qp.apps.drawing.hands import save_picture
-
-    human = match.human
-    robot = match.robot
-    q = resting_posture(human)
-    landmarks = transform_points(
-        inverse_pose(human.frame_pose("palm", q)), human.points(q)
-    )
-    rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
-    columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
-    figure = contact_sheet(columns, rows, side=robot.spec.side)
-    save_picture(figure, path, dpi=figure.dpi)
 
 
 def check_robot(hand: Hand) -> Hand:

@@ -1,4 +1,4 @@
-"""Draw a hand with its palm axes and reference points labelled, to check a description."""
+"""Pictures to check a description: a hand with its labels, and its matched posture."""
 
 from __future__ import annotations
 
@@ -7,7 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from handmap_qp.apps.drawing.contact_sheet import FINGER_COLOURS
+from handmap_qp.apps.drawing.contact_sheet import (
+    FINGER_COLOURS,
+    SheetRow,
+    contact_sheet,
+)
 from handmap_qp.apps.drawing.hands import (
     AXIS_COLOURS,
     GREY,
@@ -21,9 +25,11 @@ from handmap_qp.apps.drawing.hands import (
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
+from handmap_qp.apps.onboarding.match import Match
 from handmap_qp.hands.fingers import PalmKinematics, place_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.mapping.hand_pair import resting_posture
 from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
 _PANEL = (760, 820)
@@ -85,6 +91,29 @@ def draw_hand(hand: Hand, path: Path) -> None:
     what = f"{hand.name}: a {hand.side} hand, {', '.join(counts)}; at rest"
     figure.text(0.5, 0.975, what, ha="center", va="center", fontsize=14)
     save_picture(figure, path, facecolor="white")
+
+
+def draw_match(match: Match, path: Path) -> None:
+    """Draw the resting human beside the robot at rest and matched, in their palm frames.
+
+    Args:
+        match: The posture.
+        path: Picture to write, PNG.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+        MissingExtraError: If matplotlib or trimesh is not installed.
+    """
+    human = match.human
+    robot = match.robot
+    q = resting_posture(human)
+    landmarks = transform_points(
+        inverse_pose(human.frame_pose("palm", q)), human.points(q)
+    )
+    rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
+    columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
+    figure = contact_sheet(columns, rows, side=robot.spec.side)
+    save_picture(figure, path, dpi=figure.dpi)
 
 
 class _Scene:

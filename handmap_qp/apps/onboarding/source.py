@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import NamedTuple
 
+from handmap_qp import hands
 from handmap_qp.errors import HandError, InvalidInputError
 from handmap_qp.hands.sources import is_mjcf, source_path
 from handmap_qp.output_files import writing
@@ -47,18 +48,12 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     given = str(robot).replace("package:/", "package://", 1).replace(":///", "://")
     source = source_path(given)
     path = robot if source is None else source
-    # MuJoCo takes a second to load.
     if not is_mjcf(path):
         return RobotSource(path, None if source is None else given)
-    from handmap_qp.hands.mjcf import (
-        cached_urdf,
-        convert_mjcf,
-        kinematics_difference,
-        write_converted,
-    )
-
     if source is not None:
-        return RobotSource(cached_urdf(path), given, convert_mjcf(path).notes)
+        return RobotSource(
+            hands.mjcf.cached_urdf(path), given, hands.mjcf.convert_mjcf(path).notes
+        )
     urdf = folder / f"{path.stem}.urdf"
     if urdf.exists() and not overwrite:
         raise InvalidInputError(
@@ -67,11 +62,11 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
             value=str(urdf),
             advice="give --overwrite to replace it, or another folder",
         )
-    converted = convert_mjcf(path, f"{path.stem}_meshes")
-    difference = kinematics_difference(converted)
+    converted = hands.mjcf.convert_mjcf(path, f"{path.stem}_meshes")
+    difference = hands.mjcf.kinematics_difference(converted)
     if not difference < _MOST_DIFFERENCE:
         problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
         raise HandError(f"{problem}: please report it", file=path)
     with writing(urdf, "--out"):
-        write_converted(converted, urdf)
+        hands.mjcf.write_converted(converted, urdf)
     return RobotSource(urdf, None, converted.notes, (urdf,))

@@ -1,0 +1,3 @@
+from . import (
+    picture as picture,
+)
