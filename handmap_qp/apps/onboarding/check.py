@@ -1,7 +1,7 @@
 """Check a `hand.yaml`: `check_hand` reports findings and advice, and tables of what was measured.
 
-The checks compare names, close fingers and pinch, look for files, map a motion, and compare the
-description with a detection. Each yields its findings, and may add a table.
+The checks compare the description with a detection, pinch, look for files, and map a motion. Each
+yields its findings, and may add a table.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import chain, zip_longest
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -17,13 +17,11 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.onboarding.anatomy import FINGERS, angle_between
+from handmap_qp.apps.onboarding.anatomy import angle_between
 from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import detect_text, left_out_wrist
-from handmap_qp.apps.onboarding.finger_names import named_fingers, named_side
 from handmap_qp.apps.onboarding.measure import (
     fingertip_pads,
-    make_fist,
     measure_arm,
     measure_pinches,
     measure_reach,
@@ -56,15 +54,12 @@ _LARGEST_SLIDE = 2.0
 _OFF_THE_LINK = 0.02
 # Names in one finding.
 _MOST_NAMES = 3
-# Least confidence of the detection for a warning, and the largest angle by its certainty [deg].
-_SURE = 0.65
-_ANGLES = {"certain": 20.0, "likely": 40.0}
-# Largest angles of the axis of flexion and of the straight fingers to the palm's axes [deg].
-_ACROSS, _DISTAL = 25.0, 35.0
+# Least confidence of the detection for a finding: of fingers and side, and of a direction, whose
+# largest angle depends on its certainty [deg].
+_SURE, _WORTH = 0.65, 0.45
+_ANGLES = {"certain": 20.0, "likely": 40.0, "a guess: check it": 60.0}
 # A thumb whose pad stays farther than this from every other opposes none of them [mm].
 _OPPOSING = 15.0
-# Knuckles closer than this may be in any order [m].
-_NARROW = 0.004
 # A point this far from its target is out of reach [mm].
 _OUT_OF_REACH = 20.0
 # A person's hand moves this far to all sides in front of the body [m].
@@ -357,64 +352,6 @@ def _check_wrist(hand: Hand, tables: Tables) -> Findings:
         )
 
 
-def _check_names(hand: Hand, tables: Tables) -> Findings:
-    """Compare the fingers and the side with the names of links and joints."""
-    names = {
-        finger: [hand.model.names[joint] for joint in found.joints]
-        for finger, found in find_fingers(hand).items()
-    }
-    for point in hand.spec.points:
-        names.get(str(point.finger), []).append(point.link)
-    for finger, label in zip(names, named_fingers([*names.values()]), strict=True):
-        if label not in (None, finger):
-            what = f"its links and joints are named {label}, but its finger is {finger}"
-            change = f"finger: {label}, with a matching name and partner"
-            yield Finding("warning", f"points.{finger}_tip", what, change)
-    side = named_side([hand.spec.palm.link, *chain.from_iterable(names.values())])
-    if side not in (None, hand.side) and not hand.spec.mirror:
-        what = f"links and joints are named {side}"
-        yield Finding("warning", "side", what, f"side: {side}")
-
-
-def _check_order(hand: Hand, tables: Tables) -> Findings:
-    """Compare the row of the knuckles with the side: thumb and index are at the radial edge."""
-    chains = find_fingers(hand)
-    row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
-    places = PalmKinematics(hand).points(zero_posture(hand), row).reshape(-1, 3)
-    is_back = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0) > _NARROW
-    if len(is_back) and is_back.all():
-        row = "fingers run from little to index, seen from the thumb's side"
-        what = f"the {hand.side} hand's {row}"
-        yield Finding(
-            "warning", "side", what, "change side, or the sign of palm.dorsal"
-        )
-    elif is_back.any():
-        what = "the fingers are not in the order of their knuckles"
-        yield Finding("warning", "points", what, "rename them")
-
-
-def _check_fist(hand: Hand, tables: Tables) -> Findings:
-    """Close the fingers: their tips must go to the palm, about an axis across it."""
-    fist = make_fist(hand)
-    if fist is None:
-        return
-    across = f"{fist.across_deg:.0f} degrees off"
-    if fist.across_deg > 180.0 - _ACROSS:
-        what = "a fist brings the fingertips to the back of the hand"
-        yield Finding(
-            "warning", "palm.dorsal", what, "turn dorsal over, or change side"
-        )
-    elif fist.across_deg > _ACROSS:
-        what = f"the fingers close about an axis {across} the palm's x axis"
-        yield Finding("warning", "palm.dorsal", what, "correct distal and dorsal")
-    elif fist.distal_deg > _DISTAL:
-        what = f"the straight fingers point {fist.distal_deg:.0f} degrees off it"
-        yield Finding("warning", "palm.distal", what, "correct distal")
-    else:
-        what = f"{len(fist.fingers)} fingers close to the palm, {across} its x axis"
-        yield Finding("fine", "palm", what)
-
-
 def _check_opposition(hand: Hand, tables: Tables) -> Findings:
     """Find which fingers the thumb can touch."""
     fingers = find_fingers(hand)
@@ -455,22 +392,23 @@ def _compare_detection(hand: Hand, tables: Tables) -> Findings:
     except HandError as error:
         yield Finding("advice", "palm", f"not compared with the URDF: {error.problem}")
         return
-    sure = {clue.what: clue for clue in found.clues if clue.confidence > _SURE}
+    clues = {clue.what: clue for clue in found.clues}
     links = [hand.spec.palm.link, found.spec.palm.link]
     own, theirs = hand.link_poses(links, hand.rest)[:, :3, :3]
-    for name in filter(sure.get, ("distal", "dorsal")):
+    for name in ("distal", "dorsal"):
+        clue = clues[name]
         # The detected direction in the frame of the described palm link.
         other = own.T @ theirs @ np.array(getattr(found.spec.palm, name))
         angle = angle_between(np.array(getattr(hand.spec.palm, name)), other)
-        if angle > _ANGLES[sure[name].certainty]:
+        if clue.confidence > _WORTH and angle > _ANGLES[clue.certainty]:
             better = ", ".join(f"{value:.3f}" for value in other)
-            what = f"is {angle:.0f} degrees from the detected one: {sure[name].how}"
+            what = f"is {angle:.0f} degrees from the detected one: {clue.how}"
             yield Finding("warning", f"palm.{name}", what, f"try [{better}]")
     side = found.spec.side
-    if side == hand.side:
-        yield from _compare_fingers(hand, found.chains if "fingers" in sure else {})
-    elif "side" in sure:
-        what = f"{sure['side'].how}: a {side} hand"
+    if side == hand.side and clues["fingers"].confidence > _SURE:
+        yield from _compare_fingers(hand, found.chains)
+    elif side != hand.side and clues["side"].confidence > _SURE:
+        what = f"{clues['side'].how}: a {side} hand"
         yield Finding("warning", "side", what, f"side: {side}")
 
 
@@ -583,9 +521,6 @@ _CHECKS = (
     _check_places,
     _check_meshes,
     _check_wrist,
-    _check_names,
-    _check_order,
-    _check_fist,
     _check_opposition,
     _compare_detection,
     _check_collisions,
