@@ -26,6 +26,7 @@ from handmap_qp.apps.onboarding.measure import (
     measure_pinches,
     measure_reach,
     measure_size,
+    moves_wrist,
     try_motion,
 )
 from handmap_qp.apps.onboarding.robot import Robot
@@ -216,7 +217,7 @@ def _check_joints(hand: Hand, tables: Tables) -> Findings:
 
 def _check_ranges(hand: Hand, tables: Tables) -> Findings:
     """Find ranges in degrees or millimetres; joints of an arm may turn twice."""
-    width = np.where(_carriers(hand), 0.0, hand.upper_limits - hand.lower_limits)
+    width = np.where(moves_wrist(hand), 0.0, hand.upper_limits - hand.lower_limits)
     joints = [hand.model.getJointId(joint) for joint in hand.joint_names]
     turns = PalmKinematics(hand).axes(hand.rest, joints)[0].any(axis=1)
     for kind, largest, unit in (
@@ -233,19 +234,12 @@ def _check_ranges(hand: Hand, tables: Tables) -> Findings:
             yield Finding("warning", where, what, "give limits in rad and m")
 
 
-def _carriers(hand: Hand) -> np.ndarray:
-    """Return which active joints move the wrist, shape (n,)."""
-    model = hand.model
-    carriers = [*model.supports[model.frames[hand.wrist_frame_id].parentJoint]]
-    return np.isin([model.getJointId(joint) for joint in hand.joint_names], carriers)
-
-
 def _check_speeds(hand: Hand, tables: Tables) -> Findings:
     """Find joints of the fingers that are too slow for a fist in half a second."""
     stretched = zero_posture(hand)
     travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
-    times[_carriers(hand)] = 0.0
+    times[moves_wrist(hand)] = 0.0
     worst = int(np.argmax(times))
     count = int((times > _FIST_TIME).sum())
     if count:

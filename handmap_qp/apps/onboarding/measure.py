@@ -121,9 +121,7 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
     Args:
         hand: The hand; an arm stays at rest.
     """
-    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
-    arm = [hand.model.idx_vs[joint] for joint in hand.model.supports[wrist]]
-    own = ~np.isin(hand.v_indices, arm) | (wrist == 0)
+    own = ~moves_wrist(hand)
     generator = np.random.default_rng(0)
     size = (_SAMPLES, len(hand.rest))
     shares = np.vstack([generator.random(size), generator.integers(0, 2, size)])
@@ -149,6 +147,13 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
                 manipulability=f"{measures[1]:.2e}",
             )
     return [*best.values()]
+
+
+def moves_wrist(hand: Hand) -> np.ndarray:
+    """Return which joints move the wrist, those of an arm, shape (n,)."""
+    model = hand.model
+    arm = [*model.supports[model.frames[hand.wrist_frame_id].parentJoint]]
+    return np.isin([model.getJointId(joint) for joint in hand.joint_names], arm)
 
 
 def across(hand: Hand, shares: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,11 +29,11 @@ from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf import (
     MOVABLE,
     check_tree,
-    child_of,
     cut_subtree,
     fix_free_joints,
     get_numbers,
     joints_by_name,
+    mimics_of,
     origin_of,
     parse_urdf,
     prepare_urdf,
@@ -116,9 +116,13 @@ class Robot:
             n: joint for n, joint in every.items() if joint.get("type") in MOVABLE
         }
         self.endless = {n for n in joints if joints[n].get("type") == "continuous"}
-        self.dropped_rules = self._drop_rules(joints)
-        self.assumed, equal = self._assume_limits(joints)
-        self.locked = prepare_urdf(robot, None, {}, equal, self.assumed)
+        rules = mimics_of(robot)
+        leaders = {name: rules[name].joint for name in joints if name in rules}
+        lost = {n: leader for n, leader in leaders.items() if leader not in joints}
+        self._drop_rules(lost)
+        given = {name: _limits(joint) for name, joint in joints.items()}
+        equal = self._assume_limits(given, leaders.keys() - lost)
+        self.locked = prepare_urdf(robot, None, self.dropped_rules, equal, self.assumed)
         movable = [name for name in joints if name not in self.locked]
         if not movable:
             problem = f"no movable joint hangs from the link {self.root!r}"
@@ -280,19 +284,18 @@ class Robot:
         import trimesh
 
         solid = shape.find("geometry/*")
+        made = trimesh.creation
         points = np.zeros((0, 3))
         if solid is None:
             return points
         match solid.tag:
             case "box":
-                points = trimesh.creation.box(get_numbers(solid, "size", 3)).vertices
+                points = made.box(get_numbers(solid, "size", 3)).vertices
             case "sphere":
-                points = trimesh.creation.icosphere(
-                    2, *get_numbers(solid, "radius", 1)
-                ).vertices
+                points = made.icosphere(2, *get_numbers(solid, "radius", 1)).vertices
             case "cylinder":
                 size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
-                points = trimesh.creation.cylinder(*size, sections=24).vertices
+                points = made.cylinder(*size, sections=24).vertices
             case "mesh":
                 points = self._mesh(solid.get("filename", ""))
                 points = points * get_numbers(solid, "scale", 3, "1 1 1")
@@ -315,16 +318,9 @@ class Robot:
 
     # -- assumptions
 
-    def _drop_rules(self, joints: dict[str, ET.Element]) -> dict[str, MimicSpec | None]:
-        """Remove the mimic rules whose leader does not move in this part of the robot."""
-        rules = {name: joint.find("mimic") for name, joint in joints.items()}
-        dropped = {
-            name: str(rule.get("joint"))
-            for name, rule in rules.items()
-            if rule is not None and rule.get("joint") not in joints
-        }
-        for name in dropped:
-            joints[name].remove(child_of(joints[name], "mimic"))
+    def _drop_rules(self, dropped: Mapping[str, str]) -> None:
+        """Take joints as independent whose leader does not move in this part of the robot."""
+        self.dropped_rules = dict.fromkeys(dropped)
         if dropped:
             missing = ", ".join(dict.fromkeys(dropped.values()))
             self._remark(
@@ -332,22 +328,19 @@ class Robot:
                 f"would mimic {missing}, missing or fixed here: taken as independent; couple what "
                 "belongs together under `mimic` in the hand.yaml",
             )
-        return dict.fromkeys(dropped)
 
     def _assume_limits(
-        self, joints: dict[str, ET.Element]
-    ) -> tuple[dict[str, LimitSpec], dict[str, float]]:
-        """Return limits that are missing or wrong, and positions of joints with equal limits."""
-        given = {name: _limits(joint) for name, joint in joints.items()}
+        self, given: Mapping[str, _Limits], followers: Collection[str]
+    ) -> dict[str, float]:
+        """Assume limits that are missing or wrong; return positions of joints with equal ones."""
         turns = [
             one.upper - one.lower for one in given.values() if one.kind == "revolute"
         ]
         in_degrees = bool(turns and np.nanmedian(turns) > _LARGEST_TURN)
-        speeds = _usual_speeds(given.values())
-        assumed = dict[str, LimitSpec]()
+        self.assumed = dict[str, LimitSpec]()
         equal = dict[str, float]()
         for name, one in given.items():
-            if joints[name].find("mimic") is not None:
+            if name in followers:
                 continue
             if one.lower == one.upper:
                 equal[name] = one.lower
@@ -356,13 +349,20 @@ class Robot:
             ends, what = _assumed_range(one, in_degrees=in_degrees)
             if what:
                 self._remark(name, what)
-            speed = None if one.speed > 0.0 else speeds[one.kind]
-            if speed:
+            speed = None
+            if not one.speed > 0.0:
+                alike = [
+                    other.speed for other in given.values() if other.kind == one.kind
+                ]
+                usual = [own for own in alike if own > 0.0] or [
+                    _ASSUMED_SPEED[one.kind]
+                ]
+                speed = float(np.median(usual))
                 what = f"has no speed limit in the URDF: {speed:.4g} is assumed"
                 self._remark(name, what)
             if speed or None not in ends:
-                assumed[name] = LimitSpec(*ends, speed)
-        return assumed, equal
+                self.assumed[name] = LimitSpec(*ends, speed)
+        return equal
 
 
 class _Limits(NamedTuple):
@@ -372,18 +372,6 @@ class _Limits(NamedTuple):
     lower: float
     upper: float
     speed: float
-
-
-def _usual_speeds(joints: Iterable[_Limits]) -> dict[str, float]:
-    """Return the median of the speeds that a URDF gives, by the type of joints [per s]."""
-    speeds: dict[str, list[float]] = {kind: [] for kind in MOVABLE}
-    for joint in joints:
-        if joint.speed > 0.0:
-            speeds[joint.kind].append(joint.speed)
-    return {
-        kind: float(np.median(given or [_ASSUMED_SPEED[kind]]))
-        for kind, given in speeds.items()
-    }
 
 
 def _limits(joint: ET.Element) -> _Limits:
