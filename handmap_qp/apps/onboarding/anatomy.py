@@ -259,7 +259,7 @@ class _Evidence:
             palmar = _beside(np.eye(3)[np.argmin(np.abs(ahead))], ahead)
             sign = 0.05
             how = "undetermined: an arbitrary direction at right angles to distal"
-        dorsal = unit(_rounded(_beside(_snapped(unit(-palmar)), ahead)))
+        dorsal = unit(_beside(_snapped(unit(-palmar)), ahead))
         best = _LIKELY if agreement > 0.4 else _DISPUTED
         tilt = self._tilt(ahead, dorsal)
         height = self._thumb_height(dorsal)
@@ -473,10 +473,6 @@ def _beside(vector: np.ndarray, direction: np.ndarray) -> np.ndarray:
     return vector - (vector @ direction) * direction
 
 
-def _rounded(direction: np.ndarray) -> np.ndarray:
-    return np.where(np.abs(direction) < 1e-6, 0.0, direction)
-
-
 def _widest(points: np.ndarray) -> np.ndarray:
     """Return the direction in which points extend most, a unit vector, shape (3,)."""
     return np.linalg.svd(points - points.mean(axis=0))[2][0]
@@ -510,7 +506,7 @@ def _snapped(
         )
         if lateral and angle_between(_beside(knuckles, axis), ahead) < angle:
             return ahead
-    return unit(_rounded(direction))
+    return unit(direction)
 
 
 def _shown(direction: np.ndarray) -> str:

@@ -146,9 +146,7 @@ class HandsInit:
             thumb=self.thumb,
             name=self.name,
         )
-        spec = found.spec
-        if source.reference is not None:
-            spec = msgspec.structs.replace(spec, urdf=source.reference)
+        spec = msgspec.structs.replace(found.spec, urdf=source.reference)
         found = found._replace(spec=spec, notes=(*source.notes, *found.notes))
         write_hand(found, self.out, overwrite=self.overwrite)
         hand = load_hand(self.out)
@@ -159,13 +157,8 @@ class HandsInit:
             for c in found.clues
         ]
         if self.json:
-            notes = list(found.notes)
-            out = str(self.out)
-            print(
-                json.dumps(
-                    {"name": hand.name, "out": out, "found": rows, "notes": notes}
-                )
-            )
+            said = {"name": hand.name, "out": str(self.out)}
+            print(json.dumps(said | {"found": rows, "notes": found.notes}))
             return
         _print_found(hand, found, rows)
         for path in source.written:
@@ -307,11 +300,8 @@ class HandsMatch:
             onboarding.picture.draw_match(match, self.picture)
         written = [] if self.picture is None else [str(self.picture)]
         if self.json:
-            print(
-                json.dumps(
-                    {"name": robot.name, "joints": match.rows, "written": written}
-                )
-            )
+            said = {"name": robot.name, "joints": match.rows, "written": written}
+            print(json.dumps(said))
             return
         print_rows(
             f"{robot.name}: the posture that matches the resting human's", match.rows

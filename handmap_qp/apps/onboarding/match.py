@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,20 +37,19 @@ class Match(NamedTuple):
     def rows(self) -> list[dict[str, Any]]:
         """Return a table row for every joint of the hand: limits, rest and matched position."""
         robot = self.robot
-        columns: dict[str, Iterable[Any]] = {
-            "joint": robot.joint_names,
-            "lower": robot.lower_limits.tolist(),
-            "upper": robot.upper_limits.tolist(),
-            "rest": robot.rest.tolist(),
-            "matched": self.q.tolist(),
+        columns = {
+            "lower": robot.lower_limits,
+            "upper": robot.upper_limits,
+            "rest": robot.rest,
+            "matched": self.q,
         }
         if robot.matched is not None:
-            columns["in hand.yaml"] = robot.matched.tolist()
-        rows = (
-            dict(zip(columns, row, strict=True))
-            for row in zip(*columns.values(), strict=True)
-        )
-        return [row for row in rows if row["joint"] in robot.spec.joints]
+            columns["in hand.yaml"] = robot.matched
+        return [
+            {"joint": joint} | {key: float(columns[key][i]) for key in columns}
+            for i, joint in enumerate(robot.joint_names)
+            if joint in robot.spec.joints
+        ]
 
     @property
     def text(self) -> str:

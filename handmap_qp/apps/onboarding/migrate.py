@@ -65,40 +65,34 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         HandError: If the file cannot be read, or is not a configuration of dex-retargeting.
     """
     table = _read_table(path)
+
+    def setting(key: str, kind: Any, what: str, value: Any = None) -> Any:
+        given = table.get(key)
+        try:
+            return msgspec.convert(given if value is None else value, kind)
+        except msgspec.ValidationError as error:
+            problem = f"expected {what}"
+            raise HandError(problem, file=path, key=key, value=given) from error
+
+    urdf = setting("urdf_path", str, "a path")
     kind = str(table.get("type")).lower()
-    field = _LINKS.get(kind, "")
-    key = "target_link_human_indices"
-    links: Any = table.get(field)
-    indices: Any = table.get(key)
-    count = len(links) if isinstance(links, list) else 0
+    field = _LINKS[setting("type", _Kind, "vector, position or DexPilot", kind)]
+    links = setting(
+        field, Annotated[list[str], Meta(min_length=1)], "a list of link names"
+    )
+    count = len(links)
+    indices: Any = table.get("target_link_human_indices")
     if kind == "vector" and isinstance(indices, list) and len(indices) == 2:
         # It has two rows of indices: where vectors begin, and where they end.
         indices = indices[1]
     elif kind == "dexpilot":
         indices = [*_TIPS[:count]]
-    expected = f"{count} indices of landmarks from 0 to 20 for {field}, of DexPilot at most five"
-    for name, value, wanted, what in (
-        ("urdf_path", table.get("urdf_path"), str, "a path"),
-        ("type", kind, _Kind, "vector, position or DexPilot"),
-        (
-            field,
-            links,
-            Annotated[list[str], Meta(min_length=1)],
-            "a list of link names",
-        ),
-        (
-            key,
-            indices,
-            Annotated[list[_Index], Meta(min_length=count, max_length=count)],
-            expected,
-        ),
-    ):
-        try:
-            msgspec.convert(value, wanted)
-        except msgspec.ValidationError as error:
-            problem = f"expected {what}"
-            given = table.get(name)
-            raise HandError(problem, file=path, key=name, value=given) from error
+    indices = setting(
+        "target_link_human_indices",
+        Annotated[list[_Index], Meta(min_length=count, max_length=count)],
+        f"{count} indices of landmarks from 0 to 20 for {field}, of DexPilot at most five",
+        indices,
+    )
     # The wrist's own landmark is not a reference point.
     named = {
         LANDMARK_NAMES[i]: link for i, link in zip(indices, links, strict=True) if i
@@ -108,7 +102,7 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         for name in _ELSEWHERE
         if name in table
     )
-    return DexConfiguration(path, table["urdf_path"], named, tuple(notes))
+    return DexConfiguration(path, urdf, named, tuple(notes))
 
 
 def _read_table(path: Path) -> dict[str, Any]:

@@ -83,12 +83,7 @@ def draw_hand(hand: Hand, path: Path) -> None:
         axes.text(
             _PANEL[0] / 2, 14, title, ha="center", va="top", fontsize=11, color="0.35"
         )
-    counts = [
-        f"{count} {word}{'s' if count > 1 else ''}"
-        for role, word in (("active", "joint"), ("follower", "follower"))
-        if (count := hand.all_joint_roles.count(role))
-    ]
-    what = f"{hand.name}: a {hand.side} hand, {', '.join(counts)}; at rest"
+    what = f"{hand.name}: a {hand.side} hand, {len(hand.joint_names)} joints; at rest"
     figure.text(0.5, 0.975, what, ha="center", va="center", fontsize=14)
     save_picture(figure, path, facecolor="white")
 

@@ -19,13 +19,13 @@ class RobotSource(NamedTuple):
 
     Attributes:
         urdf: The URDF file.
-        reference: How `hand.yaml` refers to it; None for its path.
+        reference: How `hand.yaml` refers to it.
         notes: What a conversion from MJCF left out, one sentence each.
         written: Files that were written.
     """
 
     urdf: Path
-    reference: str | None = None
+    reference: str
     notes: tuple[str, ...] = ()
     written: tuple[Path, ...] = ()
 
@@ -49,7 +49,7 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     source = source_path(given)
     path = robot if source is None else source
     if not is_mjcf(path):
-        return RobotSource(path, None if source is None else given)
+        return RobotSource(path, str(path) if source is None else given)
     if source is not None:
         return RobotSource(
             hands.mjcf.cached_urdf(path), given, hands.mjcf.convert_mjcf(path).notes
@@ -69,4 +69,4 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
         raise HandError(f"{problem}: please report it", file=path)
     with writing(urdf, "--out"):
         hands.mjcf.write_converted(converted, urdf)
-    return RobotSource(urdf, None, converted.notes, (urdf,))
+    return RobotSource(urdf, str(urdf), converted.notes, (urdf,))
