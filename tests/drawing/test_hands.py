@@ -96,10 +96,10 @@ def by_link(
     """Return the placed triangles of each link."""
     shape = load_shape(hand)
     placed = shape.triangles(q, wrist)
-    stops = np.cumsum([len(link.triangles.vertices) for link in shape.links])[:-1]
+    stops = np.cumsum([len(each.vertices) for each in shape.links.values()])[:-1]
     columns = [np.split(column, stops) for column in placed]
     return {
-        link.link: Triangles(*parts)
+        link: Triangles(*parts)
         for link, *parts in zip(shape.links, *columns, strict=True)
     }
 
@@ -158,7 +158,7 @@ def test_surfaces_face_outwards_with_unit_normals() -> None:
 
 def test_colours_come_from_the_urdf_unless_given() -> None:
     shape = load_shape(finger())
-    np.testing.assert_allclose(shape.links[0].triangles.colours[0], [0.1, 0.2, 0.9])
+    np.testing.assert_allclose(shape.links["palm"].colours[0], [0.1, 0.2, 0.9])
     assert (
         load_shape(finger(), colour=RED).triangles(np.zeros(2)).colours == RED
     ).all()
@@ -198,7 +198,7 @@ def test_a_missing_mesh_is_left_out_and_named(tmp_path: Path) -> None:
         finger('<mesh filename="package://nowhere/part.stl"/>', tmp_path)
     )
     assert shape.missing == ("package://nowhere/part.stl",)
-    assert [link.link for link in shape.links] == ["palm", "proximal"]
+    assert list(shape.links) == ["palm", "proximal"]
 
 
 def test_the_camera_frames_what_it_is_given() -> None:

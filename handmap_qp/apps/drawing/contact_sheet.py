@@ -10,7 +10,7 @@ landmarks, not as a model fitted to them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,14 +20,13 @@ import pinocchio as pin
 from handmap_qp.apps.drawing.hands import (
     UPRIGHT,
     HandShape,
-    LinkShape,
     load_shape,
     require_matplotlib,
     spheres,
     tube,
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
@@ -122,12 +121,12 @@ def sheet_rows(
             is not one of a valid sample.
     """
     for i, q in enumerate(motions):
-        if np.ndim(q) != 2 or len(q) != len(recording):
-            raise InvalidInputError(
-                argument=f"motions[{i}]",
-                expected=f"shape ({len(recording)}, n)",
-                got=str(np.shape(q)),
-            )
+        expect(
+            np.ndim(q) == 2 and len(q) == len(recording),
+            f"motions[{i}]",
+            f"shape ({len(recording)}, n)",
+            got=str(np.shape(q)),
+        )
     bases = measure_hand(recording).bases[1:]
     sign = 1.0 if recording.side == "right" else -1.0
     palm = np.vstack([np.zeros(3), bases]) * (sign, 1.0, 1.0)
@@ -135,12 +134,12 @@ def sheet_rows(
     for label, i in poses.items():
         if i is None:
             continue
-        if not (0 <= i < len(recording) and recording.valid[i]):
-            raise InvalidInputError(
-                argument=f"poses[{label!r}]",
-                expected="index of a valid sample",
-                value=i,
-            )
+        expect(
+            0 <= i < len(recording) and recording.valid[i],
+            f"poses[{label!r}]",
+            "index of a valid sample",
+            value=i,
+        )
         landmarks = recording.landmarks[i]
         own = transform_points(rigid_fit(landmarks[PALM], palm), landmarks)
         note = f"{recording.time[i] - recording.time[0]:.2f} s"
@@ -263,42 +262,37 @@ def cell_of(column: int, row: int, view: int) -> tuple[int, int]:
 
 
 def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> None:
-    if not rows:
-        raise InvalidInputError(
-            argument="rows",
-            expected="at least one pose",
-            got="none",
-            advice="find_poses finds them",
-        )
+    advice = "find_poses finds them"
+    expect(rows, "rows", "at least one pose", got="none", advice=advice)
+    shape = LANDMARK_COUNT, 3
     for i, row in enumerate(rows):
-        if (
-            np.shape(row.landmarks) != (LANDMARK_COUNT, 3)
-            or not np.isfinite(row.landmarks).all()
-        ):
-            raise InvalidInputError(
-                argument=f"rows[{i}].landmarks",
-                expected=f"finite numbers of shape ({LANDMARK_COUNT}, 3)",
-                got=str(np.shape(row.landmarks)),
-            )
-        if len(row.q) != len(columns):
-            raise InvalidInputError(
-                argument=f"rows[{i}].q",
-                expected=f"joint angles of {len(columns)} columns",
-                got=str(len(row.q)),
-            )
+        expect(
+            np.shape(row.landmarks) == shape and np.isfinite(row.landmarks).all(),
+            f"rows[{i}].landmarks",
+            f"finite numbers of shape {shape}",
+            got=str(np.shape(row.landmarks)),
+        )
+        expect(
+            len(row.q) == len(columns),
+            f"rows[{i}].q",
+            f"joint angles of {len(columns)} columns",
+            got=str(len(row.q)),
+        )
 
 
 def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
     points = merged(list(solids)).vertices.reshape(-1, 3)
-    cameras = []
-    for azimuth, elevation in VIEWS:
-        turn = azimuth if side == "right" else 180.0 - azimuth
-        cameras.append(
-            Camera.framing(
-                points, CELL, azimuth=turn, elevation=elevation, margin=_MARGIN
-            )
+    cameras = [
+        Camera.framing(
+            points,
+            CELL,
+            azimuth=azimuth if side == "right" else 180.0 - azimuth,
+            elevation=elevation,
+            margin=_MARGIN,
         )
+        for azimuth, elevation in VIEWS
+    ]
     images = np.array(
         [[render(solid, camera) for camera in cameras] for solid in solids]
     )
@@ -338,14 +332,14 @@ def _coloured(shape: HandShape) -> HandShape:
     """The same shape without an arm, grey, with every finger's links in the finger's colour."""
     hand = shape.hand
     wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
-    links = []
-    for link, triangles in shape.links:
+    links = {}
+    for link, triangles in shape.links.items():
         if wrist and wrist not in hand.model.supports[_carrier(hand, link)]:
             continue
         colour = FINGER_COLOURS.get(_finger_of(hand, link) or "", _ROBOT_COLOUR)
         colours = np.broadcast_to(colour, triangles.colours.shape)
-        links.append(LinkShape(link, triangles._replace(colours=colours)))
-    return HandShape(hand, tuple(links), shape.missing)
+        links[link] = triangles._replace(colours=colours)
+    return replace(shape, links=links)
 
 
 def _finger_of(hand: Hand, link: str) -> str | None:

@@ -12,7 +12,7 @@ import io
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -43,25 +43,11 @@ GREY = (0.62, 0.64, 0.67)
 AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 """Colours of the axes x, y and z."""
 
-# Most triangles kept per mesh file.
 _TUBE_SIDES = 10
+# Most triangles kept per mesh file.
 _MAX_MESH_TRIANGLES = 4000
 # Faces that meet at a smaller angle than this are shaded as one smooth surface.
 _SMOOTH_ANGLE = np.radians(40.0)
-# Rows and columns of the corners of both triangles of a rectangle.
-_TWO_TRIANGLES = np.array([[(0, 0), (0, 1), (1, 0)], [(0, 1), (1, 1), (1, 0)]])
-
-
-class LinkShape(NamedTuple):
-    """The visual shapes of one link.
-
-    Attributes:
-        link: Name of the link.
-        triangles: In link coordinates.
-    """
-
-    link: str
-    triangles: Triangles
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,12 +56,12 @@ class HandShape:
 
     Attributes:
         hand: The hand.
-        links: One entry per link that has shapes.
+        links: Triangles in link coordinates, of each link that has shapes.
         missing: Mesh files named by the URDF that could not be read.
     """
 
     hand: Hand
-    links: tuple[LinkShape, ...]
+    links: dict[str, Triangles]
     missing: tuple[str, ...] = ()
 
     def triangles(
@@ -94,10 +80,8 @@ class HandShape:
         Raises:
             InvalidInputError: On a wrong shape, or a wrist pose for a fixed hand.
         """
-        names = [link for link, _ in self.links]
-        poses = self.hand.link_poses(names, q, wrist_pose)
-        links = zip(self.links, poses, strict=True)
-        return merged([triangles.moved(pose) for (_, triangles), pose in links])
+        poses = self.hand.link_poses(list(self.links), q, wrist_pose)
+        return merged(list(map(Triangles.moved, self.links.values(), poses)))
 
 
 def load_shape(
@@ -126,7 +110,7 @@ def load_shape(
     ).robot
     palette = _palette(robot)
     has_visuals = any(link.visuals for link in robot.links)
-    links = []
+    links = {}
     missing = []
     for link in robot.links:
         parts = []
@@ -140,8 +124,8 @@ def load_shape(
             part = _triangles(found, colour or tint)
             parts.append(part if shape.origin is None else part.moved(shape.origin))
         if parts:
-            links.append(LinkShape(link.name, merged(parts)))
-    return HandShape(hand, tuple(links), tuple(missing))
+            links[link.name] = merged(parts)
+    return HandShape(hand, links, tuple(missing))
 
 
 def solid(
@@ -223,15 +207,17 @@ def tube(
         normal = unit(normal - (normal @ tangent) * tangent)
         ring[:] = np.outer(np.cos(angles), normal)
         ring += np.outer(np.sin(angles), np.cross(tangent, normal))
-    pieces = np.moveaxis(np.mgrid[: len(points) - 1, :_TUBE_SIDES], 0, -1)
-    rows, columns = np.moveaxis(pieces.reshape(-1, 1, 1, 2) + _TWO_TRIANGLES, -1, 0)
-    rows = rows.reshape(-1, 3)
-    columns = columns.reshape(-1, 3) % _TUBE_SIDES
     surface = points[:, None] + radius * rings
-    vertices = surface[rows, columns]
-    return Triangles(
-        vertices, np.tile(colour, (len(vertices), 1)), rings[rows, columns]
-    )
+    vertices = _between_rings(surface)
+    colours = np.tile(colour, (len(vertices), 1))
+    return Triangles(vertices, colours, _between_rings(rings))
+
+
+def _between_rings(rings: np.ndarray) -> np.ndarray:
+    """Return the corners of two triangles for each piece between closed rings (n, sides, 3)."""
+    after = np.roll(rings, -1, axis=1)
+    corners = rings[:-1], after[:-1], rings[1:], after[:-1], after[1:], rings[1:]
+    return np.stack(corners, axis=2).reshape(-1, 3, 3)
 
 
 def draw_hands(

@@ -152,23 +152,23 @@ class Camera:
 
 
 class _Surface(NamedTuple):
-    """Result of the z-buffer: the k covered pixels and the triangle in front at each.
+    """Result of the z-buffer: the k covered pixels, and the triangle in front at each.
 
-    `planes` (n, 3, 3) holds the barycentric coordinates of each triangle as linear functions of the
-    pixel (coefficients of x, y, and the constant).
+    `shares` (k, 3) are the barycentric coordinates of the pixels' centres in their triangles.
     """
 
     pixels: np.ndarray
     triangle: np.ndarray
+    shares: np.ndarray
     depth: np.ndarray
-    planes: np.ndarray
+
+
+_NOTHING = Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
 
 def merged(parts: list[Triangles]) -> Triangles:
     """Concatenate several sets of triangles."""
-    if not parts:
-        return Triangles(np.zeros((0, 3, 3)), np.zeros((0, 3)), np.zeros((0, 3, 3)))
-    return Triangles(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+    return Triangles(*map(np.concatenate, zip(_NOTHING, *parts, strict=True)))
 
 
 def render(
@@ -193,7 +193,7 @@ def render(
     fine = camera.magnified(supersampling)
     solid = _rasterise(triangles.vertices, fine)
     picture = _shaded(triangles, solid, fine, has_creases=True)
-    if marks is not None and len(marks.vertices):
+    if marks is not None:
         surface = _rasterise(marks.vertices, fine)
         shaded = _shaded(marks, surface, fine, has_creases=False)
         is_hidden = surface.depth > solid.depth
@@ -211,66 +211,58 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     width, height = camera.size
     corners = camera.project(vertices)
     depths = corners[..., 2]
-    planes, area = _planes(corners)
-    nearness = np.einsum("nc,ncj->nj", 1.0 / np.maximum(depths, _NEAR), planes)
-    is_seen = (depths > _NEAR).all(axis=1)
-    is_seen &= np.isfinite(planes).all(axis=(1, 2))
-    is_seen &= area > 0.0
+    # Barycentric coordinates are linear in the pixel: coefficients of x, y, and the constant.
+    flat = corners.copy()
+    flat[..., 2] = 1.0
+    planes = np.cross(flat[:, [1, 2, 0]], flat[:, [2, 0, 1]])
+    area = planes[..., 2].sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        planes /= area[:, None, None]
+    # y points down, so a counter-clockwise triangle has a negative area in the picture.
+    is_seen = (depths > _NEAR).all(axis=1) & (area < 0.0)
+    seen = np.flatnonzero(is_seen & np.isfinite(planes).all(axis=(1, 2)))
+    planes = planes[seen]
+    inverse = 1.0 / depths[seen]
+    nearness = np.einsum("nc,ncj->nj", inverse, planes)
     # Nearness and triangle index share one integer, so that one maximum updates both.
-    nearest = 1.0 / max(depths.min(initial=1.0), _NEAR)
-    farthest = 1.0 / max(depths.max(initial=1.0), _NEAR)
-    scale = _NEARNESS_STEPS / max(nearest - farthest, 1e-9)
+    farthest = inverse.min(initial=np.inf)
+    scale = _NEARNESS_STEPS / max(inverse.max(initial=0.0) - farthest, 1e-9)
     keys = np.full(width * height, -1, dtype=np.int64)
-    triangle, row, first, count = _spans(corners, planes, is_seen, camera.size)
+    triangle, row, first, count = _spans(corners[seen, :, 1], planes, camera.size)
     for start in range(0, len(count), _CHUNK):
         part = slice(start, start + _CHUNK)
         span = start + np.repeat(np.arange(len(count[part])), count[part])
         column = first[span] + _ramps(count[part])
         owner = triangle[span]
-        rank = scale * (_at(nearness[owner], column, row[span]) - farthest)
+        near = (nearness[owner] * _centres(column, row[span])).sum(axis=1)
+        rank = scale * (near - farthest)
         steps = np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64)
         pixel = row[span] * width + column
         np.maximum.at(keys, pixel, (steps << _INDEX_BITS) | owner)
     pixels = np.flatnonzero(keys >= 0)
-    triangle = keys[pixels] & (2**_INDEX_BITS - 1)
+    owner = keys[pixels] & (2**_INDEX_BITS - 1)
+    centres = _centres(pixels % width, pixels // width)
+    shares = np.einsum("kcj,kj->kc", planes[owner], centres)
     depth = np.full(width * height, np.inf)
-    found = _at(nearness[triangle], pixels % width, pixels // width)
-    depth[pixels] = 1.0 / np.maximum(found, 1e-9)
-    return _Surface(pixels, triangle, depth.reshape(height, width), planes)
-
-
-def _planes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return barycentric coordinates as linear functions of the pixel, and twice the areas.
-
-    Shapes (n, 3, 3) and (n,); the area is positive if the triangle is seen from the front.
-    """
-    x = corners[..., 0]
-    y = corners[..., 1]
-    after = [1, 2, 0]
-    before = [2, 0, 1]
-    constant = x[:, after] * y[:, before] - x[:, before] * y[:, after]
-    area = constant.sum(axis=1)
-    planes = np.stack(
-        [y[:, after] - y[:, before], x[:, before] - x[:, after], constant], axis=2
-    )
-    with np.errstate(divide="ignore", invalid="ignore"):
-        # y points down, so a counter-clockwise triangle has a negative area in the picture.
-        return planes / area[:, None, None], -area
+    depth[pixels] = 1.0 / np.maximum((shares * inverse[owner]).sum(axis=1), 1e-9)
+    return _Surface(pixels, seen[owner], shares, depth.reshape(height, width))
 
 
 def _spans(
-    corners: np.ndarray, planes: np.ndarray, is_seen: np.ndarray, size: tuple[int, int]
+    y: np.ndarray, planes: np.ndarray, size: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the spans of pixels inside triangles: triangle, row, first column, length."""
+    """Return the spans of pixels inside triangles: triangle, row, first column, length.
+
+    Args:
+        y: Rows of the corners of each triangle [pixel], shape (n, 3).
+        planes: Its barycentric coordinates, linear in the pixel, shape (n, 3, 3).
+        size: Width and height of the picture [pixel].
+    """
     width, height = size
-    seen = np.flatnonzero(is_seen)
-    y = corners[seen, :, 1]
-    low = y.min(axis=1)
-    high = y.max(axis=1)
-    top = np.clip(np.ceil(low - 0.5), 0, height).astype(np.int64)
-    bottom = np.clip(np.floor(high - 0.5) + 1, 0, height).astype(np.int64)
+    top = np.ceil(y.min(axis=1) - 0.5).clip(0, height).astype(np.int64)
+    bottom = np.floor(y.max(axis=1) + 0.5).clip(0, height).astype(np.int64)
     rows = np.maximum(bottom - top, 0)
-    triangle = np.repeat(seen, rows)
+    triangle = np.repeat(np.arange(len(rows)), rows)
     row = np.repeat(top, rows) + _ramps(rows)
     low = np.full(len(row), 0.5)
     high = np.full(len(row), width - 0.5)
@@ -294,9 +286,9 @@ def _ramps(counts: np.ndarray) -> np.ndarray:
     return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
-def _at(planes: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Evaluate linear functions of the pixel (k, 3) at pixel centres, shape (k,)."""
-    return planes[:, 0] * (x + 0.5) + planes[:, 1] * (y + 0.5) + planes[:, 2]
+def _centres(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the centres of pixels as x, y and 1, shape (k, 3)."""
+    return np.column_stack([x + 0.5, y + 0.5, np.ones(len(x))])
 
 
 def _shaded(
@@ -311,11 +303,8 @@ def _shaded(
     x = pixels % width
     y = pixels // width
     corners = triangles.normals[triangle] @ rotation.T
-    shares = [_at(surface.planes[triangle, corner], x, y) for corner in range(3)]
-    normals = unit(np.einsum("ck,kcj->kj", shares, corners))
-    rays = np.full((len(x), 3), camera.focal_length)
-    rays[:, 0] = x + 0.5 - camera.centre[0]
-    rays[:, 1] = y + 0.5 - camera.centre[1]
+    normals = unit(np.einsum("kc,kcj->kj", surface.shares, corners))
+    rays = _centres(x, y) - (*camera.centre, 1.0 - camera.focal_length)
     key = unit(_KEY_DIRECTION)
     fill = unit(_FILL_DIRECTION)
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])

@@ -199,13 +199,13 @@ class _Scene:
         hand = self.hand
         model = self.hand.model
         wrist = model.frames[hand.wrist_frame_id].parentJoint
-        links = [
-            link
-            for link in load_shape(hand).links
-            if wrist in model.supports[place_of(hand, PointSpec("", link.link))[0]]
-        ]
+        links = {
+            link: triangles
+            for link, triangles in load_shape(hand).links.items()
+            if wrist in model.supports[place_of(hand, PointSpec("", link))[0]]
+        }
         if links:
-            shape = HandShape(hand, tuple(links)).triangles(hand.rest)
+            shape = HandShape(hand, links).triangles(hand.rest)
             return shape.moved(inverse_pose(hand.frame_pose("palm", hand.rest)))
         return self._sticks(wrist)
 
