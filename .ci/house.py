@@ -52,8 +52,8 @@ class Limit(NamedTuple):
 
 
 BUDGET = {
-    "lines": Limit(45_720, 34_000),
-    "tokens": Limit(246_900, 200_000),
+    "lines": Limit(45_530, 34_000),
+    "tokens": Limit(245_600, 200_000),
     "tokens per code line": Limit(8.55, 8),
     "closure: files": Limit(21, None),
     "closure: lines": Limit(7_370, 7_500),
@@ -66,7 +66,7 @@ BUDGET = {
     "files of a method": Limit(1, 1),
     "functions with more than 10 paths": Limit(24, 40),
     "functions with more than 20 paths": Limit(0, 0),
-    "imports inside functions": Limit(5, 0),
+    "imports inside functions": Limit(0, 0),
 }
 """The most that each row may have, and the goal; rows without a goal are for information."""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import rankdata
 
+from handmap_qp.apps import datasets
 from handmap_qp.apps.datasets.manifest import Line, read_manifests
 from handmap_qp.apps.datasets.measures import MEASURES
 from handmap_qp.apps.tables import csv_text, markdown_table
@@ -151,10 +152,8 @@ def write_report(
     make_folder(out, "DIR")
     pictures: list[Path] = []
     if draws:
-        # Imports matplotlib.
-        from handmap_qp.apps.datasets.report_pictures import draw_report
-
-        pictures = draw_report(folder, quality, min(worst, _MOST_DRAWN), out)
+        drawing = datasets.report_pictures
+        pictures = drawing.draw_report(folder, quality, min(worst, _MOST_DRAWN), out)
     texts = {
         "report.md": _markdown(quality, worst, [file.name for file in pictures]),
         "episodes.csv": _csv(quality),

@@ -1,0 +1,1 @@
+from . import report_pictures as report_pictures
