@@ -24,8 +24,7 @@ from handmap_qp.apps.onboarding.measure import (
     standard_postures,
 )
 from handmap_qp.apps.onboarding.picture import draw_hand, picture_path
-from handmap_qp.apps.onboarding.source import open_source
-from handmap_qp.apps.onboarding.write import hand_text, write_hand
+from handmap_qp.apps.onboarding.write import hand_text, open_source, write_hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files
 from handmap_qp.hands.sources import urdf_directory, urdf_path
 from handmap_qp.hands.spec import LimitSpec, read_hand_spec

@@ -408,10 +408,9 @@ def _compare_detection(hand: Hand, tables: Tables) -> Findings:
 
 def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Findings:
     """Find points that name another finger than the one whose joints move them."""
-    owners: dict[str, str] = {}
-    for finger, joints in chains.items():
-        for joint in joints:
-            owners.setdefault(joint, finger)
+    # A joint of several fingers is the first one's.
+    pairs = reversed(chains.items())
+    owners = {joint: finger for finger, joints in pairs for joint in joints}
     for point in hand.reference_points:
         owner = owners.get(hand.model.names[place_of(hand, point)[0]])
         if owner is not None and point.finger not in (None, owner):

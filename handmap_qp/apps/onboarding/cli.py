@@ -17,8 +17,7 @@ from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.match import check_robot, match_hand
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
-from handmap_qp.apps.onboarding.source import open_source
-from handmap_qp.apps.onboarding.write import check_free, write_hand
+from handmap_qp.apps.onboarding.write import check_free, open_source, write_hand
 from handmap_qp.apps.tables import print_rows, print_table
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import describe_hand, list_hands, load_hand

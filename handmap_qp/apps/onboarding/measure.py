@@ -274,19 +274,18 @@ def measure_pinches(hand: Hand) -> list[Pinch]:
         One entry per finger; none if the hand has no thumb or no second finger.
     """
     fingers = find_fingers(hand)
-    pads = fingertip_pads(hand, fingers)
-    pinches = []
     if THUMB not in fingers:
-        return pinches
-    for name, finger in fingers.items():
-        if name != THUMB:
-            used = [pads[THUMB], pads[name]]
-            radii = sum(pad.radius for pad in used)
-            columns = np.union1d(fingers[THUMB].columns, finger.columns)
-            gap = _nearest(hand, used, columns, radii) - radii
-            touch = "yes" if gap < _TOUCHING else "no"
-            nearest = max(0.0, round(1e3 * gap, 1))
-            pinches.append(Pinch(finger=name, gap=nearest, touch=touch))
+        return []
+    pads = fingertip_pads(hand, fingers)
+    thumb = pads.pop(THUMB)
+    pinches = []
+    for name, pad in pads.items():
+        columns = np.union1d(fingers[THUMB].columns, fingers[name].columns)
+        radii = thumb.radius + pad.radius
+        gap = _nearest(hand, (thumb, pad), columns, radii) - radii
+        touch = "yes" if gap < _TOUCHING else "no"
+        nearest = max(0.0, round(1e3 * gap, 1))
+        pinches.append(Pinch(finger=name, gap=nearest, touch=touch))
     return pinches
 
 
@@ -298,33 +297,33 @@ def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
         return {name: Pad(*chain.tip, _RADIUS) for name, chain in chains.items()}
 
 
-def _nearest(hand: Hand, pads: list[Pad], columns: np.ndarray, near: float) -> float:
+def _nearest(
+    hand: Hand, pads: tuple[Pad, Pad], columns: np.ndarray, near: float
+) -> float:
     """Return the smallest distance of two pads' centres, or one below `near` [m]."""
     from scipy.optimize import least_squares
 
     view = PalmKinematics(hand)
+    places = [(pad.joint, pad.offset) for pad in pads]
     q = hand.rest.copy()
-    best = np.inf
-    low = hand.lower_limits[columns]
-    high = hand.upper_limits[columns]
 
     def gap(positions: np.ndarray) -> np.ndarray:
         q[columns] = positions
-        places = [(pad.joint, pad.offset) for pad in pads]
         return np.subtract(*view.points(q, places))
 
     def slope(positions: np.ndarray) -> np.ndarray:
         q[columns] = positions
-        motions = (view.motion(q, (pad.joint, pad.offset)) for pad in pads)
+        motions = (view.motion(q, place) for place in places)
         return np.subtract(*motions)[:3, columns]
 
-    middle = 0.5 * (low + high)
-    zero = zero_posture(hand)[columns]
-    others = random_postures(hand, _STARTS)[:, columns]
-    for start in (hand.rest[columns], middle, zero, *others):
+    limits = np.array([hand.lower_limits, hand.upper_limits])
+    first = [hand.rest, limits.mean(axis=0), zero_posture(hand)]
+    best = np.inf
+    for start in np.vstack([first, random_postures(hand, _STARTS)])[:, columns]:
         if best >= near:
+            bounds = limits[:, columns]
             found = least_squares(
-                gap, start, slope, bounds=(low, high), ftol=1e-4, xtol=1e-4
+                gap, start, slope, bounds=bounds, ftol=1e-4, xtol=1e-4
             )
             best = min(best, float(lengths(found.fun)))
     return best

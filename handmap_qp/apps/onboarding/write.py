@@ -1,4 +1,7 @@
-"""Write a `hand.yaml` with comments that explain each key and how its value was found."""
+"""Files of `handmap hands init`: the robot that it is given, and the `hand.yaml` that it writes.
+
+Comments in the `hand.yaml` explain each key and how its value was found.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,27 @@ import os
 import textwrap
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import yaml
 
+from handmap_qp import hands
 from handmap_qp.apps.onboarding.detect import Detection
-from handmap_qp.errors import InvalidInputError, MissingExtraError, MissingPackageError
-from handmap_qp.hands.sources import package_folder
+from handmap_qp.errors import (
+    HandError,
+    InvalidInputError,
+    MissingExtraError,
+    MissingPackageError,
+    expect,
+)
+from handmap_qp.hands.sources import is_mjcf, package_folder, source_path
 from handmap_qp.hands.spec import is_named_source
 from handmap_qp.output_files import make_folder, writing
 
 _WIDTH = 120
+# Allowed difference between the poses of a link in the URDF and in MuJoCo [m].
+_MOST_DIFFERENCE = 1e-9
 # Keys in their order, and those whose values are written on several lines.
 _KEYS = (
     *("name", "urdf", "root", "side", "palm", "wrist", "joints", "rest", "locked"),
@@ -47,6 +59,58 @@ _FOUND = {
 }
 
 
+class RobotSource(NamedTuple):
+    """A URDF to detect a hand in.
+
+    Attributes:
+        urdf: The URDF file.
+        reference: How `hand.yaml` refers to it.
+        notes: What a conversion from MJCF left out, one sentence each.
+        written: Files that were written.
+    """
+
+    urdf: Path
+    reference: str
+    notes: tuple[str, ...] = ()
+    written: tuple[Path, ...] = ()
+
+
+def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotSource:
+    """Find the URDF of a robot, and convert an MJCF file to one.
+
+    Args:
+        robot: A URDF or MJCF file, `package://PACKAGE/path`, or `robot_descriptions:MODULE`.
+        folder: Folder of the `hand.yaml`. The URDF and the meshes of an MJCF file are written
+            beside it.
+        overwrite: Whether to replace a URDF that is there.
+
+    Raises:
+        HandError: If there is no such robot, or it cannot be converted.
+        InvalidInputError: If the URDF exists, or cannot be written.
+        MissingExtraError: If `robot_descriptions` or a package of an extra is not installed.
+        MissingPackageError: If another package is not installed.
+    """
+    given = str(robot).replace("package:/", "package://", 1).replace(":///", "://")
+    source = source_path(given)
+    path = robot if source is None else source
+    if not is_mjcf(path):
+        return RobotSource(path, str(path) if source is None else given)
+    if source is not None:
+        return RobotSource(
+            hands.mjcf.cached_urdf(path), given, hands.mjcf.convert_mjcf(path).notes
+        )
+    urdf = folder / f"{path.stem}.urdf"
+    _check_new(urdf, overwrite=overwrite)
+    converted = hands.mjcf.convert_mjcf(path, f"{path.stem}_meshes")
+    difference = hands.mjcf.kinematics_difference(converted)
+    if not difference < _MOST_DIFFERENCE:
+        problem = f"the URDF's kinematics differ from MuJoCo's by {difference:.1e} m"
+        raise HandError(f"{problem}: please report it", file=path)
+    with writing(urdf, "--out"):
+        hands.mjcf.write_converted(converted, urdf)
+    return RobotSource(urdf, str(urdf), converted.notes, (urdf,))
+
+
 def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> None:
     """Write a `hand.yaml`.
 
@@ -74,10 +138,13 @@ def check_free(path: Path, *, overwrite: bool) -> None:
     Raises:
         InvalidInputError: If it has another suffix, or exists.
     """
-    if path.suffix not in (".yaml", ".yml"):
-        raise InvalidInputError(
-            argument="--out", expected="a file that ends in .yaml", value=str(path)
-        )
+    is_yaml = path.suffix in (".yaml", ".yml")
+    expect(is_yaml, "--out", "a file that ends in .yaml", value=str(path))
+    _check_new(path, overwrite=overwrite)
+
+
+def _check_new(path: Path, *, overwrite: bool) -> None:
+    """Reject a file that exists, unless it may be replaced."""
     if path.exists() and not overwrite:
         raise InvalidInputError(
             argument="--out",
