@@ -36,7 +36,7 @@ from handmap_qp import (
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.viewer import figure
 from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls
-from handmap_qp.apps.viewer.figure import HandFigure, Seen, state_text
+from handmap_qp.apps.viewer.figure import HandFigure, state_text
 from handmap_qp.apps.viewer.gauges import FIRST, InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
 from handmap_qp.apps.viewer.scene import Display, HandScene
@@ -244,7 +244,8 @@ def test_hands_stay_in_place_or_travel_as_asked(
     for sample in (replay.samples[0], replay.samples[-1]):
         scene.draw([sample])
         assert sample.human_wrist is not None
-        centre = human.centre(Seen(None, (replay.human.rest, sample.human_wrist)))
+        posed = replace(sample, robot_wrist=sample.human_wrist)
+        centre = human.centre(posed)
         assert centre is not None
         places.append(in_scene(server, "/human", centre[None])[0])
     moved = float(np.linalg.norm(places[1] - places[0]))

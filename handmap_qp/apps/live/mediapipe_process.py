@@ -24,7 +24,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -34,18 +34,6 @@ _OTHER = {"Left": "right", "Right": "left"}
 """MediaPipe names hands for pictures mirrored as in a selfie; ours are not."""
 _LOST = 30
 """Pictures in a row that a camera may fail to give."""
-
-
-class TrackedHand(NamedTuple):
-    """What MediaPipe finds of a hand in a picture.
-
-    Attributes:
-        landmarks: In upright camera axes [m], shape (21, 3).
-        confidence: MediaPipe's score of the hand being this one of the two, 0 to 1.
-    """
-
-    landmarks: np.ndarray
-    confidence: float
 
 
 def position_in_camera(
@@ -94,23 +82,29 @@ class HandTracker:
         self._fov = fov
         self._hands = Hands(max_num_hands=2, model_complexity=1)
 
-    def find(self, pixels: np.ndarray) -> TrackedHand | None:
-        """Return the hand in a picture; None if it is not there."""
+    def find(self, pixels: np.ndarray) -> dict[str, Any]:
+        """Return what a picture shows of the hand; nothing if it is not there.
+
+        Returns:
+            `landmarks` in upright camera axes [m], shape (21, 3), and `confidence`: MediaPipe's
+            score of the hand being this one of the two, 0 to 1.
+        """
         result = self._hands.process(pixels)
-        found = [
-            TrackedHand(
-                self._place(_rows(world), _rows(image), pixels.shape),
-                min(1.0, kind.score),
-            )
-            for named, image, world in zip(
-                result.multi_handedness or (),
-                result.multi_hand_landmarks or (),
-                result.multi_hand_world_landmarks or (),
-                strict=True,
-            )
-            if _OTHER.get((kind := named.classification[0]).label) == self._side
-        ]
-        return max(found, key=lambda hand: hand.confidence, default=None)
+        hands = zip(
+            result.multi_handedness or (),
+            result.multi_hand_landmarks or (),
+            result.multi_hand_world_landmarks or (),
+            strict=True,
+        )
+        best: dict[str, Any] = {}
+        for named, image, world in hands:
+            kind = named.classification[0]
+            confidence = min(1.0, kind.score)
+            is_ours = _OTHER.get(kind.label) == self._side
+            if is_ours and confidence > best.get("confidence", -1.0):
+                place = self._place(_rows(world), _rows(image), pixels.shape)
+                best = {"landmarks": place.tolist(), "confidence": confidence}
+        return best
 
     def _place(
         self, shape: np.ndarray, image: np.ndarray, size: tuple[int, ...]
@@ -127,20 +121,16 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
     import cv2
 
-    source = str(arguments.video)
-    name = f"video {arguments.video}"
-    patience = 0
-    if not (is_file := arguments.video is not None):
-        source = arguments.camera
-        patience = _LOST
-        name = f"camera {source}"
+    is_file = arguments.video is not None
+    source = str(arguments.video) if is_file else arguments.camera
+    name = f"{'video' if is_file else 'camera'} {source}"
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         _stop(f"{name} cannot be read")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
     start = time.monotonic()
     count = 0
-    for count, picture in enumerate(_read(capture, patience), start=1):
+    for count, picture in enumerate(_read(capture, 0 if is_file else _LOST), 1):
         stamp = start + (count - 1) / rate if is_file else time.monotonic()
         time.sleep(max(0.0, stamp - time.monotonic()) * arguments.paced)
         pixels = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
@@ -159,17 +149,14 @@ def _read(capture: Any, patience: int) -> Iterator[np.ndarray]:
             yield picture
 
 
-def printed(stamp: float, hand: TrackedHand | None) -> None:
+def printed(stamp: float, hand: dict[str, Any]) -> None:
     """Print a sample as one line of JSON."""
-    sample: dict[str, Any] = {"time": stamp, "valid": hand is not None}
-    if hand is not None:
-        sample |= {"landmarks": hand.landmarks.tolist(), "confidence": hand.confidence}
-    print(json.dumps(sample), flush=True)
+    print(json.dumps({"time": stamp, "valid": bool(hand), **hand}), flush=True)
 
 
 def sent(
     arguments: argparse.Namespace, closing: contextlib.ExitStack
-) -> Callable[[float, TrackedHand | None], None]:
+) -> Callable[[float, dict[str, Any]], None]:
     """Open a session of the service until `closing`; return a function that sends samples to it."""
     client = _client_module()
     session = closing.enter_context(client.Client(arguments.to))
@@ -181,10 +168,9 @@ def sent(
     except failures as error:
         _stop(str(error))
 
-    def send(stamp: float, hand: TrackedHand | None) -> None:
-        given = {} if hand is None else hand._asdict()
+    def send(stamp: float, hand: dict[str, Any]) -> None:
         try:
-            session.send(time=stamp, valid=hand is not None, **given)
+            session.send(time=stamp, valid=bool(hand), **hand)
         except failures as error:
             print(f"mediapipe_process: {error}", file=sys.stderr)
 

@@ -12,7 +12,7 @@ from abc import ABC, abstractmethod
 from collections import defaultdict, deque
 from collections.abc import Iterable
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
+Posture = tuple[np.ndarray, np.ndarray]
+"""Joint angles [rad], shape (n,), and wrist pose, shape (4, 4)."""
 Shape = Literal["ellipsoid", "cube", "off"]
 """How T_def is shown."""
 TARGET_COLOUR = (0.98, 0.66, 0.10)
@@ -64,18 +66,6 @@ def as_bytes(colour: Colour) -> tuple[int, int, int]:
     """Return a colour as three numbers up to 255."""
     red, green, blue = (round(255 * part) for part in colour)
     return red, green, blue
-
-
-class Seen(NamedTuple):
-    """What is known of a hand at a sample.
-
-    Attributes:
-        points: Points in the hand's world [m], shape (n, 3).
-        posture: Joint angles [rad], shape (n,), and wrist pose, shape (4, 4).
-    """
-
-    points: np.ndarray | None
-    posture: tuple[np.ndarray, np.ndarray] | None = None
 
 
 class Figure(ABC):
@@ -116,20 +106,21 @@ class Figure(ABC):
         self._frame.visible = self._label.visible = is_shown
 
     @abstractmethod
-    def seen(self, sample: ViewSample) -> Seen:
-        """Return what is known of it at a sample."""
+    def points(self, sample: ViewSample) -> np.ndarray | None:
+        """Return its points in the figure's world [m], shape (n, 3); None if they are not known."""
 
     @abstractmethod
     def draw(self, sample: ViewSample) -> None:
         """Draw one instant."""
 
-    def centre(self, seen: Seen) -> np.ndarray | None:
+    def centre(self, sample: ViewSample) -> np.ndarray | None:
         """Return the centre in the figure's world [m], shape (3,); None if nothing is known."""
-        return None if seen.points is None else seen.points.mean(axis=0)
+        points = self.points(sample)
+        return None if points is None else points.mean(axis=0)
 
-    def corners(self, seen: Seen) -> np.ndarray:
+    def corners(self, sample: ViewSample) -> np.ndarray:
         """Return corners of what is drawn, if anything is, likewise, shape (n, 3)."""
-        return np.asarray(seen.points)
+        return np.asarray(self.points(sample))
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the fingertips in the figure's world [m], shape (n, 3); None for no trail."""
@@ -144,27 +135,25 @@ class Figure(ABC):
 
     def fit(self, samples: Iterable[ViewSample]) -> None:
         """Make room for instants that are known beforehand, save for rare excursions."""
-        found = [box for sample in samples if (box := self._boxes(sample)) is not None]
+        found = [box for sample in samples if (box := self._box(sample)) is not None]
         if found:
-            centres, lows, highs = map(np.array, zip(*found, strict=True))
+            centres, lows, highs = np.stack(found, axis=1)
             self.travel = np.array([centres.min(axis=0), centres.max(axis=0)])
             low = np.percentile(lows, _RARE, axis=0)
             self.extent = np.array([low, np.percentile(highs, 100.0 - _RARE, axis=0)])
 
     def include(self, sample: ViewSample) -> None:
         """Make room for one more instant."""
-        if (box := self._boxes(sample)) is not None:
-            centre, low, high = box
-            self.travel = _extended(self.travel, centre, centre)
-            self.extent = _extended(self.extent, low, high)
+        if (box := self._box(sample)) is not None:
+            self.travel = _extended(self.travel, box[[0, 0]])
+            self.extent = _extended(self.extent, box[1:])
 
-    def _boxes(self, sample: ViewSample) -> tuple[np.ndarray, ...] | None:
-        """Return the centre, and lowest and highest corner about it, in scene axes, (3,) each."""
-        seen = self.seen(sample)
-        if (centre := self.centre(seen)) is None:
+    def _box(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the centre, and lowest and highest corner about it, in scene axes, (3, 3)."""
+        if (centre := self.centre(sample)) is None:
             return None
-        about = (self.corners(seen) - centre) @ self.axes.T
-        return self.axes @ centre, about.min(axis=0), about.max(axis=0)
+        about = (self.corners(sample) - centre) @ self.axes.T
+        return np.array([self.axes @ centre, about.min(axis=0), about.max(axis=0)])
 
     def place(self, middle: np.ndarray, low: float) -> None:
         """Move the figure's world so that a point of it is at the anchor.
@@ -291,13 +280,13 @@ class LandmarkFigure(Figure):
             server, "/landmarks/bones", len(BONES), LANDMARK_COLOUR, 3.0
         )
 
-    def seen(self, sample: ViewSample) -> Seen:
+    def points(self, sample: ViewSample) -> np.ndarray | None:
         """Return the landmarks, unless some are not known."""
-        return Seen(_known(sample.landmarks))
+        return _known(sample.landmarks)
 
     def draw(self, sample: ViewSample) -> None:
         """Show the landmarks; hide those that are not known."""
-        points = self.seen(sample).points
+        points = self.points(sample)
         self._points.move(points)
         self._bones.visible = points is not None
         if points is not None:
@@ -350,7 +339,7 @@ class HandFigure(Figure):
                 size = high - low + 2.0 * _PADDING
                 self._corners[link] = low - _PADDING + _UNIT_BOX * size
         wrist = hand.frame_pose("wrist", hand.rest)
-        corners = transform_points(inverse_pose(wrist), self._box(hand.rest, wrist))
+        corners = transform_points(inverse_pose(wrist), self._boxes(hand.rest, wrist))
         low = corners.min(axis=0)
         high = corners.max(axis=0)
         self._focus = 0.5 * (low + high)
@@ -359,35 +348,38 @@ class HandFigure(Figure):
             server, f"/{node}/points", self.point_size * self.radius, colour
         )
 
-    def seen(self, sample: ViewSample) -> Seen:
-        """Return the robot of a sample."""
-        return Seen(sample.robot_points, (sample.robot_q, sample.robot_wrist))
+    def points(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the hand's points, which may be known where its posture is not."""
+        return sample.robot_points
 
-    def centre(self, seen: Seen) -> np.ndarray | None:
+    def posture(self, sample: ViewSample) -> Posture | None:
+        """Return joint angles and wrist, if they are known."""
+        return sample.robot_q, sample.robot_wrist
+
+    def centre(self, sample: ViewSample) -> np.ndarray | None:
         """Return the hand's centre, or that of its points."""
-        if seen.posture is None:
-            return super().centre(seen)
-        return transform_points(seen.posture[1], self._focus[None])[0]
+        if (posture := self.posture(sample)) is None:
+            return super().centre(sample)
+        return transform_points(posture[1], self._focus[None])[0]
 
-    def corners(self, seen: Seen) -> np.ndarray:
+    def corners(self, sample: ViewSample) -> np.ndarray:
         """Return the corners of the boxes around its links, or its points."""
-        return (
-            super().corners(seen) if seen.posture is None else self._box(*seen.posture)
-        )
+        posture = self.posture(sample)
+        return super().corners(sample) if posture is None else self._boxes(*posture)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tips of the posture."""
-        if (posture := self.seen(sample).posture) is None:
+        if (posture := self.posture(sample)) is None:
             return None
         return self._tips.points(posture[0], self._pose(posture[1]))
 
     def draw(self, sample: ViewSample) -> None:
         """Draw the hand and its points; hide a hand of unknown posture."""
-        points, posture = self.seen(sample)
+        posture = self.posture(sample)
         self._body.visible = posture is not None
         if posture is not None:
             self.show(*posture)
-        self._points.move(points)
+        self._points.move(self.points(sample))
 
     def show(self, q: np.ndarray, wrist: np.ndarray) -> None:
         """Show a posture.
@@ -408,7 +400,7 @@ class HandFigure(Figure):
             node.wxyz = quat
             node.position = position
 
-    def _box(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
+    def _boxes(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
         pose = self._pose(wrist)
         if not self._corners:
@@ -460,12 +452,15 @@ class HumanFigure(HandFigure):
             server, "/human/cube", len(_EDGES), DEFORMATION_COLOUR, 2.5
         )
 
-    def seen(self, sample: ViewSample) -> Seen:
-        """Return the human hand of a sample."""
+    def points(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the human's points."""
+        return sample.human_points
+
+    def posture(self, sample: ViewSample) -> Posture | None:
+        """Return the human's joint angles and wrist, if both are known."""
         q = sample.human_q
         wrist = sample.human_wrist
-        posture = None if q is None or wrist is None else (q, wrist)
-        return Seen(sample.human_points, posture)
+        return None if q is None or wrist is None else (q, wrist)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tracked tips, or else those of the posture."""
@@ -611,9 +606,9 @@ def _known(points: np.ndarray | None) -> np.ndarray | None:
     return points if points is not None and np.isfinite(points).all() else None
 
 
-def _extended(box: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _extended(box: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return a box (2, 3) that holds another one too, with a margin where it has to grow."""
     if not len(box):
-        return np.array([low, high])
-    low = np.where(low < box[0], low - _MARGIN, box[0])
-    return np.array([low, np.where(high > box[1], high + _MARGIN, box[1])])
+        return other
+    low = np.where(other[0] < box[0], other[0] - _MARGIN, box[0])
+    return np.array([low, np.where(other[1] > box[1], other[1] + _MARGIN, box[1])])

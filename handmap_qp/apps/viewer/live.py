@@ -8,12 +8,11 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from handmap_qp.apps.viewer.controls import SteeringControls, say
+from handmap_qp.apps.viewer.controls import SteeringControls, Window, say
 from handmap_qp.apps.viewer.gauges import Row, gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.serving import run_frames
-from handmap_qp.apps.viewer.window import Window
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.presets import options_text, possible_presets
 

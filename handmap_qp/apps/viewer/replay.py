@@ -13,12 +13,12 @@ from handmap_qp.apps.viewer.controls import (
     NOTHING,
     PlayBar,
     SteeringControls,
+    Window,
     say,
 )
 from handmap_qp.apps.viewer.gauges import gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.window import Window
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples

@@ -138,7 +138,7 @@ class HandScene:
     def _draw_figure(self, figure: Figure, sample: ViewSample, low: float) -> None:
         """Draw a figure at its place, with its trail; its name is at a height `low` [m]."""
         figure.draw(sample)
-        if (centre := figure.centre(figure.seen(sample))) is None:
+        if (centre := figure.centre(sample)) is None:
             return
         is_pinned = self.display.follow == "hands"
         figure.place(
