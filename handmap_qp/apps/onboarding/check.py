@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.onboarding.anatomy import angle_between
+from handmap_qp.apps.onboarding.anatomy import Clue, angle_between
 from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import detect_text, left_out_wrist
 from handmap_qp.apps.onboarding.measure import (
@@ -43,6 +43,7 @@ from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
+from handmap_qp.hands.spec import HandSpec
 from handmap_qp.hands.urdf import parse_with_meshes
 from handmap_qp.se3 import lengths
 
@@ -387,23 +388,28 @@ def _compare_detection(hand: Hand, tables: Tables) -> Findings:
         yield Finding("advice", "palm", f"not compared with the URDF: {error.problem}")
         return
     clues = {clue.what: clue for clue in found.clues}
-    links = [hand.spec.palm.link, found.spec.palm.link]
-    own, theirs = hand.link_poses(links, hand.rest)[:, :3, :3]
-    for name in ("distal", "dorsal"):
-        clue = clues[name]
-        # The detected direction in the frame of the described palm link.
-        other = own.T @ theirs @ np.array(getattr(found.spec.palm, name))
-        angle = angle_between(np.array(getattr(hand.spec.palm, name)), other)
-        if clue.confidence > _WORTH and angle > _ANGLES[clue.certainty]:
-            better = ", ".join(f"{value:.3f}" for value in other)
-            what = f"is {angle:.0f} degrees from the detected one: {clue.how}"
-            yield Finding("warning", f"palm.{name}", what, f"try [{better}]")
+    yield from _compare_axes(hand, found.spec, clues)
     side = found.spec.side
     if side == hand.side and clues["fingers"].confidence > _SURE:
         yield from _compare_fingers(hand, found.chains)
     elif side != hand.side and clues["side"].confidence > _SURE:
         what = f"{clues['side'].how}: a {side} hand"
         yield Finding("warning", "side", what, f"side: {side}")
+
+
+def _compare_axes(hand: Hand, found: HandSpec, clues: dict[str, Clue]) -> Findings:
+    """Find axes of the palm that point elsewhere than the detected ones."""
+    links = [hand.spec.palm.link, found.palm.link]
+    own, theirs = hand.link_poses(links, hand.rest)[:, :3, :3]
+    for name in ("distal", "dorsal"):
+        clue = clues[name]
+        # The detected direction in the frame of the described palm link.
+        other = own.T @ theirs @ np.array(getattr(found.palm, name))
+        angle = angle_between(np.array(getattr(hand.spec.palm, name)), other)
+        if clue.confidence > _WORTH and angle > _ANGLES[clue.certainty]:
+            better = ", ".join(f"{value:.3f}" for value in other)
+            what = f"is {angle:.0f} degrees from the detected one: {clue.how}"
+            yield Finding("warning", f"palm.{name}", what, f"try [{better}]")
 
 
 def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Findings:
