@@ -163,8 +163,8 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
             try:
                 report.findings += check(built, report.measured)
             except HandmapError as error:
-                where = error.key if isinstance(error, HandError) else None
-                failed = Finding("advice", where or "hand", f"not checked: {error}")
+                where = getattr(error, "key", None) or "hand"
+                failed = Finding("advice", where, f"not checked: {error}")
                 report.findings.append(failed)
     if not {"error", "warning"} & {finding.level for finding in report.findings}:
         what = (

@@ -8,7 +8,7 @@ answer has its evidence and its confidence.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.apps.onboarding.structure import RobotFinger, find_structure
 from handmap_qp.errors import HandError, without_errno
-from handmap_qp.hands.fingers import PalmKinematics, Place
+from handmap_qp.hands.fingers import PalmKinematics
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.spec import (
@@ -169,7 +169,8 @@ class _FoundHand:
         joints = tuple(joint for joint in drivers if joint in robot.active)
         palm = self.structure.palm
         origin = self._palm_origin()
-        points, sets = self._points()
+        tips = [self._tip(finger) for finger in self.fingers]
+        points, sets = point_sets(tips, self._middles())
         rest, idle = (_positions(robot, q) for q in (self._rest(), robot.zero))
         locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
         locked |= {joint: idle[joint] for joint in idle if joint not in joints}
@@ -195,16 +196,16 @@ class _FoundHand:
             mimic=robot.dropped_rules,
         )
 
-    def _points(self) -> tuple[tuple[PointSpec, ...], dict[str, tuple[str, ...]]]:
-        """Return the fingertips and middle joints, and sets of them."""
-        tips = tuple(self._tip(finger) for finger in self.fingers)
-        places = [(finger, finger.find_middle()) for finger in self.fingers]
-        middles = [self._middle(finger, place) for finger, place in places if place]
-        points = (*tips, *middles)
-        sets = {"fingertips": tips}
-        if middles:
-            sets["fingertips_middle"] = points
-        return points, {key: tuple(p.name for p in sets[key]) for key in sets}
+    def _middles(self) -> list[PointSpec]:
+        """Return the PIP joints of fingers, and the IP joint of the thumb."""
+        points = []
+        for finger in self.fingers:
+            if place := finger.find_middle():
+                body, xyz = place
+                xyz = xyz if lengths(xyz) > _OFF_AXIS else np.zeros(3)
+                kind = "ip" if finger.name == THUMB else "pip"
+                points.append(_point(finger, kind, self.robot.links[body][0], xyz))
+        return points
 
     def _name(self) -> str:
         """Return the robot's name, with the hand's side if there is more to the robot."""
@@ -265,13 +266,6 @@ class _FoundHand:
         self._add(f"{finger.name}_tip", tip.link, tip.how, min(tip.confidence, sure))
         return _point(finger, "tip", tip.link, tip.xyz, self._pad(finger))
 
-    def _middle(self, finger: RobotFinger, place: Place) -> PointSpec:
-        """Return the PIP joint of a finger, or the IP joint of the thumb."""
-        body, xyz = place
-        xyz = xyz if lengths(xyz) > _OFF_AXIS else np.zeros(3)
-        kind = "ip" if finger.name == THUMB else "pip"
-        return _point(finger, kind, self.robot.links[body][0], xyz)
-
     def _pad(self, finger: RobotFinger) -> PadSpec | None:
         """Return the pad of a finger whose surface is visual only; the mapping finds all others."""
         body, tip = finger.tip
@@ -312,6 +306,15 @@ class _FoundHand:
 
     def _add(self, what: str, answer: str, how: str, confidence: float) -> None:
         self.clues.append(Clue(what, answer, how, confidence))
+
+
+def point_sets(
+    tips: Sequence[PointSpec], others: Sequence[PointSpec]
+) -> tuple[tuple[PointSpec, ...], dict[str, tuple[str, ...]]]:
+    """Return all points of a hand, and the sets of their names."""
+    points = (*tips, *others)
+    sets = {"fingertips": tips} | ({"fingertips_middle": points} if others else {})
+    return points, {key: tuple(p.name for p in sets[key]) for key in sets}
 
 
 def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:

@@ -14,7 +14,7 @@ import msgspec
 import yaml
 from msgspec import Meta
 
-from handmap_qp.apps.onboarding.detect import Detection, detect
+from handmap_qp.apps.onboarding.detect import Detection, detect, point_sets
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.spec import PointSpec
@@ -144,14 +144,10 @@ def migrate(
     points = {point.name: point for point in _renamed(found, carriers)}
     for landmark, link in links.items():
         points[landmark] = PointSpec(landmark, link, finger=landmark.partition("_")[0])
-    tips = tuple(name for name in points if name.endswith("_tip"))
-    every = tips + tuple(name for name in points if name not in tips)
-    sets = {"fingertips": tips} | (
-        {} if every == tips else {"fingertips_middle": every}
-    )
-    spec = msgspec.structs.replace(
-        found.spec, points=tuple(points[name] for name in every), sets=sets
-    )
+    tips = [points[name] for name in points if name.endswith("_tip")]
+    others = [point for point in points.values() if point not in tips]
+    every, sets = point_sets(tips, others)
+    spec = msgspec.structs.replace(found.spec, points=every, sets=sets)
     intro = f"reference points are those of {configuration.file.name}"
     notes = (intro, *configuration.notes, *found.notes)
     return found._replace(spec=spec, notes=notes)
