@@ -193,11 +193,10 @@ def test_a_fine_mesh_is_simplified(tmp_path: Path) -> None:
     assert volume(part) == pytest.approx(4 / 3 * np.pi * 0.02**3, rel=0.05)
 
 
-def test_a_missing_mesh_is_left_out_and_named(tmp_path: Path) -> None:
+def test_a_missing_mesh_is_left_out(tmp_path: Path) -> None:
     shape = load_shape(
         finger('<mesh filename="package://nowhere/part.stl"/>', tmp_path)
     )
-    assert shape.missing == ("package://nowhere/part.stl",)
     assert list(shape.links) == ["palm", "proximal"]
 
 

@@ -185,7 +185,27 @@ def contact_sheet(
     )
     canvas[_TOP - 1 : bottom : height] = _RULE
     canvas[_TOP - 1 : bottom, _LEFT::span] = _RULE
-    return _figure(canvas, columns, rows, title=title, footnote=footnote)
+    height, width = canvas.shape[:2]
+    with require_matplotlib().rc_context({"font.family": "DejaVu Sans"}):
+        from matplotlib.figure import Figure
+
+        figure = Figure((width / _DPI, height / _DPI), _DPI, facecolor="white")
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.imshow(canvas, extent=(0.0, width, height, 0.0), interpolation="nearest")
+        axes.set_axis_off()
+        bold: dict[str, Any] = {"color": _INK, "fontweight": "bold", "va": "center"}
+        pale: dict[str, Any] = {"color": _PALE, "va": "center"}
+        for column, name in enumerate(["human", *(name for name, _ in columns)]):
+            middle = cell_of(column, 0, 0)[0] + 0.5 * span
+            axes.text(middle, 24, name, ha="center", fontsize=10, **bold)
+            axes.text(middle, 43, _VIEW_NAMES, ha="center", fontsize=6.5, **pale)
+        for k, row in enumerate(rows):
+            centre = cell_of(0, k, 0)[1] + 0.5 * CELL[1]
+            axes.text(10, centre - 8, row.label, fontsize=9.5, **bold)
+            axes.text(10, centre + 4, row.note, fontsize=7.5, color=_PALE, va="top")
+        axes.text(10, 24, title, fontsize=7, **pale)
+        axes.text(10, height - 0.5 * _BOTTOM, footnote, fontsize=8, **pale)
+    return figure
 
 
 def pose_pictures(
@@ -209,7 +229,22 @@ def pose_pictures(
         InvalidInputError: If there are no rows, or shapes do not fit.
         MissingExtraError: If trimesh is not installed.
     """
-    _check(columns, rows)
+    advice = "find_poses finds them"
+    expect(rows, "rows", "at least one pose", got="none", advice=advice)
+    wanted = LANDMARK_COUNT, 3
+    for i, row in enumerate(rows):
+        expect(
+            np.shape(row.landmarks) == wanted and np.isfinite(row.landmarks).all(),
+            f"rows[{i}].landmarks",
+            f"finite numbers of shape {wanted}",
+            got=str(np.shape(row.landmarks)),
+        )
+        expect(
+            len(row.q) == len(columns),
+            f"rows[{i}].q",
+            f"joint angles of {len(columns)} columns",
+            got=str(len(row.q)),
+        )
     humans = [_human_triangles(row.landmarks) for row in rows]
     pictures = [_pictures(humans, side, _HUMAN_BACKGROUND)] * (1 + len(columns))
     # Columns of the same hand have the same scale.
@@ -259,25 +294,6 @@ def cell_of(column: int, row: int, view: int) -> tuple[int, int]:
     """Left and upper edge of a view in the picture [pixel]; column 0 is the human's."""
     width, height = CELL
     return _LEFT + (column * len(VIEWS) + view) * width, _TOP + row * height
-
-
-def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> None:
-    advice = "find_poses finds them"
-    expect(rows, "rows", "at least one pose", got="none", advice=advice)
-    shape = LANDMARK_COUNT, 3
-    for i, row in enumerate(rows):
-        expect(
-            np.shape(row.landmarks) == shape and np.isfinite(row.landmarks).all(),
-            f"rows[{i}].landmarks",
-            f"finite numbers of shape {shape}",
-            got=str(np.shape(row.landmarks)),
-        )
-        expect(
-            len(row.q) == len(columns),
-            f"rows[{i}].q",
-            f"joint angles of {len(columns)} columns",
-            got=str(len(row.q)),
-        )
 
 
 def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
@@ -364,37 +380,3 @@ def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:
     """The robot in its palm frame, upright."""
     pose = UPRIGHT @ inverse_pose(shape.hand.frame_pose("palm", q))
     return shape.triangles(q).moved(pose)
-
-
-def _figure(
-    canvas: np.ndarray,
-    columns: Sequence[tuple[str, Hand]],
-    rows: Sequence[SheetRow],
-    *,
-    title: str,
-    footnote: str,
-) -> Figure:
-    """The picture with its words."""
-    with require_matplotlib().rc_context({"font.family": "DejaVu Sans"}):
-        from matplotlib.figure import Figure
-
-        height, width = canvas.shape[:2]
-        figure = Figure(
-            figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white"
-        )
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        axes.imshow(canvas, extent=(0.0, width, height, 0.0), interpolation="nearest")
-        axes.set_axis_off()
-        bold: dict[str, Any] = {"color": _INK, "fontweight": "bold", "va": "center"}
-        pale: dict[str, Any] = {"color": _PALE, "va": "center"}
-        for column, name in enumerate(["human", *(name for name, _ in columns)]):
-            middle = cell_of(column, 0, 0)[0] + 0.5 * len(VIEWS) * CELL[0]
-            axes.text(middle, 24, name, ha="center", fontsize=10, **bold)
-            axes.text(middle, 43, _VIEW_NAMES, ha="center", fontsize=6.5, **pale)
-        for k, row in enumerate(rows):
-            centre = cell_of(0, k, 0)[1] + 0.5 * CELL[1]
-            axes.text(10, centre - 8, row.label, fontsize=9.5, **bold)
-            axes.text(10, centre + 4, row.note, fontsize=7.5, color=_PALE, va="top")
-        axes.text(10, 24, title, fontsize=7, **pale)
-        axes.text(10, height - 0.5 * _BOTTOM, footnote, fontsize=8, **pale)
-    return figure

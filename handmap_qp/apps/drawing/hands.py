@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
-from handmap_qp.errors import InvalidInputError, require
+from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import HandSpec
@@ -57,12 +57,10 @@ class HandShape:
     Attributes:
         hand: The hand.
         links: Triangles in link coordinates, of each link that has shapes.
-        missing: Mesh files named by the URDF that could not be read.
     """
 
     hand: Hand
     links: dict[str, Triangles]
-    missing: tuple[str, ...] = ()
 
     def triangles(
         self, q: npt.ArrayLike, wrist_pose: np.ndarray | None = None
@@ -90,7 +88,7 @@ def load_shape(
     """Read the visual shapes of a hand from its URDF, or its collision shapes if it has none.
 
     Mesh paths are resolved as in `handmap_qp.hands.sources.find_mesh`. A mesh that cannot be
-    read is left out and named in `HandShape.missing`.
+    read is left out.
 
     Args:
         hand: The hand.
@@ -111,21 +109,17 @@ def load_shape(
     palette = _palette(robot)
     has_visuals = any(link.visuals for link in robot.links)
     links = {}
-    missing = []
     for link in robot.links:
         parts = []
         for shape in link.visuals if has_visuals else link.collisions:
             found = _geometry(trimesh, shape.geometry, hand.spec)
-            if found is None:
-                mesh = getattr(shape.geometry, "mesh", None)
-                missing.append(getattr(mesh, "filename", link.name))
-                continue
-            tint = _colour(getattr(shape, "material", None), palette)
-            part = _triangles(found, colour or tint)
-            parts.append(part if shape.origin is None else part.moved(shape.origin))
+            if found is not None:
+                tint = _colour(getattr(shape, "material", None), palette)
+                part = _triangles(found, colour or tint)
+                parts.append(part if shape.origin is None else part.moved(shape.origin))
         if parts:
             links[link.name] = merged(parts)
-    return HandShape(hand, links, tuple(missing))
+    return HandShape(hand, links)
 
 
 def solid(
@@ -194,10 +188,7 @@ def tube(
     points = np.asarray(path, dtype=float).reshape(-1, 3)
     steps = np.linalg.norm(np.diff(points, axis=0, prepend=np.inf), axis=1)
     points = points[steps > 1e-6]
-    if len(points) < 2:
-        raise InvalidInputError(
-            argument="path", expected="at least two different points", value=path
-        )
+    expect(len(points) > 1, "path", "at least two different points", value=path)
     tangents = unit(np.gradient(points, axis=0))
     # Propagate the first normal and project it at right angles to each tangent: no twist.
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])

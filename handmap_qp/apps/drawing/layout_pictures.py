@@ -59,12 +59,10 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     require_matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     width, height = _PANEL
     figure = Figure(figsize=(2 * width / 100, height / 100 + 0.45), dpi=100)
-    FigureCanvasAgg(figure)
     share = height / (height + 45)
     sides: tuple[Side, ...] = ("left", "right")
     for i, side in enumerate(sides):

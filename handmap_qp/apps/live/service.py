@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 
 from handmap_qp.apps.addresses import service_address
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import InvalidInputError, MissingExtraError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import Person
 from handmap_qp.human.sample import HumanSample
@@ -260,13 +260,13 @@ class ServiceSource:
                 )
             self.name: str = names[0]
             about: dict[str, Any] = self._client.watch(self.name).about or {}
-            if about["input"] != "landmarks":
-                raise InvalidInputError(
-                    argument="--session",
-                    expected="a session led by landmarks",
-                    got=f"one led by {about['input']}",
-                    value=self.name,
-                )
+            expect(
+                about["input"] == "landmarks",
+                "--session",
+                "a session led by landmarks",
+                got=f"one led by {about['input']}",
+                value=self.name,
+            )
             if not about["has_detail"]:
                 raise InvalidInputError(
                     argument="--session",

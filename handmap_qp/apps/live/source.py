@@ -15,7 +15,7 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.human.sample import HumanSample
@@ -136,10 +136,8 @@ class Replay:
         seed: int = 0,
     ) -> None:
         low, high = SPEEDS
-        if not low <= speed <= high:
-            raise InvalidInputError(
-                argument="speed", expected=f"a factor from {low} to {high}", value=speed
-            )
+        expected = f"a factor from {low} to {high}"
+        expect(low <= speed <= high, "speed", expected, value=speed)
         self.name = recording.name
         self.side = recording.side
         self.rate = speed / float(np.median(recording.steps))

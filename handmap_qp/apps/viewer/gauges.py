@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import cycle
@@ -219,13 +218,10 @@ def _joint_bar(name: str, q: float, shares: np.ndarray, colour: str) -> str:
 
 def _pinch_bars(human: Mapping[str, float], readings: Sequence[Readings]) -> str:
     """Return the gaps between the thumb and each finger, as bars and numbers."""
-    fingers = dict.fromkeys([name for reading in readings for name in reading.pinches])
     rows = []
-    for finger in fingers:
-        gaps = [
-            table.get(finger, np.nan)
-            for table in (human, *(r.pinches for r in readings))
-        ]
+    for finger in readings[0].pinches:
+        tables = (human, *(reading.pinches for reading in readings))
+        gaps = [table.get(finger, np.nan) for table in tables]
         entries = list(zip(gaps, (HUMAN, *ROBOTS), strict=False))
         bars = "".join(
             f'<div style="height:4px;margin:1px 0;background:{colour};'
@@ -264,14 +260,11 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
     Returns:
         Indices into `Hand.joint_names`; every joint once.
     """
-    moved = {
-        name: finger.columns.tolist() for name, finger in find_fingers(robot).items()
-    }
-    counts = Counter(joint for joints in moved.values() for joint in joints)
-    own = {i: name for name, joints in moved.items() for i in joints if counts[i] == 1}
+    fingers = find_fingers(robot)
     groups: dict[str, list[int]] = {}
     for i in range(len(robot.joint_names)):
-        groups.setdefault(own.get(i, "palm"), []).append(i)
+        moved = [name for name, finger in fingers.items() if i in finger.columns]
+        groups.setdefault(moved[0] if len(moved) == 1 else "palm", []).append(i)
     return groups
 
 

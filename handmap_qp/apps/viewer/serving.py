@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from handmap_qp.apps.addresses import is_loopback, names_loopback
-from handmap_qp.errors import InvalidInputError, require
+from handmap_qp.errors import InvalidInputError, expect, require
 
 if TYPE_CHECKING:
     import viser
@@ -39,13 +39,8 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
         MissingExtraError: If viser is not installed.
     """
     make_server = require("viser", "view").ViserServer
-    if not host.strip():
-        raise InvalidInputError(
-            argument="--host",
-            expected="an address",
-            value=host,
-            advice="an empty host would listen on all interfaces",
-        )
+    advice = "an empty host would listen on all interfaces"
+    expect(host.strip(), "--host", "an address", value=host, advice=advice)
     # viser treats every bind error as a port in use and silently tries the next thousand, so bind
     # once here to report the real reason.
     try:
