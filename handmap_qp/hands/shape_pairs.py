@@ -141,14 +141,23 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
 
 def _overlapping(hand: Hand, geometry: pin.GeometryModel) -> list[pin.CollisionPair]:
     """Return the pairs that overlap at rest or with the hand stretched."""
-    data = hand.model.createData()
-    geometry_data = geometry.createData()
-    overlaps = np.zeros(len(geometry.collisionPairs), dtype=bool)
-    for posture in (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits)):
-        vector = hand.configuration_vector(posture)
-        pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data, vector)
-        pin.computeDistances(geometry, geometry_data)
-        distances = [result.min_distance for result in geometry_data.distanceResults]
-        overlaps |= np.array(distances, dtype=float) <= 0.0
+    stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
+    distances = pair_distances(hand, geometry, np.array([hand.rest, stretched]))
+    overlaps = np.any(distances <= 0.0, axis=0)
     pairs = zip(geometry.collisionPairs, overlaps, strict=True)
     return [pin.CollisionPair(p.first, p.second) for p, overlap in pairs if overlap]
+
+
+def pair_distances(
+    hand: Hand, geometry: pin.GeometryModel, postures: np.ndarray
+) -> np.ndarray:
+    """Measure the distance of each of k pairs in postures (p, n) [m], shape (p, k)."""
+    data = hand.model.createData()
+    geometry_data = geometry.createData()
+    found = []
+    for q in postures:
+        vector = hand.configuration_vector(q)
+        pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data, vector)
+        pin.computeDistances(geometry, geometry_data)
+        found.append([result.min_distance for result in geometry_data.distanceResults])
+    return np.array(found, dtype=float).reshape(len(postures), -1)

@@ -15,7 +15,12 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.shape_pairs import all_pairs, named_pairs
+from handmap_qp.hands.shape_pairs import (
+    ShapePairs,
+    all_pairs,
+    named_pairs,
+    pair_distances,
+)
 from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.se3 import lengths
 
@@ -72,7 +77,7 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
         return THUMB in owners or owners in beside
 
     postures = np.vstack([hand.rest, random_postures(hand, _SAMPLES)])
-    distances = _distances(hand, pairs.geometry, postures)
+    distances = pair_distances(hand, pairs.geometry, postures)
     pinches = np.array(pairs.fingers, dtype=object).astype(bool)
     is_near = pinches | (distances.min(axis=0) < _NEAR)
     overlaps = (distances <= 0.0).mean(axis=0) > _BY_DESIGN
@@ -83,7 +88,7 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     wanted = [*filter(is_wanted, near)]
     # A link has several shapes: its pair is left out if one pair of them touches at rest.
     every = named_pairs(hand, wanted)
-    (at_rest,) = _distances(hand, every.geometry, hand.rest[None])
+    (at_rest,) = pair_distances(hand, every.geometry, hand.rest[None])
     touching = {*itertools.compress(every.links, at_rest < 2.0 * MARGIN)}
     found = tuple(pair for pair in wanted if pair not in touching)
     return CollisionSpec(found, MARGIN) if found else None
@@ -114,20 +119,18 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     """
     geometry = read_collision_shapes(hand)
     model = hand.model
-    shapes = geometry.geometryObjects
-    joints = [shape.parentJoint for shape in shapes]
+    joints = [shape.parentJoint for shape in geometry.geometryObjects]
     near = {joint: _neighbours(model, joint, joints) for joint in joints}
-    for i, j in itertools.combinations(range(len(shapes)), 2):
+    for i, j in itertools.combinations(range(len(joints)), 2):
         one = joints[i]
         other = joints[j]
         if one not in near[other] and other not in near[one]:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
     postures = np.vstack([q, random_postures(hand, _FEW)])
-    overlaps = _distances(hand, geometry, postures) <= 0.0
+    overlaps = pair_distances(hand, geometry, postures) <= 0.0
     found = overlaps[0] & (overlaps[1:].mean(axis=0) < _IN_FEW)
-    names = [model.frames[shape.parentFrame].name for shape in shapes]
-    pairs = itertools.compress(geometry.collisionPairs, found)
-    return [*dict.fromkeys((names[pair.first], names[pair.second]) for pair in pairs)]
+    pairs = ShapePairs(geometry, ()).links
+    return [*dict.fromkeys(itertools.compress(pairs, found))]
 
 
 def _neighbours(model: pin.Model, joint: int, with_shape: list[int]) -> list[int]:
@@ -143,18 +146,3 @@ def _neighbours(model: pin.Model, joint: int, with_shape: list[int]) -> list[int
         if joint in with_shape and length > _SHORT:
             break
     return found
-
-
-def _distances(
-    hand: Hand, geometry: pin.GeometryModel, postures: np.ndarray
-) -> np.ndarray:
-    """Return the distance of each of k pairs in postures (p, n) [m], shape (p, k)."""
-    data = hand.model.createData()
-    geometry_data = geometry.createData()
-    found = []
-    for q in postures:
-        vector = hand.configuration_vector(q)
-        pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data, vector)
-        pin.computeDistances(geometry, geometry_data)
-        found.append([result.min_distance for result in geometry_data.distanceResults])
-    return np.array(found, dtype=float).reshape(len(postures), -1)
