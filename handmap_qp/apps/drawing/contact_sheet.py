@@ -229,22 +229,7 @@ def pose_pictures(
         InvalidInputError: If there are no rows, or shapes do not fit.
         MissingExtraError: If trimesh is not installed.
     """
-    advice = "find_poses finds them"
-    expect(rows, "rows", "at least one pose", got="none", advice=advice)
-    wanted = LANDMARK_COUNT, 3
-    for i, row in enumerate(rows):
-        expect(
-            np.shape(row.landmarks) == wanted and np.isfinite(row.landmarks).all(),
-            f"rows[{i}].landmarks",
-            f"finite numbers of shape {wanted}",
-            got=str(np.shape(row.landmarks)),
-        )
-        expect(
-            len(row.q) == len(columns),
-            f"rows[{i}].q",
-            f"joint angles of {len(columns)} columns",
-            got=str(len(row.q)),
-        )
+    _check(columns, rows)
     humans = [_human_triangles(row.landmarks) for row in rows]
     pictures = [_pictures(humans, side, _HUMAN_BACKGROUND)] * (1 + len(columns))
     # Columns of the same hand have the same scale.
@@ -294,6 +279,25 @@ def cell_of(column: int, row: int, view: int) -> tuple[int, int]:
     """Left and upper edge of a view in the picture [pixel]; column 0 is the human's."""
     width, height = CELL
     return _LEFT + (column * len(VIEWS) + view) * width, _TOP + row * height
+
+
+def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> None:
+    advice = "find_poses finds them"
+    expect(rows, "rows", "at least one pose", got="none", advice=advice)
+    wanted = LANDMARK_COUNT, 3
+    for i, row in enumerate(rows):
+        expect(
+            np.shape(row.landmarks) == wanted and np.isfinite(row.landmarks).all(),
+            f"rows[{i}].landmarks",
+            f"finite numbers of shape {wanted}",
+            got=str(np.shape(row.landmarks)),
+        )
+        expect(
+            len(row.q) == len(columns),
+            f"rows[{i}].q",
+            f"joint angles of {len(columns)} columns",
+            got=str(len(row.q)),
+        )
 
 
 def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
