@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from handmap_qp.apps.drawing.hands import draw_hands, load_shape, spheres, tube
-from handmap_qp.apps.drawing.raster import Camera, Triangles, _creases, merged, render
+from handmap_qp.apps.drawing.raster import (
+    Camera,
+    Triangles,
+    _creases,
+    _rasterise,
+    merged,
+    render,
+)
 from handmap_qp.errors import InvalidInputError, MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
@@ -362,3 +369,21 @@ def test_creases_are_hollows_and_neither_slopes_nor_outlines() -> None:
     # A hand in front of another one: a step, far larger than a crease is deep.
     step = np.where(columns < 80.0, 0.5, 0.6)
     assert _creases(step, camera)[inner].max() < 1e-9
+
+
+def test_the_faces_of_a_tube_look_outward() -> None:
+    bent = tube([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.05, 0.0, 0.2]], 0.004, RED)
+    a, b, c = np.moveaxis(bent.vertices, 1, 0)
+    outward = np.cross(b - a, c - a)[:, None]
+    assert ((outward * bent.normals).sum(axis=2) > 0.0).all()
+
+
+def test_depth_is_measured_along_the_axis_of_the_camera() -> None:
+    corners = np.array([[[0.0, 0.0, 2.0], [0.0, 1.0, 3.0], [1.0, 0.0, 2.5]]])
+    camera = Camera(np.eye(4), 1000.0, (80.0, 60.0), (160, 120))
+    surface = _rasterise(corners, camera)
+    # Its plane is z = 2 + x / 2 + y, where x and y are z times the ray's tangents.
+    y, x = np.divmod(surface.pixels, 160)
+    slope = ((x - 79.5) / 2.0 + (y - 59.5)) / 1000.0
+    assert len(x) > 1000
+    np.testing.assert_allclose(surface.depth[y, x], 2.0 / (1.0 - slope))
