@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -98,6 +99,14 @@ def test_the_urdf_path_is_relative_or_a_package_path(tmp_path: Path) -> None:
         yaml.safe_load(hand_text(packaged, tmp_path))["urdf"]
         == load_hand("allegro_right").spec.urdf
     )
+
+
+def test_a_missing_speed_is_the_usual_one_of_the_urdf() -> None:
+    text = (DATA / "chained_mimics.urdf").read_text()
+    speeds = iter(["0", *["2.5"] * 99])
+    text = re.sub(r'velocity="[^"]*"', lambda _: f'velocity="{next(speeds)}"', text)
+    limits = detect_text(text, Path("hand.urdf")).spec.limits
+    assert [limit.velocity for limit in limits.values()] == [2.5]
 
 
 def test_a_file_that_exists_is_kept(tmp_path: Path) -> None:
