@@ -52,11 +52,11 @@ class Limit(NamedTuple):
 
 
 BUDGET = {
-    "lines": Limit(45_530, 34_000),
-    "tokens": Limit(245_600, 200_000),
+    "lines": Limit(45_528, 34_000),
+    "tokens": Limit(245_588, 200_000),
     "tokens per code line": Limit(8.55, 8),
     "closure: files": Limit(21, None),
-    "closure: lines": Limit(7_370, 7_500),
+    "closure: lines": Limit(7_362, 7_500),
     "files of a sample: map_landmarks": Limit(10, 10),
     "files of a sample: map_sample": Limit(15, None),
     "files of a sample: service": Limit(23, 20),
@@ -64,7 +64,7 @@ BUDGET = {
     "top view: arrows": Limit(49, 60),
     "circles": Limit(0, 0),
     "files of a method": Limit(1, 1),
-    "functions with more than 10 paths": Limit(24, 40),
+    "functions with more than 10 paths": Limit(22, 40),
     "functions with more than 20 paths": Limit(0, 0),
     "imports inside functions": Limit(0, 0),
 }

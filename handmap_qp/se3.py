@@ -26,7 +26,7 @@ import numpy.typing as npt
 import pinocchio as pin
 from eigenpy import DecompositionOptions, NoPrecondJacobiSVD
 
-from handmap_qp.errors import InvalidInputError, describe_value
+from handmap_qp.errors import InvalidInputError, describe_value, expect
 
 QuatOrder = Literal["wxyz", "xyzw"]
 
@@ -207,10 +207,7 @@ def rotation_from_quat_wxyz(
     """
     quats = as_floats(quat_wxyz, name)
     expected = "quaternions of 4 finite numbers, not all zero"
-    if quats.shape[-1:] != (4,):
-        raise InvalidInputError(
-            argument=name, expected=expected, got=f"shape {quats.shape}"
-        )
+    expect(quats.shape[-1:] == (4,), name, expected, got=f"shape {quats.shape}")
     # Divided first, so that squares of large numbers do not overflow.
     largest = np.abs(quats).max(axis=-1, keepdims=True)
     is_turn = np.isfinite(largest) & (largest > 1e-6)
@@ -258,13 +255,9 @@ def pose_from_xyz_quat(
         InvalidInputError: If the numbers are not a pose, or the order is unknown.
     """
     seven = as_floats(values, name)
-    if seven.shape[-1:] != (7,) or not np.isfinite(seven).all():
-        expected = "7 finite numbers (x, y, z, quaternion)"
-        raise InvalidInputError(argument=name, expected=expected, value=values)
-    if order not in ("wxyz", "xyzw"):
-        raise InvalidInputError(
-            argument="order", expected="'wxyz' or 'xyzw'", value=order
-        )
+    is_seven = seven.shape[-1:] == (7,) and np.isfinite(seven).all()
+    expect(is_seven, name, "7 finite numbers (x, y, z, quaternion)", value=values)
+    expect(order in ("wxyz", "xyzw"), "order", "'wxyz' or 'xyzw'", value=order)
     quats = seven[..., 3:] if order == "wxyz" else seven[..., [6, 3, 4, 5]]
     return affine(rotation_from_quat_wxyz(quats, name), seven[..., :3])
 

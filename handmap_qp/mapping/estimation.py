@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import DegeneratePointsError, InvalidInputError, expect
+from handmap_qp.errors import DegeneratePointsError, expect
 from handmap_qp.se3 import FARTHEST, affine, as_floats, frozen, nearest_rotation
 
 # Below this ratio of smallest to largest singular value, rounding hides whether the points span
@@ -234,8 +234,8 @@ def estimate_motion(
 
 def _check_points(points: npt.ArrayLike, name: str) -> np.ndarray:
     array = as_floats(points, name, shape=("n", 3))
-    # `not ... <= FARTHEST` also rejects NaN; products of such coordinates are finite.
-    if not np.abs(array).max(initial=np.inf if len(array) == 0 else 0.0) <= FARTHEST:
-        expected = f"finite coordinates within {FARTHEST:g} m, of one point or more"
-        raise InvalidInputError(argument=name, expected=expected, value=array.tolist())
+    # NaN is not within it either; products of such coordinates are finite.
+    is_near = np.abs(array).max(initial=np.inf if len(array) == 0 else 0.0) <= FARTHEST
+    expected = f"finite coordinates within {FARTHEST:g} m, of one point or more"
+    expect(is_near, name, expected, value=array.tolist())
     return array

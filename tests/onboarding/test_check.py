@@ -26,6 +26,7 @@ from handmap_qp.apps.onboarding.collision_pairs import (
 )
 from handmap_qp.apps.onboarding.detect import detect, detect_text
 from handmap_qp.apps.onboarding.measure import (
+    make_fist,
     measure_arm,
     measure_pinches,
     try_motion,
@@ -89,6 +90,7 @@ def test_a_palm_turned_over_is_found(made: MadeHand, tmp_path: Path) -> None:
     palm["dorsal"] = [-value for value in palm["dorsal"]]
     found = warnings_of(check(described(tmp_path, made.urdf, palm=palm)))
     assert "palm.dorsal" in found
+    assert "side" in found
 
 
 @pytest.mark.parametrize(("angle", "is_wrong"), [(5.0, False), (35.0, True)])
@@ -100,9 +102,11 @@ def test_a_palm_turned_about_distal_is_found(
     turned = np.cos(np.radians(angle)) * dorsal
     turned = turned + np.sin(np.radians(angle)) * np.cross(distal, dorsal)
     palm["dorsal"] = (turned / np.linalg.norm(turned)).tolist()
-    found = warnings_of(check(described(tmp_path, made.urdf, palm=palm)))
+    fist = make_fist(load_hand(described(tmp_path, made.urdf, palm=palm)))
+    assert fist is not None
+    assert fist.across_deg == pytest.approx(angle, abs=8.0)
+    found = warnings_of(check(tmp_path / "hand.yaml"))
     assert ("palm.dorsal" in found) == is_wrong
-    assert not is_wrong or f"is {angle:.0f} degrees from" in found["palm.dorsal"]
 
 
 def test_exchanged_fingers_are_found(made: MadeHand, tmp_path: Path) -> None:
@@ -115,6 +119,7 @@ def test_exchanged_fingers_are_found(made: MadeHand, tmp_path: Path) -> None:
     )
     assert "finger: middle" in found["points.index_tip"]
     assert "finger: index" in found["points.middle_tip"]
+    assert "order of their knuckles" in found["points"]
 
 
 def test_axes_of_fingers_around_a_centre_are_compared_too() -> None:

@@ -41,7 +41,7 @@ from handmap_qp.apps.offline.look_ahead import (
 from handmap_qp.apps.offline.metrics import mean_values
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.apps.offline.trajectory import held_samples, map_recording
-from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
@@ -223,12 +223,13 @@ def prepare_take(
         InvalidInputError: If the landmarks are not those of a hand in metres, or no sample is valid
             after the first half second.
     """
-    if not (recording.valid & (recording.time >= recording.time[0] + SETTLING)).any():
-        raise InvalidInputError(
-            argument=recording.name,
-            expected="valid samples after the first half second",
-            got="none",
-        )
+    is_late = recording.time >= recording.time[0] + SETTLING
+    expect(
+        (recording.valid & is_late).any(),
+        recording.name,
+        "valid samples after the first half second",
+        got="none",
+    )
     is_mirrored = recording.side != side
     if is_mirrored:
         recording = mirrored(recording)
@@ -308,13 +309,9 @@ def check_names(
     argument: str, names: Sequence[str], expected: str = "different names"
 ) -> None:
     """Reject an empty list and a name that occurs twice."""
-    if not names:
-        raise InvalidInputError(argument=argument, expected="at least one", got="none")
+    expect(names, argument, "at least one", got="none")
     twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise InvalidInputError(
-            argument=argument, expected=expected, got=f"{twice} twice"
-        )
+    expect(twice is None, argument, expected, got=f"{twice} twice")
 
 
 def own_methods() -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Check a `hand.yaml`: `check_hand` reports findings and advice, and tables of what was measured.
 
-The checks compare the description with a detection, pinch, look for files, and map a motion. Each
-yields its findings, and may add a table.
+The checks close a fist and pinch, compare the description with a detection, look for files, and map
+a motion. Each yields its findings, and may add a table.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.onboarding.anatomy import Clue, angle_between
+from handmap_qp.apps.onboarding.anatomy import FINGERS, Clue, angle_between
 from handmap_qp.apps.onboarding.collision_pairs import colliding_links
 from handmap_qp.apps.onboarding.detect import detect_text, left_out_wrist
 from handmap_qp.apps.onboarding.measure import (
     fingertip_pads,
+    make_fist,
     measure_arm,
     measure_pinches,
     measure_reach,
@@ -60,6 +61,10 @@ _MOST_NAMES = 3
 # largest angle depends on its certainty [deg].
 _SURE, _WORTH = 0.65, 0.45
 _ANGLES = {"certain": 20.0, "likely": 40.0, "a guess: check it": 60.0}
+# Largest angles of the axis of flexion and of the straight fingers to the palm's axes [deg].
+_ACROSS, _DISTAL = 25.0, 35.0
+# Knuckles closer than this may be in any order [m].
+_NARROW = 0.004
 # A thumb whose pad stays farther than this from every other opposes none of them [mm].
 _OPPOSING = 15.0
 # A point this far from its target is out of reach [mm].
@@ -347,6 +352,45 @@ def _check_wrist(hand: Hand, tables: Tables) -> Findings:
         )
 
 
+def _check_order(hand: Hand, tables: Tables) -> Findings:
+    """Compare the row of the knuckles with the side: thumb and index are at the radial edge."""
+    chains = find_fingers(hand)
+    row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
+    places = PalmKinematics(hand).points(zero_posture(hand), row).reshape(-1, 3)
+    is_back = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0) > _NARROW
+    if len(is_back) and is_back.all():
+        row = "fingers run from little to index, seen from the thumb's side"
+        what = f"the {hand.side} hand's {row}"
+        yield Finding(
+            "warning", "side", what, "change side, or the sign of palm.dorsal"
+        )
+    elif is_back.any():
+        what = "the fingers are not in the order of their knuckles"
+        yield Finding("warning", "points", what, "rename them")
+
+
+def _check_fist(hand: Hand, tables: Tables) -> Findings:
+    """Close the fingers: their tips must go to the palm, about an axis across it."""
+    fist = make_fist(hand)
+    if fist is None:
+        return
+    across = f"{fist.across_deg:.0f} degrees off"
+    if fist.across_deg > 180.0 - _ACROSS:
+        what = "a fist brings the fingertips to the back of the hand"
+        yield Finding(
+            "warning", "palm.dorsal", what, "turn dorsal over, or change side"
+        )
+    elif fist.across_deg > _ACROSS:
+        what = f"the fingers close about an axis {across} the palm's x axis"
+        yield Finding("warning", "palm.dorsal", what, "correct distal and dorsal")
+    elif fist.distal_deg > _DISTAL:
+        what = f"the straight fingers point {fist.distal_deg:.0f} degrees off it"
+        yield Finding("warning", "palm.distal", what, "correct distal")
+    else:
+        what = f"{len(fist.fingers)} fingers close to the palm, {across} its x axis"
+        yield Finding("fine", "palm", what)
+
+
 def _check_opposition(hand: Hand, tables: Tables) -> Findings:
     """Find which fingers the thumb can touch."""
     fingers = find_fingers(hand)
@@ -520,6 +564,8 @@ _CHECKS = (
     _check_places,
     _check_meshes,
     _check_wrist,
+    _check_order,
+    _check_fist,
     _check_opposition,
     _compare_detection,
     _check_collisions,

@@ -1,4 +1,4 @@
-"""Measure a hand: reach, size, pinches, self-collisions, and a standard motion."""
+"""Measure a hand: reach, size, fist, pinches, self-collisions, and a standard motion."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from handmap_qp.apps.onboarding.anatomy import angle_between
+from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.fingers import (
     Finger,
@@ -34,6 +36,8 @@ _WAYS = [way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)]
 _DIRECTIONS = unit(np.array(_WAYS))
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
+# The fingers' planes have a common normal if the mean of these unit vectors is this long.
+_COMMON = 0.8
 # Random postures in which the search for a pinch starts.
 _STARTS = 6
 # Surfaces that come this near touch [m].
@@ -99,6 +103,21 @@ class MotionPart(_Row):
     worst_point: str
     error_mm: float
     joints_at_a_position_limit: str
+
+
+class Fist(NamedTuple):
+    """Where the fingertips go as the hand closes, in palm axes.
+
+    Attributes:
+        across_deg: Angle between the fingers' common axis of flexion and the palm's x axis, 0 in a
+            hand whose axes are right, 180 if the fingers close to the back [deg].
+        distal_deg: Angle between the mean direction of the stretched fingers and distal [deg].
+        fingers: Fingers that close.
+    """
+
+    across_deg: float
+    distal_deg: float
+    fingers: tuple[str, ...]
 
 
 class Pinch(_Row):
@@ -262,6 +281,32 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
 
 def _spread(points: np.ndarray) -> float:
     return float(np.sqrt(points.var(axis=0).sum()))
+
+
+def make_fist(hand: Hand) -> Fist | None:
+    """Compare the way in which the fingers, but the thumb, close with the palm's axes.
+
+    Returns:
+        The directions; None if fewer than two fingers close, or they close about different axes.
+    """
+    fingers = {
+        name: finger
+        for name, finger in find_fingers(hand).items()
+        if name != THUMB and (found := finger.flexion) and found.curls and found.sense
+    }
+    if len(fingers) < 2:
+        return None
+    flexion = HandFlexion(hand, [*fingers.values()])
+    axis = flexion.axes.mean(axis=0)
+    direction = flexion.directions.mean(axis=0)
+    if min(lengths(axis), lengths(direction)) < _COMMON:
+        return None
+    # Flexion turns distal (y) towards palmar (-z), about -x.
+    return Fist(
+        angle_between(axis, np.array([-1.0, 0.0, 0.0])),
+        angle_between(direction, np.array([0.0, 1.0, 0.0])),
+        tuple(fingers),
+    )
 
 
 def measure_pinches(hand: Hand) -> list[Pinch]:
