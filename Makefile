@@ -11,6 +11,9 @@ SMALL := $(VENV)/.small
 INSTALLED := $(VENV)/.installed
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 CONSTRAINTS := .ci/constraints.txt
+# What builds the package, here without the network.
+BUILDERS := cmake editables hatchling nanobind ninja scikit-build-core
+CORE := $(wildcard handmap_qp/core/*)
 # Where `make lowest` installs.
 LOWEST := build/lowest
 
@@ -30,7 +33,7 @@ unexport PYTHONPATH
 .DELETE_ON_ERROR:
 # With -j too, targets go one after the other: they share .venv, and a benchmark wants the machine to itself.
 .NOTPARALLEL:
-.PHONY: help demo test fast lint docs lowest bench peers lock clean
+.PHONY: help demo test pure fast lint docs lowest bench peers lock clean
 
 help: ## Show this help
 	@echo "handmap_qp: maps the motion of a human hand onto any robotic hand."
@@ -49,6 +52,9 @@ demo: $(if $(wildcard $(INSTALLED)),$(INSTALLED),$(SMALL)) ## See it work: a hum
 
 test: lint ## Run the checks of `make lint`, then all tests
 	@$(BIN)/python -m pytest $(PARALLEL) $(ARGS)
+
+pure: $(INSTALLED) ## Run all tests on the Python path, without the compiled core
+	@HANDMAP_PURE=1 $(BIN)/python -m pytest $(PARALLEL) $(ARGS)
 
 fast: $(INSTALLED) ## Run the tests that are not slow, in one process: under a minute
 	@$(BIN)/python -m pytest -m 'not slow' $(ARGS)
@@ -85,7 +91,7 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	folder=$$(mktemp -d) && trap 'rm -rf "$$folder"' EXIT && \
 	"$$python" -m venv "$$folder" && \
 	pip="$$folder/bin/python -m pip --disable-pip-version-check" && \
-	$$pip install -qq --upgrade pip hatchling editables && \
+	$$pip install -qq --upgrade pip $(BUILDERS) && \
 	$$pip install -qq --no-build-isolation --editable '.[all,cluster]' --group dev && \
 	{ \
 	    echo "# Exact versions that .venv is made of. Written by \`make lock\`: change pyproject.toml, not this file." && \
@@ -95,6 +101,7 @@ lock: ## Write the newest versions that pyproject.toml allows into .ci/constrain
 	@echo "Wrote $(CONSTRAINTS); now run make test."
 
 clean: ## Remove all that make made: .venv, pictures of the demo, caches, built files
+	rm -f handmap_qp/_core.*
 	rm -rf $(VENV) .peers build demo dist *.egg-info .hypothesis .import_linter_cache .pytest_cache .ruff_cache
 	find handmap_qp tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -119,16 +126,18 @@ endef
 
 $(SMALL): WANTED := '.[plot,view]'
 $(INSTALLED): WANTED := '.[all]' --group dev
-$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS)
+$(SMALL) $(INSTALLED): pyproject.toml $(CONSTRAINTS) .ci/compile.py $(CORE)
 	@if [ "$$(cat $(FOLDER) 2> /dev/null)" != "$(CURDIR)" ]; then \
 	    $(FIND_PYTHON); \
 	    echo "Making $(VENV) with $$("$$python" --version)"; \
 	    "$$python" -m venv --clear $(VENV) && \
-	    $(PIP) install -qq --constraint $(CONSTRAINTS) pip hatchling editables && \
+	    $(PIP) install -qq --constraint $(CONSTRAINTS) pip $(BUILDERS) && \
 	    echo "$(CURDIR)" > $(FOLDER) || exit 1; \
 	fi
-	@echo "Installing into $(VENV) the package with all that it needs"
+	@echo "Installing into $(VENV) the package with all that it needs; with a C++ compiler, its core takes some 15 s"
+	@$(PIP) install -qq --constraint $(CONSTRAINTS) $(BUILDERS)
 	@$(PIP) install -qq --constraint $(CONSTRAINTS) --no-build-isolation --editable $(WANTED)
+	@cat build/core.txt
 	@touch $@
 
 ifneq ($(shell cat $(FOLDER) 2> /dev/null),$(CURDIR))

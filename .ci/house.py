@@ -7,6 +7,7 @@ It measures the tree that it is in, prints a table, and exits with 1 if a row ex
 
 - Tokens are those of `tokenize` without comments, docstrings, newlines and indents. A code line has
   at least one of them.
+- Samples run on the Python path: it is what people read. The C++ of the core counts in no row.
 - The closure is what `from handmap_qp import HandMapper, load_hand` loads of the package.
 - The files of a sample are those that run a Python function while a warm mapper or session maps
   landmarks: by `map_landmarks`, by `Follower.map_sample`, which has a guard before it, and by a
@@ -33,6 +34,7 @@ import ast
 import asyncio
 import io
 import json
+import os
 import subprocess
 import sys
 import tokenize
@@ -42,6 +44,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
+os.environ["HANDMAP_PURE"] = "1"
 
 
 class Limit(NamedTuple):

@@ -1,7 +1,7 @@
 """The fit of joint angles to landmarks: its time, its optimum, and a tracker's own angles.
 
 Time is CPU time per sample, also in calls of one Jacobian: placing the hand with
-`place_with_jacobians` and reading `point_jacobian` of the 21 landmarks.
+`place` and reading `point_jacobian` of the 21 landmarks.
 
 A fit has converged if 200 further steps turn no joint by more than 1 degree. It is the best if none
 of four other starts ends at a cost of a finger that is lower by 2 %.
@@ -86,7 +86,7 @@ def jacobian_time(fitter: LandmarkFitter) -> float:
     vector = human.configuration_vector(human.rest, np.eye(4))
 
     def call() -> None:
-        configuration.place_with_jacobians(vector)
+        configuration.place(vector)
         configuration.point_jacobian()
 
     common.mean_cpu_time(call, 200)

@@ -32,6 +32,7 @@ from handmap_qp.ik.qp import (
     make_solver,
     solve_by_daqp,
 )
+from handmap_qp.ik.tasks import Goal
 from handmap_qp.se3 import affine
 
 _HARD = 5000
@@ -68,7 +69,12 @@ class Recorder:
 
 def recorded_problems(motion: HumanMotion) -> list[Problem]:
     """Record the problems of mapping a motion to the Allegro hand, in order."""
-    mapper = HandMapper(motion.human, load_hand("allegro_right"), MappingOptions())
+    mapper = HandMapper(
+        motion.human,
+        load_hand("allegro_right"),
+        MappingOptions(),
+        ik=IkOptions(formulation="direct"),
+    )
     recorder = Recorder()
     mapper.point_ik._solver = recorder
     for i in range(len(motion.time)):
@@ -104,7 +110,7 @@ def _hard_problem(ik: PointIk, kind: int, rng: np.random.Generator) -> Problem:
     )
     wrist = affine(pin.exp3(rng.normal(size=3)), rng.normal(scale=0.3, size=3))
     dt = 10.0 ** rng.uniform(-3.0, -1.0)
-    goal = ik._goal(targets, wrist, dt, None, ())
+    goal = Goal(targets, wrist, ik.postures(dt, None), ())
     cost = direct_cost(hand, ik.options, ik.configuration, goal)
     return Problem(*cost, *ik.gate.bounds(dt))
 

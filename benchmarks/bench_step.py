@@ -12,9 +12,8 @@ With `--compare`, every hand is mapped by both checkouts in turns (`interleaved.
 columns are the ratio of the medians, that of the 99th percentiles, and the largest difference of
 joints and wrists [rad or m].
 
-Most of a step are calls from Python into numpy, Pinocchio and DAQP. A prototype of the same step in
-C++ took 0.13 of the time; it is not part of the package, because it works with one build of
-Pinocchio alone.
+Parts are those of the readable reference in Python (`formulation="direct"`), mostly calls into
+numpy, Pinocchio and DAQP.
 """
 
 from __future__ import annotations
@@ -142,7 +141,7 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
     wrapped = [
         (handmap_qp.mapping.mapper, "check_pose", "checks"),
         (mapper, "_pose_of", "human FK"),
-        (getattr(counted, "_estimator", None), "estimate", "estimation"),
+        (getattr(counted, "estimator", None), "estimate", "estimation"),
         (homogeneous, "polar", "decomposition"),
         (counted, "targets", "targets"),
         (ik.gate, "bounds", "limits"),
@@ -150,7 +149,7 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
         (ik.configuration, "stacked_jacobian", "Jacobians"),
         (handmap_qp.ik.qp, "direct_cost", "assembly"),
         (ik, "_solver", "solve"),
-        (ik.configuration, "place_with_jacobians", "integrate and place"),
+        (ik.configuration, "place", "integrate and place"),
         (ik, "solve", "iteration and result"),
     ]
     originals = [(owner, name, getattr(owner, name)) for owner, name, _ in wrapped]
@@ -370,9 +369,7 @@ def main(words: Sequence[str] | None = None) -> None:
         interleaved.write_motion(motion, file)
         names = ROBOTS[: 2 if quick else None]
         robots = measure_robots(names, file, len(motion.time), 1 if quick else 3, other)
-    caption = (
-        f"load {os.getloadavg()[0]:.1f}; a prototype in C++ took 0.13 of this step"
-    )
+    caption = f"load {os.getloadavg()[0]:.1f}"
     is_json = arguments.json == "-"
     common.print_table(
         "Per hand: map_step over one pin.computeJointJacobians",
@@ -380,7 +377,10 @@ def main(words: Sequence[str] | None = None) -> None:
         to_stderr=is_json,
         caption=caption,
     )
-    mapper = HandMapper(motion.human, load_hand(ROBOTS[0]), MappingOptions())
+    reference = IkOptions(formulation="direct")
+    mapper = HandMapper(
+        motion.human, load_hand(ROBOTS[0]), MappingOptions(), ik=reference
+    )
     measure_step(mapper, motion, 1)  # warm-up: fill caches
     step = measure_step(mapper, motion, 1 if quick else 3)
     parts = measure_parts(mapper, motion)

@@ -19,10 +19,10 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.collision import NearPairs
 from handmap_qp.ik.limits import Gate, Motion, Rows
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk, weighted_task
@@ -64,7 +64,7 @@ class PseudoinverseIk(PointIk):
             raise InvalidOptionsError(
                 option="limits", expected="'none' or 'clip'", value=limits
             )
-        super().__init__(hand, options)
+        super().__init__(hand, options.replaced(formulation="direct"))
         self._damping = damping
         if limits == "none":
             self.gate = _NoLimits(hand, self.gate.motion)
@@ -86,8 +86,9 @@ class PseudoinverseIk(PointIk):
                 infinities or NaN.
         """
         hand = self.hand
-        configuration = self.configuration
-        A, b = weighted_task(hand, self.options, configuration, goal.points, goal.wrist)
+        configuration = self._configuration
+        wrist = None if goal.wrist is None else pin.SE3(goal.wrist)
+        A, b = weighted_task(hand, self.options, configuration, goal.points, wrist)
         U, s, Vt = np.linalg.svd(A * self._scale, full_matrices=False)
         if self._damping > 0.0:
             inverse = s / (s**2 + self._damping**2)
@@ -129,7 +130,6 @@ class _NoLimits(Gate):
         wanted: np.ndarray,
         first: np.ndarray,
         dt: float,
-        end: NearPairs | None = None,
     ) -> np.ndarray:
         """Move the robot by a displacement, whatever it is."""
         placed = self.hand.configuration()

@@ -101,7 +101,7 @@ def wild(hand: Hand, shapes: ShapePairs, steps: int, seed: int) -> Tally:
             ik = ik.with_options(options)
         if rng.random() < 0.1:
             q = rng.uniform(hand.lower_limits, hand.upper_limits)
-            elsewhere.place_frames(hand.configuration_vector(q))
+            elsewhere.place(hand.configuration_vector(q))
             targets = elsewhere.points.copy()
             if rng.random() < 0.5:
                 targets[:] = targets.mean(axis=0) + 0.01 * rng.normal(

@@ -175,17 +175,6 @@ class DegeneratePointsError(HandmapError, ValueError):
         return f"{self.problem} (singular values {values} mm)"
 
 
-class StaleJacobianError(HandmapError, RuntimeError):
-    """A Jacobian was asked for that belongs to an earlier posture.
-
-    `Configuration.place_frames` moves frames only; `place_with_jacobians` makes Jacobians valid.
-    """
-
-    def __str__(self) -> str:
-        """Say what to call first."""
-        return "the Jacobians belong to an earlier posture: call place_with_jacobians(q) first"
-
-
 class MissingExtraError(HandmapError, ImportError):
     """An optional dependency is needed and not installed.
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
 
-from handmap_qp.errors import DiskFullError, InvalidInputError
+from handmap_qp.errors import DiskFullError, InvalidInputError, expect
 
 
 def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
@@ -35,12 +35,12 @@ def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
         InvalidInputError: If the suffix is another, the folder does not exist, or the path is a
             folder.
     """
-    if path.suffix not in suffixes:
-        raise InvalidInputError(
-            argument=argument,
-            expected=f"a file that ends in {suffixes[0]}",
-            value=str(path),
-        )
+    expect(
+        path.suffix in suffixes,
+        argument,
+        f"a file that ends in {suffixes[0]}",
+        value=str(path),
+    )
     if not path.parent.is_dir():
         raise InvalidInputError(
             argument=argument,
@@ -205,12 +205,12 @@ def output_folder(out: Path) -> Iterator[Path]:
     """
     make_folder(out.parent, "out")
     with writing(out, "out"):
-        if out.exists() and not (out.is_dir() and os.access(out, os.W_OK)):
-            raise InvalidInputError(
-                argument="out",
-                expected="a folder that can be written, or a new name",
-                got=str(out),
-            )
+        expect(
+            not (out.exists() and not (out.is_dir() and os.access(out, os.W_OK))),
+            "out",
+            "a folder that can be written, or a new name",
+            got=str(out),
+        )
         with TemporaryDirectory(
             prefix=".handmap-", dir=out.parent, ignore_cleanup_errors=True
         ) as temporary:

@@ -18,13 +18,11 @@ from __future__ import annotations
 
 import math
 import numbers
-import threading
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
-from eigenpy import DecompositionOptions, NoPrecondJacobiSVD
 
 from handmap_qp.errors import InvalidInputError, describe_value, expect
 
@@ -86,10 +84,7 @@ def transform_points(motion: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def lengths(vectors: np.ndarray) -> np.ndarray:
     """Return the Euclidean length of each vector, shape (...), of shape (..., 3)."""
-    return np.sqrt(np.square(vectors).dot(_ONES))
-
-
-_ONES = np.ones(3)
+    return np.linalg.norm(vectors, axis=-1)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
@@ -103,49 +98,20 @@ def inverse_pose(pose: np.ndarray) -> np.ndarray:
     return affine(rotation, -(rotation @ pose[..., :3, 3:])[..., 0])
 
 
-class _Workspace(threading.local):
-    """Eigen's memory for the decomposition of a 3x3 matrix, one for each thread."""
-
-    def __init__(self) -> None:
-        options = DecompositionOptions.ComputeFullU, DecompositionOptions.ComputeFullV
-        self.svd = NoPrecondJacobiSVD(np.eye(3), sum(map(int, options)))
-
-
-_WORKSPACE = _Workspace()
-
-
-def svd3(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decompose 3x3 matrices as `numpy.linalg.svd` does, shape (..., 3, 3)."""
-    if matrix.size != 9:
-        return np.linalg.svd(matrix)
-    # Eigen takes a quarter of the time of numpy on a single matrix.
-    found = _WORKSPACE.svd
-    shape = matrix.shape
-    found.compute(matrix.reshape(3, 3))
-    left = found.matrixU()
-    right = found.matrixV().T
-    values = found.singularValues().reshape(shape[:-1])
-    return left.reshape(shape), values, right.reshape(shape)
-
-
 def nearest_rotation(matrix: np.ndarray) -> np.ndarray:
     """Return the proper rotation nearest to a matrix in the Frobenius norm, shape (..., 3, 3).
 
     Of the covariance `sum_k w_k y_k x_k^T` of centred points, it is the rotation that best carries
     the points x to y (Kabsch, Acta Cryst. A32, 1976).
     """
-    left, _, right = svd3(matrix)
+    left, _, right = np.linalg.svd(matrix)
     left[..., 2] *= mirror_sign(left @ right)[..., None]
     return left @ right
 
 
 def mirror_sign(orthogonal: np.ndarray) -> np.ndarray:
     """Return -1 for orthogonal matrices (..., 3, 3) that mirror, 1 for rotations, shape (...)."""
-    if orthogonal.size != 9:
-        return np.sign(np.linalg.det(orthogonal))
-    a, b, c, d, e, f, g, h, i = orthogonal.ravel().tolist()
-    turn = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    return np.full(orthogonal.shape[:-2], math.copysign(1.0, turn))
+    return np.sign(np.linalg.det(orthogonal))
 
 
 def rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
@@ -297,7 +263,8 @@ def check_pose(
     pose = as_floats(value if is_plain else value.homogeneous, name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
-    defect = _rotation_defect(pose) if pose.shape == (4, 4) else math.inf
+    turn = pose[:3, :3] if pose.shape == (4, 4) else np.eye(3)
+    defect = np.abs(turn.T @ turn - np.eye(3)).max()
     expected = ""
     got = ""
     advice = ""
@@ -312,10 +279,10 @@ def check_pose(
             f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
         )
         got = str(pose.tolist())
-    elif not defect <= _ROTATION_TOLERANCE:
-        turn = np.linalg.det(pose[:3, :3])
+    elif not defect <= _ROTATION_TOLERANCE or np.linalg.det(turn) < 0.0:
+        volume = np.linalg.det(turn)
         expected = "a rotation as its 3x3 part"
-        got = f"a matrix off a rotation by {defect:.3g}, with determinant {turn:.3g}"
+        got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
     if expected:
         raise InvalidInputError(
             argument=name, expected=expected, value=value, got=got, advice=advice
@@ -323,22 +290,6 @@ def check_pose(
     if defect > _ROTATION_EXACT:
         pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
     return pose
-
-
-def _rotation_defect(pose: np.ndarray) -> float:
-    """Return how far two columns are from orthogonal unit ones, and the third from their product.
-
-    In plain floats: numpy takes ten times as long on so small an array, once or twice a sample.
-    """
-    (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = pose.tolist()
-    return max(
-        abs(a * a + d * d + g * g - 1.0),
-        abs(b * b + e * e + h * h - 1.0),
-        abs(a * b + d * e + g * h),
-        abs(d * h - e * g - c),
-        abs(b * g - a * h - f),
-        abs(a * e - b * d - i),
-    )
 
 
 def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:

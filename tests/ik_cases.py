@@ -20,7 +20,7 @@ from handmap_qp.hands.spec import WristSpec, read_hand_spec
 from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.qp import PointIk, direct_cost
-from handmap_qp.ik.tasks import Task
+from handmap_qp.ik.tasks import Goal, Task
 
 ARM_JOINTS = ("arm_turn", "arm_lift", "arm_roll")
 _ARM = """
@@ -167,7 +167,7 @@ def random_cases(
             _posture(hand, i % 4, rng, is_inside),
             _pose(rng) if hand.is_floating else None,
         )
-        configuration.place_with_jacobians(vector)
+        configuration.place(vector)
         reach = 10.0 ** rng.uniform(-4, 0)
         targets = configuration.points + reach * rng.normal(
             size=(len(hand.reference_points), 3)
@@ -224,6 +224,6 @@ def problem_of(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return H, c and both bounds of the first iteration of `PointIk.solve`."""
     dt = max(dt, SHORTEST_DT)
-    goal = ik._goal(points, wrist, dt, None, tasks)
+    goal = Goal(points, wrist, ik.postures(dt, None), tasks)
     cost = direct_cost(ik.hand, ik.options, ik.configuration, goal)
     return *cost, *ik.gate.bounds(dt)

@@ -6,7 +6,7 @@ import ipaddress
 import re
 import socket
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 
 REQUESTS_PORT = 5570
 """Default port of requests to `handmap serve`."""
@@ -42,12 +42,12 @@ def bare_host(name: str, host: str) -> str:
         InvalidInputError: If it is more than a host.
     """
     bare = _unbracketed(host)
-    if not bare or "/" in bare or (":" in bare and not _is_address(bare)):
-        raise InvalidInputError(
-            argument=name,
-            expected="a host alone, such as 127.0.0.1 or ::1, and its port apart",
-            value=host,
-        )
+    expect(
+        not (not bare or "/" in bare or (":" in bare and not _is_address(bare))),
+        name,
+        "a host alone, such as 127.0.0.1 or ::1, and its port apart",
+        value=host,
+    )
     return bare
 
 
@@ -75,8 +75,7 @@ def check_port(name: str, port: int) -> None:
     Raises:
         InvalidInputError: If there is no such port.
     """
-    if not 0 <= port <= 65535:
-        raise InvalidInputError(argument=name, expected="0 to 65535", value=port)
+    expect(0 <= port <= 65535, name, "0 to 65535", value=port)
 
 
 def service_address(name: str, host: str) -> str:

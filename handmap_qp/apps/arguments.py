@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
@@ -147,10 +147,9 @@ class InputArguments:
             for recording in hands.values():
                 check_recording(recording)
             return hands
-        if len(paths) not in (1, 2):
-            raise InvalidInputError(
-                argument="RECORDING", expected="one file or two", got=f"{len(paths)}"
-            )
+        expect(
+            len(paths) in (1, 2), "RECORDING", "one file or two", got=f"{len(paths)}"
+        )
         layout = load_layout(self.layout)
         lengths = _lengths_of(person)
         return {

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from handmap_qp.apps.tables import print_table
+from handmap_qp.ik.core import description
 
 _PACKAGE = "handmap-qp"
 __version__ = metadata.version(_PACKAGE)
@@ -63,12 +64,16 @@ class Doctor:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this package, Python, the system and the core dependencies."""
+    """Return the versions of this package, Python, the system and the core dependencies.
+
+    And which path runs: the compiled core, or Python, and why.
+    """
     system = f"{platform.system()} {platform.release()} {platform.machine()}"
     own = {
         _PACKAGE: __version__,
         "python": sys.version.split()[0],
         "system": system,
+        "core": description,
     }
     return own | {name: _version(name) for name in _CORE}
 

@@ -6,14 +6,14 @@ reads from a configuration (`model.nv`, `nv`, `q`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidInputError, StaleJacobianError
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.se3 import frozen
 
 
@@ -84,8 +84,7 @@ _UNIT = frozen(np.eye(3))
 class Configuration:
     """One posture of a model, with its reference points.
 
-    `place_frames` and `place_with_jacobians` put it somewhere else. Jacobians can be read only
-    after the second one; after the first one they raise `StaleJacobianError`.
+    `place` and `displace` put it somewhere else.
 
     Args:
         model: Pinocchio model. Behind the universe's, its first frame is the wrist, and the others
@@ -119,18 +118,17 @@ class Configuration:
         self.points = self._points.view()
         self.points.setflags(write=False)
         self.wrist = self.data.oMf[_WRIST]
-        self._has_jacobians = False
-        self.place_frames(self._q)
+        self.place(self._q)
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what a copy is built from: the workspace is views of Pinocchio's memory."""
-        return self.model, self.expansion, self._q, self._has_jacobians
+        return self.model, self.expansion, self._q
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         """Build a workspace, and place the model where the other one was."""
-        model, expansion, q, has_jacobians = state
+        model, expansion, q = state
         Configuration.__init__(self, model, expansion=expansion)
-        (self.place_with_jacobians if has_jacobians else self.place_frames)(q)
+        self.place(q)
 
     @cached_property
     def joints(self) -> Placements:
@@ -153,8 +151,8 @@ class Configuration:
         """Number of active velocity coordinates, k: the wrist's and those of joints that lead."""
         return self.model.nv if self.expansion is None else self.expansion.shape[1]
 
-    def place_frames(self, q: np.ndarray) -> None:
-        """Put the model at a configuration and place its frames; Jacobians become invalid.
+    def place(self, q: np.ndarray) -> None:
+        """Put the model at a configuration.
 
         Args:
             q: Pinocchio configuration, shape (nq,); its values are not checked.
@@ -162,24 +160,8 @@ class Configuration:
         Raises:
             InvalidInputError: On a wrong shape or type.
         """
-        self._place(pin.forwardKinematics, q)
-        self._has_jacobians = False
-
-    def place_with_jacobians(self, q: np.ndarray) -> None:
-        """Put the model at a configuration, place its frames and make Jacobians valid.
-
-        Args:
-            q: Pinocchio configuration, shape (nq,); its values are not checked.
-
-        Raises:
-            InvalidInputError: On a wrong shape or type.
-        """
-        self._place(pin.computeJointJacobians, q)
-        self._has_jacobians = True
-
-    def _place(self, compute: Callable[..., object], q: np.ndarray) -> None:
         try:
-            compute(self.model, self.data, q)
+            pin.computeJointJacobians(self.model, self.data, q)
         except (TypeError, ValueError) as error:
             raise InvalidInputError(
                 argument="q",
@@ -204,7 +186,7 @@ class Configuration:
         step = (
             displacement if self.expansion is None else self.expansion.dot(displacement)
         )
-        self.place_with_jacobians(pin.integrate(self.model, start, step))
+        self.place(pin.integrate(self.model, start, step))
 
     def joint_jacobian(self) -> np.ndarray:
         """Spatial velocity at the world's origin per velocity of the model.
@@ -212,12 +194,7 @@ class Configuration:
         Returns:
             Jacobian, linear rows first, shape (6, model.nv); Pinocchio's own array: do not write
             to it.
-
-        Raises:
-            StaleJacobianError: If the model was placed without Jacobians.
         """
-        if not self._has_jacobians:
-            raise StaleJacobianError
         return self.data.J
 
     def point_jacobian(self) -> np.ndarray:
@@ -225,9 +202,6 @@ class Configuration:
 
         Returns:
             Jacobian, rows x, y, z of each point in turn, shape (3 m, k); a new array.
-
-        Raises:
-            StaleJacobianError: If the model was placed without Jacobians.
         """
         return self.contracted(self.full_point_jacobian())
 
@@ -236,9 +210,6 @@ class Configuration:
 
         Returns:
             Jacobian, rows x, y, z of each point in turn, shape (3 m, model.nv); a new array.
-
-        Raises:
-            StaleJacobianError: If the model was placed without Jacobians.
         """
         return (self.stacked_jacobian(np.eye(6)) * self.support)[:-6]
 
@@ -250,9 +221,6 @@ class Configuration:
 
         Returns:
             `error_jacobian @ J_wrist`, shape (6, k); a new array.
-
-        Raises:
-            StaleJacobianError: If the model was placed without Jacobians.
         """
         return self.contracted(
             (self.stacked_jacobian(error_jacobian) * self.support)[-6:]
@@ -278,9 +246,6 @@ class Configuration:
 
         Returns:
             Unmasked Jacobian, shape (3 m + 6, model.nv).
-
-        Raises:
-            StaleJacobianError: If the model was placed without Jacobians.
         """
         # The joint Jacobian is at the world's origin: [I, -[p]x] takes it to the point p.
         rows = np.empty((3 * len(self.points) + 6, 6))

@@ -21,7 +21,7 @@ import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
-from handmap_qp.hands.mimic import Expansion
+from handmap_qp.hands.model import Expansion
 from handmap_qp.hands.spec import PointSpec
 
 PARALLEL = 0.85

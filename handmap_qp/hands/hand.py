@@ -17,23 +17,21 @@ import numpy as np
 import numpy.typing as npt
 import pinocchio as pin
 
-from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.errors import HandError, InvalidInputError, expect
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.human import CONTACT_GAP
-from handmap_qp.hands.mimic import (
-    Expansion,
-    expansion_matrix,
-    tighten_model,
-)
 from handmap_qp.hands.model import (
+    Expansion,
     build_model,
     check_limits,
     check_wrist,
     choose_mount,
     compose_urdf,
+    expansion_matrix,
     link_frame,
     move_joint,
     palm_in_link,
+    tighten_model,
     with_frames,
 )
 from handmap_qp.hands.sources import read_urdf
@@ -315,13 +313,13 @@ class Hand:
         """
         count = len(self.joint_names)
         angles = as_floats(q, "q", is_finite=True)
-        if angles.ndim not in (1, 2) or angles.shape[-1] != count:
-            raise InvalidInputError(
-                argument="q",
-                expected=f"shape ({count},) or (T, {count})",
-                value=q,
-                got=f"shape {angles.shape}",
-            )
+        expect(
+            not (angles.ndim not in (1, 2) or angles.shape[-1] != count),
+            "q",
+            f"shape ({count},) or (T, {count})",
+            value=q,
+            got=f"shape {angles.shape}",
+        )
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
         return np.concatenate([self._moving.all_joints(angles), locked], axis=-1)
 
@@ -345,7 +343,7 @@ class Hand:
             Jacobian [m/rad, or without unit], rows x, y, z of each point in turn, columns in the
             order of `joint_names`, shape (3 m, n).
         """
-        self._scratch.place_with_jacobians(self.configuration_vector(q, wrist_pose))
+        self._scratch.place(self.configuration_vector(q, wrist_pose))
         return self._scratch.point_jacobian()[:, self.joint_columns]
 
     def frame_pose(
@@ -381,10 +379,12 @@ class Hand:
         Raises:
             InvalidInputError: If there is no such link, or as `configuration_vector`.
         """
-        if isinstance(links, str) or not isinstance(links, Sequence):
-            raise InvalidInputError(
-                argument="links", expected="names of links", value=links
-            )
+        expect(
+            isinstance(links, Sequence) and not isinstance(links, str),
+            "links",
+            "names of links",
+            value=links,
+        )
         frames = [
             self._find(link, f"links[{i}]", _LINK) for i, link in enumerate(links)
         ]
@@ -469,7 +469,7 @@ class Hand:
         return self.configuration()
 
     def _placed(self, q: npt.ArrayLike, wrist_pose: PoseLike | None) -> Configuration:
-        self._scratch.place_frames(self.configuration_vector(q, wrist_pose))
+        self._scratch.place(self.configuration_vector(q, wrist_pose))
         return self._scratch
 
     def _find(self, name: str, argument: str, *kinds: pin.FrameType) -> pin.Frame:
@@ -528,8 +528,7 @@ def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> Poin
 
 
 def _check_type(argument: str, value: Any, kind: Any, expected: str) -> None:
-    if not isinstance(value, kind):
-        raise InvalidInputError(argument=argument, expected=expected, value=value)
+    expect(isinstance(value, kind), argument, expected, value=value)
 
 
 def _frozen(values: npt.ArrayLike) -> np.ndarray:

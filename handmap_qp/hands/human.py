@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from handmap_qp.errors import HandError, InvalidInputError
+from handmap_qp.errors import HandError, InvalidInputError, expect
 from handmap_qp.hands.urdf import (
     child_of,
     get_numbers,
@@ -273,10 +273,7 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
 
 def _checked_length(value: float, name: str) -> float:
     length = float(as_floats(value, name, shape=()))
-    if not 0.0 < length < math.inf:
-        raise InvalidInputError(
-            argument=name, expected="a length > 0 in metres", value=value
-        )
+    expect(0.0 < length < math.inf, name, "a length > 0 in metres", value=value)
     return length
 
 

@@ -19,6 +19,7 @@ from handmap_qp.errors import (
     MissingPackageError,
     describe_value,
     did_you_mean,
+    expect,
 )
 from handmap_qp.hands.hand import LONGEST_STOP, Hand, Points
 from handmap_qp.hands.human import HumanLengths, joint_moves, scaled_human_urdf
@@ -98,12 +99,12 @@ def load_hand(
         MissingExtraError: If its URDF lies in a package of an extra that is not installed.
         MissingPackageError: If its URDF lies in another package that is not installed.
     """
-    if not isinstance(hand, str | Path | HandSpec):
-        raise InvalidInputError(
-            argument="hand",
-            expected="a name, the path of a hand.yaml, or a HandSpec",
-            value=hand,
-        )
+    expect(
+        isinstance(hand, str | Path | HandSpec),
+        "hand",
+        "a name, the path of a hand.yaml, or a HandSpec",
+        value=hand,
+    )
     if lengths is None and hand_length is None:
         return Hand(_spec_of(hand), points=points, mount=mount)
     is_standard = isinstance(hand, str) and hand in HUMAN_HANDS

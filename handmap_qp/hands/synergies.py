@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.se3 import as_floats, frozen
 
@@ -37,13 +37,13 @@ class Synergies(NamedTuple):
             InvalidInputError: On a wrong shape or a number that is not finite.
         """
         coordinates = as_floats(z, "z", shape=("k",), is_finite=True)
-        if len(coordinates) > 15:
-            raise InvalidInputError(
-                argument="z",
-                expected="at most 15 numbers",
-                value=z,
-                got=str(len(coordinates)),
-            )
+        expect(
+            len(coordinates) <= 15,
+            "z",
+            "at most 15 numbers",
+            value=z,
+            got=str(len(coordinates)),
+        )
         return self.mean + self.matrix[:, : len(coordinates)] @ coordinates
 
     def coordinates(self, q: npt.ArrayLike) -> np.ndarray:

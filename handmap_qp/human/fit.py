@@ -191,7 +191,7 @@ class LandmarkFitter:
     def _place(self, q: np.ndarray) -> None:
         """Put the hand at joint angles, shape (5, 4), with its wrist at the origin."""
         self._vector[self.human.q_indices] = q.ravel()
-        self._configuration.place_with_jacobians(self._vector)
+        self._configuration.place(self._vector)
 
     def _cost(
         self, q: np.ndarray, targets: np.ndarray

@@ -171,7 +171,7 @@ def landmarks_at_rest(human: Hand) -> np.ndarray:
     hand = human.with_points("landmarks")
     # A workspace for once: the hand's own would stay, a megabyte a person.
     placed = hand.configuration()
-    placed.place_frames(hand.configuration_vector(hand.rest))
+    placed.place(hand.configuration_vector(hand.rest))
     return frozen(placed.points.copy())
 
 

@@ -2,5 +2,8 @@ from . import (
     collision as collision,
 )
 from . import (
+    compiled as compiled,
+)
+from . import (
     mink_problem as mink_problem,
 )

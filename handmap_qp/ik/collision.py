@@ -16,14 +16,11 @@ angle x at a radius r may come r x^2 / 2 closer than the row says. The margin is
 `handmap_qp.ik.limits.Gate` checks the whole displacement afterwards.
 
 Rows are linearised where a sample starts, and hold for its whole displacement: a later iteration of
-the QP has what the ones before it left. So distances are measured once a sample, where it ends, for
-the check and for the rows of the next one. Where there is a horizon, a pair is measured if another
-step like the last one may bring it to its margin, or if its path is not clear by travel alone.
+the QP has what the ones before it left. Where there is a horizon, a pair gets a row if another step
+like the last one may bring it to its margin.
 
 A point of a shape moves by at most its lever times the turn of a joint. So the distance of a pair
 changes by at most its `travel` on a straight path in joint space, the sum of levers times turns.
-What is known in one posture bounds it in another. A pair is measured again only if that bound and,
-where many are due, the gap between its bounding balls are within a horizon.
 
 Between two points of a path at which a distance is `a` and `b`, it is never below
 
@@ -43,6 +40,7 @@ Where that does not suffice, the path is halved, until it does or a point of it 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,18 +51,15 @@ from handmap_qp.hands.configuration import Configuration, Placements, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 from handmap_qp.ik.limits import Rows
+from handmap_qp.se3 import lengths
 
 KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start, where a path is measured; and
 not nearer than half of it between [m]."""
 # GJK starts from the last result of the pair. With coal's 1e-6 the answer depends on it by as much.
-_TOLERANCE = 1e-9
-# Balls are quicker than distances where more pairs than this are due.
-_FEW = 20
+_TOLERANCE = 1e-12
 # Points of a path that are measured, at most; a path that needs more counts as not clear.
 _MOST_POINTS = 30
-_YZX = [1, 2, 0]
-_ZXY = [2, 0, 1]
 # Part of the free distance that one step may use.
 _GAIN = 0.85
 # Where there is a horizon, pairs get rows that may be within their margin, this distance [m], and
@@ -75,23 +70,16 @@ _EXPECTED = 0.25
 
 
 class NearPairs(NamedTuple):
-    """What is known of all pairs of shapes in one posture, k of them.
+    """The pairs of shapes that are within a horizon in one posture, r of all.
 
     Attributes:
-        q: Pinocchio configuration of the posture, shape (nq,).
-        bounds: Lower bounds of the distances of all pairs [m], shape (k,).
-        pairs: Indices of the measured pairs, increasing, shape (r,).
+        pairs: Their indices, increasing, shape (r,).
         found: Signed distance, normal from the first to the second shape, and nearest point of the
-            first shape, shape (k, 7). NaN where a pair is not measured.
-        is_open: Which pairs travel alone does not show to be apart on the whole path from the
-            posture before, shape (k,).
+            first shape, shape (r, 7).
     """
 
-    q: np.ndarray
-    bounds: np.ndarray
     pairs: np.ndarray
     found: np.ndarray
-    is_open: np.ndarray
 
 
 class ShapeDistances:
@@ -102,82 +90,85 @@ class ShapeDistances:
         geometry: Its collision shapes and pairs.
 
     Attributes:
+        geometry: As given.
         levers: Bound of the change of each pair's distance per change of each velocity coordinate
             [m/rad, or 1 for sliding joints], shape (k, nv); 0 for coordinates that move both shapes
             of a pair or neither.
         turns: Bound of `S + 2 C` of each pair per change of each coordinate, shape (k, nv).
+        signs: 1 where a coordinate moves the first shape of a pair, -1 where it moves the second, 0
+            where both or neither, shape (k, nv).
     """
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
         self._model = model
-        self._geometry = geometry
+        self.geometry = geometry
         self._data = model.createData()
         self._shapes = geometry.createData()
         for request in self._shapes.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
-        self.levers, self.turns = _pair_motions(model, geometry)
-        shapes = geometry.geometryObjects
         pairs = geometry.collisionPairs
+        self._first = np.array([pair.first for pair in pairs], dtype=int)
+        self._second = np.array([pair.second for pair in pairs], dtype=int)
+        shapes = geometry.geometryObjects
+        self._bound_motions(model, shapes)
         self._placed = Placements(self._shapes.oMg)
         balls = [
             (*shape.geometry.aabb_center, shape.geometry.aabb_radius)
             for shape in shapes
         ]
         self._balls = np.array(balls).reshape(-1, 4)
-        self._first = np.array([pair.first for pair in pairs], dtype=int)
-        self._second = np.array([pair.second for pair in pairs], dtype=int)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build copies with data of their own."""
-        return ShapeDistances, (self._model, self._geometry)
+        return ShapeDistances, (self._model, self.geometry)
 
-    def travel(self, before: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Return by how much each distance changes at most between two postures [m], shape (k,)."""
-        return self.levers.dot(np.abs(pin.difference(self._model, before, q)))
+    def _bound_motions(
+        self, model: pin.Model, shapes: Sequence[pin.GeometryObject]
+    ) -> None:
+        levers = np.array([_levers(model, shape) for shape in shapes])
+        levers = levers.reshape(-1, model.nv)
+        moved = moved_by(model, [shape.parentJoint for shape in shapes])
+        self.signs = moved[self._first] - moved[self._second]
+        is_between = self.signs != 0.0
+        # A coordinate that moves both shapes carries them together.
+        self.levers = (levers[self._first] + levers[self._second]) * is_between
+        turning = np.concatenate(
+            [_motions(joint)[3:].any(axis=0) for joint in list(model.joints)[1:]]
+        )
+        has_sliding = (is_between & ~turning).any(axis=1)
+        # Sliding between the shapes doubles the acceleration that turns give their points.
+        relative = is_between * turning * (1.0 + has_sliding)[:, None]
+        common = moved[self._first] * moved[self._second] * turning
+        self.turns = relative + 2.0 * common
 
-    def measure(
-        self,
-        q: np.ndarray,
-        bounds: np.ndarray | float = -np.inf,
-        horizon: np.ndarray | float = np.inf,
-        *,
-        is_path: bool = False,
-    ) -> NearPairs:
-        """Measure the pairs that may be within a horizon.
+    def measure(self, q: np.ndarray, horizon: np.ndarray | float = np.inf) -> NearPairs:
+        """Measure the pairs within a horizon.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
-            bounds: Lower bounds of all distances there, of each pair [m], shape (k,): what was
-                known in another posture, minus the travel from there.
-            horizon: Distance up to which pairs are measured [m], of each pair or one for all; at
-                least `KEPT`.
-            is_path: Whether the hand came on a straight path from there, on which pairs may have
-                touched that are apart here.
+            horizon: Largest distance [m], of each pair or one for all.
         """
-        known = np.full(len(self.levers), bounds)
-        # The bound is a - t, with the distance a before and the travel t. On the path from a to b,
-        # it is never below (a + b - t) / 2.
-        open_below = KEPT - known if is_path else np.full(len(known), -np.inf)
         self._place(q)
-        due = np.flatnonzero(known <= horizon)
-        if len(due) > _FEW:
-            gaps = self._ball_gaps()[due]
-            known[due] = np.maximum(known[due], gaps)
-            due = due[gaps <= np.maximum(horizon, open_below)[due]]
-        found = np.full((len(known), 7), np.nan)
-        found[due] = self._compute(due)
-        is_open = found[:, 0] < open_below
-        known[due] = found[due, 0]
-        return NearPairs(q.copy(), known, due, found, is_open)
+        horizons = np.full(len(self.levers), horizon)
+        pairs = np.flatnonzero(self._ball_gaps() <= horizons)
+        found = self._found_at(q, pairs)
+        is_near = found[:, 0] <= horizons[pairs]
+        return NearPairs(pairs[is_near], found[is_near])
 
     def _found_at(self, q: np.ndarray, pairs: np.ndarray) -> np.ndarray:
         """Return what is found of some pairs in a posture; as of `NearPairs`, shape (r, 7)."""
         self._place(q)
-        return self._compute(pairs)
+        found = np.empty((len(pairs), 7))
+        for row, k in zip(found, pairs.tolist(), strict=True):
+            result = pin.computeDistance(self.geometry, self._shapes, k)
+            row[0] = result.min_distance
+            row[1:4] = result.normal
+            row[4:] = result.getNearestPoint1()
+        return found
 
     def _place(self, q: np.ndarray) -> None:
         pin.updateGeometryPlacements(
-            self._model, self._data, self._geometry, self._shapes, q
+            self._model, self._data, self.geometry, self._shapes, q
         )
 
     def _ball_gaps(self) -> np.ndarray:
@@ -185,58 +176,31 @@ class ShapeDistances:
         centres = self._placed.points(self._balls[:, :3])
         radii = self._balls[:, 3]
         apart = centres[self._first] - centres[self._second]
-        return _norms(apart) - radii[self._first] - radii[self._second]
+        return lengths(apart) - radii[self._first] - radii[self._second]
 
-    def _compute(self, pairs: np.ndarray) -> np.ndarray:
-        """Return distance, normal and first nearest point of some placed pairs, shape (r, 7)."""
-        results = [
-            pin.computeDistance(self._geometry, self._shapes, k) for k in pairs.tolist()
-        ]
-        found = np.empty((len(pairs), 7))
-        found[:, 0] = [result.min_distance for result in results]
-        if results:
-            vectors = [
-                part
-                for each in results
-                for part in (each.normal, each.getNearestPoint1())
-            ]
-            found[:, 1:] = np.concatenate(vectors).reshape(-1, 6)
-        return found
-
-    def is_clear(
-        self, start: NearPairs, step: np.ndarray, end: NearPairs | None = None
-    ) -> bool:
+    def is_clear(self, q: np.ndarray, step: np.ndarray) -> bool:
         """Return whether no pair of shapes touches on a straight path.
 
         Pairs that touch at the start already are left out.
 
         Args:
-            start: The pairs where it begins.
+            q: Pinocchio configuration where it begins, shape (nq,).
             step: The path in the model's tangent space [rad or m], shape (nv,).
-            end: The pairs where it ends, as measured next; measured if omitted.
         """
         turns = np.abs(step)
-        if end is None:
-            reached = pin.integrate(self._model, start.q, step)
-            end = self.measure(
-                reached, start.bounds - self.levers.dot(turns), KEPT, is_path=True
-            )
-        pairs = np.flatnonzero(end.is_open)
-        if not len(pairs):
-            return True
-        before = start.found[pairs]
-        after = end.found[pairs]
-        is_new = np.isnan(before[:, 0])
-        if is_new.any():
-            before[is_new] = self._found_at(start.q, pairs[is_new])
-        is_apart = before[:, 0] > 0.0
-        pairs = pairs[is_apart]
-        before = before[is_apart]
-        after = after[is_apart]
+        travel = self.levers.dot(turns)
+        pairs, before = self.measure(q, KEPT + travel)
+        after = self._found_at(pin.integrate(self._model, q, step), pairs)
+        # On a path from a to b, the distance is never below (a + b - travel) / 2.
+        is_open = before[:, 0] + after[:, 0] - travel[pairs] < KEPT
+        is_open &= before[:, 0] > 0.0
+        pairs = pairs[is_open]
+        before = before[is_open]
+        after = after[is_open]
         kept = np.minimum(before[:, 0], KEPT)
         if (after[:, 0] < kept).any():
             return False
-        travel = self.levers[pairs].dot(turns)
+        travel = travel[pairs]
         bend = self.turns[pairs].dot(turns)
         # Parts of the path that are not shown to be clear: ends, pairs, and what was found there.
         parts = [(0.0, 1.0, np.arange(len(pairs)), before, after)]
@@ -245,7 +209,7 @@ class ShapeDistances:
             low, high, those, before, after = parts.pop()
             nearest = np.minimum(before[:, 0], after[:, 0])
             length = high - low
-            turned = 2.0 * _norms(after[:, 1:4] - before[:, 1:4])
+            turned = 2.0 * lengths(after[:, 1:4] - before[:, 1:4])
             turned += length * bend[those]
             is_open = (
                 nearest - 0.125 * turned * length * travel[those] < 0.5 * kept[those]
@@ -260,7 +224,7 @@ class ShapeDistances:
             middle = 0.5 * (low + high)
             taken = taken + 1
             between = self._found_at(
-                pin.integrate(self._model, start.q, middle * step), pairs[those]
+                pin.integrate(self._model, q, middle * step), pairs[those]
             )
             if (between[:, 0] < kept[those]).any():
                 return False
@@ -269,32 +233,6 @@ class ShapeDistances:
                 (low, middle, those, before, between),
             )
         return True
-
-
-def _norms(vectors: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
-
-
-def _pair_motions(
-    model: pin.Model, geometry: pin.GeometryModel
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return levers and turns of `ShapeDistances`, shape (k, nv) each."""
-    shapes = geometry.geometryObjects
-    pairs = geometry.collisionPairs
-    levers = np.array([_levers(model, shape) for shape in shapes]).reshape(-1, model.nv)
-    moved = moved_by(model, [shape.parentJoint for shape in shapes])
-    first = [pair.first for pair in pairs]
-    second = [pair.second for pair in pairs]
-    is_between = moved[first] != moved[second]
-    turning = np.concatenate(
-        [_motions(joint)[3:].any(axis=0) for joint in list(model.joints)[1:]]
-    )
-    has_sliding = (is_between & ~turning).any(axis=1)
-    # Sliding between the shapes doubles the acceleration that turns give their points.
-    relative = is_between * turning * (1.0 + has_sliding)[:, None]
-    common = moved[first] * moved[second] * turning
-    # A coordinate that moves both shapes carries them together.
-    return (levers[first] + levers[second]) * is_between, relative + 2.0 * common
 
 
 def _motions(joint: pin.JointModel) -> np.ndarray:
@@ -369,7 +307,8 @@ class CollisionLimit:
 
     Attributes:
         pairs: The links of each pair; a link with several shapes has several.
-        margin: Distance to keep [m].
+        margin: Distance to keep [m]; `horizon` as given.
+        shape_distances: Measures the distances.
         columns: Which active coordinates move the shapes of any pair against each other, shape
             (n,). The others, such as those of a floating wrist, change no distance.
 
@@ -392,20 +331,13 @@ class CollisionLimit:
             pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
         self.pairs = pairs.links
-        self._horizon = horizon
+        self.horizon = horizon
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
-        self._distances = ShapeDistances(hand.model, pairs.geometry)
-        levers = self._distances.levers
+        self.shape_distances = ShapeDistances(hand.model, pairs.geometry)
+        levers = self.shape_distances.levers
         if self._expansion is not None:
             levers = levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
-        pairs_of = pairs.geometry.collisionPairs
-        shapes = pairs.geometry.geometryObjects
-        supports = moved_by(hand.model, [shape.parentJoint for shape in shapes])
-        first, second = (
-            [getattr(pair, end) for pair in pairs_of] for end in ("first", "second")
-        )
-        self._opposing_support = supports[first] - supports[second]
 
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
@@ -413,54 +345,47 @@ class CollisionLimit:
         Args:
             configuration: Of the hand, placed.
         """
-        return self._distances.measure(configuration.q).bounds
+        return self.shape_distances.measure(configuration.q).found[:, 0]
 
     def measure(
         self,
         q: np.ndarray,
         dt: float = np.inf,
         margins: np.ndarray | None = None,
-        *,
-        before: NearPairs | None = None,
-        after_step: bool = False,
+        last: np.ndarray | None = None,
     ) -> NearPairs:
-        """Measure the pairs that get rows, and those that may have touched since another posture.
+        """Measure the pairs that get rows.
 
         Args:
             q: Pinocchio configuration, shape (nq,).
             dt: Time of the sample [s], in which links approach each other.
             margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
-            before: What is known in another posture; nothing if omitted.
-            after_step: Whether `q` ends a sample that began at `before`, and the next one is
-                expected to move as far.
+            last: Displacement of the sample before, shape (n,): the next one is expected to be as
+                long.
         """
-        reach = np.inf if self._horizon == np.inf else _NEAR + _APPROACH * dt
-        reach = max(min(reach, self._horizon), KEPT)
-        bounds = -np.inf
-        if before is not None:
-            travel = self._distances.travel(before.q, q)
-            bounds = before.bounds - travel
-            if after_step and reach < np.inf:
-                reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
-        horizon = (self.margin if margins is None else margins) + reach
-        return self._distances.measure(q, bounds, horizon, is_path=after_step)
+        reach = np.inf if self.horizon == np.inf else _NEAR + _APPROACH * dt
+        reach = max(min(reach, self.horizon), KEPT)
+        if last is not None and reach < np.inf:
+            travel = self.shape_distances.levers.dot(np.abs(self._expanded(last)))
+            reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
+        kept = self.margin if margins is None else margins
+        return self.shape_distances.measure(q, kept + reach)
 
-    def is_clear(
-        self, start: NearPairs, displacement: np.ndarray, end: NearPairs | None = None
-    ) -> bool:
+    def is_clear(self, q: np.ndarray, displacement: np.ndarray) -> bool:
         """Return whether no pair of shapes touches on a straight path.
 
         Args:
-            start: The pairs where it begins.
+            q: Pinocchio configuration where it begins, shape (nq,).
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
-            end: The pairs where it ends, as measured next; measured if omitted.
         """
-        step = (
+        return self.shape_distances.is_clear(q, self._expanded(displacement))
+
+    def _expanded(self, displacement: np.ndarray) -> np.ndarray:
+        return (
             displacement
             if self._expansion is None
             else self._expansion.dot(displacement)
         )
-        return self._distances.is_clear(start, step, end)
 
     def rows(
         self,
@@ -479,14 +404,11 @@ class CollisionLimit:
             G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
             nearer than the margin.
         """
-        pairs = near.pairs
-        normals = near.found[pairs, 1:4]
-        points = near.found[pairs, 4:]
-        # np.cross takes five times as long.
-        moments = (
-            points[:, _YZX] * normals[:, _ZXY] - points[:, _ZXY] * normals[:, _YZX]
+        pairs, found = near
+        normals = found[:, 1:4]
+        wrenches = np.hstack([normals, np.cross(found[:, 4:], normals)])
+        G = self.shape_distances.signs[pairs] * wrenches.dot(
+            configuration.joint_jacobian()
         )
-        wrenches = np.hstack([normals, moments])
-        G = self._opposing_support[pairs] * wrenches.dot(configuration.joint_jacobian())
         kept = self.margin if margins is None else margins[pairs]
-        return configuration.contracted(G), _GAIN * (near.bounds[pairs] - kept)
+        return configuration.contracted(G), _GAIN * (found[:, 0] - kept)

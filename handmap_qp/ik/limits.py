@@ -59,7 +59,8 @@ import pinocchio as pin
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
 
 if TYPE_CHECKING:
-    from handmap_qp.ik.collision import CollisionLimit, NearPairs
+    from handmap_qp.hands.configuration import Configuration
+    from handmap_qp.ik.collision import CollisionLimit
 
 Rows = tuple[np.ndarray, np.ndarray]
 """G, shape (r, n), and h, shape (r,), of `G x <= h`."""
@@ -107,13 +108,6 @@ class Box(NamedTuple):
     most: np.ndarray
 
 
-def clip(
-    values: npt.ArrayLike, least: npt.ArrayLike, most: npt.ArrayLike
-) -> np.ndarray:
-    """Bring values into bounds; `np.clip` takes four times as long on small arrays."""
-    return np.minimum(np.maximum(values, least), most)
-
-
 class BoxLimits:
     """Bounds of the displacement within one sample.
 
@@ -126,6 +120,9 @@ class BoxLimits:
 
     Attributes:
         size: Number of coordinates, nv.
+        lowest: Lower position limits of a configuration, shape (nq,); `highest` the upper ones.
+        coordinates: Where each coordinate's joint is in a configuration, shape (nv,).
+        lower: Lower position limits of the coordinates, shape (nv,); `upper` the upper ones.
         speeds: Speed limits, shape (nv,); infinite for none.
         acceleration: Limit of every coordinate's acceleration; infinite for none.
         together: As given, shape (nv,).
@@ -142,14 +139,14 @@ class BoxLimits:
         self.size = len(hand.active_columns)
         # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all
         # arithmetic. Infinite ones take their place, so its first coordinate does for six speeds.
-        self._lowest, self._highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
-        self._lowest[hand.q_indices] = hand.lower_limits
-        self._highest[hand.q_indices] = hand.upper_limits
+        self.lowest, self.highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
+        self.lowest[hand.q_indices] = hand.lower_limits
+        self.highest[hand.q_indices] = hand.upper_limits
         joints = hand.joint_columns
-        self._coordinates = np.zeros(self.size, dtype=int)
-        self._coordinates[joints] = hand.q_indices
-        self._lower = self._lowest[self._coordinates]
-        self._upper = self._highest[self._coordinates]
+        self.coordinates = np.zeros(self.size, dtype=int)
+        self.coordinates[joints] = hand.q_indices
+        self.lower = self.lowest[self.coordinates]
+        self.upper = self.highest[self.coordinates]
         self.speeds = np.full(self.size, np.inf)
         if has_velocity_limits:
             self.speeds[joints] = hand.velocity_limits
@@ -173,12 +170,12 @@ class BoxLimits:
             velocity: Displacement of the last sample divided by its time, shape (nv,). Matters only
                 to acceleration limits.
         """
-        here = q[self._coordinates]
+        here = q[self.coordinates]
         farthest = self.speeds * dt
-        down = self._lower - here
-        up = self._upper - here
-        lower = clip(down, -farthest, farthest)
-        upper = clip(up, -farthest, farthest)
+        down = self.lower - here
+        up = self.upper - here
+        lower = np.clip(down, -farthest, farthest)
+        upper = np.clip(up, -farthest, farthest)
         if self.acceleration == math.inf:
             return Box(lower, upper, lower, upper)
         change = self.change(dt)
@@ -189,7 +186,7 @@ class BoxLimits:
 
         def admissible(room: np.ndarray) -> np.ndarray:
             # Past a limit there is no braking distance left; the box brings the joint back.
-            distance = clip(room, 0.0, _FAR)
+            distance = np.clip(room, 0.0, _FAR)
             most = np.minimum(braking_displacement(distance, change), usable)
             return np.where(self.together, np.minimum(most, distance / stretch), most)
 
@@ -199,8 +196,8 @@ class BoxLimits:
         highest = middle + change
         slack = _ROUNDING * dt
         return Box(
-            clip(clip(least, lowest, highest), lower, upper),
-            clip(clip(most, lowest, highest), lower, upper),
+            np.clip(np.clip(least, lowest, highest), lower, upper),
+            np.clip(np.clip(most, lowest, highest), lower, upper),
             np.maximum(least, lowest) - slack,
             np.minimum(most, highest) + slack,
         )
@@ -214,9 +211,9 @@ class BoxLimits:
             q: Pinocchio configuration, shape (nq,).
             displacement: Displacement, shape (nv,).
         """
-        here = q[self._coordinates]
-        least = np.minimum(self._lower - _ROUNDING - here, 0.0)
-        most = np.maximum(self._upper + _ROUNDING - here, 0.0)
+        here = q[self.coordinates]
+        least = np.minimum(self.lower - _ROUNDING - here, 0.0)
+        most = np.maximum(self.upper + _ROUNDING - here, 0.0)
         return (displacement >= least) & (displacement <= most)
 
     def clipped(self, q: np.ndarray, before: np.ndarray) -> np.ndarray:
@@ -226,8 +223,8 @@ class BoxLimits:
             q: Pinocchio configuration, shape (nq,).
             before: The one that it was reached from, which may be outside.
         """
-        return clip(
-            q, np.minimum(self._lowest, before), np.maximum(self._highest, before)
+        return np.clip(
+            q, np.minimum(self.lowest, before), np.maximum(self.highest, before)
         )
 
     def change(self, dt: float) -> float:
@@ -302,7 +299,7 @@ def feasible(
     h = h / (1.0 + stopping)
     if so_far is not None:
         h = h - G.dot(so_far)
-    witness = clip(0.0, lower, upper)
+    witness = np.clip(0.0, lower, upper)
     kept = G.dot(witness)
     excess = kept - h
     loose = np.maximum(h, kept)
@@ -312,7 +309,7 @@ def feasible(
     apart = G[is_nearer]
     gram = apart.dot(apart.T) + _LEVER**2 * np.eye(len(apart))
     parting = -_PARTED * np.linalg.solve(gram, excess[is_nearer]).dot(apart)
-    within = clip(parting, _INSIDE * (lower - witness), _INSIDE * (upper - witness))
+    within = np.clip(parting, _INSIDE * (lower - witness), _INSIDE * (upper - witness))
     parted = kept + G.dot(within)
     does_harm = (parted > loose) & ~is_nearer
     return G, loose if does_harm.any() else np.maximum(h, parted)
@@ -365,7 +362,6 @@ class Gate:
         limits: Of position, speed and acceleration.
         motion: How the robot moves.
         collisions: As given.
-        measured: What was found last of the pairs of shapes, in this posture or one before.
     """
 
     def __init__(
@@ -380,7 +376,6 @@ class Gate:
         self.motion = motion
         self.collisions = collisions
         self.hand = hand
-        self.measured: NearPairs | None = None
         self.limits = BoxLimits(
             hand,
             has_velocity_limits=has_velocity_limits,
@@ -396,7 +391,6 @@ class Gate:
             q: Pinocchio configuration, shape (nq,).
         """
         self.motion = Motion.at_rest(q, self.limits.size)
-        self.measured = None
 
     def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
         """Return the bounds of the next displacement, shape (nv,) each.
@@ -408,34 +402,35 @@ class Gate:
         lower, upper, *_ = self.limits.box(self.motion.q, dt, self.motion.velocity)
         farthest = share * dt * self.limits.speeds
         # Up to that displacement, or the nearest corner of the box.
-        return clip(-farthest, lower, upper), clip(farthest, lower, upper)
+        return np.clip(-farthest, lower, upper), np.clip(farthest, lower, upper)
 
     def stopping(self, dt: float) -> float:
         """Return a bound of the stop behind the next displacement, as a multiple of it."""
         return self.limits.stopping(self.motion.velocity, dt)
 
-    def near(
-        self, collisions: CollisionLimit, dt: float, margins: np.ndarray | None = None
-    ) -> NearPairs:
-        """Return the pairs of shapes where the robot is, measured unless they are known.
+    def rows(
+        self, placed: Configuration, dt: float, margins: np.ndarray | None = None
+    ) -> Rows | None:
+        """Return the rows of the pairs of shapes for the next displacement; None without pairs.
 
         Args:
-            collisions: The gate's.
+            placed: The robot where it is, with Jacobians.
             dt: Time of the next sample [s].
             margins: Distance that each pair keeps [m], shape (k,); the hand's own if omitted.
         """
-        near = self.measured
-        if near is None or near.q.tobytes() != self.motion.q.tobytes():
-            near = collisions.measure(self.motion.q, dt, margins, before=near)
-            self.measured = near
-        return near
+        collisions = self.collisions
+        if collisions is None:
+            return None
+        q, last, *_ = self.motion
+        return collisions.rows(
+            placed, collisions.measure(q, dt, margins, last), margins
+        )
 
     def admit(
         self,
         wanted: np.ndarray,
         first: np.ndarray,
         dt: float,
-        end: NearPairs | None = None,
     ) -> np.ndarray:
         """Move the robot by a displacement, or by another one that is admitted.
 
@@ -443,7 +438,6 @@ class Gate:
             wanted: Displacement in the active coordinates, shape (nv,).
             first: Another one that is shortened if the wanted one is not admitted, likewise.
             dt: Time for it [s].
-            end: The pairs of shapes where `wanted` ends; measured where it matters if omitted.
 
         Returns:
             The displacement taken: `wanted` itself if it is admitted.
@@ -453,10 +447,9 @@ class Gate:
         taken = np.fmin(np.fmax(wanted, box.lower), box.upper)
         times = self.limits.stop_times(taken, dt)
         is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
-        if not (is_inside and self._is_clear(taken, times, dt, end)):
+        if not (is_inside and self._is_clear(taken, times, dt)):
             first = np.fmin(np.fmax(first, box.lower), box.upper)
             taken, times = self._shortened(None if is_inside else taken, first, dt)
-        self.measured = self.measured if end is None else end
         self._move(taken, times, dt)
         return taken
 
@@ -496,11 +489,11 @@ class Gate:
         # From a higher limit, the stop in force may brake harder than the limit allows.
         least = np.minimum(middle - change, brake)
         most = np.maximum(middle + change, brake)
-        first = clip(first, least, most)
+        first = np.clip(first, least, most)
         base = np.where(together, brake, first)
         candidates = [base + share * (first - base) for share in _SHARES]
         if wanted is not None:
-            candidates.insert(0, clip(wanted, least, most))
+            candidates.insert(0, np.clip(wanted, least, most))
         for tried in (*candidates, base):
             times = self.limits.stop_times(tried, dt)
             can_stop = self.limits.is_inside(
@@ -516,22 +509,13 @@ class Gate:
         # The line of the stop in force was found clear before.
         return taken, np.where(together, left, times)
 
-    def _is_clear(
-        self,
-        displacement: np.ndarray,
-        times: np.ndarray,
-        dt: float,
-        end: NearPairs | None = None,
-    ) -> bool:
+    def _is_clear(self, displacement: np.ndarray, times: np.ndarray, dt: float) -> bool:
         """Return whether a displacement and the stop behind it are clear of overlaps."""
         if self.collisions is None:
             return True
-        near = self.near(self.collisions, dt)
         time = times.max(initial=0.0, where=self._together)
-        if time == 0.0 and end is not None:
-            return self.collisions.is_clear(near, displacement, end)
         whole = np.where(self._together, (1.0 + 0.5 * time / dt) * displacement, 0.0)
-        return self.collisions.is_clear(near, whole)
+        return self.collisions.is_clear(self.motion.q, whole)
 
     def _move(
         self, displacement: np.ndarray, stop_times: np.ndarray, dt: float

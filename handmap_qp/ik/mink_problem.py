@@ -178,7 +178,7 @@ def make_terms(hand: Hand, options: IkOptions, goal: Goal) -> list[Term]:
     """Return the terms whose sum is the cost of one sample."""
     followed = [point_term(goal.points, options.point_costs(hand))]
     if goal.wrist is not None:
-        followed.append(wrist_term(goal.wrist, options.wrist_costs))
+        followed.append(wrist_term(pin.SE3(goal.wrist), options.wrist_costs))
     nv = len(hand.active_columns)
     free = 3 if hand.is_floating else 0
     damping = damping_term(nv, options.damping, options.error_damping, followed, free)

@@ -2,7 +2,7 @@
 
     min   sum_j w_j^2 |J_j dq - e_j|^2 + |W_w (J_w dq - e_w)|^2 + |E dq + e|^2
           + w_q^2 |q + dq - q_rest|^2 + w_d^2 |dq|^2
-    s.t.  clip(q_min - q, -v dt, v dt) <= dq <= clip(q_max - q, -v dt, v dt)
+    s.t.  np.clip(q_min - q, -v dt, v dt) <= dq <= np.clip(q_max - q, -v dt, v dt)
 
 Wrist and fingers are solved together. `w_d^2` is the damping plus a share of the weighted error
 (Levenberg-Marquardt). `E` and `e` are the rows of further tasks (`handmap_qp.ik.tasks`). The box
@@ -31,7 +31,7 @@ from handmap_qp import ik
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, clip, feasible
+from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
 from handmap_qp.se3 import frozen
@@ -84,6 +84,8 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
             stays where it was, or comes back into its limits; `released`: it had no targets.
         points: Reference points [m], shape (m, 3).
         targets: Their targets [m], shape (m, 3).
+        q: Pinocchio configuration reached, shape (nq,).
+        wrist: Wrist frame there, shape (4, 4).
         displacement: From the sample before to this one, in the active coordinates (wrist, and
             joints that follow no other), shape (k,), read-only.
         active: -1 where it is at its lower bound from position and speed limits, +1 at the upper
@@ -97,6 +99,8 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     status: Status
     points: np.ndarray
     targets: np.ndarray
+    q: np.ndarray
+    wrist: np.ndarray
     displacement: np.ndarray
     active: np.ndarray
     joint_columns: np.ndarray
@@ -112,8 +116,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
 @lru_cache(maxsize=16)
 def _costs(hand: Hand, options: IkOptions) -> np.ndarray:
     """Return the cost of every row of `weighted_task`, shape (3 m + 6,), read-only."""
-    position, orientation = options.wrist_costs
-    return frozen(np.repeat([*options.point_costs(hand), position, orientation], 3))
+    return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
 
 
 def weighted_task(
@@ -159,9 +162,8 @@ def direct_cost(
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
     """
-    jacobian, error = weighted_task(
-        hand, options, configuration, goal.points, goal.wrist
-    )
+    wrist = None if goal.wrist is None else pin.SE3(goal.wrist)
+    jacobian, error = weighted_task(hand, options, configuration, goal.points, wrist)
     H = jacobian.T.dot(jacobian)
     c = error.dot(jacobian)
     # Damp by error times lever, the curvature that the linearisation neglects. The root of the
@@ -300,7 +302,7 @@ class PointIk:
         hand: The hand.
         options: Weights and settings.
         gate: Admits the displacements, and knows how the hand moves.
-        configuration: The present posture; `place` puts the hand somewhere else.
+        core: The compiled core of this hand; None where it is not built, or not asked for.
 
     Raises:
         InvalidOptionsError: If there is no such solver or task.
@@ -320,7 +322,7 @@ class PointIk:
         for name in ("rest_weight", "damping", "speed_weight", "acceleration_weight"):
             # A square that overflows is refused here, not at a sample.
             math.pow(getattr(options, name), 2.0)
-        self.configuration = hand.configuration()
+        self._configuration = hand.configuration()
         if contacts is None:
             collisions = None
             if options.avoids_self_collision:
@@ -336,23 +338,28 @@ class PointIk:
         self._solver = make_solver(options.solver)
         self.gate = Gate(
             hand,
-            motion or Motion.at_rest(self.configuration.q, self.configuration.nv),
+            motion or Motion.at_rest(self._configuration.q, self._configuration.nv),
             has_velocity_limits=options.has_velocity_limits,
             max_acceleration=options.max_acceleration,
             collisions=collisions,
         )
-        self.configuration.place_with_jacobians(self.gate.motion.q)
+        self.core = ik.compiled.compile_ik(hand, options, self.gate)
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what a copy is built from, without the workspace."""
-        gate = self.gate
-        return self.hand, self.options, gate.motion, self._contacts, gate.measured
+        return self.hand, self.options, self.gate.motion, self._contacts
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         """Build a solver with a workspace of its own that continues the same motion."""
-        *arguments, contacts, measured = state
+        *arguments, contacts = state
         PointIk.__init__(self, *arguments, contacts=contacts)
-        self.gate.measured = measured
+
+    @property
+    def configuration(self) -> Configuration:
+        """The present posture; `place` puts the hand somewhere else."""
+        if self._configuration.q.tobytes() != self.gate.motion.q.tobytes():
+            self._configuration.place(self.gate.motion.q)
+        return self._configuration
 
     @property
     def collisions(self) -> CollisionLimit | None:
@@ -369,13 +376,8 @@ class PointIk:
         Args:
             q: Pinocchio configuration, shape (nq,).
         """
-        self.configuration.place_with_jacobians(q)
+        self._configuration.place(q)
         self.gate.place(q)
-
-    def move_on(self, motion: Motion) -> None:
-        """Continue from another motion of the same hand."""
-        self.gate.motion = motion
-        self._catch_up()
 
     def solve(
         self,
@@ -406,18 +408,23 @@ class PointIk:
             The result. On `failed`, the configuration is the one before the call, except for
             joints outside their limits.
         """
-        configuration = self.configuration
-        gate = self.gate
-        collisions = self.collisions
         dt = max(dt, SHORTEST_DT)
+        tasks = *tasks, *self._tasks
+        goal = Goal(point_targets, wrist_target, self.postures(dt, rest), tasks)
+        if self.core is not None:
+            return self.core.solve(self.gate, goal, dt, margins, speed)
+        return self._solve_directly(goal, dt, margins, speed)
+
+    def _solve_directly(
+        self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
+    ) -> IkResult:
+        """Solve in Python; arguments as of `solve`."""
+        gate = self.gate
+        configuration = self.configuration
         start = gate.motion.q
-        self._catch_up()
-        goal = self._goal(point_targets, wrist_target, dt, rest, tasks)
         lower, upper = gate.bounds(dt, speed)
-        near = linear = rows = end = None
-        if collisions is not None:
-            near = gate.near(collisions, dt, margins)
-            linear = collisions.rows(configuration, near, margins)
+        linear = gate.rows(configuration, dt, margins)
+        rows = None
         total = first = np.zeros(len(lower))
         iterations = 0
         last_step = math.inf
@@ -437,22 +444,16 @@ class PointIk:
             has_failed = step is None
             # Clip exactly: solvers hold the box up to their tolerance. On failure, bring joints
             # outside their limits back all the same: the box excludes zero there.
-            total = clip(0.0 if step is None else total + step, lower, upper)
+            total = np.clip(0.0 if step is None else total + step, lower, upper)
             last_step = 0.0 if step is None else math.sqrt(step.dot(step))
             first = total if iterations == 1 else first
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
-        if collisions is not None:
-            # The gate keeps the measurement: the next sample starts from it.
-            end = collisions.measure(
-                configuration.q, dt, margins, before=near, after_step=True
-            )
-        total = gate.admit(total, first, dt, end)
-        self._catch_up()
+        total = gate.admit(total, first, dt)
         status = "failed" if has_failed else "solved"
         return self._result(
-            status, point_targets, total, lower, upper, iterations, last_step
+            status, goal.points, total, lower, upper, iterations, last_step
         )
 
     def hold(self, dt: float) -> IkResult:
@@ -462,33 +463,27 @@ class PointIk:
             dt: Time since the last sample [s].
         """
         displacement = self.gate.brake(dt)
-        self._catch_up()
         points = self.configuration.points.copy()
         free = np.full(len(displacement), np.inf)
         return self._result("released", points, displacement, -free, free, 0, 0.0)
 
-    def _goal(
-        self,
-        points: np.ndarray,
-        wrist: np.ndarray | None,
-        dt: float,
-        rest: np.ndarray | None,
-        tasks: Sequence[Task],
-    ) -> Goal:
+    def postures(
+        self, dt: float, rest: np.ndarray | None
+    ) -> list[tuple[float, np.ndarray]]:
+        """Return weights and postures of the cost of a sample; see `Goal` and `solve`."""
         hand = self.hand
         options = self.options
-        motion = self.gate.motion
         postures = [(options.rest_weight, hand.rest if rest is None else rest)]
         if options.speed_weight or options.acceleration_weight:
             # The whole displacement of a sample costs, and its difference from the last one's.
+            motion = self.gate.motion
             start = motion.q[hand.q_indices]
             ahead = start + dt * motion.velocity[hand.joint_columns]
             postures += (
                 (options.speed_weight, start),
                 (options.acceleration_weight, ahead),
             )
-        target = None if wrist is None else pin.SE3(wrist)
-        return Goal(points, target, postures, (*tasks, *self._tasks))
+        return postures
 
     def _step(
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
@@ -501,17 +496,12 @@ class PointIk:
     def _solution(
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
     ) -> np.ndarray | None:
-        problem = self.hand, self.options, self.configuration, goal
+        problem = self.hand, self.options, self._configuration, goal
         if self.options.formulation == "mink":
             limit = ik.mink_problem.RowsLimit(lower, upper, rows)
             posed = ik.mink_problem.build_problem(*problem, limit)
             return solve_problem(posed, self.options.solver)
         return self._solver(*direct_cost(*problem), lower, upper, rows)
-
-    def _catch_up(self) -> None:
-        """Place the hand where the gate has it."""
-        if self.configuration.q.tobytes() != self.gate.motion.q.tobytes():
-            self.configuration.place_with_jacobians(self.gate.motion.q)
 
     def _result(
         self,
@@ -523,7 +513,8 @@ class PointIk:
         iterations: int,
         last_step: float,
     ) -> IkResult:
-        points = self.configuration.points.copy()
+        configuration = self.configuration
+        points = configuration.points.copy()
         width = np.minimum(upper - lower, 1.0)
         is_high = upper - displacement <= _AT_BOUND * width
         is_low = displacement - lower <= _AT_BOUND * width
@@ -541,6 +532,8 @@ class PointIk:
             status,
             points,
             targets,
+            configuration.q.copy(),
+            configuration.wrist.homogeneous,
             frozen(displacement),
             frozen(active),
             self.hand.joint_columns,

@@ -18,16 +18,15 @@ function from a hand to a task; `IkOptions.tasks` takes them by name.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import copy
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
-import pinocchio as pin
 
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.errors import InvalidOptionsError, expect
 from handmap_qp.hands.configuration import CROSS, Configuration, moved_by
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.plugins import Plugins
 from handmap_qp.se3 import as_floats
@@ -68,14 +67,14 @@ class Goal(NamedTuple):
 
     Attributes:
         points: Targets of the reference points in the world [m], shape (m, 3).
-        wrist: Target of the wrist frame; None leaves it free.
+        wrist: Target of the wrist frame, shape (4, 4); None leaves it free.
         postures: Weights, each with the joint positions that it pulls to, shape (n,), in the order
             of `Hand.joint_names` [rad or m].
         tasks: Further terms.
     """
 
     points: np.ndarray
-    wrist: pin.SE3 | None
+    wrist: np.ndarray | None
     postures: Sequence[tuple[float, np.ndarray]]
     tasks: Sequence[Task]
 
@@ -113,11 +112,11 @@ class AttachedPoints:
     """
 
     def __init__(self, hand: Hand, places: Sequence[tuple[int, np.ndarray]]) -> None:
-        self._joints = [joint for joint, _ in places]
-        self._offsets = np.array([offset for _, offset in places], dtype=float).reshape(
+        self.joints = [joint for joint, _ in places]
+        self.offsets = np.array([offset for _, offset in places], dtype=float).reshape(
             -1, 3
         )
-        self._moved = moved_by(hand.model, self._joints)[:, None]
+        self._moved = moved_by(hand.model, self.joints)[:, None]
 
     @classmethod
     def reference_points(cls, hand: Hand) -> Self:
@@ -126,11 +125,11 @@ class AttachedPoints:
         return cls(hand, places)
 
     def __len__(self) -> int:
-        return len(self._joints)
+        return len(self.joints)
 
     def positions(self, hand: Configuration) -> np.ndarray:
         """Return the points in the world [m], shape (n, 3)."""
-        return hand.joints.points(self._offsets, self._joints)
+        return hand.joints.points(self.offsets, self.joints)
 
     def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
@@ -142,7 +141,7 @@ class AttachedPoints:
         return hand.contracted((linear + turning) * self._moved)
 
 
-class PointDistances:
+class PointDistances(Compiled):
     """Keep pairs of points at given distances.
 
     Args:
@@ -168,17 +167,17 @@ class PointDistances:
     ) -> None:
         indices = as_floats(pairs, "pairs").reshape(-1, 2).astype(int)
         is_known = ((indices >= 0) & (indices < len(points))).all()
-        if not is_known or (indices[:, 0] == indices[:, 1]).any():
-            raise InvalidInputError(
-                argument="pairs",
-                expected=f"two different points below {len(points)}",
-                value=pairs,
-            )
-        self._points = points
-        (self._first, self._second) = indices.T
-        self._distances = _check_numbers(distances, len(indices), "distances")
-        self._weights = _check_numbers(weights, len(indices), "weights")
-        self._damping = _check_numbers(damping, len(indices), "damping")
+        expect(
+            not (not is_known or (indices[:, 0] == indices[:, 1]).any()),
+            "pairs",
+            f"two different points below {len(points)}",
+            value=pairs,
+        )
+        self.points = points
+        (self.first, self.second) = indices.T
+        self.distances = _check_numbers(distances, len(indices), "distances")
+        self.weights = _check_numbers(weights, len(indices), "weights")
+        self.damping = _check_numbers(damping, len(indices), "damping")
 
     def aimed_at(self, distances: np.ndarray, weights: np.ndarray) -> PointDistances:
         """Return the same task with other targets, unchecked: for use sample by sample.
@@ -187,37 +186,36 @@ class PointDistances:
             distances: Wanted distance of each pair [m], shape (p,).
             weights: Weight of each pair per 10 mm of error, shape (p,).
         """
-        task = copy(self)
-        task._distances = distances
-        task._weights = weights
+        task = object.__new__(type(self))
+        vars(task).update(vars(self), distances=distances, weights=weights)
         return task
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row a pair; see `Task.linearise`."""
-        positions = self._points.positions(hand)
-        offsets = positions[self._first] - positions[self._second]
+        positions = self.points.positions(hand)
+        offsets = positions[self.first] - positions[self.second]
         apart = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
         # Points in one place have no direction: any will do to part them.
         offsets[apart <= _SHORTEST] = 0.0, 0.0, _SHORTEST
-        jacobians = self._points.jacobians(hand, positions)
-        levers = jacobians[self._first] - jacobians[self._second]
-        weights = self._weights / LENGTH_UNIT
+        jacobians = self.points.jacobians(hand, positions)
+        levers = jacobians[self.first] - jacobians[self.second]
+        weights = self.weights / LENGTH_UNIT
         directions = (weights / np.maximum(apart, _SHORTEST))[:, None] * offsets
         rows = np.matmul(directions[:, None], levers)[:, 0]
-        residual = weights * (apart - self._distances)
+        residual = weights * (apart - self.distances)
         # Per column the norm of the whole lever: the row, and what is across it.
         columns = np.sqrt(np.einsum("ijk,ijk->ik", levers, levers))
         return TaskRows(
-            residual, rows, (self._damping * weights * np.abs(residual)).dot(columns)
+            residual, rows, (self.damping * weights * np.abs(residual)).dot(columns)
         )
 
 
 def _check_numbers(values: npt.ArrayLike, count: int, name: str) -> np.ndarray:
     array = as_floats(values, name, is_finite=True)
-    if array.shape not in ((), (count,)) or (array < 0.0).any():
-        raise InvalidInputError(
-            argument=name,
-            expected=f"{count} finite numbers >= 0, or one for all",
-            value=values,
-        )
+    expect(
+        not (array.shape not in ((), (count,)) or (array < 0.0).any()),
+        name,
+        f"{count} finite numbers >= 0, or one for all",
+        value=values,
+    )
     return np.full(count, array)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.se3 import affine, as_floats, mirror_sign, quat_wxyz_from_rotation, svd3
+from handmap_qp.se3 import affine, as_floats, mirror_sign, quat_wxyz_from_rotation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +67,7 @@ def polar(linear: np.ndarray) -> PolarFactors:
     Returns:
         Rotation, axes and stretches.
     """
-    axes, stretches, right = svd3(linear)
+    axes, stretches, right = np.linalg.svd(linear)
     sign = mirror_sign(axes @ right)[..., None]
     right[..., 2, :] *= sign
     stretches[..., 2:] *= sign

@@ -64,15 +64,6 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
         """Return where T takes a point (3,) [m], shape (..., 3)."""
         return self.linear @ (point - self.centroid_before) + self.centroid_after
 
-    def __getitem__(self, i: int) -> MotionEstimate:
-        """Return the motion of one of many samples."""
-        return msgspec.structs.replace(
-            self,
-            linear=self.linear[i],
-            centroid_after=self.centroid_after[i],
-            points_after=self.points_after[i],
-        )
-
 
 class MotionEstimator:
     """Least-squares motion from fixed reference points to where they are now.
@@ -87,6 +78,13 @@ class MotionEstimator:
         ridge: Pull of `A` towards the prior rotation; 0 is eq. (6) of the paper.
         has_prior: True if `estimate` will always be given a prior rotation, which makes any points
             usable with a ridge.
+
+    Attributes:
+        ridge: As given.
+        centroid: Weighted centroid of the points [m], shape (3,).
+        moments: Times a sample's points, they give A^T without the prior, Kabsch's covariance and
+            the centroid, shape (7, n).
+        prior_gain: Behind the prior rotation, what it adds to A, shape (3, 3).
 
     Raises:
         DegeneratePointsError: If the points cannot determine T: with `ridge = 0` unless four or
@@ -105,7 +103,7 @@ class MotionEstimator:
         count = len(points)
         shares = np.ones(count) if weights is None else weights / weights.max()
         shares = shares / shares.sum()
-        self._ridge = ridge
+        self.ridge = ridge
         # Estimates hand these out, so they are write-protected.
         self.centroid = frozen(shares @ points)
         self._centred = frozen(points - self.centroid)
@@ -129,16 +127,16 @@ class MotionEstimator:
         )
         # (3, n) and (3, 3): A^T = gain y + prior_gain R0^T, of centred points y
         gain = right.T @ (roots[:, None] * left * gains).T
-        self._prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
+        self.prior_gain = np.eye(3) - (right.T * (known * gains)) @ right
         # One product gives the sum with the gain, Kabsch's covariance and the centroid of a sample.
         # The rows of the first two sum to zero, so that they centre the sample as well.
         sums = np.vstack([gain, (self._centred * shares[:, None]).T])
         sums -= np.outer(sums.sum(axis=1), shares)
-        self._moments = np.vstack([sums, shares])
+        self.moments = np.vstack([sums, shares])
 
     def _check_rank(self, floor: float, has_prior: bool) -> None:
         _, middle, smallest = self._singular_values
-        if self._ridge == 0.0 and not smallest > floor:
+        if self.ridge == 0.0 and not smallest > floor:
             raise DegeneratePointsError(
                 "ridge = 0 needs four or more reference points off a plane; "
                 "add points or give ridge > 0",
@@ -164,16 +162,22 @@ class MotionEstimator:
         Returns:
             The estimate.
         """
-        moments = self._moments @ points_after
+        moments = self.moments @ points_after
         linear = moments[..., :3, :].swapaxes(-1, -2)
-        if self._ridge != 0.0:
+        if self.ridge != 0.0:
             if prior is None:
                 prior = nearest_rotation(moments[..., 3:6, :].swapaxes(-1, -2))
-            linear = linear + prior @ self._prior_gain
+            linear = linear + prior @ self.prior_gain
+        return self.estimate_of(linear, moments[..., 6, :], points_after)
+
+    def estimate_of(
+        self, linear: np.ndarray, centroid: np.ndarray, points_after: np.ndarray
+    ) -> MotionEstimate:
+        """Return the estimate that a linear part and a centroid after the motion belong to."""
         return MotionEstimate(
             linear,
             self.centroid,
-            moments[..., 6, :],
+            centroid,
             self._centred,
             points_after,
             self._singular_values,

@@ -372,7 +372,7 @@ def points_in_palm(
     """
     # A workspace for once: one that stays is a megabyte a hand.
     placed = hand.configuration()
-    placed.place_frames(hand.configuration_vector(q))
+    placed.place(hand.configuration_vector(q))
     points = placed.points
     if places is not None:
         points = AttachedPoints(hand, places).positions(placed)

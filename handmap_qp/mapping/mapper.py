@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ from handmap_qp.human.sample import (
     PALM,
     landmarks_at_rest,
 )
+from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
@@ -52,6 +53,9 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
+
+if TYPE_CHECKING:
+    from handmap_qp.ik.compiled import CompiledIk
 
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
@@ -158,7 +162,7 @@ class HandMapper:
     @motion.setter
     def motion(self, motion: Motion) -> None:
         self._start = None
-        self._plan.ik.move_on(motion)
+        self._plan.ik.gate.motion = motion
 
     @property
     def reference(self) -> HumanPose | None:
@@ -280,7 +284,6 @@ class HandMapper:
         sample: HumanPose,
         dt: float | None = None,
         *,
-        targets: Targets | None = None,
         speed: float = 1.0,
         out_of_range: tuple[str, ...] = (),
         started: float | None = None,
@@ -290,7 +293,6 @@ class HandMapper:
         Args:
             sample: The sample; not checked.
             dt: Time since the last sample [s]; the mapper's own if omitted.
-            targets: Its targets, where `targets_of` has computed them; computed if omitted.
             speed: Share of the speed limits at which the robot may move.
             out_of_range: Names of human joints outside their limits.
             started: When the step began (`time.perf_counter`); now if omitted.
@@ -307,13 +309,16 @@ class HandMapper:
         dt = self.dt if dt is None else check_dt(dt)
         plan = self._plan
         reference = self._reference or self._reference_at(sample)
-        asked = reference.map.targets(sample) if targets is None else targets
+        core = self._core_for(reference.map, sample)
+        asked: Any = reference.map.targets(sample) if core is None else None
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             plan.bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
-        if self._is_released:
+        if core is not None:
+            asked, result = core.follow(plan.ik, reference.map, sample, dt, speed)
+        elif self._is_released:
             result = plan.ik.hold(dt)
         else:
             result = plan.ik.solve(
@@ -326,9 +331,8 @@ class HandMapper:
                 speed=speed,
             )
         robot = plan.bound.robot
-        configuration = plan.ik.configuration
-        q = configuration.q[robot.q_indices]
-        wrist = configuration.wrist.homogeneous
+        q = result.q[robot.q_indices]
+        wrist = result.wrist
         if plan.bound.renews_reference:
             kept = deepcopy(sample)
             posture = RobotPosture(q.copy(), result.points.copy(), wrist.copy())
@@ -343,16 +347,14 @@ class HandMapper:
             perf_counter() - started,
         )
 
-    def targets_of(self, samples: HumanPose) -> Sequence[Targets] | None:
-        """Return the targets of many samples from the present reference; None if one by one.
-
-        Args:
-            samples: Samples along a leading axis.
-        """
-        if self._reference is None or self._plan.bound.renews_reference:
-            return None
-        at_once = getattr(self._reference.map, "targets_of", None)
-        return None if at_once is None else at_once(samples)
+    def _core_for(self, target_map: TargetMap, sample: HumanPose) -> CompiledIk | None:
+        """Return the core if it takes a sample from its points to the command."""
+        plan = self._plan
+        is_plain = not (self._is_released or plan.tasks or plan.ik.options.tasks)
+        has_map = getattr(target_map, "core", None) is not None
+        return (
+            plan.ik.core if is_plain and has_map and sample.wrist is not None else None
+        )
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.
@@ -538,7 +540,7 @@ class HandMapper:
         angles, excess = _check_joints(human, human_q, "human_q", self.joint_tolerance)
         beyond = (excess > 0.0).nonzero()[0].tolist()
         outside = tuple(human.joint_names[i] for i in beyond)
-        self._human.place_frames(human.configuration_vector(angles))
+        self._human.place(human.configuration_vector(angles))
         # The wrist is at the origin; points move with it afterwards.
         return HumanPose(transform_points(wrist, self._human.points), wrist), outside
 
@@ -552,7 +554,7 @@ class HandMapper:
         return check_pose(robot_wrist, "robot_wrist", self.quat_order)
 
 
-class LandmarkReader:
+class LandmarkReader(Compiled):
     """Turns the 21 landmarks of a tracker into samples of a human hand.
 
     Args:
@@ -573,24 +575,28 @@ class LandmarkReader:
                 problem=f"{', '.join(missing)} cannot be read from landmarks",
                 advice="choose reference points among the landmarks, or call map_points",
             )
-        self._used = np.array([known[point.name] for point in human.reference_points])
-        self._model = landmarks_at_rest(human)[PALM]
+        self.used = np.array([known[point.name] for point in human.reference_points])
+        self.palm = np.array(PALM)
+        self.model = landmarks_at_rest(human)[PALM]
+        self._parts = Parts((len(self.used), 3), (4, 4))
 
     def read(self, landmarks: np.ndarray, wrist: np.ndarray | None = None) -> HumanPose:
-        """Return a sample, or many along leading axes.
+        """Return a sample.
 
         Args:
-            landmarks: In MediaPipe's order, in the human's world [m], shape (..., 21, 3).
-            wrist: The tracker's own wrist pose, shape (..., 4, 4); fitted to the landmarks of the
-                palm (Kabsch 1976) if None.
+            landmarks: In MediaPipe's order, in the human's world [m], shape (21, 3).
+            wrist: The tracker's own wrist pose, shape (4, 4); fitted to the landmarks of the palm
+                (Kabsch 1976) if None.
 
         Raises:
             InvalidInputError: If a coordinate is not finite.
         """
         check_near(landmarks, "landmarks")
+        if wrist is None and self.core is not None:
+            return HumanPose(*self._parts.of(self.core.read(landmarks)))
         if wrist is None:
-            wrist = rigid_fit(self._model, landmarks[..., PALM, :])
-        return HumanPose(landmarks[..., self._used, :], wrist)
+            wrist = rigid_fit(self.model, landmarks[self.palm])
+        return HumanPose(landmarks[self.used], wrist)
 
 
 class _Plan(NamedTuple):
@@ -664,7 +670,7 @@ def _method_of(
 def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
     placed = robot.configuration()
-    placed.place_frames(vector)
+    placed.place(vector)
     return RobotPosture(
         vector[robot.q_indices], placed.points.copy(), placed.wrist.homogeneous
     )

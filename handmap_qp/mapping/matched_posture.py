@@ -126,7 +126,7 @@ class _Distance:
         placed = self._placed
         away = x - self._rest
         self._hand.write_configuration(self._vector, self.whole(x))
-        placed.place_with_jacobians(self._vector)
+        placed.place(self._vector)
         errors = placed.points - self._targets
         forces = self._costs * errors
         rows = placed.full_point_jacobian()

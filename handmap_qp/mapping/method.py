@@ -141,9 +141,8 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
 class TargetMap(Protocol):
     """Turns samples into targets, counted from one reference of both hands.
 
-    It may have a method `targets_of(samples: HumanPose) -> Sequence[Targets]` too, which computes
-    the targets of many samples along a leading axis at once. Recordings are then mapped in less
-    time.
+    A map that the compiled core has too (`Compiled`) makes targets of the core's numbers by its
+    method `asked`.
     """
 
     @property

@@ -56,6 +56,16 @@ class PalmMap:
 
     Attributes:
         rest: Joint positions that the QP's rest term pulls to, shape (n,).
+        human_wrist_to_palm: Palm in the human's wrist, shape (4, 4).
+        robot_palm_to_wrist: Wrist in the robot's palm, shape (4, 4).
+        is_still: Whether the robot's wrist is fixed.
+        start: The robot's palm at the reference, shape (4, 4).
+        rotation: The robot's palm seen from the human's, shape (3, 3).
+        origin: Its origin there [m], shape (3,).
+        offset: The rest of its place, in world axes [m], shape (3,).
+        human_anchor: As given.
+        human_start: The human's anchor at the reference [m], shape (3,).
+        further: Scale of the translation beyond 1.
         robot_points: The robot's points at the reference, in palm axes [m], shape (n_r, 3).
     """
 
@@ -71,42 +81,41 @@ class PalmMap:
         human = method.human
         robot = method.robot
         self.rest = robot.rest
-        self._human_wrist_to_palm = human.wrist_to_palm
-        self._robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
-        self._is_still = not robot.has_moving_wrist
+        self.human_wrist_to_palm = human.wrist_to_palm
+        self.robot_palm_to_wrist = inverse_pose(robot.wrist_to_palm)
+        self.is_still = not robot.has_moving_wrist
         before = palm_of(sample, human)
         start = posture.wrist @ robot.wrist_to_palm
-        self._start = start
+        self.start = start
         self.robot_points = transform_points(inverse_pose(start), posture.points)
-        self._rotation = before[:3, :3].T @ start[:3, :3]
-        # The robot's palm seen from the human's: its origin there, and the rest in world axes.
-        self._origin = human_anchor - self._rotation.dot(robot_anchor)
-        self._human_start = transform_point(before, human_anchor)
-        self._offset = transform_point(start, robot_anchor) - self._human_start
-        self._human_anchor = human_anchor
-        self._further = scale - 1.0
+        self.rotation = before[:3, :3].T @ start[:3, :3]
+        self.origin = human_anchor - self.rotation.dot(robot_anchor)
+        self.human_start = transform_point(before, human_anchor)
+        self.offset = transform_point(start, robot_anchor) - self.human_start
+        self.human_anchor = human_anchor
+        self.further = scale - 1.0
 
     def follow(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Move the robot's palm with a sample's, or with those of many along leading axes.
+        """Move the robot's palm with a sample's.
 
         Returns:
-            The human's palm and the target of the robot's palm, shape (..., 4, 4) each; the human's
-            points in palm axes [m], shape (..., n_h, 3).
+            The human's palm and the target of the robot's palm, shape (4, 4) each; the human's
+            points in palm axes [m], shape (n_h, 3).
 
         Raises:
             InvalidInputError: If the wrist was not measured.
         """
         if sample.wrist is None:
             raise _missing_wrist()
-        human = sample.wrist @ self._human_wrist_to_palm
+        human = sample.wrist @ self.human_wrist_to_palm
         points = transform_points(inverse_pose(human), sample.points)
-        if self._is_still:
-            return human, np.broadcast_to(self._start, human.shape), points
-        origin = transform_point(human, self._origin) + self._offset
-        if self._further:
-            moved = transform_point(human, self._human_anchor) - self._human_start
-            origin += self._further * moved
-        return human, affine(human[..., :3, :3] @ self._rotation, origin), points
+        if self.is_still:
+            return human, self.start, points
+        origin = transform_point(human, self.origin) + self.offset
+        if self.further:
+            moved = transform_point(human, self.human_anchor) - self.human_start
+            origin += self.further * moved
+        return human, affine(human[:3, :3] @ self.rotation, origin), points
 
     def placed(
         self, palm: np.ndarray, points: np.ndarray
@@ -114,10 +123,10 @@ class PalmMap:
         """Return the targets of points in the robot's palm, and of its wrist.
 
         Args:
-            palm: The robot's palm, shape (..., 4, 4).
-            points: In its axes [m], shape (..., n_r, 3).
+            palm: The robot's palm, shape (4, 4).
+            points: In its axes [m], shape (n_r, 3).
         """
-        return transform_points(palm, points), palm @ self._robot_palm_to_wrist
+        return transform_points(palm, points), palm @ self.robot_palm_to_wrist
 
 
 def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
@@ -132,8 +141,8 @@ def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
 
 
 def transform_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Apply poses (..., 4, 4) to one point (3,)."""
-    return pose[..., :3, :3] @ point + pose[..., :3, 3]
+    """Apply a pose (4, 4) to one point (3,)."""
+    return pose[:3, :3] @ point + pose[:3, 3]
 
 
 def _missing_wrist() -> InvalidInputError:

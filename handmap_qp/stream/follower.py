@@ -7,7 +7,6 @@ map` and `handmap view` all follow in this way.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from copy import deepcopy
 from time import perf_counter
 from typing import Literal, NamedTuple, get_args
@@ -17,10 +16,10 @@ import pinocchio as pin
 from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample, Verdict
+from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt
-from handmap_qp.mapping.method import HumanPose, MapStep, Targets
+from handmap_qp.mapping.method import HumanPose, MapStep
 from handmap_qp.se3 import affine, lengths
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.smoothing import Smoothing, SmoothState, smooth_sample
@@ -221,62 +220,16 @@ class Follower:
             return self._hold(sample, verdict, dt)
         try:
             pose = reader.read(sample.landmarks, sample.wrist)
-            return self._follow(pose, sample, verdict, dt, started=started)
+            return self._follow(pose, sample, verdict, dt, started)
         except HandmapError:
             self._guard.state = before
             raise
-
-    def map_samples(self, samples: Sequence[HumanSample]) -> Iterator[MapStep]:
-        """Map the samples of a recording one after the other, as `map_sample` up to rounding.
-
-        Palms and targets are computed for all samples at once, where that can be done.
-
-        Args:
-            samples: The samples, of one hand.
-
-        Yields:
-            The step of each sample.
-
-        Raises:
-            HandmapError: As of `map_sample`.
-        """
-        verdicts = [self._guard.check(sample) for sample in samples]
-        judged = list(zip(samples, verdicts, strict=True))
-        used = [sample for sample, verdict in judged if not verdict.is_held]
-        points, wrists = self._read_all(used)
-        poses = HumanPose(points, wrists)
-        reference = None
-        targets = None
-        place = 0
-        for sample, verdict in judged:
-            if verdict.is_held:
-                yield self._hold(sample, verdict)
-                continue
-            if self.mapper.reference is not reference:
-                reference = self.mapper.reference
-                targets = None if self.smoothing else self.mapper.targets_of(poses)
-            pose = HumanPose(points[place], wrists[place])
-            known = targets[place] if targets else None
-            yield self._follow(pose, sample, verdict, targets=known)
-            place += 1
-
-    def _read_all(
-        self, samples: Sequence[HumanSample]
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the points and the wrists of samples; palms are fitted where none is given."""
-        landmarks = np.array([sample.landmarks for sample in samples])
-        poses = self.mapper.landmarks.read(landmarks.reshape(-1, LANDMARK_COUNT, 3))
-        wrists = np.array(poses.wrist)
-        for i, sample in enumerate(samples):
-            wrists[i] = wrists[i] if sample.wrist is None else sample.wrist
-        return poses.points, wrists
 
     def map(
         self,
         pose: HumanPose,
         dt: float,
         *,
-        targets: Targets | None = None,
         speed: float = 1.0,
     ) -> MapStep:
         """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
@@ -284,7 +237,7 @@ class Follower:
         if self.smoothing is not None:
             before = None if self._has_new_reference else self._smooth
             pose, smooth = smooth_sample(self.smoothing, before, pose, check_dt(dt))
-        step = self.mapper.map(pose, dt, targets=targets, speed=speed)
+        step = self.mapper.map(pose, dt, speed=speed)
         self._smooth = smooth
         self._reference = self.mapper.reference
         return step
@@ -294,20 +247,16 @@ class Follower:
         pose: HumanPose,
         sample: HumanSample,
         verdict: Verdict,
-        dt: float | None = None,
-        *,
-        targets: Targets | None = None,
-        started: float | None = None,
+        dt: float | None,
+        started: float,
     ) -> MapStep:
-        """Map a sample that makes sense; its targets may be known unless the robot comes back."""
-        started = perf_counter() if started is None else started
+        """Map a sample that makes sense."""
         back = self._present_return()
         back = back.start(pose) if verdict.is_return else back
         moved, back = back.advance(pose, verdict.dt)
         step = self.map(
             moved,
             _granted(verdict, dt),
-            targets=targets if moved is pose else None,
             speed=verdict.speed,
         )
         self._return = back

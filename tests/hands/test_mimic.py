@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from strategies import generators
 
 from handmap_qp import Hand, HandError, HandSpec, PointSpec
-from handmap_qp.hands.mimic import (
+from handmap_qp.hands.model import (
     expansion_matrix,
     read_mimic_rules,
     tighten_model,
@@ -148,13 +148,13 @@ def test_the_jacobian_of_the_active_coordinates_moves_the_points(
 ) -> None:
     assert hand.expansion is not None
     workspace = hand.configuration()
-    workspace.place_with_jacobians(hand.configuration_vector(q))
+    workspace.place(hand.configuration_vector(q))
     slope = workspace.point_jacobian() @ (
         step := generator.normal(size=len(hand.active_columns))
     )
     ends = []
     for sign in (1e-6, -1e-6):
-        workspace.place_frames(
+        workspace.place(
             pin.integrate(
                 hand.model,
                 hand.configuration_vector(q),

@@ -74,7 +74,7 @@ def test_rows_are_the_derivative_of_the_distances(name: str) -> None:
         )
         dq = rng.normal(size=len(hand.active_columns))
         dq *= small / np.linalg.norm(dq)
-        configuration.place_with_jacobians(q)
+        configuration.place(q)
         G, h = limit.rows(configuration, limit.measure(q))
         free = limit.distances(configuration) - limit.margin
         np.testing.assert_allclose(h, 0.85 * free, atol=1e-8)
@@ -91,7 +91,7 @@ def test_rows_are_the_derivative_of_the_distances(name: str) -> None:
 def test_moving_the_wrist_changes_no_distance() -> None:
     hand = load("three_finger", "floating")
     configuration = hand.configuration()
-    configuration.place_with_jacobians(hand.configuration_vector(hand.rest, np.eye(4)))
+    configuration.place(hand.configuration_vector(hand.rest, np.eye(4)))
     limit = CollisionLimit(hand)
     G, _ = limit.rows(configuration, limit.measure(configuration.q))
     np.testing.assert_array_equal(G[:, :6], 0.0)
@@ -102,7 +102,7 @@ def test_moving_the_wrist_changes_no_distance() -> None:
 def test_a_hand_at_rest_keeps_its_margin(name: str) -> None:
     hand = load(name)
     limit, configuration = CollisionLimit(hand), hand.configuration()
-    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    configuration.place(hand.configuration_vector(hand.rest))
     assert limit.distances(configuration).min() > limit.margin
 
 
@@ -129,7 +129,7 @@ def _nearest_on_the_way(hand: Hand, *, avoids: bool) -> float:
     ik.place(hand.configuration_vector(hand.rest))
     limit, nearest = CollisionLimit(hand), np.inf
     for i in range(12):
-        elsewhere.place_with_jacobians(
+        elsewhere.place(
             hand.configuration_vector(rng.uniform(hand.lower_limits, hand.upper_limits))
         )
         targets = elsewhere.points.copy()
@@ -282,7 +282,7 @@ def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:
         )
         configuration, limit = boxy.configuration(), CollisionLimit(boxy)
         for q in (hand.rest, hand.upper_limits):
-            configuration.place_with_jacobians(boxy.configuration_vector(q))
+            configuration.place(boxy.configuration_vector(q))
             distances.append(limit.distances(configuration))
     assert min(distances[1]) < 0.0
     np.testing.assert_allclose(distances[2:], distances[:2], atol=1e-7)
@@ -376,7 +376,7 @@ def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
     margins = rng.uniform(0.0, 0.003, size=len(every.pairs))
     for _ in range(20):
         q = rng.uniform(hand.lower_limits, hand.upper_limits)
-        configuration.place_with_jacobians(hand.configuration_vector(q))
+        configuration.place(hand.configuration_vector(q))
         within = np.flatnonzero(every.distances(configuration) <= margins + 0.012)
         near = limit.measure(configuration.q, margins=margins)
         assert set(within) <= set(near.pairs)

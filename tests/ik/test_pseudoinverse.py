@@ -138,9 +138,7 @@ def test_null_space_motion_does_not_move_the_points(
             )
         # On the true kinematics too, up to the square of the motion.
         before, size = ik.configuration.points.copy(), 1e-4
-        ik.configuration.place_with_jacobians(
-            pin.integrate(hand.model, case.q, size * null)
-        )
+        ik.configuration.place(pin.integrate(hand.model, case.q, size * null))
         assert (
             np.abs(ik.configuration.points - before).max()
             <= size**2 * (null @ null) * 1.0 + 1e-12
@@ -156,7 +154,7 @@ def test_the_qps_rest_term_moves_no_point_either() -> None:
         for rest in (hand.rest, hand.rest + 0.3 * (hand.upper_limits - hand.rest)):
             steps.append(slack_qp(_with_rest(hand, rest), case, weakened(PLAIN, 0.01)))
         configuration = hand.configuration()
-        configuration.place_with_jacobians(case.q)
+        configuration.place(case.q)
         null = steps[1] - steps[0]
         moved = max(moved, np.abs(null).max())
         # 1e-5 m per rad: the effect of the weights (0.01 squared), which vanishes in the limit.
@@ -223,7 +221,7 @@ def test_it_converges_like_the_qp_without_active_limits() -> None:
     hand = load_hand("allegro_right")
     configuration = hand.configuration()
     vector = hand.configuration_vector(hand.rest, np.eye(4))
-    configuration.place_with_jacobians(vector)
+    configuration.place(vector)
     shift = np.array([0.0, 0.0, 0.01])
     targets, wrist = configuration.points + shift, pin.SE3(np.eye(3), shift).homogeneous
     for ik in (

@@ -276,7 +276,10 @@ def test_what_the_gate_may_shorten_is_the_first_iteration(
     hand = load_hand("allegro_right", mount="fixed")
     offered = []
     for most in (1, 4):
-        ik = PointIk(hand, IkOptions(max_iterations=most, step_tolerance=0.0))
+        options = IkOptions(
+            max_iterations=most, step_tolerance=0.0, formulation="direct"
+        )
+        ik = PointIk(hand, options)
         ik.place(hand.configuration_vector(hand.rest))
         admit = ik.gate.admit
 

@@ -45,7 +45,7 @@ class Case:
 
     def nearest(self, q: np.ndarray) -> float:
         """Return the smallest signed distance at a configuration [m]."""
-        self._configuration.place_frames(q)
+        self._configuration.place(q)
         return float(self._limit.distances(self._configuration).min())
 
     def nearest_between(self, before: np.ndarray, after: np.ndarray) -> float:
@@ -80,13 +80,10 @@ def test_a_way_is_clear_only_if_all_of_it_is(case: Case) -> None:
         if case.nearest(start) < 1e-3:
             continue
         step = 10.0 ** rng.uniform(-2, 0.3) * rng.normal(size=len(hand.active_columns))
-        configuration.place_with_jacobians(start)
-        before = limit.measure(start)
+        configuration.place(start)
         end = start + (step if hand.expansion is None else hand.expansion.matrix @ step)
-        configuration.place_frames(end)
-        is_known = bool(rng.integers(2))
-        after = limit.measure(end, before=before, after_step=True) if is_known else None
-        is_clear = limit.is_clear(before, step, after)
+        configuration.place(end)
+        is_clear = limit.is_clear(start, step)
         nearest = min(case.nearest_between(start, end), case.nearest(end))
         found[is_clear] += 1
         if is_clear:
@@ -113,7 +110,7 @@ def test_no_target_time_or_option_leads_to_an_overlap(case: Case) -> None:
                 ik.place(ik.configuration.q.copy())
                 last = np.zeros_like(last)
         if i % 7 == 0:
-            elsewhere.place_frames(hand.configuration_vector(case.random_q(rng)))
+            elsewhere.place(hand.configuration_vector(case.random_q(rng)))
             targets = elsewhere.points.copy()
             if i % 2:
                 targets[:] = targets.mean(axis=0)
@@ -141,7 +138,7 @@ def test_the_hand_can_stop_on_its_line_for_any_sample_times(case: Case) -> None:
     elsewhere, stops = hand.configuration(), 0
     for _ in range(12):
         ik.place(hand.configuration_vector(hand.rest))
-        elsewhere.place_frames(hand.configuration_vector(case.random_q(rng)))
+        elsewhere.place(hand.configuration_vector(case.random_q(rng)))
         for _ in range(int(rng.integers(3, 20))):
             ik.solve(elsewhere.points, None, 1.0 / 90.0)
         motion = ik.gate.motion
@@ -172,7 +169,7 @@ def test_an_acceleration_limit_while_moving_does_not_lead_to_an_overlap(
     for _ in range(15):
         ik = PointIk(hand, free, contacts=case.limit())
         ik.place(hand.configuration_vector(hand.rest))
-        elsewhere.place_frames(hand.configuration_vector(case.random_q(rng)))
+        elsewhere.place(hand.configuration_vector(case.random_q(rng)))
         targets = np.tile(elsewhere.points.mean(axis=0), (len(elsewhere.points), 1))
         for i in range(12):
             if i == 3:
@@ -268,7 +265,7 @@ def test_a_limit_lowered_while_moving_breaks_no_limit_and_the_stop_is_bounded(
             contacts=case.limit() if avoids else None,
         )
         ik.place(hand.configuration_vector(hand.rest))
-        elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
+        elsewhere.place(hand.configuration_vector(hand.upper_limits))
         speed_up(ik, elsewhere.points, dt)
         for k in range(60):
             if k == 1:
@@ -308,7 +305,7 @@ def test_a_wrist_with_all_the_room_stops_in_time_too() -> None:
 def test_a_stop_takes_no_longer_and_leads_no_farther_than_stated(case: Case) -> None:
     hand, dt = case.hand, 1.0 / 60.0
     elsewhere = hand.configuration()
-    elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
+    elsewhere.place(hand.configuration_vector(hand.upper_limits))
     for most in (0.5, 5.0, 50.0):
         ik = PointIk(hand, IkOptions(max_acceleration=most))
         ik.place(hand.configuration_vector(hand.lower_limits))
@@ -330,7 +327,7 @@ def test_a_hand_that_was_held_sets_out_from_rest(case: Case) -> None:
         hand.configuration(),
     )
     ik.place(hand.configuration_vector(hand.rest))
-    elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
+    elsewhere.place(hand.configuration_vector(hand.upper_limits))
     speed_up(ik, elsewhere.points, dt)
     velocity = ik.gate.motion.velocity
     for _ in range(40):
@@ -358,7 +355,7 @@ def test_after_a_sample_of_no_time_the_acceleration_limit_still_holds(
         hand.configuration(),
     )
     ik.place(hand.configuration_vector(hand.lower_limits))
-    elsewhere.place_frames(hand.configuration_vector(hand.upper_limits))
+    elsewhere.place(hand.configuration_vector(hand.upper_limits))
     for _ in range(5):
         ik.solve(elsewhere.points, None, dt)
     before = ik.configuration.q.copy()
@@ -408,11 +405,11 @@ def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
     floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, height - 0.05]))
     ball, wall = coal.Sphere(radius), coal.Box(1.0, 1.0, 0.1)
     distances = distances_of(model, (joint, down, ball), (0, floor, wall))
-    near = distances.measure(np.array([-angle]))
-    assert near.bounds[0] == pytest.approx(gap, abs=1e-6)
-    assert not distances.is_clear(near, np.array([2.0 * angle]))
+    start = np.array([-angle])
+    assert distances.measure(start).found[0, 0] == pytest.approx(gap, abs=1e-6)
+    assert not distances.is_clear(start, np.array([2.0 * angle]))
     # A part that ends before the floor rises into the path is clear.
-    assert distances.is_clear(near, np.array([0.02]))
+    assert distances.is_clear(start, np.array([0.02]))
 
 
 def test_the_bound_of_a_way_counts_what_turning_does_to_what_slides() -> None:
@@ -429,10 +426,10 @@ def test_the_bound_of_a_way_counts_what_turning_does_to_what_slides() -> None:
     ball, wall = coal.Sphere(radius), coal.Box(1.0, 0.1, 1.0)
     here = pin.SE3.Identity()
     distances = distances_of(model, (slide, here, ball), (0, floor, wall))
-    near = distances.measure(np.array([-turn, -out]))
-    assert near.bounds[0] == pytest.approx(gap, abs=1e-6)
-    assert distances.measure(np.zeros(2)).bounds[0] < -1e-3
-    assert not distances.is_clear(near, np.array([2.0 * turn, 2.0 * out]))
+    start = np.array([-turn, -out])
+    assert distances.measure(start).found[0, 0] == pytest.approx(gap, abs=1e-6)
+    assert distances.measure(np.zeros(2)).found[0, 0] < -1e-3
+    assert not distances.is_clear(start, np.array([2.0 * turn, 2.0 * out]))
 
 
 @pytest.mark.parametrize("half_turn", [0.1, 0.3, 0.7])
@@ -472,16 +469,13 @@ def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
     limit, configuration = CollisionLimit(hand), hand.configuration()
     distances = []
     for angle in (0.0, half_turn, -half_turn):
-        configuration.place_with_jacobians(
-            hand.configuration_vector(np.array([angle, 0.0]))
-        )
+        configuration.place(hand.configuration_vector(np.array([angle, 0.0])))
         distances.append(limit.distances(configuration)[0])
     np.testing.assert_allclose(
         distances, clearance + np.array([-arc, 0.0, 0.0]), atol=1e-7
     )
-    start = limit.measure(configuration.q)
     turn = 2.0 * half_turn * (hand.configuration_vector(np.array([1.0, 0.0])) == 1.0)
-    assert limit.is_clear(start, turn) == (share > 1.0)
+    assert limit.is_clear(configuration.q, turn) == (share > 1.0)
 
 
 @pytest.mark.parametrize("change", [1e-6, 1e-3, 1.0])

@@ -45,7 +45,7 @@ def test_the_rows_are_the_derivative_of_the_residual(which: Any) -> None:
     task = PointDistances(points, [(0, 1), (2, 0)], [0.02, 0.05], [8.0, 3.0])
     configuration = hand.configuration()
     for case in random_cases(hand, 5, seed=3, is_inside=True):
-        configuration.place_with_jacobians(case.q)
+        configuration.place(case.q)
         residual, jacobian, _ = task.linearise(configuration)
         offsets = configuration.points[[0, 2]] - configuration.points[[1, 0]]
         lengths = np.linalg.norm(offsets, axis=1)
@@ -131,7 +131,7 @@ def test_the_end_is_a_minimum_of_the_cost_with_its_tasks() -> None:
 
     def cost(q: np.ndarray) -> float:
         at = hand.configuration()
-        at.place_with_jacobians(q)
+        at.place(q)
         twist = pin.log6(at.wrist.actInv(pin.SE3(wrist))).vector
         residual = task.linearise(at).residual
         return float(
@@ -172,7 +172,7 @@ def test_points_in_one_place_can_be_parted() -> None:
     hand = load_hand("three_finger")
     place = (hand.model.njoints - 1, np.array([0.01, 0.0, 0.0]))
     configuration = hand.configuration()
-    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    configuration.place(hand.configuration_vector(hand.rest))
     rows = PointDistances(
         AttachedPoints(hand, [place] * 2), [(0, 1)], [0.01]
     ).linearise(configuration)
@@ -212,7 +212,7 @@ def test_attached_points_and_their_derivatives_follow_the_hand(name: str) -> Non
     points = AttachedPoints(hand, places)
     configuration = hand.configuration()
     q = hand.configuration_vector(0.5 * (hand.lower_limits + hand.upper_limits))
-    configuration.place_with_jacobians(q)
+    configuration.place(q)
     positions = points.positions(configuration)
     for (joint, offset), position in zip(places, positions, strict=True):
         np.testing.assert_allclose(
@@ -234,7 +234,7 @@ def test_attached_points_and_their_derivatives_follow_the_hand(name: str) -> Non
 def test_reference_points_are_attached_points() -> None:
     hand = load_hand("hey5")
     configuration = hand.configuration()
-    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    configuration.place(hand.configuration_vector(hand.rest))
     points = AttachedPoints.reference_points(hand)
     positions = points.positions(configuration)
     np.testing.assert_allclose(positions, configuration.points, atol=1e-12)
@@ -253,7 +253,7 @@ def test_pairs_without_weight_add_nothing_and_the_others_are_those_asked_for() -
     )
     distances, weights = np.array([0.01, 0.02, 0.03]), np.array([2.0, 0.0, 5.0])
     configuration = hand.configuration()
-    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    configuration.place(hand.configuration_vector(hand.rest))
     aimed = task.aimed_at(distances, weights).linearise(configuration)
     made = PointDistances(
         points, [(0, 1), (0, 3)], [0.01, 0.03], [2.0, 5.0], damping=[1.0, 3.0]
@@ -305,7 +305,7 @@ def test_points_in_one_place_are_parted() -> None:
     hand = load_hand("three_finger")
     joint, other = (hand.model.getJointId(f"f{k}_distal") for k in (1, 2))
     configuration = hand.configuration()
-    configuration.place_with_jacobians(hand.configuration_vector(hand.rest))
+    configuration.place(hand.configuration_vector(hand.rest))
     # The second point lies on another finger, where the first one is.
     (place,) = AttachedPoints(hand, [(joint, np.zeros(3))]).positions(configuration)
     data = hand.model.createData()

@@ -142,7 +142,7 @@ def test_a_robot_far_from_its_matched_posture_has_the_extension_of_that_posture(
         pair.robot, [pair.chains[f].knuckle for f in pair.fingers]
     )
     placed = pair.robot.configuration()
-    placed.place_frames(pair.robot.configuration_vector(pair.matched))
+    placed.place(pair.robot.configuration_vector(pair.matched))
     distances = np.linalg.norm(points - knuckles.positions(placed), axis=1)
     np.testing.assert_allclose(
         pair.robot_extension * pair.robot_reach, distances, atol=1e-12

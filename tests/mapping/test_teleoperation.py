@@ -67,7 +67,7 @@ def flexions(robot: Hand, q: np.ndarray) -> dict[str, float]:
     for finger in pair.fingers:
         chain = pair.chains[finger]
         configuration = robot.configuration()
-        configuration.place_frames(robot.configuration_vector(q))
+        configuration.place(robot.configuration_vector(q))
         ends = AttachedPoints(robot, [chain.knuckle, chain.tip]).positions(
             configuration
         )

@@ -40,7 +40,9 @@ class Stage:
         choice = self._choice
         mapper = HandMapper(self._human, self.robot, choice.method, ik=choice.ik)
         time = np.array([sample.time for sample in samples])
-        return trajectory_of(self.robot, time, Follower(mapper).map_samples(samples))
+        return trajectory_of(
+            self.robot, time, map(Follower(mapper).map_sample, samples)
+        )
 
 
 @pytest.fixture(scope="module")

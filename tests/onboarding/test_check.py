@@ -272,7 +272,7 @@ def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
     described_hand = load_hand(msgspec.structs.replace(hand.spec, collision=collision))
     limit = CollisionLimit(described_hand)
     configuration = described_hand.configuration()
-    configuration.place_frames(described_hand.configuration_vector(described_hand.rest))
+    configuration.place(described_hand.configuration_vector(described_hand.rest))
     assert limit.distances(configuration).min() > collision.margin
     links = {frozenset(pair) for pair in collision.pairs}
     # Thumb and every fingertip; index and ring are no neighbours.

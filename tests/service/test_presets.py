@@ -298,7 +298,7 @@ def reach_shares(robot: Any, q: np.ndarray) -> np.ndarray:
 
     shares = []
     configuration = robot.configuration()
-    configuration.place_frames(robot.configuration_vector(q))
+    configuration.place(robot.configuration_vector(q))
     for chain in find_fingers(robot).values():
         ends = AttachedPoints(robot, [chain.knuckle, chain.tip]).positions(
             configuration

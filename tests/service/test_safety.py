@@ -115,7 +115,7 @@ class Ways:
         found = []
         for part in np.arange(1, count + 1) / count:
             q = before + part * (after - before)
-            self._placed.place_frames(self.hand.configuration_vector(q))
+            self._placed.place(self.hand.configuration_vector(q))
             found.append(self._distances.distances(self._placed).min())
         return min(found)
 

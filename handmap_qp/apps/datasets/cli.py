@@ -35,7 +35,7 @@ from handmap_qp.apps.datasets.report import (
 )
 from handmap_qp.apps.offline.look_ahead import LookAhead
 from handmap_qp.apps.tables import print_rows, print_table, progress
-from handmap_qp.errors import InvalidInputError, RecordingError
+from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats import FORMATS
 
@@ -93,12 +93,12 @@ class Convert:
 
     def run(self) -> None:
         """Read, write, and say what was lost."""
-        if len(self.paths) < 2:
-            raise InvalidInputError(
-                argument="IN OUT",
-                expected="a file to read and one to write",
-                got="one path",
-            )
+        expect(
+            len(self.paths) >= 2,
+            "IN OUT",
+            "a file to read and one to write",
+            got="one path",
+        )
         done = convert(self.paths[:-1], self.paths[-1], self.format, self.mano)
         if self.json:
             print(json.dumps(done._asdict(), default=str))

@@ -13,7 +13,7 @@ from handmap_qp.apps import datasets
 from handmap_qp.apps.datasets.manifest import Line, read_manifests
 from handmap_qp.apps.datasets.measures import MEASURES
 from handmap_qp.apps.tables import csv_text, markdown_table
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.output_files import make_folder, replaced_file
 
 FOLDER = "report"
@@ -61,10 +61,7 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     Raises:
         InvalidInputError: If the folder has no manifest or no episode, or the share is impossible.
     """
-    if not 0.0 < keep <= 1.0:
-        raise InvalidInputError(
-            argument="--keep", expected="a share in (0, 1]", value=keep
-        )
+    expect(0.0 < keep <= 1.0, "--keep", "a share in (0, 1]", value=keep)
     state = sorted(read_manifests(folder).items())
     lines = [line for _, line in state if line.status == "done"]
     if not lines:

@@ -10,7 +10,7 @@ from itertools import filterfalse
 from pathlib import Path
 
 from handmap_qp.apps.datasets.workers import each_apart
-from handmap_qp.errors import HandmapError, InvalidInputError
+from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats import (
     FORMATS,
@@ -110,13 +110,13 @@ def find_files(
         before = len(files) + len(repeated)
         for path in _paths_of(given, own, seen, repeated):
             name = given.name if path is given else path.relative_to(given).as_posix()
-            if name in files:
-                raise InvalidInputError(
-                    argument="INPUT",
-                    expected="files of different names",
-                    got=f"{name} twice",
-                    advice="name the folder above both",
-                )
+            expect(
+                name not in files,
+                "INPUT",
+                "files of different names",
+                got=f"{name} twice",
+                advice="name the folder above both",
+            )
             files[name] = _stamped(name, path)
         if len(files) + len(repeated) == before:
             raise InvalidInputError(

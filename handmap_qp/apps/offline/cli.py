@@ -21,7 +21,7 @@ from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.apps.offline.summary import notes, summarise, table_rows
 from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.tables import print_table, progress
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.person import write_person
 from handmap_qp.human.recording import Recording
@@ -114,13 +114,13 @@ class Map:
                 advice="name hands of `handmap hands list`",
             )
         if self.robot is not None:
-            if len(self.recordings) != 1:
-                raise InvalidInputError(
-                    argument="RECORDING",
-                    expected="one recording with --robot",
-                    got=f"{len(self.recordings)}",
-                    advice="give --robots LEFT RIGHT for both hands",
-                )
+            expect(
+                len(self.recordings) == 1,
+                "RECORDING",
+                "one recording with --robot",
+                got=f"{len(self.recordings)}",
+                advice="give --robots LEFT RIGHT for both hands",
+            )
             robot = self.arguments.load_robot(self.robot)
             recording = self.inputs.read(
                 self.recordings[0], robot.spec.side, self.person
@@ -207,10 +207,7 @@ class Calibrate:
                 value=str(out),
                 advice="give --overwrite to replace it",
             )
-        if not self.recordings:
-            raise InvalidInputError(
-                argument="RECORDING", expected="at least one file", got="none"
-            )
+        expect(self.recordings, "RECORDING", "at least one file", got="none")
         recordings = [self.inputs.read(file) for file in self.recordings]
         person = measure_person(*recordings)
         write_person(person, out)

@@ -32,7 +32,7 @@ from handmap_qp.apps.offline.comparison import (
 )
 from handmap_qp.apps.offline.metrics import GROUPS, METRICS, SUMMARY, Metric
 from handmap_qp.apps.tables import progress
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.person import Person, read_person
@@ -113,10 +113,7 @@ class Compare:
         Raises:
             HandmapError: If a recording, hand, method or folder cannot be used; before any mapping.
         """
-        if not self.recordings:
-            raise InvalidInputError(
-                argument="RECORDING", expected="at least one file", got="none"
-            )
+        expect(self.recordings, "RECORDING", "at least one file", got="none")
         robot = load_hand(self.robot)
         person = None if self.person is None else read_person(self.person)
         methods = _methods(self)

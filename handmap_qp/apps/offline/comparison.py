@@ -278,13 +278,13 @@ def compare_methods(
     check_names("takes", [take.name for take in takes])
     check_names("methods", [method.name for method in methods])
     for take in takes:
-        if take.recording.side != robot.spec.side:
-            raise InvalidInputError(
-                argument="takes",
-                expected=f"a {robot.spec.side} hand, as {robot.name} is",
-                got=f"{take.name} ({take.recording.side})",
-                advice="prepare_take mirrors it",
-            )
+        expect(
+            take.recording.side == robot.spec.side,
+            "takes",
+            f"a {robot.spec.side} hand, as {robot.name} is",
+            got=f"{take.name} ({take.recording.side})",
+            advice="prepare_take mirrors it",
+        )
     chains = find_fingers(robot)
     if not chains:
         raise InvalidInputError(
@@ -329,12 +329,12 @@ def own_method(name: str) -> ComparedMethod:
     Raises:
         InvalidInputError: If there is no such method.
     """
-    if base_name(name) not in own_methods():
-        raise InvalidInputError(
-            argument="--methods",
-            expected=f"some of {', '.join(own_methods())}",
-            value=name,
-        )
+    expect(
+        base_name(name) in own_methods(),
+        "--methods",
+        f"some of {', '.join(own_methods())}",
+        value=name,
+    )
     return ComparedMethod(name, partial(_map_own, name))
 
 

@@ -29,7 +29,7 @@ from handmap_qp.apps.offline.hand_trace import (
 from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
 from handmap_qp.apps.offline.trajectory import rms_derivative
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.fingers import Finger
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
@@ -148,21 +148,15 @@ def _check(sizes: dict[str, int], count: int, shared: list[str]) -> None:
         if size != count:
             expected = f"{count} samples as in time"
             raise InvalidInputError(argument=name, expected=expected, got=str(size))
-    if not shared:
-        raise InvalidInputError(
-            argument="robot", expected="a finger that the human has too", got="none"
-        )
+    expect(shared, "robot", "a finger that the human has too", got="none")
 
 
 def _settled(seen: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return which samples count, shape (T,)."""
     counts = seen & (time >= time[0] + SETTLING)
-    if not counts.any():
-        raise InvalidInputError(
-            argument="time",
-            expected="valid samples after the first half second",
-            got="none",
-        )
+    expect(
+        counts.any(), "time", "valid samples after the first half second", got="none"
+    )
     return counts
 
 

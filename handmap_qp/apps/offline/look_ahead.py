@@ -28,7 +28,7 @@ from handmap_qp.apps.offline.trajectory import (
     map_recording,
     stretches,
 )
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person
@@ -64,10 +64,7 @@ class LookAhead:
     longest_gap: float = 0.5
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.cutoff < np.inf:
-            raise InvalidInputError(
-                argument="cutoff", expected="a rate > 0", value=self.cutoff
-            )
+        expect(0.0 < self.cutoff < np.inf, "cutoff", "a rate > 0", value=self.cutoff)
         if not 0.0 <= self.longest_gap < np.inf:
             expected = "a time >= 0"
             raise InvalidInputError(

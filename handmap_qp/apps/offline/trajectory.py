@@ -160,7 +160,7 @@ def map_recording(
     follower = Follower(mapper, smoothing=smoothing)
     steps: Iterator[MapStep | None]
     if is_guarded:
-        steps = follower.map_samples(recording_samples(recording, wrist_poses))
+        steps = map(follower.map_sample, recording_samples(recording, wrist_poses))
     else:
         wrists = [None] * len(recording) if wrist_poses is None else wrist_poses
         columns = zip(

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.human.measure import scaled_human
@@ -102,8 +102,5 @@ def check_robot(hand: Hand) -> Hand:
     Raises:
         InvalidInputError: If the hand is the human one.
     """
-    if hand.name in HUMAN_HANDS:
-        raise InvalidInputError(
-            argument="hand", expected="a robot hand", value=hand.name
-        )
+    expect(hand.name not in HUMAN_HANDS, "hand", "a robot hand", value=hand.name)
     return hand

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Place, zero_posture
-from handmap_qp.hands.mimic import (
+from handmap_qp.hands.model import (
     expansion_matrix,
     read_mimic_rules,
     tighten_model,

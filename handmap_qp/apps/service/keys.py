@@ -16,7 +16,7 @@ from typing import NamedTuple
 from zmq.auth import create_certificates, load_certificate
 
 from handmap_qp.apps.service.logs import Throttle, naming, report
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 
 _KEY_LENGTH = 40
 """Length of a key as Z85."""
@@ -97,12 +97,14 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
         InvalidInputError: If a name cannot be a file name, or the folder cannot be written.
     """
     for name in clients:
-        if not name.replace("-", "").replace("_", "").isalnum() or name == "server":
-            raise InvalidInputError(
-                argument="client",
-                expected="a name of letters, digits, - and _ that is not 'server'",
-                value=name,
-            )
+        expect(
+            not (
+                not name.replace("-", "").replace("_", "").isalnum() or name == "server"
+            ),
+            "client",
+            "a name of letters, digits, - and _ that is not 'server'",
+            value=name,
+        )
     _check_folder(folder)
     written: list[Path] = []
     with naming():
@@ -185,13 +187,13 @@ def _read_private(file: Path) -> str:
 
 
 def _check_folder(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise InvalidInputError(
-            argument=str(folder),
-            expected="a folder of keys",
-            got="a file",
-            advice="handmap keys FOLDER makes one",
-        )
+    expect(
+        not (folder.exists() and not folder.is_dir()),
+        str(folder),
+        "a folder of keys",
+        got="a file",
+        advice="handmap keys FOLDER makes one",
+    )
 
 
 def _read_public(file: Path) -> bytes | None:

@@ -25,6 +25,7 @@ from handmap_qp.errors import (
     InvalidInputError,
     InvalidOptionsError,
     RefusedError,
+    expect,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
@@ -288,10 +289,11 @@ def _human_lengths(request: Open) -> HumanLengths | None:
     if given is None:
         return None if length is None else HumanLengths.from_hand_length(length)
     bones = np.linalg.norm((given.bases, given.segments), axis=2)
-    if not ((bones > 0.0) & (bones < _LONGEST_BONE)).all():
-        raise InvalidInputError(
-            argument="lengths", expected="lengths between 0 and 1 m"
-        )
+    expect(
+        ((bones > 0.0) & (bones < _LONGEST_BONE)).all(),
+        "lengths",
+        "lengths between 0 and 1 m",
+    )
     return HumanLengths(*map(np.array, msgspec.structs.astuple(given)))
 
 

@@ -19,13 +19,11 @@ import pinocchio as pin
 
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.collision import CollisionLimit
 from handmap_qp.ik.limits import (
     SHORTEST_DT,
     Gate,
     Motion,
     braking_displacement,
-    clip,
     feasible,
 )
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
@@ -282,7 +280,7 @@ class CommandedRobot(Gate):
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
         if not self.is_placed:
             return None
-        self._placed.place_frames(self.motion.q)
+        self._placed.place(self.motion.q)
         return self._placed.wrist.homogeneous
 
     def advance(
@@ -348,10 +346,11 @@ class CommandedRobot(Gate):
         reach = np.minimum(limit, self.limits.change(dt)) if stops else limit
         is_near = (np.abs(change) <= reach + slack) & (change <= upper + slack)
         is_there = bool((is_near & (change >= lower - slack)).all())
-        nearest = clip(self._towards(change, limit, dt), lower, upper)
-        wanted = change if is_there else nearest
+        part = np.clip(self._towards(change, limit, dt), lower, upper)
+        wanted = change if is_there else part
+        nearest = part
         if self.collisions is not None:
-            nearest = self._along_links(self.collisions, wanted, lower, upper, dt)
+            nearest = self._along_links(wanted, lower, upper, dt)
         taken = self.admit(wanted, nearest, dt)
         is_there = is_there and bool((np.abs(taken - change) <= slack).all())
         if is_there:
@@ -370,22 +369,22 @@ class CommandedRobot(Gate):
 
     def _along_links(
         self,
-        collisions: CollisionLimit,
         wanted: np.ndarray,
         lower: np.ndarray,
         upper: np.ndarray,
         dt: float,
     ) -> np.ndarray:
         """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
-        self._placed.place_with_jacobians(self.motion.q)
-        rows = collisions.rows(self._placed, self.near(collisions, dt))
+        self._placed.place(self.motion.q)
+        rows = self.rows(self._placed, dt)
+        assert rows is not None
         G, h = feasible(rows, lower, upper, stopping=self.stopping(dt))
         if not (G.dot(wanted) > h).any():
             return wanted
         scaled = [each / _SCALE for each in (-wanted, lower, upper, h)]
         found = solve_by_daqp(np.eye(len(wanted)), *scaled[:3], (G, scaled[3]))
         # Without a solution, only the brake is left.
-        return clip(0.0 if found is None else found * _SCALE, lower, upper)
+        return np.clip(0.0 if found is None else found * _SCALE, lower, upper)
 
 
 class StepClock:

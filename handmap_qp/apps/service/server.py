@@ -55,7 +55,7 @@ from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.apps.service.websocket import WebSocketTransport
 from handmap_qp.client.messages import TOPIC_END
-from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.errors import InvalidOptionsError, expect
 
 TICK = 0.005
 """Time between checks of the watchdogs [s]."""
@@ -241,13 +241,13 @@ class Server:
     def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
         """Admit only clients whose public keys are in the folder at their handshake."""
         clients = self._clients = ClientKeys(folder)
-        if not clients.read():
-            raise InvalidInputError(
-                argument=str(folder),
-                expected="a client's key (*.key)",
-                got="none",
-                advice="handmap keys FOLDER --client NAME makes one",
-            )
+        expect(
+            clients.read(),
+            str(folder),
+            "a client's key (*.key)",
+            got="none",
+            advice="handmap keys FOLDER --client NAME makes one",
+        )
         authenticator = AsyncioAuthenticator(context)
         authenticator.start()
         self._closing.callback(authenticator.stop)

@@ -18,6 +18,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
@@ -272,7 +273,7 @@ class BoundHomogeneous:
             )
 
 
-class HomogeneousMap:
+class HomogeneousMap(Compiled):
     """From samples to targets, counted from one reference of both hands; see `TargetMap`."""
 
     def __init__(
@@ -281,11 +282,11 @@ class HomogeneousMap:
         options = method.options
         human = method.human
         hand = method.robot
-        self._options = options
-        self._wrist = sample.wrist
+        self.options = options
+        self.human_wrist = sample.wrist
         # A chain of references has no posture to come back to but the hand's own.
         self.rest = hand.rest if method.renews_reference else robot.q
-        self._estimator = MotionEstimator(
+        self.estimator = MotionEstimator(
             sample.points,
             weights=human.point_weights,
             ridge=options.ridge,
@@ -296,33 +297,33 @@ class HomogeneousMap:
             None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
         )
         if options.pivot == "centroid":
-            pivot = self._estimator.centroid
+            pivot = self.estimator.centroid
             robot_pivot = hand.point_weights @ robot.points / hand.point_weights.sum()
         elif options.pivot == "palm" and human_palm is not None:
             pivot = human_palm[:3, 3].copy()
             robot_pivot = robot_palm[:3, 3]
         else:
             pivot = robot_pivot = np.array(options.pivot_point or (0.0, 0.0, 0.0))
-        self._pivot = frozen(pivot)
-        self._alignment = Q = _alignment(options, human_palm, robot_palm)
+        self.pivot = frozen(pivot)
+        self.alignment = Q = _alignment(options, human_palm, robot_palm)
         # The origin of W, taken to V by shifts.
-        self._origin = robot_pivot - options.scale * Q @ pivot
-        self._human_offsets = sample.points - pivot
-        self._robot_offsets = robot.points - robot_pivot
-        self._robot_wrist = affine(
-            robot.wrist[:3, :3], robot.wrist[:3, 3] - robot_pivot
-        )
-        self._share = _residual_share(
+        self.origin = robot_pivot - options.scale * Q @ pivot
+        self.human_offsets = sample.points - pivot
+        self.robot_offsets = robot.points - robot_pivot
+        self.robot_wrist = affine(robot.wrist[:3, :3], robot.wrist[:3, 3] - robot_pivot)
+        self.share = _residual_share(
             options.residual_gain, sample.points, robot.points, method.partners
         )
+        shapes = [(len(robot.points), 3), (4, 4), (3, 3), 3, sample.points.shape]
+        self._parts = Parts(*shapes, (3, 3), (3, 3), 3, 3, 3)
 
     def targets(self, sample: HumanPose) -> Targets:
         """Estimate T, split it about the pivot, and impose both parts on the robot."""
-        options = self._options
-        pivot = self._pivot
-        Q = self._alignment
+        options = self.options
+        pivot = self.pivot
+        Q = self.alignment
         turn, rigid_image = self._wrist_motion(sample)
-        estimate = self._estimator.estimate(sample.points, turn)
+        estimate = self.estimator.estimate(sample.points, turn)
         linear = estimate.linear
         image = estimate.image(pivot)
         factors = polar(linear)
@@ -342,20 +343,37 @@ class HomogeneousMap:
             rigid_image = image
         else:
             rotation = turn
-        points = self._robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
-        if self._share is not None:
+        points = self.robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
+        if self.share is not None:
             # The residual refers to the imposed motion, so it makes up for clamping and gain.
-            residual = sample.points - (self._human_offsets.dot(linear.T) + image)
-            points += self._share.dot(residual) @ Q.T
+            residual = sample.points - (self.human_offsets.dot(linear.T) + image)
+            points += self.share.dot(residual) @ Q.T
         wrist = affine(Q @ rotation @ Q.T, self._placed(rigid_image)).dot(
-            self._robot_wrist
+            self.robot_wrist
         )
+        results = estimate, linear, rotation, rigid_image, image, factors.stretches
+        return self._asked(points, wrist, is_clamped, *results)
+
+    def asked(self, numbers: np.ndarray, is_clamped: bool) -> Targets:
+        """Return the targets that the core computed."""
+        points, wrist, first, centroid, seen, *results = self._parts.of(numbers)
+        estimate = self.estimator.estimate_of(first, centroid, seen)
+        return self._asked(points, wrist, is_clamped, estimate, *results)
+
+    def _asked(
+        self,
+        points: np.ndarray,
+        wrist: np.ndarray,
+        is_clamped: bool,
+        estimate: MotionEstimate,
+        linear: np.ndarray,
+        rotation: np.ndarray,
+        *results: np.ndarray,
+    ) -> Targets:
         return Targets(
             points,
             wrist,
-            HomogeneousDiagnostics(
-                estimate, linear, rotation, pivot, rigid_image, image, factors.stretches
-            ),
+            HomogeneousDiagnostics(estimate, linear, rotation, self.pivot, *results),
             flags=("stretch_clamped",) if is_clamped else (),
         )
 
@@ -363,20 +381,20 @@ class HomogeneousMap:
         self, sample: HumanPose
     ) -> tuple[np.ndarray | None, np.ndarray | None]:
         """Return the wrist's rotation since the reference, and where it takes the pivot."""
-        if self._options.rigid_from != "wrist":
+        if self.options.rigid_from != "wrist":
             return None, None
-        before = self._wrist
+        before = self.human_wrist
         now = sample.wrist
         if before is None or now is None:
             raise InvalidInputError(
                 argument="wrist_pose", problem="needed for rigid_from='wrist'"
             )
         rotation = now[:3, :3].dot(before[:3, :3].T)
-        return rotation, rotation.dot(self._pivot - before[:3, 3]) + now[:3, 3]
+        return rotation, rotation.dot(self.pivot - before[:3, 3]) + now[:3, 3]
 
     def _placed(self, image: np.ndarray) -> np.ndarray:
         """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""
-        return self._origin + self._options.scale * self._alignment.dot(image)
+        return self.origin + self.options.scale * self.alignment.dot(image)
 
 
 @dataclass(frozen=True, eq=False)

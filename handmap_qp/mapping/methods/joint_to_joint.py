@@ -308,7 +308,7 @@ class JointMap(PalmMap):
         angles = method.angles.measure(now)
         q = method.positions(angles)
         placed = self._configuration
-        placed.place_frames(robot.configuration_vector(q))
+        placed.place(robot.configuration_vector(q))
         to_palm = inverse_pose(placed.wrist.homogeneous @ robot.wrist_to_palm)
         return Targets(
             *self.placed(palm, transform_points(to_palm, placed.points)),

@@ -9,6 +9,7 @@ apart.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Self
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import CONTACT_GAP, FINGERS, THUMB
+from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
@@ -43,11 +45,8 @@ from handmap_qp.se3 import inverse_pose, lengths
 _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _SQUEEZE = 0.003
-# Margin between thumb and finger: least, per human gap beyond where it begins, most [m].
+# Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
-_CONTACT_SLOPE = 0.25
-_CONTACT_FROM = 0.018
-_CONTACT_MOST = 0.005
 # Levenberg-Marquardt factors of the distance rows: with less, gloves and coupled fingers shake.
 _EXTENSION_DAMPING, _PINCH_DAMPING = 1.5, 3.0
 # Margin between all other links [m].
@@ -189,6 +188,12 @@ class TeleoperationDiagnostics(Diagnostics):
 class BoundTeleoperation(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
+    # Margin between thumb and finger: per human gap beyond where it begins, and most [m].
+    contact_slope = 0.25
+    contact_from = 0.018
+    contact_most = 0.005
+    pinch_over = _PINCH_OVER
+
     def __init__(self, choices: Teleoperation, human: Hand, robot: Hand) -> None:
         self.choices = choices
         self.pair = hand_pair(human, robot)
@@ -198,6 +203,7 @@ class BoundTeleoperation(PalmMethod):
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge
         )
+        self.pinch_from = math.inf if pair.has_jaws else _PINCH_FROM
         # The thumb comes first.
         self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
         self.pads = [pair.pads[f] for f in (THUMB, *self.pinched) if self.pinched]
@@ -261,17 +267,27 @@ class BoundTeleoperation(PalmMethod):
         )
 
     def aims(self, distances: np.ndarray) -> np.ndarray:
-        """Return the wanted distance of each row for the human's, shape (..., k) both."""
+        """Return the wanted distance of each row for the human's, shape (k,) both."""
         aims = self.aim_slopes * distances + self.aim_offsets
         return np.minimum(np.maximum(aims, self.least_aims), self.largest_aims)
 
     def pinching(self, gaps: np.ndarray) -> np.ndarray:
-        """Return the share of its weight that each pinch row has at a gap, shape (..., p) both.
+        """Return the share of its weight that each pinch row has at a gap, shape (p,) both.
 
         It goes smoothly from 0 to 1 as thumb and finger come near; jaws follow a gap of any size.
         """
-        far = np.inf if self.pair.has_jaws else _PINCH_FROM
-        return smoothstep((far - gaps) / _PINCH_OVER)
+        return smoothstep((self.pinch_from - gaps) / self.pinch_over)
+
+    def margins(self, gaps: np.ndarray) -> np.ndarray:
+        """Return the margin of every contact pair at the human's gaps [m], shape (k,).
+
+        That between thumb and finger widens with the gap, so that nothing touches.
+        """
+        wide = self.contact_slope * (gaps - self.contact_from)
+        wide = np.minimum(np.maximum(wide, 0.0), self.contact_most)
+        margins = self.base_margins.copy()
+        margins[self.pinch_pairs] = self.pinch_margins + wide[self.pinch_of_pair]
+        return margins
 
     def _prepare_margins(self) -> None:
         """Say which contact pair belongs to which pinch."""
@@ -289,110 +305,100 @@ class BoundTeleoperation(PalmMethod):
         self.pinch_margins = _CONTACT_MARGIN + np.array(covers).take(self.pinch_of_pair)
 
 
-class TeleoperationMap(PalmMap):
-    """From samples to targets; see `TargetMap`."""
+class TeleoperationMap(Compiled, PalmMap):
+    """From samples to targets; see `TargetMap`. Attributes are what `targets` computes with."""
 
     def __init__(
         self, method: BoundTeleoperation, sample: HumanPose, robot: RobotPosture
     ) -> None:
         pair = method.pair
-        scale = method.choices.scale
         anchors = pair.human_knuckles, pair.robot_knuckles
-        super().__init__(method, sample, robot, *anchors, scale)
+        super().__init__(method, sample, robot, *anchors, method.choices.scale)
         self.rest = pair.matched
-        self._method = method
-        self._pair = pair
-        self._palm_before = palm_of(sample, method.human)
+        self.method = method
+        self.pair = pair
+        self.estimator = method.estimator
+        self.palm_before = palm_of(sample, method.human)
         # A human distance from each tip to its knuckle, then to each pinched finger's tip from the
         # thumb's.
         count = len(method.pinched)
-        self._from = np.append(pair.knuckles, pair.tips[:1].repeat(count))
-        self._to = np.append(pair.tips, pair.tips[1 : 1 + count])
+        self.from_points = np.append(pair.knuckles, pair.tips[:1].repeat(count))
+        self.to_points = np.append(pair.tips, pair.tips[1 : 1 + count])
+        self.gain = method.choices.residual_gain * pair.finger_ratio
+        partners = pair.human_rest[pair.partners] - self.estimator.centroid
+        self.offsets = pair.robot_rest - pair.robot_centre - self.gain * partners
+        m = len(self.offsets)
+        k = len(self.to_points)
+        shapes = [(m, 3), (4, 4), k, k, len(method.base_margins)]
+        shapes += [(3, 3), 3, (len(pair.shape_points), 3), (4, 4)]
+        self._parts = Parts(*shapes, count, count, len(pair.fingers))
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
-        wrist = None if sample.wrist is None else sample.wrist[None]
-        return self.targets_of(HumanPose(sample.points[None], wrist))[0]
-
-    def targets_of(self, samples: HumanPose) -> list[Targets]:
-        """Return the targets of many samples along a leading axis; see `TargetMap`."""
-        method = self._method
-        pair = self._pair
-        count = len(self._pair.fingers)
-        human_palms, palms, now = self.follow(samples)
-        estimate = method.estimator.estimate(now[:, pair.shape_points])
-        distances = lengths(now[:, self._to] - now[:, self._from])
-        extensions = distances[:, :count] / pair.human_reach
-        gaps = distances[:, count:]
-        aims = method.aims(distances)
+        method = self.method
+        pair = self.pair
+        human_palm, palm, now = self.follow(sample)
+        shape = now[pair.shape_points]
+        estimate = self.estimator.estimate(shape)
+        distances = lengths(now[self.to_points] - now[self.from_points])
+        extensions, gaps = np.split(distances, [len(pair.fingers)])
         pinching = method.pinching(gaps)
-        points, wrists = self.placed(palms, self._moved(estimate, now))
-        extending = np.broadcast_to(method.extension_weights, extensions.shape)
-        weights = np.hstack([extending, method.choices.pinch_weight * pinching])
-        margins = self._margins(gaps)
-        return [
-            Targets(
-                points[i],
-                wrists[i],
-                TeleoperationDiagnostics(
-                    estimate[i],
-                    self._palm_before,
-                    human_palms[i],
-                    gaps[i],
-                    pinching[i],
-                    extensions[i],
-                ),
-                (method.distances.aimed_at(aims[i], weights[i]),),
-                None if margins is None else margins[i],
-            )
-            for i in range(len(points))
-        ]
+        pinches = method.choices.pinch_weight * pinching
+        return self._asked(
+            *self.placed(palm, self._moved(estimate, now)),
+            method.aims(distances),
+            np.append(method.extension_weights, pinches),
+            method.margins(gaps),
+            estimate.linear,
+            estimate.centroid_after,
+            shape,
+            human_palm,
+            gaps,
+            pinching,
+            extensions / pair.human_reach,
+        )
+
+    def asked(self, numbers: np.ndarray, is_clamped: bool) -> Targets:
+        """Return the targets that the core computed."""
+        del is_clamped
+        return self._asked(*self._parts.of(numbers))
+
+    def _asked(
+        self,
+        points: np.ndarray,
+        wrist: np.ndarray,
+        aims: np.ndarray,
+        weights: np.ndarray,
+        margins: np.ndarray,
+        linear: np.ndarray,
+        centroid: np.ndarray,
+        shape: np.ndarray,
+        *results: np.ndarray,
+    ) -> Targets:
+        estimate = self.estimator.estimate_of(linear, centroid, shape)
+        return Targets(
+            points,
+            wrist,
+            TeleoperationDiagnostics(estimate, self.palm_before, *results),
+            (self.method.distances.aimed_at(aims, weights),),
+            margins if self.method.contacts else None,
+        )
 
     def _moved(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
-        """Move the matched points by T, and add each finger's residual; palm axes, (..., m, 3).
+        """Move the matched points by T, and add each finger's residual; palm axes, (m, 3).
 
         With s the robot's points and c_r their centre, x and y the human partners at rest and now,
         c and c' the centroids, k the ratio of reaches and g the gain:
         `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
         """
-        pair = self._pair
-        ratio = self._pair.finger_ratio
-        gain = self._method.choices.residual_gain * ratio
-        centroid = estimate.centroid_before
-        shift = estimate.centroid_after[..., None, :]
-        offsets = (
-            pair.robot_rest
-            - pair.robot_centre
-            - gain * (pair.human_rest[pair.partners] - centroid)
-        )
-        followed = offsets @ estimate.linear.swapaxes(-1, -2) + pair.robot_centre
+        pair = self.pair
+        shift = estimate.centroid_after
+        followed = self.offsets @ estimate.linear.T + pair.robot_centre
         return (
             followed
-            + ratio * (shift - centroid)
-            + gain * (now[..., pair.partners, :] - shift)
+            + pair.finger_ratio * (shift - estimate.centroid_before)
+            + self.gain * (now[pair.partners] - shift)
         )
-
-    def _margins(self, gaps: np.ndarray) -> np.ndarray | None:
-        """Widen the margin between thumb and finger with the human's gap: nothing may touch.
-
-        Args:
-            gaps: In one sample or in many [m], shape (..., p).
-
-        Returns:
-            Margins [m], shape (..., k); None if links are not kept apart.
-        """
-        method = self._method
-        if method.contacts is None:
-            return None
-        wide = np.minimum(
-            np.maximum(_CONTACT_SLOPE * (gaps - _CONTACT_FROM), 0.0), _CONTACT_MOST
-        )
-        margins = np.empty((*gaps.shape[:-1], len(method.base_margins)))
-        margins[:] = method.base_margins
-        margins[..., method.pinch_pairs] = (
-            method.pinch_margins + wide[..., method.pinch_of_pair]
-        )
-        return margins
 
 
 def smoothstep(x: np.ndarray) -> np.ndarray:

@@ -1,0 +1,95 @@
+"""hatchling's hook that compiles the core (`handmap_qp/core`) by scikit-build-core.
+
+An editable install puts the library into the checkout, a wheel has it inside. Without a C++
+compiler, or with HANDMAP_PURE=1, or where compiling fails, the package is installed all the same,
+and runs on its Python path. One line says what happened; pip shows it with -v only, so it is
+written into `build/core.txt` too, which `make` prints.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+from scikit_build_core.errors import FailedLiveProcessError
+from scikit_build_core.hatch.plugin import ScikitBuildHook
+
+_ADVICE = (
+    "install a compiler (on Debian and Ubuntu: the package g++), then install again"
+)
+
+
+class Compile(ScikitBuildHook):
+    """Compile the core if that is possible."""
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """Options of scikit-build-core: its own table has them all."""
+        return {"experimental": True}
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Compile into the wheel, or into the checkout for an editable install."""
+        if self.target_name != "wheel":
+            return
+        package = Path(self.root, "handmap_qp")
+        if version == "editable":
+            for stale in package.glob("_core.*"):
+                stale.unlink()
+        if problem := _problem():
+            self._say(f"handmap_qp runs on its Python path: {problem}.")
+            return
+        os.environ["SKBUILD_CMAKE_DEFINE"] = f"HANDMAP_SOURCES={_fingerprint(package)}"
+        before = dict(build_data)
+        started = time.perf_counter()
+        try:
+            super().initialize("standard", build_data)
+        except (FailedLiveProcessError, SystemExit) as error:
+            build_data.clear()
+            build_data.update(before)
+            self._say(
+                f"handmap_qp runs on its Python path: compiling failed ({error})."
+            )
+            return
+        self._say(f"Compiled the core in {time.perf_counter() - started:.0f} s.")
+        if version == "editable":
+            for source in list(build_data["force_include"]):
+                for library in Path(source).rglob("_core*.so"):
+                    shutil.copy2(library, package)
+            build_data.clear()
+            build_data.update(before)
+
+    def _say(self, line: str) -> None:
+        print(line)
+        note = Path(self.root, "build", "core.txt")
+        note.parent.mkdir(exist_ok=True)
+        note.write_text(line + "\n", encoding="utf-8")
+
+
+def get_build_hook() -> type[Compile]:
+    """Tell hatchling which of the hooks in this file to take."""
+    return Compile
+
+
+def _problem() -> str:
+    """Return why the core cannot be compiled; empty if it can."""
+    if os.environ.get("HANDMAP_PURE", "") not in ("", "0"):
+        return "HANDMAP_PURE was set when it was installed"
+    compiler = os.environ.get("CXX", "")
+    names = [compiler.split()[0]] if compiler else ["c++", "g++", "clang++"]
+    if not any(map(shutil.which, names)):
+        return f"no C++ compiler was found; {_ADVICE}"
+    return ""
+
+
+def _fingerprint(package: Path) -> str:
+    """Return the fingerprint of the sources, by the package's own function."""
+    spec = importlib.util.spec_from_file_location("core", package / "ik" / "core.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.fingerprint()

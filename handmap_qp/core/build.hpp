@@ -1,0 +1,330 @@
+// The core's objects, made of those of Python: hands of Pinocchio, shapes of coal, and maps.
+//
+// Attributes have the same names on both sides.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include <stdexcept>
+
+#include "targets.hpp"
+
+namespace nb = nanobind;
+
+namespace handmap {
+
+using Array = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
+using Indices = std::vector<int>;
+
+inline Vector vector_of(const Array& a) { return Vector(a.data(), a.data() + a.size()); }
+
+inline void expect_size(const Array& a, size_t size, const char* name) {
+  if (a.size() != size) throw std::invalid_argument(std::string("wrong size of ") + name);
+}
+
+inline Pose pose_of(const double* m) {
+  return {{{m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}}, {m[3], m[7], m[11]}};
+}
+
+inline std::vector<Vec3> points_of(const Array& a) {
+  std::vector<Vec3> points(a.size() / 3);
+  for (size_t k = 0; k < points.size(); ++k)
+    points[k] = {a.data()[3 * k], a.data()[3 * k + 1], a.data()[3 * k + 2]};
+  return points;
+}
+
+inline std::vector<Attached> attached_of(const Indices& joints, const Array& offsets) {
+  expect_size(offsets, 3 * joints.size(), "offsets");
+  const std::vector<Vec3> at = points_of(offsets);
+  std::vector<Attached> points(joints.size());
+  for (size_t k = 0; k < points.size(); ++k) points[k] = {joints[k], at[k]};
+  return points;
+}
+
+// Attributes of an object of Python, whose names the core shares; a path goes on by dots.
+class Fields {
+ public:
+  explicit Fields(const nb::object& owner) : owner_(owner) {}
+  const nb::object& owner() const { return owner_; }
+  nb::object object(const std::string& path) const {
+    nb::object found = owner_;
+    for (size_t from = 0; from < path.size();) {
+      const size_t to = std::min(path.find('.', from), path.size());
+      found = nb::getattr(found, path.substr(from, to - from).c_str());
+      from = to + 1;
+    }
+    return found;
+  }
+  template <class T>
+  T get(const std::string& path) const {
+    return nb::cast<T>(object(path));
+  }
+  Array array(const std::string& path, size_t size) const {
+    const Array numbers = get<Array>(path);
+    expect_size(numbers, size, path.c_str());
+    return numbers;
+  }
+  Vector numbers(const std::string& path) const { return vector_of(get<Array>(path)); }
+  Indices indices(const std::string& path) const {
+    return nb::cast<Indices>(nb::getattr(object(path), "tolist")());
+  }
+  std::vector<Vec3> points(const std::string& path) const { return points_of(get<Array>(path)); }
+  Vec3 point(const std::string& path) const { return points_of(array(path, 3))[0]; }
+  Pose pose(const std::string& path) const { return pose_of(array(path, 16).data()); }
+  Mat3 matrix(const std::string& path) const {
+    const Array numbers = array(path, 9);
+    Mat3 found;
+    std::copy(numbers.data(), numbers.data() + 9, found.m);
+    return found;
+  }
+
+ private:
+  nb::object owner_;
+};
+
+
+// The element of a sequence of Python.
+inline nb::object item(const nb::object& sequence, size_t i) { return sequence[nb::int_(i)]; }
+
+inline Tree make_tree(const Fields& hand) {
+  const Fields model(hand.object("model"));
+  const nb::object joints = model.object("joints"), placements = model.object("jointPlacements");
+  const nb::object parents = model.object("parents");
+  Tree tree;
+  tree.nq = model.get<int>("nq");
+  tree.nv = model.get<int>("nv");
+  const int count = model.get<int>("njoints");
+  for (int j = 1; j < count; ++j) {
+    const Fields joint(item(joints, j));
+    const int nq = joint.get<int>("nq"), nv = joint.get<int>("nv");
+    if (!((nq == 1 && nv == 1) || (nq == 7 && nv == 6)))
+      throw std::domain_error("a joint that is neither revolute, prismatic nor floating");
+    JointKind kind = JointKind::floating;
+    Vec3 axis;
+    if (nv == 1) {
+      // Its motion, linear first.
+      const Array motion = nb::cast<Array>(nb::getattr(joint.object("createData")(), "S"));
+      expect_size(motion, 6, "S");
+      const double* s = motion.data();
+      const bool turns = s[3] != 0.0 || s[4] != 0.0 || s[5] != 0.0;
+      kind = turns ? JointKind::revolute : JointKind::prismatic;
+      axis = turns ? Vec3{s[3], s[4], s[5]} : Vec3{s[0], s[1], s[2]};
+    }
+    tree.joints.push_back({nb::cast<int>(item(parents, j)) - 1, kind, axis,
+                           Fields(item(placements, j)).pose("homogeneous"),
+                           joint.get<int>("idx_q"), joint.get<int>("idx_v")});
+  }
+  tree.size = tree.nv;
+  tree.factor.assign(tree.nv, 1.0);
+  for (int c = 0; c < tree.nv; ++c) tree.leader.push_back(c);
+  if (!hand.object("expansion").is_none()) {
+    const Array matrix = hand.get<Array>("expansion.matrix");
+    tree.size = static_cast<int>(matrix.shape(1));
+    for (int c = 0; c < tree.nv; ++c) {
+      const double* row = matrix.data() + c * tree.size;
+      const double* most = std::max_element(
+          row, row + tree.size, [](double a, double b) { return std::abs(a) < std::abs(b); });
+      tree.leader[c] = static_cast<int>(most - row);
+      tree.factor[c] = *most;
+    }
+  }
+  const Fields wrist(item(model.object("frames"), hand.get<size_t>("wrist_frame_id")));
+  tree.wrist_origin = {wrist.get<int>("parentJoint") - 1, {}};
+  tree.wrist = wrist.pose("placement.homogeneous");
+  for (const nb::handle& each : hand.object("point_frames")) {
+    const Fields frame(nb::borrow(each));
+    tree.points.push_back({frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});
+  }
+  tree.q_indices = hand.indices("q_indices");
+  tree.joint_columns = hand.indices("joint_columns");
+  tree.finish();
+  return tree;
+}
+
+inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
+  const Array costs = nb::cast<Array>(options.object("point_costs")(hand.owner()));
+  expect_size(costs, ik.tree.points.size(), "point costs");
+  const nb::object wrist = options.object("wrist_costs");
+  ik.weights = {vector_of(costs), nb::cast<double>(item(wrist, 0)), nb::cast<double>(item(wrist, 1)),
+                options.get<double>("damping"), options.get<double>("error_damping")};
+  ik.settings = {options.get<int>("max_iterations"), options.get<double>("step_tolerance"),
+                 options.get<double>("point_tolerance")};
+}
+
+inline void set_limits(Ik& ik, const Fields& from) {
+  BoxLimits& limits = ik.limits;
+  limits.size = ik.tree.size;
+  limits.lowest = from.numbers("lowest");
+  limits.highest = from.numbers("highest");
+  limits.lower = from.numbers("lower");
+  limits.upper = from.numbers("upper");
+  limits.speeds = from.numbers("speeds");
+  limits.coordinates = from.indices("coordinates");
+  for (const int is_together : from.indices("together"))
+    limits.together.push_back(static_cast<char>(is_together));
+  limits.acceleration = from.get<double>("acceleration");
+}
+
+inline Shape make_shape(const Fields& from) {
+  const std::string kind = nb::cast<std::string>(nb::getattr(from.owner().type(), "__name__"));
+  if (kind == "Box") return make_box(from.point("halfSide"));
+  if (kind == "Sphere") return make_sphere(from.get<double>("radius"));
+  if (kind == "Capsule")
+    return make_capsule(from.get<double>("radius"), from.get<double>("halfLength"));
+  if (kind == "Cylinder")
+    return make_cylinder(from.get<double>("radius"), from.get<double>("halfLength"));
+  if (kind != "Convex") throw std::domain_error("a shape that is not convex: " + kind);
+  const nb::object corners = from.object("points")(), faces = from.object("polygons");
+  Indices triangles;
+  const int count = from.get<int>("num_polygons");
+  for (int f = 0; f < count; ++f) {
+    const nb::object face = faces(f);
+    for (int i = 0; i < 3; ++i) triangles.push_back(nb::cast<int>(face[nb::int_(i)]));
+  }
+  return make_convex(points_of(nb::cast<Array>(corners)), triangles);
+}
+
+inline Sparse sparse_of(const Array& matrix, size_t row) {
+  const size_t count = matrix.shape(1);
+  Sparse sparse;
+  for (size_t c = 0; c < count; ++c) {
+    const double value = matrix.data()[row * count + c];
+    if (value == 0.0) continue;
+    sparse.columns.push_back(static_cast<int>(c));
+    sparse.values.push_back(value);
+  }
+  return sparse;
+}
+
+// `from` is a CollisionLimit.
+inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
+  auto pairs = std::make_unique<Pairs>(tree);
+  pairs->margin = from.get<double>("margin");
+  pairs->horizon = from.get<double>("horizon");
+  const Fields distances(from.object("shape_distances"));
+  for (const nb::handle& each : distances.object("geometry.geometryObjects")) {
+    const Fields body(nb::borrow(each));
+    const Pose placement = body.pose("placement.homogeneous");
+    pairs->bodies.push_back({body.get<int>("parentJoint") - 1, placement,
+                             make_shape(Fields(body.object("geometry"))),
+                             placement * body.point("geometry.aabb_center"),
+                             body.get<double>("geometry.aabb_radius")});
+  }
+  const Array levers = distances.get<Array>("levers"), turns = distances.get<Array>("turns"),
+              signs = distances.get<Array>("signs");
+  size_t k = 0;
+  for (const nb::handle& each : distances.object("geometry.collisionPairs")) {
+    const Fields pair(nb::borrow(each));
+    pairs->pairs.push_back({pair.get<int>("first"), pair.get<int>("second"), sparse_of(levers, k),
+                            sparse_of(turns, k), sparse_of(signs, k)});
+    ++k;
+  }
+  pairs->finish();
+  return pairs;
+}
+
+// Of a hand, `IkOptions` and a `Gate`.
+inline void make_ik(Ik* self, const nb::object& hand, const nb::object& options,
+                    const nb::object& gate) {
+  Ik& ik = *new (self) Ik(make_tree(Fields(hand)));
+  set_weights(ik, Fields(hand), Fields(options));
+  set_limits(ik, Fields(nb::getattr(gate, "limits")));
+  const nb::object collisions = nb::getattr(gate, "collisions");
+  if (!collisions.is_none()) ik.pairs = make_pairs(ik.tree, Fields(collisions));
+}
+
+inline Estimator make_estimator(const Fields& from) {
+  Estimator estimator;
+  estimator.moments = from.numbers("estimator.moments");
+  estimator.count = static_cast<int>(estimator.moments.size() / 7);
+  estimator.prior_gain = from.matrix("estimator.prior_gain");
+  estimator.has_ridge = from.get<double>("estimator.ridge") != 0.0;
+  estimator.centroid = from.point("estimator.centroid");
+  return estimator;
+}
+
+inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) {
+  const Fields from(owner);
+  TeleoperationMap& map = *new (self) TeleoperationMap();
+  map.needs_wrist = true;
+  map.human_points = from.get<Array>("pair.human_rest").shape(0);
+  map.human_wrist_to_palm = from.pose("human_wrist_to_palm");
+  map.robot_palm_to_wrist = from.pose("robot_palm_to_wrist");
+  map.start = from.pose("start");
+  map.is_still = from.get<bool>("is_still");
+  map.rotation = from.matrix("rotation");
+  map.origin = from.point("origin");
+  map.offset = from.point("offset");
+  map.human_anchor = from.point("human_anchor");
+  map.human_start = from.point("human_start");
+  map.further = from.get<double>("further");
+  map.estimator = make_estimator(from);
+  map.shape_points = from.indices("pair.shape_points");
+  map.from = from.indices("from_points");
+  map.to = from.indices("to_points");
+  map.partners = from.indices("pair.partners");
+  map.human_reach = from.numbers("pair.human_reach");
+  map.fingers = static_cast<int>(map.human_reach.size());
+  map.aim_slopes = from.numbers("method.aim_slopes");
+  map.aim_offsets = from.numbers("method.aim_offsets");
+  map.least_aims = from.numbers("method.least_aims");
+  map.largest_aims = from.numbers("method.largest_aims");
+  map.extension_weights = from.numbers("method.extension_weights");
+  map.pinch_weight = from.get<double>("method.choices.pinch_weight");
+  map.pinch_far = from.get<double>("method.pinch_from");
+  map.pinch_over = from.get<double>("method.pinch_over");
+  map.offsets = from.points("offsets");
+  map.robot_centre = from.point("pair.robot_centre");
+  map.ratio = from.get<double>("pair.finger_ratio");
+  map.gain = from.get<double>("gain");
+  map.base_margins = from.numbers("method.base_margins");
+  map.pinch_margins = from.numbers("method.pinch_margins");
+  map.pinch_pairs = from.indices("method.pinch_pairs");
+  map.pinch_of_pair = from.indices("method.pinch_of_pair");
+  map.contact_slope = from.get<double>("method.contact_slope");
+  map.contact_from = from.get<double>("method.contact_from");
+  map.contact_most = from.get<double>("method.contact_most");
+  map.distances = from.get<DistanceTask>("method.distances.core");
+}
+
+inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
+  const Fields from(owner);
+  HomogeneousMap& map = *new (self) HomogeneousMap();
+  const std::string rigid = from.get<std::string>("options.rigid_from");
+  map.rigid = rigid == "wrist"  ? HomogeneousMap::Rigid::wrist
+              : rigid == "none" ? HomogeneousMap::Rigid::none
+                                : HomogeneousMap::Rigid::points;
+  map.needs_wrist = rigid == "wrist";
+  map.estimator = make_estimator(from);
+  map.human_points = map.estimator.count;
+  map.stretch_min = from.get<double>("options.stretch_min");
+  map.stretch_max = from.get<double>("options.stretch_max");
+  map.deformation_gain = from.get<double>("options.deformation_gain");
+  map.scale = from.get<double>("options.scale");
+  map.pivot = from.point("pivot");
+  map.origin = from.point("origin");
+  map.alignment = from.matrix("alignment");
+  if (map.needs_wrist) map.human_wrist = from.pose("human_wrist");
+  map.robot_wrist = from.pose("robot_wrist");
+  map.human_offsets = from.points("human_offsets");
+  map.robot_offsets = from.points("robot_offsets");
+  if (!from.object("share").is_none()) map.share = from.numbers("share");
+}
+
+inline void make_distances(DistanceTask* self, const nb::object& owner) {
+  const Fields from(owner);
+  Indices joints = from.get<Indices>("points.joints");
+  for (int& joint : joints) --joint;  // Pinocchio counts the world
+  new (self) DistanceTask{attached_of(joints, from.get<Array>("points.offsets")),
+                          from.indices("first"), from.indices("second"), from.numbers("damping")};
+}
+
+inline void make_reader(LandmarkReader* self, const nb::object& owner) {
+  const Fields from(owner);
+  new (self) LandmarkReader{from.indices("used"), from.indices("palm"), from.points("model")};
+}
+
+}  // namespace handmap

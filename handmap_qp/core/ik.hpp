@@ -1,0 +1,448 @@
+// Inverse kinematics of one sample: see handmap_qp/ik/qp.py and limits.py, whose names these are.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+
+#include "pairs.hpp"
+#include "qp.hpp"
+
+namespace handmap {
+
+// A task's rows in the active coordinates, weighted: |jacobian dq + residual|^2 + dq^T diag(damping) dq.
+struct TaskRows {
+  int count = 0;
+  Vector residual, jacobian, damping;
+};
+
+// Distances of pairs of points; see tasks.PointDistances.
+struct DistanceTask {
+  std::vector<Attached> points;
+  std::vector<int> first, second;
+  Vector damping;
+};
+
+// Length that counts as one in the cost [m].
+constexpr double kLengthUnit = 0.01;
+
+struct Weights {
+  Vector points;  // cost of each reference point's error [cost]/[m]
+  double wrist_position, wrist_orientation;  // [cost]/[m], [cost]/[rad]
+  double damping, error_damping;
+};
+
+struct Settings {
+  int max_iterations;
+  double step_tolerance, point_tolerance;
+};
+
+struct Posture {
+  double weight;
+  Vector q;  // in the user's order of joints
+};
+
+// What the cost of one sample asks for.
+struct Goal {
+  std::vector<Vec3> points;
+  bool has_wrist = false;
+  Pose wrist;
+  std::vector<Posture> postures;
+  const DistanceTask* distances = nullptr;
+  Vector aims, aim_weights;
+  // Further rows at a configuration, of tasks written elsewhere.
+  std::function<void(const Vector& q, TaskRows& rows)> further;
+};
+
+enum class Status { converged, limited, unreachable, unsettled, failed };
+
+struct Result {
+  Status status;
+  std::vector<Vec3> points;
+  Pose wrist;
+  Vector displacement;
+  std::vector<std::int8_t> active;
+  int iterations;
+  double last_step;
+};
+
+class Ik {
+ public:
+  Tree tree;
+  Weights weights;
+  Settings settings;
+  BoxLimits limits;
+  std::unique_ptr<Pairs> pairs;
+  Motion motion;
+
+  explicit Ik(Tree given)
+      : tree(std::move(given)), at(tree), start_(tree), path_end_(tree) {}
+  Ik(const Ik&) = delete;
+
+  // Move the hand towards its targets for one sample.
+  void solve(const Goal& goal, double dt, const Vector& margins, double speed, Result& result) {
+    dt = std::max(dt, kShortestDt);
+    at.place(motion.q.data());
+    bounds(dt, speed);
+    const int n = tree.size;
+    bool has_rows = false;
+    if (pairs) {
+      start_.place(motion.q.data());
+      pairs->rows(start_, dt, margins, motion.displacement, linear_);
+      has_rows = linear_.count > 0;
+    }
+    total_.assign(n, 0.0);
+    first_.assign(n, 0.0);
+    step_.resize(n);
+    least_.resize(n);
+    most_.resize(n);
+    int iterations = 0;
+    double last_step = kInfinity;
+    bool has_failed = false;
+    while (last_step > settings.step_tolerance && iterations < settings.max_iterations) {
+      // Leave later iterations the rest of the bounds, which hold for the whole sample.
+      for (int i = 0; i < n; ++i) {
+        least_[i] = lower_[i] - total_[i];
+        most_[i] = upper_[i] - total_[i];
+      }
+      if (has_rows)
+        feasible_.loosen(linear_, least_, most_, limits.stopping(motion, dt), total_, h_);
+      cost(goal);
+      has_failed = !qp_.solve(n, H_.data(), c_.data(), least_.data(), most_.data(),
+                              has_rows ? linear_.count : 0, linear_.G.data(), h_.data());
+      double length2 = 0.0;
+      if (!has_failed)
+        for (int i = 0; i < n; ++i) length2 += qp_.x[i] * qp_.x[i];
+      if (!std::isfinite(length2)) has_failed = true;
+      ++iterations;
+      // On failure, bring joints outside their limits back all the same.
+      for (int i = 0; i < n; ++i)
+        total_[i] = clip(has_failed ? 0.0 : total_[i] + qp_.x[i], lower_[i], upper_[i]);
+      last_step = has_failed ? 0.0 : std::sqrt(length2);
+      if (iterations == 1) first_ = total_;
+      at.displace(motion.q.data(), total_.data());
+    }
+    admit(total_, first_, dt);
+    at.place(motion.q.data());
+    if (pairs) pairs->arrive(at, path_end_);
+    finish(goal, iterations, last_step, has_failed, result);
+  }
+
+  // Move by a displacement, or by another one that is admitted; see limits.Gate.admit.
+  void admit(const Vector& wanted, const Vector& first, double dt) {
+    const int n = tree.size;
+    limits.box(motion, dt, box_);
+    taken_.resize(n);
+    bool is_inside = true;
+    for (int i = 0; i < n; ++i) {
+      taken_[i] = std::fmin(std::fmax(wanted[i], box_.lower[i]), box_.upper[i]);
+      is_inside &= taken_[i] >= box_.least[i] && taken_[i] <= box_.most[i];
+    }
+    limits.stop_times(taken_, dt, times_);
+    if (!(is_inside && is_clear(taken_, times_, dt))) {
+      Vector short_first(n);
+      for (int i = 0; i < n; ++i)
+        short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
+      shorten(is_inside ? nullptr : &taken_, short_first, dt);
+    }
+    move(taken_, times_, dt);
+  }
+
+  Placed at;  // where the hand is
+
+ private:
+  void bounds(double dt, double share) {
+    limits.box(motion, dt, box_);
+    lower_.resize(tree.size);
+    upper_.resize(tree.size);
+    for (int i = 0; i < tree.size; ++i) {
+      const double farthest = share * dt * limits.speeds[i];
+      lower_[i] = clip(-farthest, box_.lower[i], box_.upper[i]);
+      upper_[i] = clip(farthest, box_.lower[i], box_.upper[i]);
+    }
+  }
+
+  // Add rows of one block, nonzero in `columns_` only, to the cost.
+  void add_rows(const double* rows, int count, const double* errors) {
+    const int n = tree.size;
+    const int used = static_cast<int>(columns_.size());
+    for (int r = 0; r < count; ++r) {
+      const double* row = rows + r * n;
+      for (int a = 0; a < used; ++a) {
+        const int i = columns_[a];
+        const double value = row[i];
+        c_[i] += errors[r] * value;
+        double* to = H_.data() + i * n;
+        for (int b = 0; b <= a; ++b) to[columns_[b]] += value * row[columns_[b]];
+      }
+    }
+  }
+
+  // The active coordinates of some of the tangent space, increasing.
+  void use_columns(const std::vector<int>& support) {
+    columns_.clear();
+    for (const int c : support)
+      if (tree.factor[c] != 0.0) columns_.push_back(tree.leader[c]);
+    std::sort(columns_.begin(), columns_.end());
+    columns_.erase(std::unique(columns_.begin(), columns_.end()), columns_.end());
+  }
+
+  const std::vector<int>& support(int joint) const {
+    static const std::vector<int> none;
+    return joint < 0 ? none : tree.supports[joint];
+  }
+
+  // H and c of the QP where the hand is.
+  void cost(const Goal& goal) {
+    const int n = tree.size;
+    H_.assign(n * n, 0.0);
+    c_.assign(n, 0.0);
+    double error2 = add_points(goal);
+    if (goal.has_wrist) error2 += add_wrist(goal.wrist);
+    // Damp by error times lever, the curvature that the linearisation neglects. The root of the
+    // diagonal is the lever. A floating wrist's translation has none.
+    diagonal_.resize(n);
+    const double scale = weights.error_damping * std::sqrt(error2);
+    for (int i = 0; i < n; ++i)
+      diagonal_[i] = weights.damping * weights.damping +
+                     (tree.is_floating && i < 3 ? 0.0 : scale * std::sqrt(H_[i * n + i]));
+    for (const Posture& posture : goal.postures) {
+      const double weight2 = posture.weight * posture.weight;
+      for (size_t j = 0; j < tree.joint_columns.size(); ++j) {
+        const int i = tree.joint_columns[j];
+        diagonal_[i] += weight2;
+        c_[i] += weight2 * (at.q[tree.q_indices[j]] - posture.q[j]);
+      }
+    }
+    if (goal.distances) add_distances(*goal.distances, goal.aims, goal.aim_weights);
+    if (goal.further) {
+      goal.further(at.q, further_);
+      columns_.resize(n);
+      for (int i = 0; i < n; ++i) columns_[i] = i;
+      add_rows(further_.jacobian.data(), further_.count, further_.residual.data());
+      for (int i = 0; i < n; ++i) diagonal_[i] += further_.damping[i];
+    }
+    for (int i = 0; i < n; ++i) {
+      H_[i * n + i] += diagonal_[i];
+      for (int j = 0; j < i; ++j) H_[j * n + i] = H_[i * n + j];
+    }
+  }
+
+  double add_points(const Goal& goal) {
+    const int n = tree.size;
+    double error2 = 0.0;
+    block_.resize(6 * n);
+    for (size_t k = 0; k < tree.points.size(); ++k) {
+      const Attached& attached = tree.points[k];
+      const Vec3 point = at.point(attached);
+      const Vec3 error = weights.points[k] * (point - goal.points[k]);
+      error2 += dot(error, error);
+      const std::vector<int>& moving = support(attached.joint);
+      use_columns(moving);
+      for (const int i : columns_)
+        for (int r = 0; r < 3; ++r) block_[r * n + i] = 0.0;
+      for (const int c : moving) {
+        const Vec3 column = (weights.points[k] * tree.factor[c]) * at.velocity(c, point);
+        double* to = block_.data() + tree.leader[c];
+        to[0] += column.x;
+        to[n] += column.y;
+        to[2 * n] += column.z;
+      }
+      add_rows(block_.data(), 3, &error.x);
+    }
+    return error2;
+  }
+
+  double add_wrist(const Pose& target) {
+    const int n = tree.size;
+    const Pose here = at.wrist(), offset = inverse(target) * here;
+    const Twist twist = log6(offset);
+    const LogJacobian log = jlog6(offset);
+    const double a = weights.wrist_position, b = weights.wrist_orientation;
+    const std::vector<int>& moving = support(tree.wrist_origin.joint);
+    use_columns(moving);
+    for (const int i : columns_)
+      for (int r = 0; r < 6; ++r) block_[r * n + i] = 0.0;
+    for (const int c : moving) {
+      // The column's velocity in the wrist's axes.
+      const Vec3 w = tmul(here.R, at.columns[c].w), v = tmul(here.R, at.velocity(c, here.p));
+      const Vec3 linear = (a * tree.factor[c]) * (log.A * v + log.B * w);
+      const Vec3 angular = (b * tree.factor[c]) * (log.A * w);
+      double* to = block_.data() + tree.leader[c];
+      for (int r = 0; r < 3; ++r) {
+        to[r * n] += linear[r];
+        to[(r + 3) * n] += angular[r];
+      }
+    }
+    const Vec3 v = a * twist.v, w = b * twist.w;
+    const double errors[6] = {v.x, v.y, v.z, w.x, w.y, w.z};
+    add_rows(block_.data(), 6, errors);
+    return dot(v, v) + dot(w, w);
+  }
+
+  // Rows of distances: see tasks.PointDistances.
+  void add_distances(const DistanceTask& task, const Vector& aims, const Vector& aim_weights) {
+    constexpr double kShortest = 1e-9;
+    const int n = tree.size;
+    for (size_t k = 0; k < task.first.size(); ++k) {
+      const double weight = aim_weights[k] / kLengthUnit;
+      if (weight == 0.0) continue;
+      const Attached &a = task.points[task.first[k]], &b = task.points[task.second[k]];
+      const Vec3 from = at.point(b), to = at.point(a);
+      Vec3 offset = to - from;
+      const double apart = norm(offset);
+      // Points in one place have no direction: any will do to part them.
+      if (apart <= kShortest) offset = {0.0, 0.0, kShortest};
+      const Vec3 direction = (1.0 / std::max(apart, kShortest)) * offset;
+      levers_.assign(n, Vec3{});
+      const std::vector<int>&moving_a = support(a.joint), &moving_b = support(b.joint);
+      for (const int c : moving_a) levers_[tree.leader[c]] += tree.factor[c] * at.velocity(c, to);
+      for (const int c : moving_b) levers_[tree.leader[c]] -= tree.factor[c] * at.velocity(c, from);
+      const double residual = weight * (apart - aims[k]);
+      const double damping = task.damping[k] * weight * std::abs(residual);
+      columns_.clear();
+      for (int i = 0; i < n; ++i) {
+        const double lever = norm(levers_[i]);
+        if (lever == 0.0) continue;
+        columns_.push_back(i);
+        block_[i] = weight * dot(direction, levers_[i]);
+        diagonal_[i] += damping * lever;
+      }
+      add_rows(block_.data(), 1, &residual);
+    }
+  }
+
+  // Whether a displacement and the stop behind it are clear of overlaps.
+  bool is_clear(const Vector& displacement, const Vector& times, double dt) {
+    if (!pairs) return true;
+    double time = 0.0;
+    for (int i = 0; i < tree.size; ++i)
+      if (limits.together[i]) time = std::max(time, times[i]);
+    whole_.resize(tree.size);
+    for (int i = 0; i < tree.size; ++i)
+      whole_[i] = limits.together[i] ? (1.0 + 0.5 * time / dt) * displacement[i] : 0.0;
+    start_.place(motion.q.data());
+    path_end_.displace(motion.q.data(), whole_.data());
+    path_.resize(tree.nv);
+    tree.expand(whole_.data(), path_.data());
+    return pairs->is_clear(start_, path_.data(), path_end_);
+  }
+
+  void braking(double dt, Vector& displacement) const {
+    displacement.resize(tree.size);
+    for (int i = 0; i < tree.size; ++i) {
+      const double share = 1.0 - dt / std::max(motion.stop_times[i], dt);
+      displacement[i] = motion.displacement[i] / motion.dt * (dt * share);
+    }
+  }
+
+  // Find a displacement that is admitted, and the times of the stop behind it; see Gate._shortened.
+  void shorten(const Vector* wanted, const Vector& first, double dt) {
+    const int n = tree.size;
+    Vector brake, left(n), least(n), most(n), clipped(n), base(n), tried(n), times(n), taken(n);
+    braking(dt, brake);
+    const double change = limits.change(dt);
+    for (int i = 0; i < n; ++i) {
+      const double middle = motion.displacement[i] / motion.dt * dt;
+      left[i] = std::max(motion.stop_times[i] - dt, 0.0);
+      // From a higher limit, the stop in force may brake harder than the limit allows.
+      least[i] = std::min(middle - change, brake[i]);
+      most[i] = std::max(middle + change, brake[i]);
+      clipped[i] = clip(first[i], least[i], most[i]);
+      base[i] = limits.together[i] ? brake[i] : clipped[i];
+    }
+    std::vector<Vector> candidates;
+    if (wanted) {
+      for (int i = 0; i < n; ++i) tried[i] = clip((*wanted)[i], least[i], most[i]);
+      candidates.push_back(tried);
+    }
+    for (const double share : kShares) {
+      for (int i = 0; i < n; ++i) tried[i] = base[i] + share * (clipped[i] - base[i]);
+      candidates.push_back(tried);
+    }
+    candidates.push_back(base);
+    for (size_t c = 0; c < candidates.size(); ++c) {
+      const Vector& candidate = candidates[c];
+      limits.stop_times(candidate, dt, times);
+      bool can_all = true;
+      for (int i = 0; i < n; ++i) {
+        const bool can_stop =
+            limits.is_inside(i, motion.q, candidate[i] * (1.0 + 0.5 * times[i] / dt)) &&
+            times[i] <= kLongestStop * (1.0 + 1e-9);
+        const bool brakes = !can_stop && !limits.together[i];
+        taken[i] = brakes ? brake[i] : candidate[i];
+        if (brakes) times[i] = left[i];
+        if (limits.together[i]) can_all &= can_stop;
+      }
+      if (c + 1 < candidates.size() && can_all && is_clear(taken, times, dt)) {
+        taken_ = taken;
+        times_ = times;
+        return;
+      }
+    }
+    // The line of the stop in force was found clear before.
+    for (int i = 0; i < n; ++i)
+      if (limits.together[i]) times[i] = left[i];
+    taken_ = taken;
+    times_ = times;
+  }
+
+  void move(const Vector& displacement, const Vector& times, double dt) {
+    Vector &step = path_, &reached = reached_;
+    step.resize(tree.nv);
+    reached.resize(tree.nq);
+    tree.expand(displacement.data(), step.data());
+    tree.integrate(motion.q.data(), step.data(), reached.data());
+    for (int i = 0; i < tree.nq; ++i) {
+      const double before = motion.q[i];
+      reached[i] = clip(reached[i], std::min(limits.lowest[i], before),
+                        std::max(limits.highest[i], before));
+    }
+    motion.q = reached;
+    motion.displacement = displacement;
+    motion.dt = dt;
+    motion.stop_times = times;
+  }
+
+  void finish(const Goal& goal, int iterations, double last_step, bool has_failed, Result& result) {
+    constexpr double kAtBound = 1e-7, kAtRest = 1e-3;
+    const int n = tree.size;
+    result.points.resize(tree.points.size());
+    double farthest2 = 0.0;
+    for (size_t k = 0; k < tree.points.size(); ++k) {
+      result.points[k] = at.point(tree.points[k]);
+      const Vec3 error = result.points[k] - goal.points[k];
+      farthest2 = std::max(farthest2, dot(error, error));
+    }
+    result.wrist = at.wrist();
+    result.displacement = motion.displacement;
+    result.active.resize(n);
+    bool at_bound = false;
+    for (int i = 0; i < n; ++i) {
+      const double width = std::min(upper_[i] - lower_[i], 1.0), x = motion.displacement[i];
+      const int high = upper_[i] - x <= kAtBound * width, low = x - lower_[i] <= kAtBound * width;
+      result.active[i] = static_cast<std::int8_t>(high - low);
+      at_bound |= high != low;
+    }
+    result.iterations = iterations;
+    result.last_step = last_step;
+    result.status = has_failed                                              ? Status::failed
+                    : std::sqrt(farthest2) <= settings.point_tolerance ? Status::converged
+                    : at_bound                                              ? Status::limited
+                    : last_step <= kAtRest                                  ? Status::unreachable
+                                                                            : Status::unsettled;
+  }
+
+  Qp qp_;
+  Feasible feasible_;
+  Rows linear_;
+  Box box_;
+  TaskRows further_;
+  Placed start_, path_end_;
+  std::vector<int> columns_;
+  std::vector<Vec3> levers_;
+  Vector lower_, upper_, total_, first_, step_, least_, most_, h_, H_, c_, diagonal_, block_, taken_,
+      times_, path_, whole_, reached_;
+};
+
+}  // namespace handmap

@@ -1,0 +1,200 @@
+// Limits of a displacement: see handmap_qp/ik/limits.py, whose names these are.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "tree.hpp"
+
+namespace handmap {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+constexpr double kShortestDt = 1e-6;
+// Longest time in which a robot stops: hand.LONGEST_STOP [s].
+constexpr double kLongestStop = 0.5;
+constexpr double kRounding = 1e-12;
+constexpr double kFar = 1e9;
+constexpr double kRoughly = 2e-5;
+constexpr double kParted = 0.3;
+constexpr double kLever = 0.015;
+constexpr double kInside = 0.9;
+constexpr double kShares[] = {1.0, 0.5, 0.25, 0.1};
+
+inline double clip(double value, double least, double most) {
+  return std::min(std::max(value, least), most);
+}
+
+// How a robot moves.
+struct Motion {
+  Vector q, displacement;
+  double dt = 1.0;
+  Vector stop_times;
+};
+
+struct Box {
+  Vector lower, upper, least, most;
+};
+
+class BoxLimits {
+ public:
+  int size = 0;
+  Vector lowest, highest;        // of a configuration, (nq,)
+  Vector lower, upper, speeds;   // of the active coordinates
+  std::vector<int> coordinates;  // index of each in a configuration
+  std::vector<char> together;
+  double acceleration = kInfinity;
+
+  bool any_together() const {
+    return std::find(together.begin(), together.end(), 1) != together.end();
+  }
+
+  void box(const Motion& motion, double dt, Box& box) const {
+    for (Vector* part : {&box.lower, &box.upper, &box.least, &box.most}) part->resize(size);
+    const double change = this->change(dt), usable = acceleration * (kLongestStop * dt);
+    const double stretch = 1.0 + stopping(motion, dt), slack = kRounding * dt;
+    for (int i = 0; i < size; ++i) {
+      const double here = motion.q[coordinates[i]], farthest = speeds[i] * dt;
+      const double down = lower[i] - here, up = upper[i] - here;
+      const double low = clip(down, -farthest, farthest), high = clip(up, -farthest, farthest);
+      if (acceleration == kInfinity) {
+        box.lower[i] = box.least[i] = low;
+        box.upper[i] = box.most[i] = high;
+        continue;
+      }
+      // Past a limit there is no braking distance left; the box brings the joint back.
+      auto admissible = [&](double room) {
+        const double distance = clip(room, 0.0, kFar);
+        const double most = std::min(braking_displacement(distance, change), usable);
+        return together[i] ? std::min(most, distance / stretch) : most;
+      };
+      const double middle = motion.displacement[i] / motion.dt * dt;
+      const double least = -admissible(-down), most = admissible(up);
+      const double lowest_now = middle - change, highest_now = middle + change;
+      box.lower[i] = clip(clip(least, lowest_now, highest_now), low, high);
+      box.upper[i] = clip(clip(most, lowest_now, highest_now), low, high);
+      box.least[i] = std::max(least, lowest_now) - slack;
+      box.most[i] = std::min(most, highest_now) + slack;
+    }
+  }
+
+  bool is_inside(int i, const Vector& q, double displacement) const {
+    const double here = q[coordinates[i]];
+    return displacement >= std::min(lower[i] - kRounding - here, 0.0) &&
+           displacement <= std::max(upper[i] + kRounding - here, 0.0);
+  }
+
+  double change(double dt) const { return std::max(acceleration * (dt * dt), 1e-200); }
+
+  void stop_times(const Vector& displacement, double dt, Vector& times) const {
+    times.assign(size, 0.0);
+    if (acceleration == kInfinity) return;
+    double longest = 0.0;
+    for (int i = 0; i < size; ++i) {
+      times[i] = std::abs(displacement[i] / dt) / acceleration;
+      if (together[i]) longest = std::max(longest, times[i]);
+    }
+    for (int i = 0; i < size; ++i)
+      if (together[i]) times[i] = longest;
+  }
+
+  // A bound of the stop behind the next displacement, as a multiple of it.
+  double stopping(const Motion& motion, double dt) const {
+    if (acceleration == kInfinity || !any_together()) return 0.0;
+    double fastest = 0.0;
+    for (int i = 0; i < size; ++i)
+      if (together[i]) fastest = std::max(fastest, std::abs(motion.displacement[i] / motion.dt));
+    return 0.5 * (fastest / acceleration + dt) / dt;
+  }
+
+  static double braking_displacement(double distance, double change) {
+    return 2.0 * distance / (1.0 + std::sqrt(1.0 + 2.0 * distance / change));
+  }
+};
+
+// Rows G x <= h.
+struct Rows {
+  int count = 0;
+  Vector G, h;
+};
+
+// Loosen rows where they contradict each other or a box; see limits.feasible.
+class Feasible {
+ public:
+  void loosen(const Rows& rows, const Vector& lower, const Vector& upper, double stopping,
+              const Vector& so_far, Vector& h) {
+    const int n = static_cast<int>(lower.size()), r = rows.count;
+    h.resize(r);
+    kept_.assign(r, 0.0);
+    witness_.resize(n);
+    for (int i = 0; i < n; ++i) witness_[i] = clip(0.0, lower[i], upper[i]);
+    near_.clear();
+    excess_.resize(r);
+    for (int k = 0; k < r; ++k) {
+      const double* g = rows.G.data() + k * n;
+      double before = 0.0;
+      for (int i = 0; i < n; ++i) {
+        before += g[i] * so_far[i];
+        kept_[k] += g[i] * witness_[i];
+      }
+      h[k] = rows.h[k] / (1.0 + stopping) - before;
+      excess_[k] = kept_[k] - h[k];
+      if (excess_[k] > kRoughly) near_.push_back(k);
+    }
+    if (near_.empty()) {
+      for (int k = 0; k < r; ++k) h[k] = std::max(h[k], kept_[k]);
+      return;
+    }
+    part(rows, lower, upper);
+    bool does_harm = false;
+    parted_.assign(r, 0.0);
+    for (int k = 0; k < r; ++k) {
+      const double* g = rows.G.data() + k * n;
+      for (int i = 0; i < n; ++i) parted_[k] += g[i] * within_[i];
+      parted_[k] += kept_[k];
+      does_harm |= !(excess_[k] > kRoughly) && parted_[k] > std::max(h[k], kept_[k]);
+    }
+    for (int k = 0; k < r; ++k) h[k] = std::max(h[k], does_harm ? kept_[k] : parted_[k]);
+  }
+
+ private:
+  // The damped displacement that parts all pairs that are too near, inside the box.
+  void part(const Rows& rows, const Vector& lower, const Vector& upper) {
+    const int n = static_cast<int>(lower.size()), m = static_cast<int>(near_.size());
+    gram_.resize(m * m);
+    share_.resize(m);
+    for (int a = 0; a < m; ++a) {
+      const double* g = rows.G.data() + near_[a] * n;
+      for (int b = 0; b <= a; ++b) {
+        const double* o = rows.G.data() + near_[b] * n;
+        double sum = a == b ? kLever * kLever : 0.0;
+        for (int i = 0; i < n; ++i) sum += g[i] * o[i];
+        for (int k = 0; k < b; ++k) sum -= gram_[a * m + k] * gram_[b * m + k];
+        gram_[a * m + b] = a == b ? std::sqrt(sum) : sum / gram_[b * m + b];
+      }
+    }
+    for (int a = 0; a < m; ++a) {
+      double sum = excess_[near_[a]];
+      for (int k = 0; k < a; ++k) sum -= gram_[a * m + k] * share_[k];
+      share_[a] = sum / gram_[a * m + a];
+    }
+    for (int a = m - 1; a >= 0; --a) {
+      double sum = share_[a];
+      for (int k = a + 1; k < m; ++k) sum -= gram_[k * m + a] * share_[k];
+      share_[a] = sum / gram_[a * m + a];
+    }
+    within_.assign(n, 0.0);
+    for (int a = 0; a < m; ++a) {
+      const double* g = rows.G.data() + near_[a] * n;
+      for (int i = 0; i < n; ++i) within_[i] -= kParted * share_[a] * g[i];
+    }
+    for (int i = 0; i < n; ++i)
+      within_[i] = clip(within_[i], kInside * (lower[i] - witness_[i]),
+                        kInside * (upper[i] - witness_[i]));
+  }
+
+  Vector witness_, kept_, excess_, parted_, within_, gram_, share_;
+  std::vector<int> near_;
+};
+
+}  // namespace handmap

@@ -1,0 +1,320 @@
+// From samples of a human hand to targets of a robot's: see handmap_qp/mapping, whose names these are.
+#pragma once
+
+#include <array>
+#include <memory>
+
+#include "ik.hpp"
+
+namespace handmap {
+
+// The three columns of A turned orthogonal, longest first: A V = U S (Hestenes, 1958).
+struct Svd3 {
+  Mat3 U, V;  // as rotations up to the sign of the last column, which A decides
+  double s[3];
+};
+
+inline Svd3 svd3(const Mat3& A) {
+  Vec3 a[3] = {A.column(0), A.column(1), A.column(2)};
+  Vec3 v[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+  for (int sweep = 0; sweep < 30; ++sweep) {
+    bool turned = false;
+    for (int p = 0; p < 2; ++p)
+      for (int q = p + 1; q < 3; ++q) {
+        const double pp = dot(a[p], a[p]), qq = dot(a[q], a[q]), pq = dot(a[p], a[q]);
+        if (!(std::abs(pq) > 1e-17 * std::sqrt(pp * qq))) continue;
+        turned = true;
+        const double zeta = (qq - pp) / (2.0 * pq);
+        const double t = std::copysign(1.0, zeta) / (std::abs(zeta) + std::sqrt(1.0 + zeta * zeta));
+        const double c = 1.0 / std::sqrt(1.0 + t * t), s = c * t;
+        const Vec3 x = a[p], y = v[p];
+        a[p] = c * x - s * a[q];
+        a[q] = s * x + c * a[q];
+        v[p] = c * y - s * v[q];
+        v[q] = s * y + c * v[q];
+      }
+    if (!turned) break;
+  }
+  int order[3] = {0, 1, 2};
+  std::sort(order, order + 3, [&](int i, int j) { return dot(a[i], a[i]) > dot(a[j], a[j]); });
+  Svd3 found;
+  Vec3 u[3], w[3];
+  for (int i = 0; i < 3; ++i) {
+    found.s[i] = norm(a[order[i]]);
+    w[i] = v[order[i]];
+    u[i] = found.s[i] > 0.0 ? (1.0 / found.s[i]) * a[order[i]] : Vec3{};
+  }
+  if (found.s[0] == 0.0) u[0] = w[0];
+  if (found.s[1] == 0.0) {  // any direction across the first
+    const Vec3 other = std::abs(u[0].x) < 0.9 ? Vec3{1, 0, 0} : Vec3{0, 1, 0};
+    u[1] = cross(u[0], other);
+    u[1] *= 1.0 / norm(u[1]);
+  }
+  // Both proper: the smallest value takes the sign of the determinant.
+  const Vec3 third = cross(u[0], u[1]);
+  w[2] = cross(w[0], w[1]);
+  found.s[2] = determinant(A) < 0.0 ? -found.s[2] : found.s[2];
+  const Vec3 columns_u[3] = {u[0], u[1], third}, columns_w[3] = {w[0], w[1], w[2]};
+  for (int i = 0; i < 3; ++i)
+    for (int j = 0; j < 3; ++j) {
+      found.U(i, j) = columns_u[j][i];
+      found.V(i, j) = columns_w[j][i];
+    }
+  return found;
+}
+
+// The rotation nearest to a matrix (Kabsch 1976).
+inline Mat3 nearest_rotation(const Mat3& A) {
+  const Svd3 found = svd3(A);
+  return found.U * transposed(found.V);
+}
+
+// The pose that best lays points onto others; see se3.rigid_fit.
+inline Pose rigid_fit(const std::vector<Vec3>& points, const std::vector<Vec3>& onto) {
+  const double share = 1.0 / static_cast<double>(points.size());
+  Vec3 centre, centre_onto;
+  for (size_t k = 0; k < points.size(); ++k) {
+    centre += share * points[k];
+    centre_onto += share * onto[k];
+  }
+  Mat3 covariance = 0.0 * Mat3{};
+  for (size_t k = 0; k < points.size(); ++k)
+    covariance = covariance + outer(share * (onto[k] - centre_onto), points[k] - centre);
+  const Mat3 R = nearest_rotation(covariance);
+  return {R, centre_onto - R * centre};
+}
+
+// See estimation.MotionEstimator: what a sample's points are multiplied with.
+struct Estimator {
+  int count = 0;
+  Vector moments;  // (7, count)
+  Mat3 prior_gain;
+  bool has_ridge = false;
+  Vec3 centroid;
+
+  struct Estimate {
+    Mat3 linear;
+    Vec3 centroid_after;
+    Vec3 image(const Vec3& point, const Vec3& centroid) const {
+      return linear * (point - centroid) + centroid_after;
+    }
+  };
+
+  // `prior` is the rotation that the ridge pulls to; that of the points if it is null.
+  Estimate estimate(const Vec3* points, const Mat3* prior) const {
+    Vec3 rows[7];
+    for (int r = 0; r < 7; ++r)
+      for (int k = 0; k < count; ++k) rows[r] += moments[r * count + k] * points[k];
+    Estimate found;
+    Mat3 covariance;
+    for (int i = 0; i < 3; ++i)
+      for (int j = 0; j < 3; ++j) {
+        found.linear(i, j) = rows[j][i];
+        covariance(i, j) = rows[3 + j][i];
+      }
+    if (has_ridge)
+      found.linear = found.linear + (prior ? *prior : nearest_rotation(covariance)) * prior_gain;
+    found.centroid_after = rows[6];
+    return found;
+  }
+};
+
+// What a map asks for, and the numbers that its diagnostics are made of.
+struct Asked {
+  std::vector<Vec3> points;
+  Pose wrist;
+  const DistanceTask* distances = nullptr;
+  Vector aims, weights, margins, diagnostics;
+  bool is_clamped = false;
+};
+
+class TargetMap {
+ public:
+  virtual ~TargetMap() = default;
+  virtual void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const = 0;
+  size_t human_points = 0;
+  bool needs_wrist = false;
+
+ protected:
+  static void note(Vector& to, const Vec3& v) { to.insert(to.end(), {v.x, v.y, v.z}); }
+  static void note(Vector& to, const Mat3& m) { to.insert(to.end(), m.m, m.m + 9); }
+  static void note(Vector& to, const Pose& pose) {
+    for (int i = 0; i < 3; ++i)
+      to.insert(to.end(), {pose.R(i, 0), pose.R(i, 1), pose.R(i, 2), pose.p[i]});
+    to.insert(to.end(), {0.0, 0.0, 0.0, 1.0});
+  }
+  static void note(Vector& to, const Vector& v) { to.insert(to.end(), v.begin(), v.end()); }
+};
+
+// See methods.teleoperation.TeleoperationMap.
+class TeleoperationMap : public TargetMap {
+ public:
+  // PalmMap
+  Pose human_wrist_to_palm, robot_palm_to_wrist, start;
+  bool is_still = false;
+  Mat3 rotation;
+  Vec3 origin, offset, human_anchor, human_start;
+  double further = 0.0;
+  // TeleoperationMap
+  Estimator estimator;
+  std::vector<int> shape_points, from, to, partners;
+  int fingers = 0;
+  Vector human_reach, aim_slopes, aim_offsets, least_aims, largest_aims, extension_weights;
+  double pinch_weight = 0.0, pinch_far = 0.0, pinch_over = 1.0;
+  std::vector<Vec3> offsets;  // of the robot's points, to be turned by T
+  Vec3 robot_centre;
+  double ratio = 1.0, gain = 1.0;
+  Vector base_margins, pinch_margins;
+  std::vector<int> pinch_pairs, pinch_of_pair;
+  double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
+  DistanceTask distances;
+
+  void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
+    const Pose human = *wrist * human_wrist_to_palm, to_palm = inverse(human);
+    std::vector<Vec3> now(points.size()), shape(shape_points.size());
+    for (size_t k = 0; k < points.size(); ++k) now[k] = to_palm * points[k];
+    Pose palm = start;
+    if (!is_still) {
+      palm = {human.R * rotation, human * origin + offset};
+      if (further != 0.0) palm.p += further * (human * human_anchor - human_start);
+    }
+    for (size_t k = 0; k < shape.size(); ++k) shape[k] = now[shape_points[k]];
+    const Estimator::Estimate estimate = estimator.estimate(shape.data(), nullptr);
+    const size_t rows = from.size(), pinches = rows - fingers;
+    Vector extensions(fingers), gaps(pinches), pinching(pinches);
+    asked.distances = &distances;
+    asked.aims.resize(rows);
+    asked.weights.resize(rows);
+    for (size_t k = 0; k < rows; ++k) {
+      const double distance = norm(now[to[k]] - now[from[k]]);
+      asked.aims[k] = std::min(std::max(aim_slopes[k] * distance + aim_offsets[k], least_aims[k]),
+                               largest_aims[k]);
+      if (k < static_cast<size_t>(fingers)) {
+        extensions[k] = distance / human_reach[k];
+        asked.weights[k] = extension_weights[k];
+      } else {
+        const size_t p = k - fingers;
+        const double x = clip((pinch_far - distance) / pinch_over, 0.0, 1.0);
+        gaps[p] = distance;
+        pinching[p] = x * x * (3.0 - 2.0 * x);
+        asked.weights[k] = pinch_weight * pinching[p];
+      }
+    }
+    const Vec3 shift = estimate.centroid_after;
+    asked.points.resize(partners.size());
+    for (size_t j = 0; j < partners.size(); ++j) {
+      const Vec3 moved = estimate.linear * offsets[j] + robot_centre +
+                         ratio * (shift - estimator.centroid) + gain * (now[partners[j]] - shift);
+      asked.points[j] = palm * moved;
+    }
+    asked.wrist = palm * robot_palm_to_wrist;
+    asked.margins = base_margins;
+    for (size_t i = 0; i < pinch_pairs.size(); ++i)
+      asked.margins[pinch_pairs[i]] =
+          pinch_margins[i] +
+          std::min(std::max(contact_slope * (gaps[pinch_of_pair[i]] - contact_from), 0.0),
+                   contact_most);
+    Vector& to_python = asked.diagnostics;
+    to_python.clear();
+    note(to_python, estimate.linear);
+    note(to_python, estimate.centroid_after);
+    for (const Vec3& point : shape) note(to_python, point);
+    note(to_python, human);
+    note(to_python, gaps);
+    note(to_python, pinching);
+    note(to_python, extensions);
+  }
+};
+
+// See methods.homogeneous.HomogeneousMap.
+class HomogeneousMap : public TargetMap {
+ public:
+  enum class Rigid { points, wrist, none };
+  Rigid rigid = Rigid::points;
+  Estimator estimator;
+  double stretch_min = 0.2, stretch_max = 3.0, deformation_gain = 1.0, scale = 1.0;
+  Vec3 pivot, origin;
+  Mat3 alignment;
+  Pose human_wrist;  // at the reference
+  Pose robot_wrist;  // from the robot's pivot
+  std::vector<Vec3> human_offsets, robot_offsets;
+  Vector share;  // (n_r, n_h), or empty
+
+  void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const override {
+    const Mat3& Q = alignment;
+    Mat3 turn;
+    if (rigid == Rigid::wrist) turn = wrist->R * transposed(human_wrist.R);
+    const Estimator::Estimate estimate =
+        estimator.estimate(points.data(), rigid == Rigid::wrist ? &turn : nullptr);
+    Mat3 linear = estimate.linear;
+    const Vec3 image = estimate.image(pivot, estimator.centroid);
+    const Svd3 factors = svd3(linear);
+    const Mat3 R = factors.U * transposed(factors.V);
+    Vec3 stretches{factors.s[0], factors.s[1], factors.s[2]}, wanted = stretches;
+    for (int i = 0; i < 3; ++i) wanted[i] = std::min(std::max(wanted[i], stretch_min), stretch_max);
+    asked.is_clamped = wanted.x != stretches.x || wanted.y != stretches.y || wanted.z != stretches.z;
+    if (asked.is_clamped || deformation_gain != 1.0) {
+      Mat3 stretch = 0.0 * Mat3{};
+      for (int i = 0; i < 3; ++i) {
+        const Vec3 axis = factors.U.column(i);
+        stretch = stretch + std::pow(wanted[i], deformation_gain) * outer(axis, axis);
+      }
+      linear = stretch * R;
+    }
+    Mat3 rotation;
+    Vec3 rigid_image = pivot;
+    if (rigid == Rigid::points) {
+      rotation = R;
+      rigid_image = image;
+    } else if (rigid == Rigid::wrist) {
+      rotation = turn;
+      rigid_image = turn * (pivot - human_wrist.p) + wrist->p;
+    }
+    const Mat3 imposed = Q * linear * transposed(Q);
+    const Vec3 centre = placed(image);
+    asked.points.resize(robot_offsets.size());
+    for (size_t j = 0; j < robot_offsets.size(); ++j)
+      asked.points[j] = imposed * robot_offsets[j] + centre;
+    if (!share.empty()) {
+      // The residual refers to the imposed motion, so it makes up for clamping and gain.
+      const size_t count = points.size();
+      std::vector<Vec3> residual(count);
+      for (size_t k = 0; k < count; ++k)
+        residual[k] = points[k] - (linear * human_offsets[k] + image);
+      for (size_t j = 0; j < asked.points.size(); ++j) {
+        Vec3 sum;
+        for (size_t k = 0; k < count; ++k) sum += share[j * count + k] * residual[k];
+        asked.points[j] += Q * sum;
+      }
+    }
+    asked.wrist = Pose{Q * rotation * transposed(Q), placed(rigid_image)} * robot_wrist;
+    Vector& to_python = asked.diagnostics;
+    to_python.clear();
+    note(to_python, estimate.linear);
+    note(to_python, estimate.centroid_after);
+    for (const Vec3& point : points) note(to_python, point);
+    note(to_python, linear);
+    note(to_python, rotation);
+    note(to_python, rigid_image);
+    note(to_python, image);
+    note(to_python, stretches);
+  }
+
+ private:
+  Vec3 placed(const Vec3& image) const { return origin + scale * (alignment * image); }
+};
+
+// See mapper.LandmarkReader.
+class LandmarkReader {
+ public:
+  std::vector<int> used, palm;
+  std::vector<Vec3> model;  // the palm's landmarks in wrist axes
+
+  Pose fit(const std::vector<Vec3>& landmarks) const {
+    std::vector<Vec3> seen(palm.size());
+    for (size_t k = 0; k < palm.size(); ++k) seen[k] = landmarks[palm[k]];
+    return rigid_fit(model, seen);
+  }
+};
+
+}  // namespace handmap

@@ -1,0 +1,174 @@
+// Kinematics of a hand: a tree of joints with one axis each, on a wrist that may float.
+#pragma once
+
+#include <algorithm>
+#include <cstring>
+#include <vector>
+
+#include "lie.hpp"
+
+namespace handmap {
+
+using Vector = std::vector<double>;
+
+enum class JointKind { revolute, prismatic, floating };
+
+struct Joint {
+  int parent;       // -1 for the world
+  JointKind kind;
+  Vec3 axis;
+  Pose placement;   // in the parent's frame
+  int q, v;         // first index in configurations and in the tangent space
+};
+
+// A point that is fixed to a joint; joint -1 is the world.
+struct Attached {
+  int joint;
+  Vec3 offset;
+};
+
+// What never changes of a hand.
+struct Tree {
+  int nq = 0, nv = 0, size = 0;  // size: number of active coordinates
+  std::vector<Joint> joints;     // parents come first
+  // Every coordinate of the tangent space is `factor` times its active coordinate `leader`.
+  std::vector<int> leader;
+  Vector factor;
+  std::vector<std::vector<int>> supports;  // by joint: coordinates that move it
+  bool is_floating = false;
+  Attached wrist_origin{-1, {}};
+  Pose wrist;                       // in the frame of its joint
+  std::vector<Attached> points;     // reference points
+  std::vector<int> q_indices;       // of the joints, in the user's order
+  std::vector<int> joint_columns;   // of the same in the active coordinates
+
+  void finish() {
+    supports.resize(joints.size());
+    for (size_t j = 0; j < joints.size(); ++j) {
+      if (joints[j].parent >= 0) supports[j] = supports[joints[j].parent];
+      const int count = joints[j].kind == JointKind::floating ? 6 : 1;
+      for (int c = 0; c < count; ++c) supports[j].push_back(joints[j].v + c);
+      is_floating |= joints[j].kind == JointKind::floating;
+    }
+  }
+
+  // The tangent vector of all coordinates, of that of the active ones.
+  void expand(const double* active, double* all) const {
+    for (int c = 0; c < nv; ++c) all[c] = factor[c] * active[leader[c]];
+  }
+
+  // Go from a configuration along a tangent vector of all coordinates.
+  void integrate(const double* q, const double* step, double* reached) const {
+    for (const Joint& joint : joints) {
+      if (joint.kind != JointKind::floating) {
+        reached[joint.q] = q[joint.q] + step[joint.v];
+        continue;
+      }
+      const double *a = q + joint.q, *s = step + joint.v;
+      const Quat turn{a[3], a[4], a[5], a[6]};
+      const Twist twist{{s[0], s[1], s[2]}, {s[3], s[4], s[5]}};
+      const Vec3 moved = rotation_of(turn) * exp6_translation(twist);
+      Quat r = turn * quat_exp(twist.w);
+      // The sign nearest to the quaternion before, and one step towards length 1.
+      const double sign = r.x * a[3] + r.y * a[4] + r.z * a[5] + r.w * a[6] < 0.0 ? -1.0 : 1.0;
+      const double length2 = r.x * r.x + r.y * r.y + r.z * r.z + r.w * r.w;
+      const double scale = sign * 0.5 * (3.0 - length2);
+      double* to = reached + joint.q;
+      to[0] = a[0] + moved.x;
+      to[1] = a[1] + moved.y;
+      to[2] = a[2] + moved.z;
+      to[3] = scale * r.x;
+      to[4] = scale * r.y;
+      to[5] = scale * r.z;
+      to[6] = scale * r.w;
+    }
+  }
+};
+
+// A hand in one posture.
+class Placed {
+ public:
+  explicit Placed(const Tree& tree)
+      : tree_(tree), q(tree.nq), poses_(tree.joints.size()), columns(tree.nv) {}
+
+  void place(const double* configuration) {
+    if (has_placed_ && std::equal(q.begin(), q.end(), configuration)) return;
+    std::copy(configuration, configuration + tree_.nq, q.begin());
+    has_placed_ = true;
+    for (size_t j = 0; j < tree_.joints.size(); ++j) {
+      const Joint& joint = tree_.joints[j];
+      const Pose at = joint.parent < 0 ? joint.placement : poses_[joint.parent] * joint.placement;
+      Pose& pose = poses_[j];
+      const double* x = q.data() + joint.q;
+      switch (joint.kind) {
+        case JointKind::revolute: {
+          pose.R = at.R * turned(joint.axis, x[0]);
+          pose.p = at.p;
+          const Vec3 w = at.R * joint.axis;
+          columns[joint.v] = {cross(pose.p, w), w};
+          break;
+        }
+        case JointKind::prismatic: {
+          const Vec3 along = at.R * joint.axis;
+          pose.R = at.R;
+          pose.p = at.p + x[0] * along;
+          columns[joint.v] = {along, {}};
+          break;
+        }
+        case JointKind::floating: {
+          pose = at * Pose{rotation_of({x[3], x[4], x[5], x[6]}), {x[0], x[1], x[2]}};
+          for (int i = 0; i < 3; ++i) {
+            const Vec3 axis = pose.R.column(i);
+            columns[joint.v + i] = {axis, {}};
+            columns[joint.v + 3 + i] = {cross(pose.p, axis), axis};
+          }
+        }
+      }
+    }
+  }
+
+  // Go from a configuration by a displacement of the active coordinates.
+  void displace(const double* start, const double* displacement) {
+    step_.resize(tree_.nv);
+    reached_.resize(tree_.nq);
+    tree_.expand(displacement, step_.data());
+    tree_.integrate(start, step_.data(), reached_.data());
+    place(reached_.data());
+  }
+
+  const Pose& pose(int joint) const {
+    static const Pose world;
+    return joint < 0 ? world : poses_[joint];
+  }
+  Vec3 point(const Attached& at) const { return pose(at.joint) * at.offset; }
+  Pose wrist() const { return pose(tree_.wrist_origin.joint) * tree_.wrist; }
+  // Velocity of a point of space that moves with the tree, per velocity of a coordinate.
+  Vec3 velocity(int column, const Vec3& point) const {
+    return columns[column].v + cross(columns[column].w, point);
+  }
+  const Tree& tree() const { return tree_; }
+
+ private:
+  static Mat3 turned(const Vec3& a, double angle) {
+    const double s = std::sin(angle), c = std::cos(angle), r = 1.0 - c;
+    return {{c + r * a.x * a.x, r * a.x * a.y - s * a.z, r * a.x * a.z + s * a.y,
+             r * a.x * a.y + s * a.z, c + r * a.y * a.y, r * a.y * a.z - s * a.x,
+             r * a.x * a.z - s * a.y, r * a.y * a.z + s * a.x, c + r * a.z * a.z}};
+  }
+
+  const Tree& tree_;
+
+ public:
+  Vector q;
+
+ private:
+  std::vector<Pose> poses_;
+  Vector step_, reached_;
+  bool has_placed_ = false;
+
+ public:
+  // Spatial velocity at the world's origin per velocity of each coordinate.
+  std::vector<Twist> columns;
+};
+
+}  // namespace handmap

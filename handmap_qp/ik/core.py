@@ -1,0 +1,76 @@
+"""The compiled core (`handmap_qp/core`, C++), where it was built and is allowed.
+
+Everything that it does is in Python too: the readable reference, which runs where `core` is None.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+import os
+import zlib
+from functools import cached_property
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+
+def fingerprint() -> str:
+    """Return a fingerprint of the core's sources; empty where there are none, as in a wheel."""
+    sources = Path(__file__).parents[1] / "core"
+    files = sorted(sources.glob("*.[ch]pp"))
+    content = b"".join(file.read_bytes() for file in files)
+    return f"{zlib.crc32(content):08x}" if content else ""
+
+
+def _load() -> tuple[ModuleType | None, str]:
+    """Return the core, and what runs in words."""
+    if os.environ.get("HANDMAP_PURE", "") not in ("", "0"):
+        return None, "Python path: HANDMAP_PURE is set"
+    again = "install handmap_qp again with a C++ compiler, such as g++"
+    try:
+        found = importlib.import_module("handmap_qp._core")
+    except ImportError as error:
+        return None, f"Python path: no compiled core ({error}); {again}"
+    if fingerprint() not in ("", found.SOURCES):
+        return (
+            None,
+            f"Python path: the compiled core is older than its sources; {again}",
+        )
+    return found, "compiled core"
+
+
+core, description = _load()
+"""The core, or None; which path runs, and why, in words."""
+
+
+class Compiled:
+    """Base of classes that the core has too, under the same name; subclasses run in Python."""
+
+    @cached_property
+    def core(self) -> Any | None:
+        """The core's own, made of this object's attributes; None without a core."""
+        kind = getattr(core, type(self).__name__, None)
+        return None if kind is None else kind(self)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return all but the core's own, which a copy makes anew."""
+        return {name: value for name, value in vars(self).items() if name != "core"}
+
+
+class Parts:
+    """Where arrays of given shapes lie in a flat one of the core."""
+
+    def __init__(self, *shapes: int | tuple[int, ...]) -> None:
+        self._places: list[tuple[slice, Any]] = []
+        end = 0
+        for shape in shapes:
+            start = end
+            end += math.prod(shape) if isinstance(shape, tuple) else shape
+            self._places.append((slice(start, end), shape))
+
+    def of(self, numbers: np.ndarray) -> list[np.ndarray]:
+        """Return views of the arrays."""
+        return [numbers[place].reshape(shape) for place, shape in self._places]

@@ -1,0 +1,296 @@
+"""The compiled core: each part of it agrees with the Python that says the same."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import subprocess
+import sys
+from itertools import combinations_with_replacement
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from handmap_qp import (
+    AttachedPoints,
+    HandMapper,
+    IkOptions,
+    PointDistances,
+    TaskRows,
+    load_hand,
+    read_recording,
+)
+from handmap_qp.ik import core as core_module
+from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.mapping.presets import get_preset
+
+core: Any = core_module.core
+if core is None:
+    pytest.skip(core_module.description, allow_module_level=True)
+
+HUMANS = {
+    "right": load_hand("human", points="landmarks"),
+    "left": load_hand("human_left", points="landmarks"),
+}
+HANDS = ("three_finger", "allegro_right", "allegro_left", "g1_right", "ur5_allegro")
+PRESETS = ("teleoperation", "object", "paper", "fixed_wrist", "joint-to-joint")
+PARTED = {"three_finger": 1e-6}
+"""Hands with cylinders: coal's normals on curved surfaces are exact to 1e-5."""
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("name", HANDS)
+def test_a_sample_of_both_paths_from_one_state_has_one_command(
+    name: str, preset: str
+) -> None:
+    robot = load_hand(name)
+    chosen = get_preset(preset)
+    options = chosen.ik
+    if preset == "fixed_wrist" or not chosen.suits(HUMANS[robot.side], robot):
+        options = options.replaced(max_acceleration=60.0)
+    reference = options.replaced(formulation="direct")
+    try:
+        fast = HandMapper(HUMANS[robot.side], robot, chosen.method, ik=options)
+        slow = HandMapper(HUMANS[robot.side], robot, chosen.method, ik=reference)
+    except ValueError as error:
+        pytest.skip(str(error))
+    assert fast.point_ik.core is not None
+    assert slow.point_ik.core is None
+    taken = read_recording("demo", robot.side)
+    worst = 0.0
+    for landmarks in taken.landmarks[:180:2]:
+        one = fast.map_landmarks(landmarks, dt=1.0 / 45.0)
+        other = slow.map_landmarks(landmarks, dt=1.0 / 45.0)
+        assert one.status == other.status
+        assert one.iterations == other.iterations
+        np.testing.assert_array_equal(one.at_bound, other.at_bound)
+        np.testing.assert_allclose(one.targets, other.targets, atol=1e-11)
+        np.testing.assert_allclose(one.wrist_target, other.wrist_target, atol=1e-11)
+        assert one.diagnostics.keys() == other.diagnostics.keys()
+        for key, value in other.diagnostics.items():
+            np.testing.assert_allclose(one.diagnostics[key], value, atol=1e-10)
+        worst = max(worst, np.abs(one.command.q - other.command.q).max())
+        fast.motion = slow.motion
+    assert worst < PARTED.get(name, 1e-9)
+
+
+@pytest.mark.parametrize("limit", [None, 25.0], ids=["free", "accelerating"])
+@pytest.mark.parametrize("name", ["allegro_right", "three_finger", "g1_left"])
+def test_hostile_targets_times_and_speeds_have_one_answer(
+    name: str, limit: float | None
+) -> None:
+    hand = load_hand(name)
+    options = IkOptions(
+        max_acceleration=limit,
+        avoids_self_collision=hand.spec.collision is not None,
+        speed_weight=0.1,
+        acceleration_weight=0.1,
+    )
+    fast = PointIk(hand, options)
+    slow = PointIk(hand, options.replaced(formulation="direct"))
+    rng = np.random.default_rng(4)
+    apart = []
+    for i in range(300):
+        if i % 40 == 0:
+            q = rng.uniform(hand.lower_limits - 0.1, hand.upper_limits + 0.1)
+            for ik in (fast, slow):
+                ik.place(hand.configuration_vector(q))
+        points = slow.configuration.points + rng.normal(
+            scale=10.0 ** rng.uniform(-3, 1), size=(len(hand.reference_points), 3)
+        )
+        turn = pin.exp6(10.0 ** rng.uniform(-3, 0.3) * rng.normal(size=6))
+        wrist = (slow.configuration.wrist * turn).homogeneous
+        dt = 10.0 ** rng.uniform(-4, 0)
+        speed = rng.uniform(0.1, 1.0)
+        asked = points, wrist if rng.random() < 0.8 else None, dt
+        one = fast.solve(*asked, speed=speed)
+        other = slow.solve(*asked, speed=speed)
+        apart.append(np.abs(one.displacement - other.displacement).max())
+        fast.gate.motion = slow.gate.motion
+    assert np.quantile(apart, 0.97) < 1e-8
+    assert np.median(apart) < 1e-12
+
+
+def test_a_stop_without_targets_goes_on_in_the_core() -> None:
+    hand = load_hand("allegro_right")
+    ik = PointIk(hand, IkOptions(max_acceleration=30.0))
+    targets = ik.configuration.points + 0.05
+    for _ in range(10):
+        ik.solve(targets, None, 0.01)
+    held = ik.hold(0.01)
+    again = ik.solve(targets, None, 0.01)
+    start = ik.gate.motion.q - np.concatenate([np.zeros(7), again.displacement[6:]])
+    np.testing.assert_allclose(start[7:], held.q[7:], atol=1e-12)
+
+
+class Python(PointDistances):
+    """The rows of `PointDistances`, written in Python: a class that the core does not know."""
+
+
+def test_tasks_in_python_have_the_effect_of_those_in_the_core() -> None:
+    hand = load_hand("allegro_right")
+    tips = AttachedPoints.reference_points(hand)
+    options = IkOptions(rest_weight=0.05)
+    native, written = (
+        kind(tips, [(0, 1), (0, 2)], [0.02, 0.03], [4.0, 2.0])
+        for kind in (PointDistances, Python)
+    )
+    assert native.core is not None
+    assert written.core is None
+    found = []
+    for tasks in ([native], [written], [native, written], [written, native], []):
+        ik = PointIk(hand, options)
+        ik.place(hand.configuration_vector(hand.rest))
+        targets = ik.configuration.points.copy()
+        for _ in range(5):
+            result = ik.solve(targets, None, 0.02, tasks=tasks)
+        found.append(result.q)
+    np.testing.assert_allclose(found[0], found[1], atol=1e-10)
+    np.testing.assert_allclose(found[2], found[3], atol=1e-10)
+    assert np.abs(found[0] - found[4]).max() > 1e-3
+    assert np.abs(found[0] - found[2]).max() > 1e-4
+
+
+class Wrong:
+    """A task with rows of another size."""
+
+    def linearise(self, hand: Any) -> TaskRows:
+        """Return one row too short."""
+        return TaskRows(np.zeros(1), np.zeros((1, hand.nv - 1)))
+
+
+def test_wrong_rows_of_a_task_are_an_error_and_move_nothing() -> None:
+    hand = load_hand("three_finger")
+    ik = PointIk(hand, IkOptions())
+    before = ik.gate.motion
+    with pytest.raises(ValueError, match="sizes"):
+        ik.solve(ik.configuration.points.copy(), None, 0.01, tasks=[Wrong()])
+    assert ik.gate.motion is before
+
+
+def test_the_solver_is_never_worse_than_daqp() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(1500):
+        n, rows = int(rng.integers(1, 24)), int(rng.integers(0, 30))
+        half = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(-3, 2, size=n)
+        H = half.T @ half + 10.0 ** rng.uniform(-4, 0) * np.eye(n)
+        c = 10.0 ** rng.uniform(-2, 4) * rng.normal(size=n)
+        lower, upper = np.sort(rng.normal(scale=0.1, size=(2, n)), axis=0)
+        lower[rng.random(n) < 0.2] = -np.inf
+        upper[rng.random(n) < 0.2] = np.inf
+        equal = rng.random(n) < 0.1
+        lower[equal] = upper[equal] = 0.05
+        inside = np.clip(0.0, lower, upper)
+        G = rng.normal(size=(rows, n)) * (rng.random((rows, n)) < 0.4)
+        # Some rows pass through the point that is known to satisfy all of them.
+        h = G @ inside + rng.exponential(0.05, rows) * (rng.random(rows) < 0.7)
+        is_found, x, _ = core.solve_qp(H, c, lower, upper, G, h)
+        assert is_found
+        scale = max(1.0, np.abs(x).max())
+        assert (x >= lower - 1e-11 * scale).all()
+        assert (x <= upper + 1e-11 * scale).all()
+        assert (G @ x <= h + 1e-10 * scale).all()
+        other = solve_by_daqp(H, c, lower, upper, (G, h))
+        if other is not None and (G @ other <= h + 1e-13).all():
+            other = np.clip(other, lower, upper)
+            ours, theirs = (0.5 * v @ H @ v + c @ v for v in (x, other))
+            assert ours <= theirs + 1e-7 * abs(theirs) + 1e-9
+
+
+def test_the_solver_says_that_bounds_cannot_hold() -> None:
+    G, h = np.array([[1.0], [-1.0]]), np.array([0.0, -1.0])
+    one = np.ones(1)
+    assert not core.solve_qp(np.eye(1), one, -one, one, G, h)[0]
+    assert not core.solve_qp(-np.eye(1), one, -one, one)[0]
+    assert not core.solve_qp(np.full((1, 1), np.nan), one, -one, one)[0]
+
+
+def _corners(seed: int) -> coal.Convex:
+    """Return a hull of random points on an ellipsoid."""
+    from scipy.spatial import ConvexHull
+
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(60, 3))
+    points *= [[0.02, 0.03, 0.05]] / np.linalg.norm(points, axis=1, keepdims=True)
+    vertices, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    vertices.extend([*points])
+    faces.extend([coal.Triangle(*t) for t in ConvexHull(points).simplices.tolist()])
+    return coal.Convex(vertices, faces)
+
+
+SHAPES = {
+    "box": coal.Box(0.04, 0.06, 0.1),
+    "sphere": coal.Sphere(0.02),
+    "capsule": coal.Capsule(0.015, 0.08),
+    "cylinder": coal.Cylinder(0.02, 0.07),
+    "convex": _corners(3),
+}
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), list(combinations_with_replacement(SHAPES, 2))
+)
+def test_distances_are_those_of_coal(first: str, second: str) -> None:
+    a, b = SHAPES[first], SHAPES[second]
+    rng = np.random.default_rng(1)
+    request = coal.DistanceRequest()
+    request.gjk_tolerance = request.epa_tolerance = 1e-12
+    is_round = "cylinder" in (first, second)
+    depths = []
+    for _ in range(300):
+        here, there = (pin.SE3.Random() for _ in range(2))
+        here.translation = 0.02 * rng.normal(size=3)
+        there.translation = 0.06 * rng.normal(size=3)
+        result = coal.DistanceResult()
+        pose_a, pose_b = (
+            coal.Transform3s(p.rotation, p.translation) for p in (here, there)
+        )
+        expected = coal.distance(a, pose_a, b, pose_b, request, result)
+        distance, normal, point = core.measure_shapes(
+            a, here.homogeneous, b, there.homogeneous
+        )
+        depths.append(distance)
+        if is_round and expected < 0.0:
+            # The least depth is the right one; coal ends early on curved surfaces, or fails.
+            assert distance > expected - 1e-8
+        else:
+            assert distance == pytest.approx(expected, abs=1e-8 if is_round else 1e-9)
+        assert math.hypot(*normal) == pytest.approx(1.0, abs=1e-12)
+        # The second shape lies on the far side of the plane through the point.
+        if distance > 1e-6:
+            nearest = np.array(result.getNearestPoint2())
+            gap = np.dot(normal, nearest - np.array(point))
+            assert gap == pytest.approx(distance, abs=1e-6)
+    assert min(depths) < 0.0 < max(depths)
+
+
+@pytest.mark.parametrize("choice", [{"formulation": "direct"}, {"solver": "proxqp"}])
+def test_options_choose_the_python_path(choice: dict[str, Any]) -> None:
+    hand = load_hand("three_finger")
+    assert PointIk(hand, IkOptions()).core is not None
+    assert PointIk(hand, IkOptions(**choice)).core is None
+
+
+def test_a_core_older_than_its_sources_is_not_used(tmp_path: Path) -> None:
+    package = Path(core_module.__file__).parents[1]
+    copied = tmp_path / "handmap_qp"
+    shutil.copytree(package, copied, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(package.parent / "urdf", tmp_path / "urdf")
+    if not list(copied.glob("_core.*")):
+        pytest.skip("the core lies elsewhere")
+    script = "from handmap_qp.ik.core import description; print(description)"
+
+    def says() -> str:
+        command = [sys.executable, "-c", script]
+        return subprocess.run(
+            command, cwd=tmp_path, capture_output=True, text=True, check=True
+        ).stdout
+
+    assert says().startswith("compiled core")
+    with (copied / "core" / "qp.hpp").open("a", encoding="utf-8") as file:
+        file.write("// another line\n")
+    assert "older than its sources" in says()
