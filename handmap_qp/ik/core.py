@@ -14,8 +14,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
 
 def fingerprint() -> str:
     """Return a fingerprint of the core's sources; empty where there are none, as in a wheel."""
@@ -71,6 +69,6 @@ class Parts:
             end += math.prod(shape) if isinstance(shape, tuple) else shape
             self._places.append((slice(start, end), shape))
 
-    def of(self, numbers: np.ndarray) -> list[np.ndarray]:
-        """Return views of the arrays."""
+    def of(self, numbers: Any) -> list[Any]:
+        """Return views of the arrays of a flat one, shape (n,)."""
         return [numbers[place].reshape(shape) for place, shape in self._places]
