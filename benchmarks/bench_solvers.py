@@ -1,10 +1,14 @@
 """Compare QP solvers on the same problems.
 
-Measured: time, failures, distance to the exact solution, violation, and the gain of a warm start.
-There are two sets of box-constrained problems. *Recorded*: the sequence of problems of a headset
-recording mapped to the Allegro hand, where a warm start can help. *Hard*: random problems with
-targets out of reach, joints at and outside their limits, singular (stretched) postures, and short
-and long time steps.
+Measured: time, failures, distance to the exact solution and violation. `core` is the solver of the
+compiled core. There are two sets of box-constrained problems. *Recorded*: the problems of a headset
+recording mapped to the Allegro hand. *Hard*: random problems with targets out of reach, joints at
+and outside their limits, singular (stretched) postures, and short and long time steps.
+
+Two more sets have rows too, and no exact solutions: *contacts*, those of mapping the recording with
+contacts to four hands, and *hostile*, those of random targets up to 1e6 m away, options and times
+(`hostile.py`). There the best answer of all solvers counts that violates nothing by more than 1e-12
+of the largest step. A solver fails if it has no answer, or one that violates something by 1e-7.
 
     python benchmarks/bench_solvers.py --picture solvers.png --json solvers.json
 """
@@ -17,6 +21,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import common
+import hostile
 import numpy as np
 import pinocchio as pin
 import synthetic
@@ -24,6 +29,7 @@ import synthetic
 from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion
+from handmap_qp.ik import core as core_module
 from handmap_qp.ik.qp import (
     PointIk,
     QpSolver,
@@ -33,9 +39,12 @@ from handmap_qp.ik.qp import (
     solve_by_daqp,
 )
 from handmap_qp.ik.tasks import Goal
+from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import affine
 
 _HARD = 5000
+COMPILED: Any = core_module.core
+_COMPARED = ("core", "daqp", "proxqp", "osqp")
 _ROBOTS = ("allegro_right", "three_finger")
 
 
@@ -46,6 +55,7 @@ class Problem(NamedTuple):
     c: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+    rows: Rows | None = None
 
 
 class Recorder:
@@ -63,7 +73,8 @@ class Recorder:
         rows: Rows | None = None,
     ) -> np.ndarray | None:
         """As `QpSolver`."""
-        self.problems.append(Problem(H.copy(), c.copy(), lower.copy(), upper.copy()))
+        taken = Problem(H.copy(), c.copy(), lower.copy(), upper.copy(), rows)
+        self.problems.append(taken)
         return solve_by_daqp(H, c, lower, upper, rows)
 
 
@@ -123,7 +134,7 @@ def exact_answer(problem: Problem) -> np.ndarray:
     Raises:
         RuntimeError: If DAQP fails or the KKT conditions do not hold.
     """
-    H, c, lower, upper = problem
+    H, c, lower, upper, _ = problem
     start = solve_by_daqp(*problem)
     if start is None:
         raise RuntimeError("DAQP found no solution to start from")
@@ -187,11 +198,120 @@ def measure(
     }
 
 
+def contact_problems(motion: HumanMotion) -> list[Problem]:
+    """Record the problems of mapping landmarks with contacts, on four hands."""
+    recorder = Recorder()
+    human = motion.human.with_points("landmarks")
+    ik = get_preset("teleoperation").ik.replaced(formulation="direct")
+    for name in ("allegro_right", "three_finger", "g1_right", "ur5_allegro"):
+        mapper = HandMapper(human, load_hand(name), "teleoperation", ik=ik)
+        mapper.point_ik._solver = recorder
+        for i in range(len(motion.time)):
+            landmarks = human.points(motion.q[i], motion.wrist[i])
+            mapper.map_landmarks(landmarks, dt=motion.dt[i])
+    return recorder.problems
+
+
+def hostile_problems(steps: int, seed: int = 0) -> list[Problem]:
+    """Record the problems of hostile targets, times and limits on four hands."""
+    recorder = Recorder()
+    for k, name in enumerate(("allegro_right", "three_finger", "human", "g1_left")):
+        for limit in (None, 40.0):
+            hand = load_hand(name)
+            options = IkOptions(
+                formulation="direct",
+                max_acceleration=limit,
+                avoids_self_collision=hand.spec.collision is not None,
+            )
+            run, tally = hostile.IkRun(hand, options, seed + k), hostile.Tally()
+            run._ik._solver = recorder
+            for _ in range(steps // 8):
+                run.step(tally)
+    return recorder.problems
+
+
+def compare_objectives(problems: Sequence[Problem]) -> list[dict[str, Any]]:
+    """Hold each solver's objective against the best feasible one of all.
+
+    Returns:
+        For each solver its time [us], failures, how often its objective is above the best by more
+        than 1e-9 of it, by how much at most, and the largest violation of an answer, over the
+        largest step or 1.
+    """
+    chosen = {name: solve for name, solve in solvers().items() if name in _COMPARED}
+    tallies = {name: _Objectives([], [], []) for name in chosen}
+    for problem in problems:
+        values = {}
+        best = np.inf
+        for name, solve in chosen.items():
+            started = time.thread_time_ns()
+            x = solve(*problem)
+            tally = tallies[name]
+            tally.times.append(1e-3 * (time.thread_time_ns() - started))
+            violation = np.inf if x is None else violation_of(problem, x)
+            tally.violations.append(violation)
+            values[name] = np.inf
+            if x is not None and violation <= 1e-7:
+                values[name] = 0.5 * x @ problem.H @ x + problem.c @ x
+            if violation <= 1e-12:
+                best = min(best, values[name])
+        scale = max(abs(best), 1e-300)
+        for name, value in values.items():
+            tallies[name].excess.append((value - best) / scale)
+    return [
+        {
+            "solver": name,
+            "median_us": float(np.median(tally.times)),
+            "failures": int(np.sum(np.array(tally.violations) > 1e-7)),
+            "worse": int(
+                np.sum(np.isfinite(tally.excess) & (np.array(tally.excess) > 1e-9))
+            ),
+            "worst": float(
+                np.max(tally.excess, where=np.isfinite(tally.excess), initial=0.0)
+            ),
+            "violation_max": float(np.max(tally.violations)),
+        }
+        for name, tally in tallies.items()
+    ]
+
+
+class _Objectives(NamedTuple):
+    """Times [us], violations and excess of the objective of one solver."""
+
+    times: list[float]
+    violations: list[float]
+    excess: list[float]
+
+
+def violation_of(problem: Problem, x: np.ndarray) -> float:
+    """Return the largest violation of a bound or a normalised row, over the largest step or 1."""
+    worst = max(0.0, (problem.lower - x).max(), (x - problem.upper).max())
+    if problem.rows is not None:
+        G, h = problem.rows
+        lengths = np.maximum(np.linalg.norm(G, axis=1), 1e-12)
+        worst = max(worst, ((G @ x - h) / lengths).max(initial=0.0))
+    worst = worst if np.isfinite(x).all() else np.inf
+    return float(worst / max(1.0, np.abs(x).max()))
+
+
+def solve_by_core(
+    H: np.ndarray,
+    c: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    rows: Rows | None = None,
+) -> np.ndarray | None:
+    """Solve by the compiled core; see `QpSolver`."""
+    is_found, x, _ = COMPILED.solve_qp(H, c, lower, upper, *(rows or (None, None)))
+    return x if is_found else None
+
+
 def solvers() -> dict[str, QpSolver]:
     """Return each installed solver by its name."""
     import qpsolvers
 
-    return {
+    own: dict[str, QpSolver] = {} if COMPILED is None else {"core": solve_by_core}
+    return own | {
         name: make_solver(name)
         for name in sorted({"daqp", *qpsolvers.available_solvers})
     }
@@ -258,15 +378,29 @@ def main(words: Sequence[str] | None = None) -> None:
         ):
             # Warnings of solvers show as failures or distances.
             warnings.simplefilter("ignore")
-            for name, solver in solvers().items():
-                rows.append({"solver": name, **measure(solver, problems, answers)})
+            for which, solver in solvers().items():
+                rows.append({"solver": which, **measure(solver, problems, answers)})
                 advance()
         results[name] = rows
         common.print_table(
             f"{len(problems)} {name} problems", rows, to_stderr=arguments.json == "-"
         )
+    drawn = dict(results)
+    with_rows = {
+        "contacts": contact_problems(motion),
+        "hostile": hostile_problems(80 if arguments.quick else 4 * arguments.hard),
+    }
+    for name, problems in with_rows.items():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            results[name] = compare_objectives(problems)
+        common.print_table(
+            f"{len(problems)} {name} problems",
+            results[name],
+            to_stderr=arguments.json == "-",
+        )
     common.write_json(arguments.json, "bench_solvers", results)
-    common.save_picture(arguments.picture, lambda: draw(results))
+    common.save_picture(arguments.picture, lambda: draw(drawn))
 
 
 if __name__ == "__main__":
