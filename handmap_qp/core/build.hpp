@@ -324,7 +324,7 @@ inline void make_distances(DistanceTask* self, const nb::object& owner) {
 
 inline void make_reader(LandmarkReader* self, const nb::object& owner) {
   const Fields from(owner);
-  new (self) LandmarkReader{from.indices("used"), from.indices("palm"), from.points("model")};
+  new (self) LandmarkReader{from.indices("used"), from.points("model")};
 }
 
 }  // namespace handmap

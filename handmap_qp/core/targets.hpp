@@ -8,6 +8,9 @@
 
 namespace handmap {
 
+// Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers.
+constexpr int kPalm[5] = {0, 5, 9, 13, 17};
+
 // The three columns of A turned orthogonal, longest first: A V = U S (Hestenes, 1958).
 struct Svd3 {
   Mat3 U, V;  // as rotations up to the sign of the last column, which A decides
@@ -307,12 +310,12 @@ class HomogeneousMap : public TargetMap {
 // See mapper.LandmarkReader.
 class LandmarkReader {
  public:
-  std::vector<int> used, palm;
+  std::vector<int> used;
   std::vector<Vec3> model;  // the palm's landmarks in wrist axes
 
   Pose fit(const std::vector<Vec3>& landmarks) const {
-    std::vector<Vec3> seen(palm.size());
-    for (size_t k = 0; k < palm.size(); ++k) seen[k] = landmarks[palm[k]];
+    std::vector<Vec3> seen;
+    for (const int i : kPalm) seen.push_back(landmarks[i]);
     return rigid_fit(model, seen);
   }
 };

@@ -12,11 +12,13 @@ import zlib
 from functools import cached_property
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 def fingerprint() -> str:
-    """Return a fingerprint of the core's sources; empty where there are none, as in a wheel."""
+    """Return a fingerprint of the core's sources; empty in a wheel, which has none."""
     sources = Path(__file__).parents[1] / "core"
     files = sorted(sources.glob("*.[ch]pp"))
     content = b"".join(file.read_bytes() for file in files)
@@ -24,7 +26,6 @@ def fingerprint() -> str:
 
 
 def _load() -> tuple[ModuleType | None, str]:
-    """Return the core, and what runs in words."""
     if os.environ.get("HANDMAP_PURE", "") not in ("", "0"):
         return None, "Python path: HANDMAP_PURE is set"
     again = "install handmap_qp again with a C++ compiler, such as g++"
@@ -33,15 +34,17 @@ def _load() -> tuple[ModuleType | None, str]:
     except ImportError as error:
         return None, f"Python path: no compiled core ({error}); {again}"
     if fingerprint() not in ("", found.SOURCES):
-        return (
-            None,
-            f"Python path: the compiled core is older than its sources; {again}",
-        )
+        return None, f"Python path: the core is older than its sources; {again}"
     return found, "compiled core"
 
 
 core, description = _load()
 """The core, or None; which path runs, and why, in words."""
+
+
+def in_core(reference: T) -> T:
+    """Return the core's function of this one's name, or this one where there is none."""
+    return getattr(core, getattr(reference, "__name__", ""), reference)
 
 
 class Compiled:

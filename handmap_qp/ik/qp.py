@@ -361,11 +361,6 @@ class PointIk:
             self._configuration.place(self.gate.motion.q)
         return self._configuration
 
-    @property
-    def collisions(self) -> CollisionLimit | None:
-        """Rows of the pairs of shapes that are kept apart; None if there are none."""
-        return self.gate.collisions
-
     def with_options(self, options: IkOptions) -> PointIk:
         """Return a solver with other options that moves the same hand on from where it is."""
         return PointIk(self.hand, options, self.gate.motion, contacts=self._contacts)

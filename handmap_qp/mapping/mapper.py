@@ -576,7 +576,6 @@ class LandmarkReader(Compiled):
                 advice="choose reference points among the landmarks, or call map_points",
             )
         self.used = np.array([known[point.name] for point in human.reference_points])
-        self.palm = np.array(PALM)
         self.model = landmarks_at_rest(human)[PALM]
         self._parts = Parts((len(self.used), 3), (4, 4))
 
@@ -595,7 +594,7 @@ class LandmarkReader(Compiled):
         if wrist is None and self.core is not None:
             return HumanPose(*self._parts.of(self.core.read(landmarks)))
         if wrist is None:
-            wrist = rigid_fit(self.model, landmarks[self.palm])
+            wrist = rigid_fit(self.model, landmarks[PALM])
         return HumanPose(landmarks[self.used], wrist)
 
 

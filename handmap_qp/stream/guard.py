@@ -31,6 +31,7 @@ from handmap_qp.human.sample import (
     landmarks_at_rest,
     palm_sizes,
 )
+from handmap_qp.ik.core import in_core
 from handmap_qp.se3 import lengths, nearest_rotation
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -242,6 +243,7 @@ class Change(NamedTuple):
     is_too_fast: bool
 
 
+@in_core
 def is_zero(landmarks: np.ndarray) -> bool:
     """Tell whether landmarks (21, 3) lie in one place, or all but one at the origin."""
     # One landmark may be the origin of the tracker's world.
@@ -249,6 +251,7 @@ def is_zero(landmarks: np.ndarray) -> bool:
     return bool(palm_sizes(landmarks[PALM]) < ZERO_SIZE or seen < len(landmarks) - 1)
 
 
+@in_core
 def first_track(now: float, landmarks: np.ndarray) -> Track:
     """Return landmarks (21, 3) [m] at a time [s] as a sample without motion."""
     centre = landmarks[PALM].mean(axis=0)
@@ -264,6 +267,7 @@ def is_same_hand(before: Track, sample: Track) -> bool:
     return bool(is_same and (before.centre == sample.centre).all())
 
 
+@in_core
 def change_between(
     track: Track,
     sample: Track,

@@ -216,10 +216,10 @@ def test_a_solver_goes_on_from_a_posture_of_its_own(way: Callable[[Any], Any]) -
     np.testing.assert_allclose(
         found.displacement, expected.displacement, atol=TOLERANCE
     )
-    assert copied.collisions is not None
-    assert solver.collisions is not None
-    apart = copied.collisions.distances(copied.configuration)
-    expected_apart = solver.collisions.distances(solver.configuration)
+    assert copied.gate.collisions is not None
+    assert solver.gate.collisions is not None
+    apart = copied.gate.collisions.distances(copied.configuration)
+    expected_apart = solver.gate.collisions.distances(solver.configuration)
     np.testing.assert_allclose(apart, expected_apart, atol=TOLERANCE)
 
 

@@ -267,7 +267,7 @@ class CommandedRobot(Gate):
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""
         limit = ik.options.max_acceleration
         super().__init__(
-            ik.hand, self.motion, max_acceleration=limit, collisions=ik.collisions
+            ik.hand, self.motion, max_acceleration=limit, collisions=ik.gate.collisions
         )
 
     @property
