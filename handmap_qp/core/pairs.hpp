@@ -51,8 +51,11 @@ class Pairs {
   void finish() {
     known_.resize(pairs.size());
     warm_.resize(pairs.size());
+    keys_.assign(pairs.size(), -kInfinity);
+    levers_.assign(pairs.size(), 0.0);
+    centres_.resize(bodies.size());
     for (size_t k = 0; k < pairs.size(); ++k)
-      for (const double lever : pairs[k].levers.values) known_[k].levers += lever;
+      for (const double lever : pairs[k].levers.values) levers_[k] += lever;
   }
 
   // Rows of the pairs that may come to their margin in the next displacement, where the robot is.
@@ -64,13 +67,16 @@ class Pairs {
     turned_.resize(tree_.nv);
     tree_.expand(last.data(), turned_.data());
     for (double& turn : turned_) turn = std::abs(turn);
+    const double most = longest_turn();
     rows.count = 0;
     rows.G.clear();
     rows.h.clear();
     for (size_t k = 0; k < pairs.size(); ++k) {
       const double kept = margins.empty() ? margin : margins[k];
-      if (bound(k) > kept + reach) continue;
+      // At most, before the sum of levers times turns is known.
       double within = reach;
+      if (reach < kInfinity) within = std::min(kNear + kExpected * levers_[k] * most, reach);
+      if (bound(k) > kept + within || gap(k) > kept + within) continue;
       if (reach < kInfinity)
         within = std::min(kNear + kExpected * pairs[k].levers.dot(turned_.data()), reach);
       if (!is_within(at, k, kept + within)) continue;
@@ -87,12 +93,13 @@ class Pairs {
     go_to(at);
     turned_.resize(tree_.nv);
     for (int c = 0; c < tree_.nv; ++c) turned_[c] = std::abs(step[c]);
-    const double most = longest(at.q, end.q);
+    const double most = longest_turn();
     ends_.clear();
     parts_.clear();
     bool is_clear = true;
     for (size_t k = 0; k < pairs.size(); ++k) {
-      if (bound(k) - known_[k].levers * most > kKept) continue;
+      const double farthest = kKept + levers_[k] * most;
+      if (bound(k) > farthest || gap(k) > farthest) continue;
       const double travel = pairs[k].levers.dot(turned_.data());
       if (!is_within(at, k, kKept + travel)) continue;
       const Found &before = known_[k].found, after = found_at(end, k);
@@ -117,10 +124,8 @@ class Pairs {
   }
 
  private:
-  // What is known of a pair: it was measured where the robot was at a stamp, and its distance is at
-  // least `key` minus its levers times how far the joints have turned since the beginning.
+  // What was found of a pair where the robot was at a stamp.
   struct Known {
-    double levers = 0.0, key = -kInfinity;
     long stamp = -1;
     Found found{};
   };
@@ -145,31 +150,41 @@ class Pairs {
     if (!q_.empty()) turned_so_far_ += longest(q_, at.q);
     q_ = at.q;
     ++stamp_;
+    for (size_t b = 0; b < bodies.size(); ++b)
+      centres_[b] = at.pose(bodies[b].joint) * bodies[b].centre;
   }
 
-  double bound(size_t k) const {
-    const Known& known = known_[k];
-    return known.stamp == stamp_ ? known.found.distance
-                                 : known.key - known.levers * turned_so_far_;
+  // A lower bound of the distance where the robot is: keys are bounds, plus the pair's levers times
+  // how far the joints had turned since the beginning.
+  double bound(size_t k) const { return keys_[k] - levers_[k] * turned_so_far_; }
+
+  // The distance of the bounding balls of a pair that is not measured, as its new bound.
+  double gap(size_t k) {
+    if (known_[k].stamp == stamp_) return known_[k].found.distance;
+    const int a = pairs[k].first, b = pairs[k].second;
+    const double gap = norm(centres_[a] - centres_[b]) - bodies[a].radius - bodies[b].radius;
+    keys_[k] = std::max(keys_[k], gap + levers_[k] * turned_so_far_);
+    return gap;
+  }
+
+  // The longest turn of a joint in `turned_`; a floating wrist moves no pair.
+  double longest_turn() const {
+    double most = 0.0;
+    for (const Joint& joint : tree_.joints)
+      if (joint.kind != JointKind::floating) most = std::max(most, turned_[joint.v]);
+    return most;
   }
 
   void know(size_t k, const Found& found) {
-    Known& known = known_[k];
-    known.found = found;
-    known.stamp = stamp_;
-    known.key = found.distance + known.levers * turned_so_far_;
+    known_[k] = {stamp_, found};
+    keys_[k] = found.distance + levers_[k] * turned_so_far_;
   }
 
   // Whether a pair is within a distance where the robot is; if so, it is measured.
   bool is_within(const Placed& at, size_t k, double distance) {
     Known& known = known_[k];
     if (known.stamp != stamp_) {
-      if (bound(k) > distance) return false;
-      const Body &a = bodies[pairs[k].first], &b = bodies[pairs[k].second];
-      const double gap = norm(at.pose(a.joint) * a.centre - at.pose(b.joint) * b.centre) -
-                         a.radius - b.radius;
-      known.key = std::max(known.key, gap + known.levers * turned_so_far_);
-      if (gap > distance) return false;
+      if (bound(k) > distance || gap(k) > distance) return false;
       know(k, found_at(at, k));
     }
     return known.found.distance <= distance;
@@ -236,6 +251,8 @@ class Pairs {
   double turned_so_far_ = 0.0;
   long stamp_ = 0;
   std::vector<Known> known_;
+  Vector keys_, levers_;
+  std::vector<Vec3> centres_;  // of the bodies' balls where the robot is
   std::vector<Warm> warm_;
   std::vector<std::pair<size_t, Found>> ends_;
   Vector turned_, moved_, reached_;

@@ -6,6 +6,7 @@
 // hold J^T H J = I and J^T N = [R; 0], with the normals N of the active constraints.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <vector>
@@ -54,16 +55,30 @@ class Qp {
   // A constraint that depends on the active ones may be violated by this much.
   static constexpr double kLoose = 1e-8;
 
-  double* J(int i) { return J_.data() + i * n_; }
+  // Column j of J, contiguous, so that turning two columns and adding one are quick.
+  double* J(int j) { return J_.data() + j * n_; }
   double& R(int i, int j) { return R_[i * n_ + j]; }
 
-  // Factor H, and go to the free minimum.
+  // With four sums, as one sum waits for itself.
+  static double dot(const double* a, const double* b, int n) {
+    double sums[4] = {0.0, 0.0, 0.0, 0.0};
+    int i = 0;
+    for (; i + 3 < n; i += 4)
+      for (int k = 0; k < 4; ++k) sums[k] += a[i + k] * b[i + k];
+    for (; i < n; ++i) sums[0] += a[i] * b[i];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+  }
+  static void add(double factor, const double* from, double* to, int n) {
+    for (int i = 0; i < n; ++i) to[i] += factor * from[i];
+  }
+
+  // Factor H = U^T U, and go to the free minimum.
   bool start() {
     const int n = n_;
     J_.assign(n * n, 0.0);
-    L_.resize(n * n);
+    U_.resize(n * n);
     R_.resize(n * n);
-    x.resize(n);
+    x.assign(n, 0.0);
     d_.resize(n);
     z_.resize(n);
     r_.resize(n);
@@ -72,44 +87,34 @@ class Qp {
     is_active_.assign(2 * n + rows_, 0);
     is_rounded_ = false;
     row_norms_.resize(rows_);
-    for (int k = 0; k < rows_; ++k) {
-      double sum = 0.0;
-      for (int i = 0; i < n; ++i) sum += G_[k * n + i] * G_[k * n + i];
-      row_norms_[k] = std::sqrt(sum);
+    for (int k = 0; k < rows_; ++k) row_norms_[k] = std::sqrt(dot(G_ + k * n, G_ + k * n, n));
+    for (int k = 0; k < n; ++k) {
+      double* row = U_.data() + k * n;
+      std::copy(H_ + k * n + k, H_ + k * n + n, row + k);
+      for (int i = 0; i < k; ++i) {
+        const double* above = U_.data() + i * n;
+        add(-above[k], above + k, row + k, n - k);
+      }
+      // Where targets are 1e18 m away, rounding may leave less than nothing of a pivot.
+      const double least = kLeastPivot * H_[k * n + k];
+      if (!(least > 0.0 && least < kInfinity)) return false;
+      is_rounded_ |= !(row[k] > least);
+      const double root = std::sqrt(std::max(row[k], least));
+      row[k] = root;
+      for (int j = k + 1; j < n; ++j) row[j] /= root;
     }
-    for (int i = 0; i < n; ++i)
-      for (int j = 0; j <= i; ++j) {
-        double sum = H_[i * n + j];
-        for (int k = 0; k < j; ++k) sum -= L_[i * n + k] * L_[j * n + k];
-        if (i != j) {
-          L_[i * n + j] = sum / L_[j * n + j];
-        } else {
-          // Where targets are 1e18 m away, rounding may leave less than nothing of a pivot.
-          const double least = kLeastPivot * H_[i * n + i];
-          if (!(least > 0.0 && least < kInfinity)) return false;
-          is_rounded_ |= !(sum > least);
-          L_[i * n + i] = std::sqrt(std::max(sum, least));
-        }
-      }
-    // J = L^-T: column by column of L^-1, which are rows of J.
-    for (int j = 0; j < n; ++j) {
-      J_[j * n + j] = 1.0 / L_[j * n + j];
-      for (int i = j + 1; i < n; ++i) {
-        double sum = 0.0;
-        for (int k = j; k < i; ++k) sum -= L_[i * n + k] * J_[j * n + k];
-        J_[j * n + i] = sum / L_[i * n + i];
-      }
+    // J = U^-1, column by column.
+    for (int i = 0; i < n; ++i) {
+      double* column = J(i);
+      for (int k = 0; k < i; ++k) add(-U_[k * n + i], J(k), column, k + 1);
+      column[i] = 1.0;
+      const double pivot = U_[i * n + i];
+      for (int j = 0; j <= i; ++j) column[j] /= pivot;
     }
     for (int i = 0; i < n; ++i) {  // x = -J J^T c
-      double sum = 0.0;
-      for (int k = 0; k <= i; ++k) sum += J_[k * n + i] * c_[k];
-      d_[i] = sum;
-    }
-    for (int i = 0; i < n; ++i) {
-      double sum = 0.0;
-      for (int k = i; k < n; ++k) sum += J_[i * n + k] * d_[k];
-      x[i] = -sum;
-      if (!(std::abs(sum) < kInfinity)) return false;
+      const double along = dot(J(i), c_, i + 1);
+      if (!(std::abs(along) < kInfinity)) return false;
+      add(-along, J(i), x.data(), i + 1);
     }
     return true;
   }
@@ -118,10 +123,7 @@ class Qp {
   double slack(int k) const {
     if (k < n_) return x[k] - lower_[k];
     if (k < 2 * n_) return upper_[k - n_] - x[k - n_];
-    const double* g = G_ + (k - 2 * n_) * n_;
-    double sum = h_[k - 2 * n_];
-    for (int i = 0; i < n_; ++i) sum -= g[i] * x[i];
-    return sum;
+    return h_[k - 2 * n_] - dot(G_ + (k - 2 * n_) * n_, x.data(), n_);
   }
 
   int most_violated() const {
@@ -149,18 +151,13 @@ class Qp {
   void project(int k) {
     const int n = n_;
     if (k < 2 * n) {
-      const double* row = J(k < n ? k : k - n);
+      const int i = k < n ? k : k - n;
       const double sign = k < n ? 1.0 : -1.0;
-      for (int i = 0; i < n; ++i) d_[i] = sign * row[i];
+      for (int j = 0; j < n; ++j) d_[j] = sign * J(j)[i];
       return;
     }
     const double* g = G_ + (k - 2 * n) * n;
-    for (int i = 0; i < n; ++i) d_[i] = 0.0;
-    for (int j = 0; j < n; ++j) {
-      if (g[j] == 0.0) continue;
-      const double* row = J(j);
-      for (int i = 0; i < n; ++i) d_[i] -= g[j] * row[i];
-    }
+    for (int j = 0; j < n; ++j) d_[j] = -dot(g, J(j), n);
   }
 
   // Take in a violated constraint; drop others on the way. False if it contradicts them.
@@ -200,12 +197,7 @@ class Qp {
       for (int i = 0; i < count; ++i) multipliers_[i] = std::max(multipliers_[i] - t * r_[i], 0.0);
       own += t;
       if (!depends)
-        for (int i = 0; i < n; ++i) {
-          const double* row = J(i);
-          double sum = 0.0;
-          for (int j = count; j < n; ++j) sum += row[j] * d_[j];
-          x[i] += t * sum;
-        }
+        for (int j = count; j < n; ++j) add(t * d_[j], J(j), x.data(), n);
       if (full <= drop_at) {
         append(k, own);
         snap();
@@ -224,11 +216,11 @@ class Qp {
 
   // Turn two columns of J.
   void turn(int i, int j, double c, double s) {
+    double *a = J(i), *b = J(j);
     for (int k = 0; k < n_; ++k) {
-      double* row = J(k);
-      const double a = row[i], b = row[j];
-      row[i] = c * a + s * b;
-      row[j] = c * b - s * a;
+      const double first = a[k], second = b[k];
+      a[k] = c * first + s * second;
+      b[k] = c * second - s * first;
     }
   }
 
@@ -281,32 +273,18 @@ class Qp {
       for (int j = 0; j < i; ++j) sum -= R(j, i) * r_[j];
       r_[i] = sum / R(i, i);
     }
-    for (int i = 0; i < n; ++i) {
-      const double* row = J(i);
-      double sum = 0.0;
-      for (int j = 0; j < count; ++j) sum += row[j] * r_[j];
-      x[i] += sum;
-    }
+    for (int j = 0; j < count; ++j) add(r_[j], J(j), x.data(), n);
     if (is_rounded_) return;
     // And to the minimum along them: x -= J_2 J_2^T (H x + c).
-    for (int i = 0; i < n; ++i) z_[i] = c_[i];
-    for (int i = 0; i < n; ++i)
-      for (int j = 0; j < n; ++j) z_[i] += H_[i * n + j] * x[j];
-    for (int j = count; j < n; ++j) {
-      double sum = 0.0;
-      for (int i = 0; i < n; ++i) sum += J_[i * n + j] * z_[i];
-      d_[j] = sum;
-    }
-    for (int i = 0; i < n; ++i) {
-      const double* row = J(i);
-      for (int j = count; j < n; ++j) x[i] -= row[j] * d_[j];
-    }
+    for (int i = 0; i < n; ++i) z_[i] = c_[i] + dot(H_ + i * n, x.data(), n);
+    for (int j = count; j < n; ++j) d_[j] = dot(J(j), z_.data(), n);
+    for (int j = count; j < n; ++j) add(-d_[j], J(j), x.data(), n);
   }
 
   int n_ = 0, rows_ = 0;
   const double *H_ = nullptr, *c_ = nullptr, *lower_ = nullptr, *upper_ = nullptr, *G_ = nullptr,
                *h_ = nullptr;
-  std::vector<double> J_, L_, R_, d_, z_, r_, multipliers_, row_norms_;
+  std::vector<double> J_, U_, R_, d_, z_, r_, multipliers_, row_norms_;
   std::vector<int> active_;
   std::vector<char> is_active_;
   bool is_rounded_ = false;
