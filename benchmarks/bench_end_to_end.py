@@ -10,10 +10,11 @@ median over the samples of the least time of each in all rounds.
     python benchmarks/bench_end_to_end.py
     python benchmarks/bench_end_to_end.py --compare ../another_checkout --no-peers
 
-`teleoperation:free` has no contact rows. With `--compare`, the same presets of another checkout
-take turns with these, and the last column says by how much the robot's joints and wrist differ at
-most [rad or m]. All use one matched posture. `teleoperation, other, shifted` is the other checkout
-against itself with its landmarks moved by 1e-15 m: so much do contact rows magnify rounding.
+`teleoperation:free` has no contact rows, `teleoperation:guard` goes through the follower's guard.
+With `--compare`, the same presets of another checkout take turns with these, and the last column
+says by how much the robot's joints and wrist differ at most [rad or m]. All use one matched
+posture. `teleoperation, other, shifted` is the other checkout against itself with its landmarks
+moved by 1e-15 m: so much do contact rows magnify rounding.
 """
 
 from __future__ import annotations
@@ -40,8 +41,14 @@ ROBOTS = {
     "svh_right": "schunk_svh_hand_right",
 }
 """Hands with four and five fingers, and their names in the peers' configurations."""
-PRESETS = ("teleoperation", "teleoperation:free", "object", "paper")
-"""Our presets; `:free` is without contact rows."""
+PRESETS = (
+    "teleoperation",
+    "teleoperation:guard",
+    "teleoperation:free",
+    "object",
+    "paper",
+)
+"""Our presets; `:free` is without contact rows, `:guard` is `Follower.map_sample`."""
 PEERS = (
     ("dexi-rs", "vector"),
     ("dexi-rs", "dexpilot"),

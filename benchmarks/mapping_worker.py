@@ -4,8 +4,9 @@
 
 The script imports the `handmap_qp` of PYTHONPATH, which may be that of another checkout, older ones
 among them. So it keeps to public names. CALL is `map_landmarks`, `map_points` or `map_step`. PRESET
-is the name of a preset, with `:free` behind it for no contact rows, or `:shifted` for landmarks
-that are moved by 1e-15 m, which tells how much rounding changes.
+is the name of a preset, with `:free` behind it for no contact rows, `:guard` for samples that go
+through the follower's guard, or `:shifted` for landmarks that are moved by 1e-15 m, which tells how
+much rounding changes.
 
 Requests and answers are lines of JSON. A request names a range of samples, and whether to start
 again. An answer holds the thread's CPU time of each call [ns], the robot's joints and wrist after
@@ -25,7 +26,14 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp import HandMapper, HumanLengths, MappingOptions, load_hand
+from handmap_qp import (
+    Follower,
+    HandMapper,
+    HumanLengths,
+    HumanSample,
+    MappingOptions,
+    load_hand,
+)
 
 _JACOBIANS = 200
 _SHIFT = 1e-15
@@ -61,6 +69,10 @@ def arguments_of(
     call: str, inputs: Any, human: Any, preset: str
 ) -> list[tuple[Any, ...]]:
     """Return the positional arguments of every call."""
+    if preset.endswith(":guard"):
+        times = np.cumsum(inputs["dt"])
+        rows = zip(times, inputs["landmarks"], strict=True)
+        return [(HumanSample(t, human.side, landmarks),) for t, landmarks in rows]
     if call == "map_landmarks":
         shift = _SHIFT if preset.endswith(":shifted") else 0.0
         return [(sample,) for sample in inputs["landmarks"] + shift]
@@ -71,7 +83,11 @@ def arguments_of(
 
 
 def serve(
-    mapper: Any, call: str, samples: list[tuple[Any, ...]], steps: list[float]
+    mapper: Any,
+    call: str,
+    samples: list[tuple[Any, ...]],
+    steps: list[float],
+    preset: str,
 ) -> None:
     """Answer requests until the input ends."""
     model, q = mapper.robot.model, mapper.robot.configuration_vector(mapper.robot.rest)
@@ -82,6 +98,8 @@ def serve(
         request = json.loads(line)
         if request["starts"]:
             mapper.reset()
+            if preset.endswith(":guard"):
+                function = Follower(mapper).map_sample
         first, last = request["samples"]
         times, joints, wrists, iterations = [], [], [], []
         started = time.thread_time_ns()
@@ -111,7 +129,7 @@ def main() -> None:
         robot = load_hand(msgspec.structs.replace(robot.spec, matched=matched))
     mapper = make_mapper(inputs, robot, preset)
     samples = arguments_of(call, inputs, mapper.human, preset)
-    serve(mapper, call, samples, inputs["dt"].tolist())
+    serve(mapper, call, samples, inputs["dt"].tolist(), preset)
 
 
 if __name__ == "__main__":
