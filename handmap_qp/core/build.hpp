@@ -10,7 +10,7 @@
 
 #include <stdexcept>
 
-#include "targets.hpp"
+#include "step.hpp"
 
 namespace nb = nanobind;
 
@@ -151,7 +151,8 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
   ik.weights = {vector_of(costs), nb::cast<double>(item(wrist, 0)), nb::cast<double>(item(wrist, 1)),
                 options.get<double>("damping"), options.get<double>("error_damping")};
   ik.settings = {options.get<int>("max_iterations"), options.get<double>("step_tolerance"),
-                 options.get<double>("point_tolerance")};
+                 options.get<double>("point_tolerance"), options.get<double>("rest_weight"),
+                 options.get<double>("speed_weight"), options.get<double>("acceleration_weight")};
 }
 
 inline void set_limits(Ik& ik, const Fields& from) {
@@ -250,6 +251,7 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   const Fields from(owner);
   TeleoperationMap& map = *new (self) TeleoperationMap();
   map.needs_wrist = true;
+  map.rest = from.numbers("rest");
   map.human_points = from.get<Array>("pair.human_rest").shape(0);
   map.human_wrist_to_palm = from.pose("human_wrist_to_palm");
   map.robot_palm_to_wrist = from.pose("robot_palm_to_wrist");
@@ -298,6 +300,7 @@ inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
               : rigid == "none" ? HomogeneousMap::Rigid::none
                                 : HomogeneousMap::Rigid::points;
   map.needs_wrist = rigid == "wrist";
+  map.rest = from.numbers("rest");
   map.estimator = make_estimator(from);
   map.human_points = map.estimator.count;
   map.stretch_min = from.get<double>("options.stretch_min");
@@ -322,9 +325,18 @@ inline void make_distances(DistanceTask* self, const nb::object& owner) {
                           from.indices("first"), from.indices("second"), from.numbers("damping")};
 }
 
-inline void make_reader(LandmarkReader* self, const nb::object& owner) {
+inline void make_landmark_reader(LandmarkReader* self, const nb::object& owner) {
   const Fields from(owner);
   new (self) LandmarkReader{from.indices("used"), from.points("model")};
+}
+
+inline void make_joint_reader(JointReader* self, const nb::object& owner) {
+  const Fields from(owner), human(from.object("human"));
+  if (!human.object("expansion").is_none())
+    throw std::domain_error("a human hand with joints that follow others");
+  JointReader& reader = *new (self) JointReader(make_tree(human), from.numbers("vector"));
+  reader.lower = human.numbers("lower_limits");
+  reader.upper = human.numbers("upper_limits");
 }
 
 }  // namespace handmap

@@ -35,6 +35,7 @@ struct Weights {
 struct Settings {
   int max_iterations;
   double step_tolerance, point_tolerance;
+  double rest_weight, speed_weight, acceleration_weight;
 };
 
 struct Posture {
@@ -54,7 +55,7 @@ struct Goal {
   std::function<void(const Vector& q, TaskRows& rows)> further;
 };
 
-enum class Status { converged, limited, unreachable, unsettled, failed };
+enum class Status { converged, limited, unreachable, unsettled, failed, released };
 
 struct Result {
   Status status;
@@ -126,6 +127,38 @@ class Ik {
     at.place(motion.q.data());
     if (pairs) pairs->arrive(at, path_end_);
     finish(goal, iterations, last_step, has_failed, result);
+  }
+
+  // Take the stop that was admitted last, for one sample; see qp.PointIk.hold.
+  void hold(double dt, Result& result) {
+    dt = std::max(dt, kShortestDt);
+    braking(dt, taken_);
+    times_.resize(tree.size);
+    for (int i = 0; i < tree.size; ++i) times_[i] = std::max(motion.stop_times[i] - dt, 0.0);
+    move(taken_, times_, dt);
+    at.place(motion.q.data());
+    result.points.resize(tree.points.size());
+    for (size_t k = 0; k < tree.points.size(); ++k) result.points[k] = at.point(tree.points[k]);
+    result.wrist = at.wrist();
+    result.displacement = motion.displacement;
+    result.active.assign(tree.size, 0);
+    result.iterations = 0;
+    result.last_step = 0.0;
+    result.status = Status::released;
+  }
+
+  // Postures of the cost of a sample; see qp.PointIk.postures.
+  std::vector<Posture> postures(const Vector& rest, double dt) const {
+    std::vector<Posture> found{{settings.rest_weight, rest}};
+    if (settings.speed_weight == 0.0 && settings.acceleration_weight == 0.0) return found;
+    Vector start, ahead;
+    for (size_t j = 0; j < tree.q_indices.size(); ++j) {
+      start.push_back(motion.q[tree.q_indices[j]]);
+      ahead.push_back(start[j] + dt * (motion.displacement[tree.joint_columns[j]] / motion.dt));
+    }
+    found.push_back({settings.speed_weight, start});
+    found.push_back({settings.acceleration_weight, ahead});
+    return found;
   }
 
   // Move by a displacement, or by another one that is admitted; see limits.Gate.admit.

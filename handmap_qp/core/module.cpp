@@ -6,29 +6,13 @@
 
 #include <optional>
 
-#include "build.hpp"
+#include "arrays.hpp"
 #include "tracks.hpp"
 
 using namespace nb::literals;
 
 namespace handmap {
 namespace {
-
-void write_pose(const Pose& pose, double* m) {
-  for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) m[4 * i + j] = pose.R(i, j);
-    m[4 * i + 3] = pose.p[i];
-  }
-  m[12] = m[13] = m[14] = 0.0;
-  m[15] = 1.0;
-}
-
-// A new array of Python that owns its numbers.
-nb::ndarray<nb::numpy, double> array_of(size_t size, double*& data) {
-  data = new double[size];
-  nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<double*>(p); });
-  return nb::ndarray<nb::numpy, double>(data, {size}, owner);
-}
 
 void set_motion(Ik& ik, const Array& q, const Array& displacement, double dt,
                 const Array& stop_times) {
@@ -41,75 +25,94 @@ void set_motion(Ik& ik, const Array& q, const Array& displacement, double dt,
   ik.motion.stop_times.assign(stop_times.data(), stop_times.data() + stop_times.size());
 }
 
-// Configuration, displacement, stop times, points, wrist and bounds met, one after the other.
-nb::tuple tuple_of(const Ik& ik, const Result& result) {
-  const size_t n = ik.tree.size, m = result.points.size();
-  double* to;
-  auto numbers = array_of(ik.tree.nq + 3 * n + 3 * m + 16, to);
-  to = std::copy(ik.motion.q.begin(), ik.motion.q.end(), to);
-  to = std::copy(result.displacement.begin(), result.displacement.end(), to);
-  to = std::copy(ik.motion.stop_times.begin(), ik.motion.stop_times.end(), to);
-  to = std::copy(result.active.begin(), result.active.end(), to);
-  for (const Vec3& point : result.points) {
-    *to++ = point.x;
-    *to++ = point.y;
-    *to++ = point.z;
-  }
-  write_pose(result.wrist, to);
-  return nb::make_tuple(numbers, static_cast<int>(result.status), result.iterations,
-                        result.last_step);
+// Configuration, displacement, stop times, bounds met, points and wrist, one after the other.
+NumpyArray result_of(const Step& step) {
+  const Result& result = step.result;
+  const Motion& motion = step.motion;
+  Vector numbers = motion.q;
+  append(motion.displacement, numbers);
+  append(motion.stop_times, numbers);
+  numbers.insert(numbers.end(), result.active.begin(), result.active.end());
+  append(result.points, numbers);
+  append(result.wrist, numbers);
+  return array_of(numbers);
 }
 
-// Targets of one sample for Python: points, wrist, aims, weights, margins and diagnostics.
-void ask(const TargetMap& map, const Array& points, const std::optional<Array>& wrist,
-         Asked& asked) {
-  expect_size(points, 3 * map.human_points, "points");
-  if (map.needs_wrist && !wrist) throw std::invalid_argument("no wrist");
-  Pose pose;
+// Points, wrist, aims, weights, margins and diagnostics, likewise.
+NumpyArray asked_of(const Step& step) {
+  const Asked& asked = step.asked;
+  Vector numbers;
+  append(asked.points, numbers);
+  append(asked.wrist, numbers);
+  for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins, &asked.diagnostics})
+    append(*part, numbers);
+  return array_of(numbers);
+}
+
+void make_pose(HumanPose* self, const Array& points, const std::optional<Array>& wrist) {
+  HumanPose& pose = *new (self) HumanPose{points_of(points), wrist.has_value(), {}};
   if (wrist) {
     expect_size(*wrist, 16, "wrist");
-    pose = pose_of(wrist->data());
+    pose.wrist = pose_of(wrist->data());
   }
-  map.targets(points_of(points), wrist ? &pose : nullptr, asked);
 }
 
-nb::tuple tuple_of(const Asked& asked) {
-  const size_t m = asked.points.size();
-  double* to;
-  auto numbers = array_of(3 * m + 16 + 2 * asked.aims.size() + asked.margins.size() +
-                              asked.diagnostics.size(),
-                          to);
-  for (const Vec3& point : asked.points) {
-    *to++ = point.x;
-    *to++ = point.y;
-    *to++ = point.z;
-  }
-  write_pose(asked.wrist, to);
-  to += 16;
-  for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins, &asked.diagnostics})
-    to = std::copy(part->begin(), part->end(), to);
-  return nb::make_tuple(numbers, asked.is_clamped);
+nb::object wrist_of(const HumanPose& pose) {
+  return pose.has_wrist ? nb::cast(array_of(pose.wrist)) : nb::none();
 }
 
-nb::tuple targets(const TargetMap& map, const Array& points, const std::optional<Array>& wrist) {
-  Asked asked;
-  ask(map, points, wrist, asked);
-  return tuple_of(asked);
+// A copy of a pose, by copy or pickle, is one of Python.
+nb::tuple reduced(const HumanPose& pose) {
+  const nb::object kind = nb::module_::import_("handmap_qp.mapping.method").attr("HumanPose");
+  return nb::make_tuple(kind, nb::make_tuple(array_of(pose.points), wrist_of(pose)));
 }
 
-// Landmarks (21, 3) to points of the human, and the wrist that is fitted to the palm.
-nb::ndarray<nb::numpy, double> read_landmarks(const LandmarkReader& reader, const Array& landmarks) {
-  const std::vector<Vec3> all = points_of(landmarks);
-  expect_size(landmarks, 3 * kLandmarks, "landmarks");
-  double* to;
-  auto numbers = array_of(3 * reader.used.size() + 16, to);
-  for (const int i : reader.used) {
-    *to++ = all[i].x;
-    *to++ = all[i].y;
-    *to++ = all[i].z;
-  }
-  write_pose(reader.fit(all), to);
+// Numbers as they are, if they have a shape and no coordinate of them is farther than any hand.
+std::optional<Array> plain(const nb::handle& given, std::initializer_list<size_t> shape) {
+  Array numbers;
+  if (!nb::try_cast(given, numbers, false) || numbers.ndim() != shape.size()) return {};
+  size_t axis = 0;
+  for (const size_t count : shape)
+    if (numbers.shape(axis++) != count) return {};
+  for (size_t i = 0; i < numbers.size(); ++i)
+    if (!(std::abs(numbers.data()[i]) <= kFarthest)) return {};
   return numbers;
+}
+
+// A pose whose rotation is one up to rounding.
+std::optional<Pose> plain_pose(const nb::handle& given) {
+  const std::optional<Array> numbers = plain(given, {4, 4});
+  if (!numbers) return {};
+  const double* m = numbers->data();
+  if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0) return {};
+  const Pose pose = pose_of(m);
+  const Mat3 square = transposed(pose.R) * pose.R, eye;
+  for (int i = 0; i < 9; ++i)
+    if (!(std::abs(square.m[i] - eye.m[i]) <= kExactRotation)) return {};
+  if (determinant(pose.R) < 0.0) return {};
+  return pose;
+}
+
+// A sample of landmarks, or None for what Python has to look at.
+std::optional<HumanPose> read_landmarks(const LandmarkReader& reader, const nb::handle& landmarks,
+                                        const nb::handle& wrist) {
+  const std::optional<Array> points = plain(landmarks, {kLandmarks, 3});
+  if (!points) return {};
+  if (wrist.is_none()) return reader.read(points->data(), nullptr);
+  const std::optional<Pose> pose = plain_pose(wrist);
+  if (!pose) return {};
+  return reader.read(points->data(), &*pose);
+}
+
+// Likewise of joint angles.
+std::optional<HumanPose> read_joints(JointReader& reader, const nb::handle& q,
+                                     const nb::handle& wrist) {
+  const std::optional<Array> angles = plain(q, {reader.size()});
+  if (!angles) return {};
+  const std::optional<Pose> pose = plain_pose(wrist);
+  HumanPose found;
+  if (!pose || !reader.read(angles->data(), *pose, found)) return {};
+  return found;
 }
 
 Landmarks landmarks_of(const nb::handle& given) {
@@ -119,15 +122,6 @@ Landmarks landmarks_of(const nb::handle& given) {
   for (int i = 0; i < kLandmarks; ++i)
     points[i] = {numbers.data()[3 * i], numbers.data()[3 * i + 1], numbers.data()[3 * i + 2]};
   return points;
-}
-
-// A new array of Python with given numbers.
-nb::object numbers_of(const double* from, size_t rows, size_t columns) {
-  double* to = new double[rows * columns];
-  std::copy(from, from + rows * columns, to);
-  nb::capsule owner(to, [](void* p) noexcept { delete[] static_cast<double*>(p); });
-  if (columns == 1) return nb::cast(nb::ndarray<nb::numpy, double>(to, {rows}, owner));
-  return nb::cast(nb::ndarray<nb::numpy, double>(to, {rows, columns}, owner));
 }
 
 // A `Track` of Python, a tuple in the order of its fields.
@@ -151,28 +145,25 @@ nb::object first_track_of(double now, const nb::object& landmarks) {
   const Track track = first_track(landmarks_of(landmarks));
   const Vec3 still;
   return guard().attr("Track")(
-      now, numbers_of(&track.points[0].x, kLandmarks, 3), numbers_of(&track.centre.x, 3, 1),
-      numbers_of(track.lengths.data(), kFixed, 1), numbers_of(&still.x, 3, 1),
-      numbers_of(&still.x, 3, 1), numbers_of(&track.bending[0].x, kLandmarks, 3));
+      now, array_of({kLandmarks, 3}, &track.points[0].x), array_of({3}, &track.centre.x),
+      array_of({kFixed}, track.lengths.data()), array_of({3}, &still.x),
+      array_of({3}, &still.x), array_of({kLandmarks, 3}, &track.bending[0].x));
 }
 
 nb::object change_of(const nb::tuple& before, const nb::tuple& sample, double dt) {
   Track moved = track_of(sample);
   const Change change = change_between(track_of(before), moved, dt);
   const nb::object track = guard().attr("Track")(
-      sample[0], sample[1], sample[2], sample[3], numbers_of(&moved.velocity.x, 3, 1),
-      numbers_of(&moved.turning.x, 3, 1), numbers_of(&moved.bending[0].x, kLandmarks, 3), dt);
-  return guard().attr("Change")(track, numbers_of(change.sizes, 4, 1), change.is_turned,
+      sample[0], sample[1], sample[2], sample[3], array_of({3}, &moved.velocity.x),
+      array_of({3}, &moved.turning.x), array_of({kLandmarks, 3}, &moved.bending[0].x), dt);
+  return guard().attr("Change")(track, array_of({4}, change.sizes), change.is_turned,
                                 change.is_alone, change.is_too_fast);
 }
 
 std::function<void(const Vector&, TaskRows&)> rows_of(const nb::object& linearise, int size) {
   if (linearise.is_none()) return {};
   return [&linearise, size](const Vector& q, TaskRows& rows) {
-    double* to;
-    auto at = array_of(q.size(), to);
-    std::copy(q.begin(), q.end(), to);
-    auto found = nb::cast<nb::tuple>(linearise(at));
+    auto found = nb::cast<nb::tuple>(linearise(array_of(q)));
     rows.residual = vector_of(nb::cast<Array>(found[0]));
     rows.jacobian = vector_of(nb::cast<Array>(found[1]));
     rows.damping = vector_of(nb::cast<Array>(found[2]));
@@ -194,7 +185,7 @@ std::vector<Posture> postures_of(const Ik& ik, const Postures& given) {
   return postures;
 }
 
-nb::tuple solve(Ik& ik, const Array& points, const std::optional<Array>& wrist, double dt,
+Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrist, double dt,
                 double speed, const std::optional<Array>& margins, const Postures& postures,
                 const DistanceTask* distances, const std::optional<Array>& aims,
                 const std::optional<Array>& aim_weights, const nb::object& linearise) {
@@ -219,31 +210,29 @@ nb::tuple solve(Ik& ik, const Array& points, const std::optional<Array>& wrist, 
     if (!ik.pairs || kept.size() != ik.pairs->pairs.size())
       throw std::invalid_argument("wrong size of margins");
   }
-  Result result;
-  ik.solve(goal, dt, kept, speed, result);
-  return tuple_of(ik, result);
+  Step step;
+  ik.solve(goal, dt, kept, speed, step.result);
+  finish(ik, step);
+  return step;
 }
 
-// A whole sample: the targets of a map, and the motion towards them.
-nb::tuple follow(Ik& ik, const TargetMap& map, const Array& points,
-                 const std::optional<Array>& wrist, double dt, double speed,
-                 const Postures& postures) {
-  Asked asked;
-  ask(map, points, wrist, asked);
-  if (asked.points.size() != ik.tree.points.size() ||
-      (!asked.margins.empty() && (!ik.pairs || asked.margins.size() != ik.pairs->pairs.size())))
-    throw std::invalid_argument("the map is of another hand");
-  Goal goal;
-  goal.points = asked.points;
-  goal.has_wrist = true;
-  goal.wrist = asked.wrist;
-  goal.postures = postures_of(ik, postures);
-  goal.distances = asked.distances;
-  goal.aims = asked.aims;
-  goal.aim_weights = asked.weights;
-  Result result;
-  ik.solve(goal, dt, asked.margins, speed, result);
-  return nb::make_tuple(tuple_of(asked), tuple_of(ik, result));
+void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose) {
+  if (map.needs_wrist && !pose.has_wrist) throw std::invalid_argument("no wrist");
+  if (pose.points.size() != map.human_points || map.rest.size() != ik.tree.q_indices.size())
+    throw std::invalid_argument("the map is of other hands");
+}
+
+Step follow_pose(Ik& ik, const TargetMap& map, const HumanPose& pose, double dt, double speed) {
+  check_map(ik, map, pose);
+  Step step;
+  follow(ik, map, pose, dt, speed, step);
+  return step;
+}
+
+Step hold_still(Ik& ik, double dt) {
+  Step step;
+  hold(ik, dt, step);
+  return step;
 }
 
 nb::tuple solve_qp(const Array& H, const Array& c, const Array& lower, const Array& upper,
@@ -253,10 +242,7 @@ nb::tuple solve_qp(const Array& H, const Array& c, const Array& lower, const Arr
   const bool found = qp.solve(n, H.data(), c.data(), lower.data(), upper.data(),
                               h ? static_cast<int>(h->size()) : 0, G ? G->data() : nullptr,
                               h ? h->data() : nullptr);
-  double* to;
-  auto x = array_of(n, to);
-  std::copy(qp.x.begin(), qp.x.end(), to);
-  return nb::make_tuple(found, x, qp.iterations);
+  return nb::make_tuple(found, array_of(qp.x), qp.iterations);
 }
 
 // Of two shapes of coal in two poses: distance, normal, and the first one's nearest point.
@@ -283,15 +269,36 @@ NB_MODULE(_core, m) {
       .def("solve", &solve, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a, "margins"_a.none(),
            "postures"_a, "distances"_a.none(), "aims"_a.none(), "aim_weights"_a.none(),
            "linearise"_a.none())
-      .def("follow", &follow, "map"_a, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a,
-           "postures"_a);
-  nb::class_<TargetMap>(m, "TargetMap").def("targets", &targets, "points"_a, "wrist"_a.none());
+      .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
+      .def("hold", &hold_still, "dt"_a);
+  constexpr auto kOwned = nb::rv_policy::move;
+  nb::class_<Step>(m, "Step")
+      .def_prop_ro("q", [](const Step& step) { return array_of(step.q); }, kOwned)
+      .def_prop_ro("wrist", [](const Step& step) { return array_of(step.result.wrist); }, kOwned)
+      .def_prop_ro("asked", &asked_of, kOwned)
+      .def_prop_ro("is_clamped", [](const Step& step) { return step.asked.is_clamped; })
+      .def_prop_ro("result", &result_of, kOwned)
+      .def_prop_ro("dt", [](const Step& step) { return step.motion.dt; })
+      .def_prop_ro("status", [](const Step& step) { return static_cast<int>(step.result.status); })
+      .def_prop_ro("iterations", [](const Step& step) { return step.result.iterations; })
+      .def_prop_ro("last_step", [](const Step& step) { return step.result.last_step; });
+  nb::class_<HumanPose>(m, "HumanPose")
+      .def("__init__", &make_pose, "points"_a, "wrist"_a.none())
+      .def("__reduce__", &reduced)
+      .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); }, kOwned)
+      .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); }, kOwned)
+      .def_ro("has_wrist", &HumanPose::has_wrist)
+      .def_prop_ro("wrist", &wrist_of, kOwned);
+  nb::class_<TargetMap>(m, "TargetMap");
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
       .def("__init__", &make_teleoperation);
   nb::class_<HomogeneousMap, TargetMap>(m, "HomogeneousMap").def("__init__", &make_homogeneous);
   nb::class_<LandmarkReader>(m, "LandmarkReader")
-      .def("__init__", &make_reader)
-      .def("read", &read_landmarks);
+      .def("__init__", &make_landmark_reader)
+      .def("read", &read_landmarks, "landmarks"_a.none(), "wrist"_a.none());
+  nb::class_<JointReader>(m, "JointReader")
+      .def("__init__", &make_joint_reader)
+      .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
   m.def("is_zero", [](const nb::object& landmarks) { return is_zero(landmarks_of(landmarks)); });
   m.def("first_track", &first_track_of);
   m.def("change_between", &change_of);

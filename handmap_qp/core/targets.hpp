@@ -122,6 +122,20 @@ struct Estimator {
   }
 };
 
+// Numbers for Python, one after the other.
+inline void append(const Vector& from, Vector& to) { to.insert(to.end(), from.begin(), from.end()); }
+inline void append(const std::vector<Vec3>& from, Vector& to) {
+  for (const Vec3& p : from) to.insert(to.end(), {p.x, p.y, p.z});
+}
+inline void append(const Pose& pose, Vector& to) {
+  for (int i = 0; i < 3; ++i)
+    to.insert(to.end(), {pose.R(i, 0), pose.R(i, 1), pose.R(i, 2), pose.p[i]});
+  to.insert(to.end(), {0.0, 0.0, 0.0, 1.0});
+}
+
+inline void append(const Vec3& v, Vector& to) { to.insert(to.end(), {v.x, v.y, v.z}); }
+inline void append(const Mat3& m, Vector& to) { to.insert(to.end(), m.m, m.m + 9); }
+
 // What a map asks for, and the numbers that its diagnostics are made of.
 struct Asked {
   std::vector<Vec3> points;
@@ -137,16 +151,7 @@ class TargetMap {
   virtual void targets(const std::vector<Vec3>& points, const Pose* wrist, Asked& asked) const = 0;
   size_t human_points = 0;
   bool needs_wrist = false;
-
- protected:
-  static void note(Vector& to, const Vec3& v) { to.insert(to.end(), {v.x, v.y, v.z}); }
-  static void note(Vector& to, const Mat3& m) { to.insert(to.end(), m.m, m.m + 9); }
-  static void note(Vector& to, const Pose& pose) {
-    for (int i = 0; i < 3; ++i)
-      to.insert(to.end(), {pose.R(i, 0), pose.R(i, 1), pose.R(i, 2), pose.p[i]});
-    to.insert(to.end(), {0.0, 0.0, 0.0, 1.0});
-  }
-  static void note(Vector& to, const Vector& v) { to.insert(to.end(), v.begin(), v.end()); }
+  Vector rest;  // joint positions that the QP's rest term pulls to
 };
 
 // See methods.teleoperation.TeleoperationMap.
@@ -219,13 +224,13 @@ class TeleoperationMap : public TargetMap {
                    contact_most);
     Vector& to_python = asked.diagnostics;
     to_python.clear();
-    note(to_python, estimate.linear);
-    note(to_python, estimate.centroid_after);
-    for (const Vec3& point : shape) note(to_python, point);
-    note(to_python, human);
-    note(to_python, gaps);
-    note(to_python, pinching);
-    note(to_python, extensions);
+    append(estimate.linear, to_python);
+    append(estimate.centroid_after, to_python);
+    append(shape, to_python);
+    append(human, to_python);
+    append(gaps, to_python);
+    append(pinching, to_python);
+    append(extensions, to_python);
   }
 };
 
@@ -293,31 +298,18 @@ class HomogeneousMap : public TargetMap {
     asked.wrist = Pose{Q * rotation * transposed(Q), placed(rigid_image)} * robot_wrist;
     Vector& to_python = asked.diagnostics;
     to_python.clear();
-    note(to_python, estimate.linear);
-    note(to_python, estimate.centroid_after);
-    for (const Vec3& point : points) note(to_python, point);
-    note(to_python, linear);
-    note(to_python, rotation);
-    note(to_python, rigid_image);
-    note(to_python, image);
-    note(to_python, stretches);
+    append(estimate.linear, to_python);
+    append(estimate.centroid_after, to_python);
+    append(points, to_python);
+    append(linear, to_python);
+    append(rotation, to_python);
+    append(rigid_image, to_python);
+    append(image, to_python);
+    append(stretches, to_python);
   }
 
  private:
   Vec3 placed(const Vec3& image) const { return origin + scale * (alignment * image); }
-};
-
-// See mapper.LandmarkReader.
-class LandmarkReader {
- public:
-  std::vector<int> used;
-  std::vector<Vec3> model;  // the palm's landmarks in wrist axes
-
-  Pose fit(const std::vector<Vec3>& landmarks) const {
-    std::vector<Vec3> seen;
-    for (const int i : kPalm) seen.push_back(landmarks[i]);
-    return rigid_fit(model, seen);
-  }
 };
 
 }  // namespace handmap

@@ -6,7 +6,7 @@ rounding: they are its readable reference. It has kinematics, distances and a QP
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import Any, get_args
 
@@ -15,9 +15,9 @@ import numpy as np
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import Parts, core
-from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion
+from handmap_qp.ik.limits import Gate, Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, PointIk, Status
+from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Goal, PointDistances, Task
 from handmap_qp.se3 import frozen
 
@@ -25,33 +25,29 @@ _STATUSES = get_args(Status)
 
 
 class CompiledIk:
-    """The core of one hand; see `compile_ik`."""
+    """The core of one hand; see `compile_ik`. It moves the hand, and the gate with it."""
 
-    def __init__(self, hand: Hand, core_ik: Any) -> None:
+    def __init__(self, hand: Hand, core_ik: Any, gate: Gate) -> None:
         self._hand = hand
         self._core = core_ik
-        self._motion: Motion | None = None
+        self._gate = gate
+        self._pose: Any = getattr(core, "HumanPose", None)
         n = len(hand.active_columns)
         m = len(hand.reference_points)
         self._parts = Parts(hand.model.nq, n, n, n, (m, 3), (4, 4))
 
     def solve(
-        self,
-        gate: Gate,
-        goal: Goal,
-        dt: float,
-        margins: np.ndarray | None,
-        speed: float,
+        self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
     ) -> IkResult:
-        """Move the hand for one sample, and the gate with it; arguments as of `PointIk.solve`."""
-        self._take(gate)
+        """Move the hand for one sample; arguments as of `PointIk.solve`."""
         tasks = goal.tasks
         distances = aims = weights = None
         first = tasks[0] if tasks else None
         if isinstance(first, PointDistances) and first.core is not None:
             distances, aims, weights = first.core, first.distances, first.weights
             tasks = tasks[1:]
-        found = self._core.solve(
+        step = self._moved(
+            self._core.solve,
             goal.points,
             goal.wrist,
             dt,
@@ -63,35 +59,57 @@ class CompiledIk:
             weights,
             partial(self._linearise, tasks) if tasks else None,
         )
-        return self._result(gate, goal.points, dt, *found)
+        return self.result(step, goal.points)
 
-    def follow(
-        self, ik: PointIk, target_map: Any, sample: Any, dt: float, speed: float
-    ) -> tuple[Any, IkResult]:
+    def follow(self, target_map: Any, pose: Any, dt: float, speed: float) -> Any:
         """Move the hand for one sample of a human, whose targets the core computes too.
 
         Args:
-            ik: What this is the core of.
-            target_map: A `mapping.method.TargetMap` that has a `core`.
-            sample: A `mapping.method.HumanPose`.
+            target_map: The core of a `mapping.method.TargetMap`.
+            pose: A `mapping.method.HumanPose`, or one of the core.
             dt: As of `PointIk.solve`.
             speed: Likewise.
 
         Returns:
-            The targets (`mapping.method.Targets`), and the result.
+            The core's step; `result` reads it.
         """
-        dt = max(dt, SHORTEST_DT)
-        self._take(ik.gate)
-        postures = ik.postures(dt, target_map.rest)
-        arguments = target_map.core, sample.points, sample.wrist, dt, speed, postures
-        asked, found = self._core.follow(*arguments)
-        targets = target_map.asked(*asked)
-        return targets, self._result(ik.gate, targets.points, dt, *found)
+        kind = self._pose
+        pose = pose if isinstance(pose, kind) else kind(pose.points, pose.wrist)
+        return self._moved(self._core.follow, target_map, pose, dt, speed)
 
-    def _take(self, gate: Gate) -> None:
-        """Continue from the gate's motion, unless it is the core's own."""
-        if gate.motion is not self._motion:
+    def hold(self, dt: float) -> Any:
+        """Take the stop that was admitted last, for one sample of dt [s]; return the step."""
+        return self._moved(self._core.hold, dt)
+
+    def _moved(self, move: Callable[..., Any], *arguments: Any) -> Any:
+        """Move from where the gate is, which reads its new motion from the step when asked."""
+        gate = self._gate
+        if gate.was_set:
             self._core.set_motion(*gate.motion)
+        step = move(*arguments)
+        gate.leave_to(partial(self._motion, step))
+        return step
+
+    def _motion(self, step: Any) -> Motion:
+        q, displacement, stop_times, *_ = self._parts.of(frozen(step.result))
+        return Motion(q, displacement, step.dt, stop_times)
+
+    def result(self, step: Any, targets: np.ndarray) -> IkResult:
+        """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
+        numbers = self._parts.of(frozen(step.result))
+        q, displacement, _, active, points, wrist = numbers
+        return IkResult(
+            _STATUSES[step.status],
+            points,
+            targets,
+            q,
+            wrist,
+            displacement,
+            frozen(active.astype(np.int8)),
+            self._hand.joint_columns,
+            step.iterations,
+            step.last_step,
+        )
 
     def _linearise(
         self, tasks: Sequence[Task], q: np.ndarray
@@ -113,32 +131,6 @@ class CompiledIk:
     def _placed(self) -> Configuration:
         return self._hand.configuration()
 
-    def _result(
-        self,
-        gate: Gate,
-        targets: np.ndarray,
-        dt: float,
-        numbers: np.ndarray,
-        status: int,
-        iterations: int,
-        last_step: float,
-    ) -> IkResult:
-        frozen(numbers)
-        q, displacement, stop_times, active, points, wrist = self._parts.of(numbers)
-        gate.motion = self._motion = Motion(q, displacement, dt, stop_times)
-        return IkResult(
-            _STATUSES[status],
-            points,
-            targets,
-            q,
-            wrist,
-            displacement,
-            active.astype(np.int8),
-            self._hand.joint_columns,
-            iterations,
-            last_step,
-        )
-
 
 def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> CompiledIk | None:
     """Return the core of a hand; None where it is not built, not asked for, or not able.
@@ -152,7 +144,7 @@ def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> CompiledIk | None:
     if core is None or not is_asked:
         return None
     try:
-        return CompiledIk(hand, core.Ik(hand, options, gate))
+        return CompiledIk(hand, core.Ik(hand, options, gate), gate)
     except ValueError:
         # A kind of joint or of shape that the core does not have.
         return None

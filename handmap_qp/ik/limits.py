@@ -59,6 +59,8 @@ import pinocchio as pin
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from handmap_qp.hands.configuration import Configuration
     from handmap_qp.ik.collision import CollisionLimit
 
@@ -360,8 +362,8 @@ class Gate:
     Attributes:
         hand: As given.
         limits: Of position, speed and acceleration.
-        motion: How the robot moves.
         collisions: As given.
+        was_set: Whether the motion was set since the compiled core last moved the robot.
     """
 
     def __init__(
@@ -383,6 +385,25 @@ class Gate:
             together=None if collisions is None else collisions.columns,
         )
         self._together = self.limits.together
+
+    @property
+    def motion(self) -> Motion:
+        """How the robot moves."""
+        if self._read is not None:
+            self._motion = self._read()
+            self._read = None
+        return self._motion
+
+    @motion.setter
+    def motion(self, motion: Motion) -> None:
+        self._motion = motion
+        self._read = None
+        self.was_set = True
+
+    def leave_to(self, read: Callable[[], Motion]) -> None:
+        """Let the compiled core, which has moved the robot, say how if it is asked."""
+        self._read = read
+        self.was_set = False
 
     def place(self, q: np.ndarray) -> None:
         """Put the robot at a configuration, at rest.

@@ -407,7 +407,7 @@ class PointIk:
         tasks = *tasks, *self._tasks
         goal = Goal(point_targets, wrist_target, self.postures(dt, rest), tasks)
         if self.core is not None:
-            return self.core.solve(self.gate, goal, dt, margins, speed)
+            return self.core.solve(goal, dt, margins, speed)
         return self._solve_directly(goal, dt, margins, speed)
 
     def _solve_directly(

@@ -19,7 +19,6 @@ import numpy.typing as npt
 from msgspec import structs
 
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
-from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.sample import (
     LANDMARK_COUNT,
@@ -27,18 +26,20 @@ from handmap_qp.human.sample import (
     PALM,
     landmarks_at_rest,
 )
-from handmap_qp.ik.core import Compiled, Parts
+from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.qp import IkResult, PointIk
 from handmap_qp.ik.tasks import Task
 from handmap_qp.mapping.method import (
     BoundMethod,
+    CompiledStages,
     HumanPose,
     MapStep,
     Method,
     RobotCommand,
     RobotPosture,
+    Stages,
     TargetMap,
     Targets,
 )
@@ -179,9 +180,9 @@ class HandMapper:
         return LandmarkReader(self.human)
 
     @cached_property
-    def _human(self) -> Configuration:
-        """The workspace of `map_step`; streams of landmarks need none."""
-        return self.human.configuration()
+    def _joints(self) -> JointReader:
+        """Turns joint angles into samples; streams of landmarks need none."""
+        return JointReader(self.human, self.joint_tolerance, self.quat_order)
 
     # -- one sample
 
@@ -207,7 +208,7 @@ class HandMapper:
                 determine the motion.
         """
         started = perf_counter()
-        sample, out_of_range = self._pose_of(human_q, wrist_pose)
+        sample, out_of_range = self._joints.read(human_q, wrist_pose)
         return self.map(sample, dt, out_of_range=out_of_range, started=started)
 
     def map_points(
@@ -274,10 +275,8 @@ class HandMapper:
                 determine the motion.
         """
         started = perf_counter()
-        wrist = self._wrist_of(wrist_pose)
-        reader = self.landmarks
-        points = as_floats(landmarks, "landmarks", shape=(LANDMARK_COUNT, 3))
-        return self.map(reader.read(points, wrist), dt, started=started)
+        sample = self.landmarks.read(landmarks, wrist_pose, self.quat_order)
+        return self.map(sample, dt, started=started)
 
     def map(
         self,
@@ -309,52 +308,47 @@ class HandMapper:
         dt = self.dt if dt is None else check_dt(dt)
         plan = self._plan
         reference = self._reference or self._reference_at(sample)
-        core = self._core_for(reference.map, sample)
-        asked: Any = reference.map.targets(sample) if core is None else None
+        target_map: Any = reference.map
+        core = self._core_for(target_map, sample)
+        asked: Any = None if core else target_map.targets(sample)
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             plan.bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
+        robot = plan.bound.robot
+        stages: Stages | CompiledStages
         if core is not None:
-            asked, result = core.follow(plan.ik, reference.map, sample, dt, speed)
+            step = core.follow(target_map.core, sample, dt, speed)
+            stages = CompiledStages(core, step, robot, sample, target_map.asked)
         elif self._is_released:
-            result = plan.ik.hold(dt)
+            stages = _stages(robot, sample, asked, plan.ik.hold(dt))
         else:
             result = plan.ik.solve(
                 asked.points,
                 asked.wrist,
                 dt,
-                rest=reference.map.rest,
+                rest=target_map.rest,
                 tasks=(*asked.tasks, *plan.tasks),
                 margins=asked.margins,
                 speed=speed,
             )
-        robot = plan.bound.robot
-        q = result.q[robot.q_indices]
-        wrist = result.wrist
+            stages = _stages(robot, sample, asked, result)
         if plan.bound.renews_reference:
             kept = deepcopy(sample)
-            posture = RobotPosture(q.copy(), result.points.copy(), wrist.copy())
+            command = stages.command
+            posture = RobotPosture(
+                command.q.copy(), stages.ik.points.copy(), command.wrist.copy()
+            )
             self._reference = _Reference(kept, posture, plan.bound.start(kept, posture))
-        return MapStep(
-            RobotCommand(robot.joint_names, q, wrist),
-            sample.points,
-            sample.wrist,
-            asked,
-            result,
-            out_of_range,
-            perf_counter() - started,
-        )
+        return MapStep(stages, out_of_range, perf_counter() - started)
 
     def _core_for(self, target_map: TargetMap, sample: HumanPose) -> CompiledIk | None:
         """Return the core if it takes a sample from its points to the command."""
         plan = self._plan
         is_plain = not (self._is_released or plan.tasks or plan.ik.options.tasks)
         has_map = getattr(target_map, "core", None) is not None
-        return (
-            plan.ik.core if is_plain and has_map and sample.wrist is not None else None
-        )
+        return plan.ik.core if is_plain and has_map and sample.has_wrist else None
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.
@@ -369,24 +363,22 @@ class HandMapper:
         started = perf_counter()
         ik = self._plan.ik
         robot = self.robot
-        held = ik.hold(check_dt(dt))
         start = self._start
-        # Before the first sample, a floating robot has no place yet.
-        vector = ik.configuration.q if start is None else start.vector(robot, np.eye(4))
-        posture = _posture(robot, vector)
         if seen is None:
             seen = HumanPose(
                 np.full((len(self.human.reference_points), 3), np.nan), None
             )
-        return MapStep(
-            RobotCommand(robot.joint_names, posture.q, posture.wrist),
-            seen.points,
-            seen.wrist,
+        held = ik.hold(check_dt(dt))
+        # Before the first sample, a floating robot has no place yet.
+        vector = ik.configuration.q if start is None else start.vector(robot, np.eye(4))
+        posture = _posture(robot, vector)
+        stages = Stages(
+            seen,
             Targets(posture.points, posture.wrist),
             structs.replace(held, points=posture.points, targets=posture.points),
-            (),
-            perf_counter() - started,
+            RobotCommand(robot.joint_names, posture.q, posture.wrist),
         )
+        return MapStep(stages, (), perf_counter() - started)
 
     # -- between samples
 
@@ -426,7 +418,9 @@ class HandMapper:
         )
         reference = None
         if human_q is not None and wrist_pose is not None:
-            reference = self._reference_at(self._pose_of(human_q, wrist_pose)[0], start)
+            reference = self._reference_at(
+                self._joints.read(human_q, wrist_pose)[0], start
+            )
         self._start = start
         self._is_released = False
         self._reference = None
@@ -531,19 +525,6 @@ class HandMapper:
             else check_pose(wrist_pose, "wrist_pose", self.quat_order)
         )
 
-    def _pose_of(
-        self, human_q: npt.ArrayLike, wrist_pose: PoseLike
-    ) -> tuple[HumanPose, tuple[str, ...]]:
-        """Compute the human's points (eq. 4); name the joints that are outside their limits."""
-        wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        human = self.human
-        angles, excess = _check_joints(human, human_q, "human_q", self.joint_tolerance)
-        beyond = (excess > 0.0).nonzero()[0].tolist()
-        outside = tuple(human.joint_names[i] for i in beyond)
-        self._human.place(human.configuration_vector(angles))
-        # The wrist is at the origin; points move with it afterwards.
-        return HumanPose(transform_points(wrist, self._human.points), wrist), outside
-
     def _check_robot_wrist(self, robot_wrist: PoseLike) -> np.ndarray:
         if not self.robot.is_floating:
             raise InvalidInputError(
@@ -577,25 +558,78 @@ class LandmarkReader(Compiled):
             )
         self.used = np.array([known[point.name] for point in human.reference_points])
         self.model = landmarks_at_rest(human)[PALM]
-        self._parts = Parts((len(self.used), 3), (4, 4))
 
-    def read(self, landmarks: np.ndarray, wrist: np.ndarray | None = None) -> HumanPose:
+    def read(
+        self,
+        landmarks: npt.ArrayLike,
+        wrist: PoseLike | None = None,
+        quat_order: QuatOrder | None = None,
+    ) -> HumanPose:
         """Return a sample.
 
         Args:
             landmarks: In MediaPipe's order, in the human's world [m], shape (21, 3).
-            wrist: The tracker's own wrist pose, shape (4, 4); fitted to the landmarks of the palm
-                (Kabsch 1976) if None.
+            wrist: The tracker's own wrist pose; fitted to the landmarks of the palm (Kabsch 1976)
+                if None.
+            quat_order: Order of the quaternion in a wrist pose of seven numbers.
 
         Raises:
-            InvalidInputError: If a coordinate is not finite.
+            InvalidInputError: If a coordinate is not finite, or `wrist` is not a pose.
         """
-        check_near(landmarks, "landmarks")
-        if wrist is None and self.core is not None:
-            return HumanPose(*self._parts.of(self.core.read(landmarks)))
+        if self.core and (pose := self.core.read(landmarks, wrist)):
+            return pose
+        if wrist is not None:
+            wrist = check_pose(wrist, "wrist_pose", quat_order)
+        points = as_floats(landmarks, "landmarks", shape=(LANDMARK_COUNT, 3))
+        check_near(points, "landmarks")
+        if self.core and (pose := self.core.read(points, wrist)):
+            return pose
         if wrist is None:
-            wrist = rigid_fit(self.model, landmarks[PALM])
-        return HumanPose(landmarks[self.used], wrist)
+            wrist = rigid_fit(self.model, points[PALM])
+        return HumanPose(points[self.used], wrist)
+
+
+class JointReader(Compiled):
+    """Turns joint angles into samples of a human hand (eq. 4).
+
+    Args:
+        human: The human hand.
+        tolerance: How far a joint may be outside its limits [rad].
+        quat_order: Order of the quaternion in wrist poses of seven numbers.
+    """
+
+    def __init__(
+        self, human: Hand, tolerance: float, quat_order: QuatOrder | None
+    ) -> None:
+        self.human = human
+        self.tolerance = tolerance
+        self.quat_order: QuatOrder | None = quat_order
+        # The wrist is at the origin; points move with it afterwards.
+        self.vector = human.configuration_vector(human.rest)
+        self._placed = human.configuration()
+
+    def read(
+        self, q: npt.ArrayLike, wrist_pose: PoseLike
+    ) -> tuple[HumanPose, tuple[str, ...]]:
+        """Return a sample, and the names of the joints that are outside their limits.
+
+        Args:
+            q: Joint angles in the order of `human.joint_names` [rad], shape (n,).
+            wrist_pose: Pose of the wrist in the human's world, as of `HandMapper.map_step`.
+
+        Raises:
+            InvalidInputError: If they cannot be used.
+        """
+        if self.core and (pose := self.core.read(q, wrist_pose)):
+            return pose, ()
+        human = self.human
+        wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
+        angles, excess = _check_joints(human, q, "human_q", self.tolerance)
+        beyond = (excess > 0.0).nonzero()[0].tolist()
+        self._placed.place(human.configuration_vector(angles))
+        points = transform_points(wrist, self._placed.points)
+        outside = tuple(human.joint_names[i] for i in beyond)
+        return HumanPose(points, wrist), outside
 
 
 class _Plan(NamedTuple):
@@ -664,6 +698,13 @@ def _method_of(
         expected="a method, the name of a preset, or single options of the paper's method",
         value=method,
     )
+
+
+def _stages(robot: Hand, sample: HumanPose, asked: Targets, result: IkResult) -> Stages:
+    """Put the stages of a step together."""
+    q = result.q[robot.q_indices]
+    command = RobotCommand(robot.joint_names, q, result.wrist)
+    return Stages(sample, asked, result, command)
 
 
 def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:

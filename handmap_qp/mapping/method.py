@@ -18,9 +18,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
+from functools import cache, cached_property
 from typing import (
     TYPE_CHECKING,
+    Any,
     Literal,
     NamedTuple,
     Protocol,
@@ -42,6 +43,7 @@ from handmap_qp.se3 import transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
+    from handmap_qp.ik.compiled import CompiledIk
 
 
 class HumanPose(msgspec.Struct, frozen=True, eq=False):
@@ -54,6 +56,11 @@ class HumanPose(msgspec.Struct, frozen=True, eq=False):
 
     points: np.ndarray
     wrist: np.ndarray | None
+
+    @property
+    def has_wrist(self) -> bool:
+        """Whether the pose of the wrist is known."""
+        return self.wrist is not None
 
     @property
     def in_wrist(self) -> np.ndarray:
@@ -272,6 +279,69 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
     wrist: np.ndarray
 
 
+class Stages(msgspec.Struct, frozen=True, eq=False):
+    """The stages of a step: the human's pose, the targets, the motion towards them, the command.
+
+    Attributes:
+        pose: The human hand.
+        asked: The method's targets and diagnostics.
+        ik: Result of the inverse kinematics (in place of eq. 8).
+        command: The robot's next joint angles and wrist pose.
+    """
+
+    pose: HumanPose
+    asked: Targets
+    ik: IkResult
+    command: RobotCommand
+
+
+class CompiledStages:
+    """`Stages` of a step that the compiled core has made, read from it when they are asked for.
+
+    Args:
+        ik: The core that has moved the robot.
+        step: What it says.
+        robot: The robot hand.
+        pose: The human hand.
+        asked: Makes the targets of the core's numbers.
+    """
+
+    def __init__(
+        self,
+        ik: CompiledIk,
+        step: Any,
+        robot: Hand,
+        pose: HumanPose,
+        asked: Callable[[np.ndarray, bool], Targets],
+    ) -> None:
+        self._ik = ik
+        self._step = step
+        self._robot = robot
+        self._asked = asked
+        self.pose = pose
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Another process may have no core, and this one's moves on.
+        pose = HumanPose(self.pose.points, self.pose.wrist)
+        return Stages, (pose, self.asked, self.ik, self.command)
+
+    @cached_property
+    def asked(self) -> Targets:
+        """The method's targets and diagnostics."""
+        return self._asked(self._step.asked, self._step.is_clamped)
+
+    @cached_property
+    def ik(self) -> IkResult:
+        """Result of the inverse kinematics."""
+        return self._ik.result(self._step, self.asked.points)
+
+    @cached_property
+    def command(self) -> RobotCommand:
+        """The robot's next joint angles and wrist pose."""
+        step = self._step
+        return RobotCommand(self._robot.joint_names, step.q, step.wrist)
+
+
 class MapStep(msgspec.Struct, frozen=True, eq=False):
     """One step of the mapping, stage by stage.
 
@@ -279,12 +349,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     T; `diagnostics` has the results of every method, by name.
 
     Attributes:
-        command: The robot's next joint angles and wrist pose.
-        human_points: Human reference points in the human's world (eq. 4) [m], shape (n_h, 3).
-        human_wrist: Pose of the human's wrist there, given or fitted to landmarks, shape (4, 4);
-            None if it is not known.
-        asked: The method's targets and diagnostics.
-        ik: Result of the inverse kinematics (in place of eq. 8).
+        stages: The stages, which the properties below name one by one.
         out_of_range: Names of human joints that were outside their limits, within the tolerance,
             and were used.
         duration: Wall time of the step [s].
@@ -294,16 +359,37 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         is_gliding: Whether the robot is still on its way back to the human after a hold.
     """
 
-    command: RobotCommand
-    human_points: np.ndarray
-    human_wrist: np.ndarray | None
-    asked: Targets
-    ik: IkResult
+    stages: Stages | CompiledStages
     out_of_range: tuple[str, ...]
     duration: float
     verdict: Verdict | None = None
     confidence: float = 1.0
     is_gliding: bool = False
+
+    @property
+    def command(self) -> RobotCommand:
+        """The robot's next joint angles and wrist pose."""
+        return self.stages.command
+
+    @property
+    def human_points(self) -> np.ndarray:
+        """Human reference points in the human's world (eq. 4) [m], shape (n_h, 3)."""
+        return self.stages.pose.points
+
+    @property
+    def human_wrist(self) -> np.ndarray | None:
+        """Pose of the human's wrist, given or fitted to landmarks, (4, 4); None if unknown."""
+        return self.stages.pose.wrist
+
+    @property
+    def asked(self) -> Targets:
+        """The method's targets and diagnostics."""
+        return self.stages.asked
+
+    @property
+    def ik(self) -> IkResult:
+        """Result of the inverse kinematics (in place of eq. 8)."""
+        return self.stages.ik
 
     @property
     def is_held(self) -> bool:

@@ -121,7 +121,7 @@ class World:
         if session is not None:
             hands, mapper = session._hands, session._hands.mapper
             shared += hands.robot, hands.pair, hands.follower, hands.choice
-            shared += mapper.human, mapper.robot, mapper._plan.bound, mapper._human
+            shared += mapper.human, mapper.robot, mapper._plan.bound, mapper._joints
             shared += mapper.method, session._commanded._placed, session.request
         return deepcopy(self, {id(thing): thing for thing in shared})
 

@@ -1,0 +1,126 @@
+// One sample, from what was measured on the human to the robot's command: see mapping/mapper.py.
+#pragma once
+
+#include <stdexcept>
+
+#include "targets.hpp"
+
+namespace handmap {
+
+// See se3.FARTHEST [m] and se3._ROTATION_EXACT.
+constexpr double kFarthest = 1e9, kExactRotation = 1e-12;
+
+// See method.HumanPose.
+struct HumanPose {
+  std::vector<Vec3> points;
+  bool has_wrist = false;
+  Pose wrist;
+
+  std::vector<Vec3> in_wrist() const {
+    std::vector<Vec3> inside = points;
+    if (has_wrist)
+      for (Vec3& point : inside) point = tmul(wrist.R, point - wrist.p);
+    return inside;
+  }
+};
+
+// See mapper.LandmarkReader.
+class LandmarkReader {
+ public:
+  std::vector<int> used;
+  std::vector<Vec3> model;  // the palm's landmarks in wrist axes
+
+  // Without a wrist, it is fitted to the palm.
+  HumanPose read(const double* landmarks, const Pose* wrist) const {
+    HumanPose pose{{}, true, {}};
+    pose.points.reserve(used.size());
+    for (const int i : used) pose.points.push_back(point(landmarks, i));
+    if (wrist) {
+      pose.wrist = *wrist;
+    } else {
+      std::vector<Vec3> seen;
+      for (const int i : kPalm) seen.push_back(point(landmarks, i));
+      pose.wrist = rigid_fit(model, seen);
+    }
+    return pose;
+  }
+
+ private:
+  static Vec3 point(const double* landmarks, int i) {
+    return {landmarks[3 * i], landmarks[3 * i + 1], landmarks[3 * i + 2]};
+  }
+};
+
+// See mapper.JointReader.
+class JointReader {
+ public:
+  Vector lower, upper;
+
+  JointReader(Tree given, Vector neutral)
+      : tree_(std::move(given)), at_(tree_), vector_(std::move(neutral)) {}
+  JointReader(const JointReader&) = delete;
+
+  // Return whether all joints are inside their limits.
+  bool read(const double* q, const Pose& wrist, HumanPose& pose) {
+    for (size_t j = 0; j < lower.size(); ++j) {
+      if (!(q[j] >= lower[j] && q[j] <= upper[j])) return false;
+      vector_[tree_.q_indices[j]] = q[j];
+    }
+    at_.place(vector_.data());
+    pose.has_wrist = true;
+    pose.wrist = wrist;
+    pose.points.reserve(tree_.points.size());
+    for (const Attached& attached : tree_.points) pose.points.push_back(wrist * at_.point(attached));
+    return true;
+  }
+  size_t size() const { return lower.size(); }
+
+ private:
+  const Tree tree_;
+  Placed at_;
+  Vector vector_;  // the wrist is at the origin
+};
+
+// All results of a sample.
+struct Step {
+  Asked asked;
+  Result result;
+  Motion motion;
+  Vector q;  // in the user's order
+};
+
+inline void finish(const Ik& ik, Step& step) {
+  step.motion = ik.motion;
+  step.q.clear();
+  for (const int i : ik.tree.q_indices) step.q.push_back(ik.motion.q[i]);
+}
+
+// The targets of a map, and the motion towards them.
+inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double dt, double speed,
+                   Step& step) {
+  Asked& asked = step.asked;
+  map.targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, asked);
+  if (asked.points.size() != ik.tree.points.size() ||
+      (!asked.margins.empty() && (!ik.pairs || asked.margins.size() != ik.pairs->pairs.size())))
+    throw std::invalid_argument("the map is of another hand");
+  Goal goal;
+  goal.points = asked.points;
+  goal.has_wrist = true;
+  goal.wrist = asked.wrist;
+  goal.postures = ik.postures(map.rest, dt);
+  goal.distances = asked.distances;
+  goal.aims = asked.aims;
+  goal.aim_weights = asked.weights;
+  ik.solve(goal, dt, asked.margins, speed, step.result);
+  finish(ik, step);
+}
+
+// Take the stop that was admitted last, for one sample.
+inline void hold(Ik& ik, double dt, Step& step) {
+  ik.hold(dt, step.result);
+  step.asked.points = step.result.points;
+  step.asked.wrist = step.result.wrist;
+  finish(ik, step);
+}
+
+}  // namespace handmap
