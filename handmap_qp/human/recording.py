@@ -7,7 +7,7 @@ little MCP, PIP, DIP, tip. `handmap_qp.trackers.formats` has the files that reco
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -160,30 +160,58 @@ def mirrored(recording: Recording) -> Recording:
     )
 
 
-def recording_samples(
+class SampleColumns(NamedTuple):
+    """The samples of a recording as columns, as a tracker would send them.
+
+    Attributes:
+        side: `right` or `left`.
+        time: Instants [s], shape (T,).
+        landmarks: Landmarks [m], shape (T, 21, 3).
+        valid: Samples in which the hand was seen, shape (T,).
+        confidence: From 0 to 1, shape (T,).
+        wrists: Poses of the wrist with our axes, shape (T, 4, 4), or None.
+    """
+
+    side: Side
+    time: np.ndarray
+    landmarks: np.ndarray
+    valid: np.ndarray
+    confidence: np.ndarray
+    wrists: np.ndarray | None
+
+    def sample(self, i: int) -> HumanSample:
+        """Return one of them."""
+        seen = bool(self.valid[i])
+        wrist = self.wrists[i] if self.wrists is not None and seen else None
+        share = float(self.confidence[i])
+        time = float(self.time[i])
+        return HumanSample(time, self.side, self.landmarks[i], wrist, seen, share)
+
+
+def sample_columns(
     recording: Recording, wrist_poses: np.ndarray | None = None
-) -> list[HumanSample]:
-    """Return the samples of a recording, as a tracker would send them.
+) -> SampleColumns:
+    """Return the samples of a recording as columns.
 
     Args:
         recording: The recording.
         wrist_poses: Wrist poses with our axes, shape (T, 4, 4). Those of the recording are left
             out, because their axes are the tracker's own; the palm gives the wrist then.
     """
-    count = len(recording)
-    shares = np.ones(count) if recording.confidence is None else recording.confidence
-    columns = zip(
-        recording.time.tolist(),
-        recording.landmarks,
-        [None] * count if wrist_poses is None else wrist_poses,
-        recording.valid.tolist(),
-        np.where(recording.valid | (shares == 1.0), shares, 0.0).tolist(),
-        strict=True,
-    )
-    return [
-        HumanSample(time, recording.side, points, pose if seen else None, seen, share)
-        for time, points, pose, seen, share in columns
-    ]
+    valid = recording.valid
+    shares = recording.confidence
+    shares = np.ones(len(recording)) if shares is None else shares
+    confidence = np.where(valid | (shares == 1.0), shares, 0.0)
+    columns = recording.time, recording.landmarks, valid, confidence, wrist_poses
+    return SampleColumns(recording.side, *columns)
+
+
+def recording_samples(
+    recording: Recording, wrist_poses: np.ndarray | None = None
+) -> list[HumanSample]:
+    """Return the samples of a recording; arguments as of `sample_columns`."""
+    columns = sample_columns(recording, wrist_poses)
+    return [columns.sample(i) for i in range(len(recording))]
 
 
 def as_flags(

@@ -62,16 +62,22 @@ class Compiled:
 
 
 class Parts:
-    """Where arrays of given shapes lie in a flat one of the core."""
+    """Where arrays of given shapes lie in a flat one of the core.
+
+    Attributes:
+        size: Size of the flat one.
+    """
 
     def __init__(self, *shapes: int | tuple[int, ...]) -> None:
-        self._places: list[tuple[slice, Any]] = []
-        end = 0
+        self.size = 0
+        self._places: list[tuple[slice, tuple[int, ...]]] = []
         for shape in shapes:
-            start = end
-            end += math.prod(shape) if isinstance(shape, tuple) else shape
-            self._places.append((slice(start, end), shape))
+            start = self.size
+            whole = shape if isinstance(shape, tuple) else (shape,)
+            self.size += math.prod(whole)
+            self._places.append((slice(start, self.size), whole))
 
     def of(self, numbers: Any) -> list[Any]:
-        """Return views of the arrays of a flat one, shape (n,)."""
-        return [numbers[place].reshape(shape) for place, shape in self._places]
+        """Return views of the arrays of flat ones, shape (..., size)."""
+        lead = numbers.shape[:-1]
+        return [numbers[..., at].reshape(lead + shape) for at, shape in self._places]

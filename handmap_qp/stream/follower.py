@@ -7,8 +7,9 @@ map` and `handmap view` all follow in this way.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
-from time import perf_counter
+from time import perf_counter, thread_time_ns
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -16,6 +17,7 @@ import pinocchio as pin
 from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidOptionsError
+from handmap_qp.human.recording import SampleColumns
 from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt
@@ -23,6 +25,7 @@ from handmap_qp.mapping.method import HumanPose, MapStep
 from handmap_qp.se3 import affine, lengths
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.smoothing import Smoothing, SmoothState, smooth_sample
+from handmap_qp.stream.step_table import StepTable
 
 RejoinKind = Literal["glide", "clutch"]
 """How the robot comes back to the human after a hold."""
@@ -35,6 +38,8 @@ TURN_SPEED = 3.0
 """Largest angular speed that fading adds to the wrist [rad/s]."""
 _SHORTEST = 0.1
 """Shortest time of fading [s]."""
+_RUN = 1000
+"""Samples of a recording that the core maps before progress is told."""
 _PEAK = 1.875
 """Largest speed of a minimum-jerk motion over its mean speed."""
 
@@ -211,19 +216,52 @@ class Follower:
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        started = perf_counter()
         dt = None if dt is None else check_dt(dt)
-        reader = self.mapper.landmarks
         before = self._guard.state
-        verdict = self._guard.check(sample, arrival=arrival)
-        if verdict.is_held:
-            return self._hold(sample, verdict, dt)
         try:
-            pose = reader.read(sample.landmarks, sample.wrist)
-            return self._follow(pose, sample, verdict, dt, started)
+            return self._judged(sample, self._guard.check(sample, arrival=arrival), dt)
         except HandmapError:
             self._guard.state = before
             raise
+
+    def map_samples(
+        self, samples: SampleColumns, progress: Callable[[int], None] | None = None
+    ) -> StepTable:
+        """Map the samples of a recording, as `map_sample` one by one.
+
+        The compiled core maps those that simply follow the ones before by itself, without the
+        interpreter's lock, so that threads map recordings side by side.
+
+        Args:
+            samples: The samples.
+            progress: Called with the number of samples done.
+
+        Returns:
+            The numbers of all steps.
+
+        Raises:
+            InvalidInputError: As of `map_sample`.
+            DegeneratePointsError: Likewise.
+        """
+        count = len(samples.time)
+        table = StepTable(self.mapper.robot, count)
+        i = 0
+        while i < count:
+            # The verdict about a sample that the core has judged, and leaves to the return here.
+            i, verdict = self._run(samples, i, table)
+            if i < count:
+                started = thread_time_ns()
+                sample = samples.sample(i)
+                step = (
+                    self.map_sample(sample)
+                    if verdict is None
+                    else self._judged(sample, verdict, None)
+                )
+                table.write(i, step, 1e-9 * (thread_time_ns() - started))
+                i += 1
+            if progress is not None:
+                progress(i)
+        return table
 
     def map(
         self,
@@ -242,23 +280,39 @@ class Follower:
         self._reference = self.mapper.reference
         return step
 
-    def _follow(
-        self,
-        pose: HumanPose,
-        sample: HumanSample,
-        verdict: Verdict,
-        dt: float | None,
-        started: float,
+    def _run(
+        self, samples: SampleColumns, first: int, table: StepTable
+    ) -> tuple[int, Verdict | None]:
+        """Map samples in the core; return the first that it leaves, and its verdict if known."""
+        back = self._return
+        compiled = None
+        if self.smoothing is None and back.offset is None:
+            compiled = self.mapper.compiled
+        if compiled is None or self._guard.core is None or self._has_new_reference:
+            return first, None
+        guard = self._guard.core
+        ik, target_map = compiled
+        last = min(len(samples.time), first + _RUN)
+        reader = self.mapper.landmarks.core
+        count, verdict, seen = ik.run(
+            target_map, reader, guard, samples, first, last, table.rows
+        )
+        if seen is not None:
+            self._return = back._replace(seen=seen)
+        return count, None if verdict is None else self._guard.verdict_of(verdict)
+
+    def _judged(
+        self, sample: HumanSample, verdict: Verdict, dt: float | None
     ) -> MapStep:
-        """Map a sample that makes sense."""
+        """Map a sample that makes sense; else hold."""
+        if verdict.is_held:
+            return self._hold(sample, verdict, dt)
+        started = perf_counter()
+        pose = self.mapper.landmarks.read(sample.landmarks, sample.wrist)
         back = self._present_return()
         back = back.start(pose) if verdict.is_return else back
         moved, back = back.advance(pose, verdict.dt)
-        step = self.map(
-            moved,
-            _granted(verdict, dt),
-            speed=verdict.speed,
-        )
+        step = self.map(moved, _granted(verdict, dt), speed=verdict.speed)
         self._return = back
         return structs.replace(
             step,

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
-from operator import attrgetter
 from pathlib import Path
 from time import thread_time_ns
 
@@ -16,13 +15,14 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
-from handmap_qp.human.sample import RULES, Rule, Verdict
+from handmap_qp.human.recording import HumanMotion, Recording, sample_columns
+from handmap_qp.human.sample import RULES, Rule
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.output_files import replaced_file
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.smoothing import Smoothing
+from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -158,20 +158,20 @@ def map_recording(
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
     follower = Follower(mapper, smoothing=smoothing)
-    steps: Iterator[MapStep | None]
     if is_guarded:
-        steps = map(follower.map_sample, recording_samples(recording, wrist_poses))
-    else:
-        wrists = [None] * len(recording) if wrist_poses is None else wrist_poses
-        columns = zip(
-            recording.landmarks, wrists, recording.steps, recording.valid, strict=True
-        )
-        steps = (
-            follower.map(mapper.landmarks.read(landmarks, wrist), float(dt))
-            if is_valid
-            else None
-            for landmarks, wrist, dt, is_valid in columns
-        )
+        columns = sample_columns(recording, wrist_poses)
+        table = follower.map_samples(columns, progress)
+        return _trajectory(mapper.robot, recording.time, table)
+    wrists = [None] * len(recording) if wrist_poses is None else wrist_poses
+    rows = zip(
+        recording.landmarks, wrists, recording.steps, recording.valid, strict=True
+    )
+    steps = (
+        follower.map(mapper.landmarks.read(landmarks, wrist), float(dt))
+        if is_valid
+        else None
+        for landmarks, wrist, dt, is_valid in rows
+    )
     return trajectory_of(mapper.robot, recording.time, steps, progress)
 
 
@@ -195,28 +195,31 @@ def trajectory_of(
     Raises:
         InvalidInputError: If no sample is followed.
     """
-    found, step_cpu = _timed(mapped, len(time), progress)
-    verdicts = [_verdict(step) for step in found]
-    is_held, rule, consistency = _columns(
-        verdicts,
-        "is_held",
-        "rule",
-        "consistency",
+    table = StepTable(robot, len(time))
+    for i in range(len(time)):
+        started = thread_time_ns()
+        step = next(mapped)
+        table.write(i, step, 1e-9 * (thread_time_ns() - started))
+        if progress is not None:
+            progress(i + 1)
+    return _trajectory(robot, time, table)
+
+
+def _trajectory(robot: Hand, time: np.ndarray, table: StepTable) -> Trajectory:
+    """Fill the samples without a step, and measure; see `trajectory_of`."""
+    *judged, is_held, consistency, confidence, step_cpu = table.columns[6:]
+    status, rule = (
+        np.array(names)[column.astype(int)]
+        for names, column in zip((STATUS_NAMES, RULE_NAMES), judged, strict=True)
     )
+    is_held = is_held > 0.0
     if is_held.all():
         raise _nothing_followed(rule.tolist())
-    is_placed = np.array([step is not None for step in found])
+    is_placed = ~np.isnan(table.rows[:, 0])
     is_placed[: np.argmin(is_held)] = False
-    steps = [found[k] for k in held_samples(is_placed)]
-    q, wrist, wrist_target, targets, points, at_bound, status = _columns(
-        steps,
-        "command.q",
-        "command.wrist",
-        "wrist_target",
-        "targets",
-        "points",
-        "at_bound",
-        "status",
+    placed = held_samples(is_placed)
+    q, wrist, wrist_target, targets, points, at_bound = (
+        column[placed] for column in table.columns[:6]
     )
     at_limit = robot.at_position_limit(q)
     return Trajectory(
@@ -230,12 +233,12 @@ def trajectory_of(
         wrist_error=np.linalg.norm((wrist - wrist_target)[:, :3, 3], axis=1),
         valid=~is_held,
         at_limit=at_limit,
-        at_speed_limit=at_bound & ~at_limit & ~is_held[:, None],
-        status=np.where(is_held, "held", status),
+        at_speed_limit=(at_bound > 0.0) & ~at_limit & ~is_held[:, None],
+        status=status,
         step_cpu=np.where(is_held, np.nan, step_cpu),
         rule=rule,
         consistency=consistency,
-        confidence=np.array([step.confidence if step else 1.0 for step in found]),
+        confidence=confidence,
     )
 
 
@@ -248,35 +251,6 @@ def held_samples(valid: np.ndarray) -> np.ndarray:
 def stretches(flags: np.ndarray) -> list[slice]:
     """Return the stretches of samples whose flags are set; flags of shape (T,)."""
     return np.ma.clump_masked(np.ma.array(flags, mask=flags))
-
-
-def _timed(
-    mapped: Iterator[MapStep | None],
-    count: int,
-    progress: Callable[[int], None] | None,
-) -> tuple[list[MapStep | None], np.ndarray]:
-    """Compute steps one by one; return them and the CPU time of each [s], shape (count,)."""
-    found = []
-    step_cpu = np.empty(count)
-    for i in range(count):
-        started = thread_time_ns()
-        found.append(next(mapped))
-        step_cpu[i] = 1e-9 * (thread_time_ns() - started)
-        if progress is not None:
-            progress(i + 1)
-    return found, step_cpu
-
-
-def _columns(rows: Sequence[object], *names: str) -> list[np.ndarray]:
-    """Return named attributes of all rows as arrays; a name may have dots."""
-    return [np.array(list(map(attrgetter(name), rows))) for name in names]
-
-
-def _verdict(step: MapStep | None) -> Verdict:
-    """Return what is said about a sample; those without a guard are followed if they are valid."""
-    if step is None:
-        return Verdict("missing", True, False, 0.0, math.nan)
-    return step.verdict or Verdict("", False, False, 0.0, math.nan)
 
 
 def _nothing_followed(rules: list[Rule]) -> InvalidInputError:
