@@ -7,7 +7,7 @@
 #include <optional>
 
 #include "build.hpp"
-#include "tracks.hpp"
+#include "build_guard.hpp"
 
 using namespace nb::literals;
 
@@ -110,60 +110,6 @@ nb::ndarray<nb::numpy, double> read_landmarks(const LandmarkReader& reader, cons
   }
   write_pose(reader.fit(all), to);
   return numbers;
-}
-
-Landmarks landmarks_of(const nb::handle& given) {
-  const Array numbers = nb::cast<Array>(given);
-  expect_size(numbers, 3 * kLandmarks, "landmarks");
-  Landmarks points;
-  for (int i = 0; i < kLandmarks; ++i)
-    points[i] = {numbers.data()[3 * i], numbers.data()[3 * i + 1], numbers.data()[3 * i + 2]};
-  return points;
-}
-
-// A new array of Python with given numbers.
-nb::object numbers_of(const double* from, size_t rows, size_t columns) {
-  double* to = new double[rows * columns];
-  std::copy(from, from + rows * columns, to);
-  nb::capsule owner(to, [](void* p) noexcept { delete[] static_cast<double*>(p); });
-  if (columns == 1) return nb::cast(nb::ndarray<nb::numpy, double>(to, {rows}, owner));
-  return nb::cast(nb::ndarray<nb::numpy, double>(to, {rows, columns}, owner));
-}
-
-// A `Track` of Python, a tuple in the order of its fields.
-Track track_of(const nb::tuple& given) {
-  Track track;
-  track.points = landmarks_of(given[1]);
-  track.centre = points_of(nb::cast<Array>(given[2])).at(0);
-  const Array lengths = nb::cast<Array>(given[3]);
-  expect_size(lengths, kFixed, "lengths");
-  std::copy(lengths.data(), lengths.data() + kFixed, track.lengths.begin());
-  track.velocity = points_of(nb::cast<Array>(given[4])).at(0);
-  track.turning = points_of(nb::cast<Array>(given[5])).at(0);
-  track.bending = landmarks_of(given[6]);
-  track.dt = nb::cast<double>(given[7]);
-  return track;
-}
-
-nb::module_ guard() { return nb::module_::import_("handmap_qp.stream.guard"); }
-
-nb::object first_track_of(double now, const nb::object& landmarks) {
-  const Track track = first_track(landmarks_of(landmarks));
-  const Vec3 still;
-  return guard().attr("Track")(
-      now, numbers_of(&track.points[0].x, kLandmarks, 3), numbers_of(&track.centre.x, 3, 1),
-      numbers_of(track.lengths.data(), kFixed, 1), numbers_of(&still.x, 3, 1),
-      numbers_of(&still.x, 3, 1), numbers_of(&track.bending[0].x, kLandmarks, 3));
-}
-
-nb::object change_of(const nb::tuple& before, const nb::tuple& sample, double dt) {
-  Track moved = track_of(sample);
-  const Change change = change_between(track_of(before), moved, dt);
-  const nb::object track = guard().attr("Track")(
-      sample[0], sample[1], sample[2], sample[3], numbers_of(&moved.velocity.x, 3, 1),
-      numbers_of(&moved.turning.x, 3, 1), numbers_of(&moved.bending[0].x, kLandmarks, 3), dt);
-  return guard().attr("Change")(track, numbers_of(change.sizes, 4, 1), change.is_turned,
-                                change.is_alone, change.is_too_fast);
 }
 
 std::function<void(const Vector&, TaskRows&)> rows_of(const nb::object& linearise, int size) {
@@ -292,10 +238,23 @@ NB_MODULE(_core, m) {
   nb::class_<LandmarkReader>(m, "LandmarkReader")
       .def("__init__", &make_reader)
       .def("read", &read_landmarks);
-  m.def("is_zero", [](const nb::object& landmarks) { return is_zero(landmarks_of(landmarks)); });
-  m.def("first_track", &first_track_of);
-  m.def("change_between", &change_of);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());
   m.def("measure_shapes", &measure_shapes);
+  nb::class_<PythonInputCheck>(m, "InputCheck")
+      .def(nb::init<const nb::object&>())
+      .def("save", &PythonInputCheck::save)
+      .def("update", &PythonInputCheck::update, "time"_a, "landmarks"_a, "wrist"_a.none() = nb::none())
+      .def("refusal", &PythonInputCheck::refusal, "time"_a, "landmarks"_a, "wrists"_a.none())
+      .def("alert", &PythonInputCheck::alert)
+      .def("finish", &PythonInputCheck::finish)
+      .def("finding", &PythonInputCheck::finding)
+      .def("is_wrist_proven", &PythonInputCheck::is_wrist_proven);
+  nb::class_<PythonGuard>(m, "StreamGuard")
+      .def(nb::init<const nb::object&>())
+      .def("save", &PythonGuard::save)
+      .def_prop_rw("state", &PythonGuard::state, &PythonGuard::set_state)
+      .def("check", &PythonGuard::check, "sample"_a, "arrival"_a.none())
+      .def("judge", &PythonGuard::judge, "time"_a, "landmarks"_a, "valid"_a,
+           "confidence"_a.none(), "wrists"_a.none());
 }
