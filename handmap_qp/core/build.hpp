@@ -25,10 +25,6 @@ inline void expect_size(const Array& a, size_t size, const char* name) {
   if (a.size() != size) throw std::invalid_argument(std::string("wrong size of ") + name);
 }
 
-inline Pose pose_of(const double* m) {
-  return {{{m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}}, {m[3], m[7], m[11]}};
-}
-
 inline std::vector<Vec3> points_of(const Array& a) {
   std::vector<Vec3> points(a.size() / 3);
   for (size_t k = 0; k < points.size(); ++k)

@@ -7,7 +7,8 @@
 #include <optional>
 
 #include "arrays.hpp"
-#include "tracks.hpp"
+#include "build_guard.hpp"
+#include "run.hpp"
 
 using namespace nb::literals;
 
@@ -74,23 +75,13 @@ std::optional<Array> plain(const nb::handle& given, std::initializer_list<size_t
   size_t axis = 0;
   for (const size_t count : shape)
     if (numbers.shape(axis++) != count) return {};
-  for (size_t i = 0; i < numbers.size(); ++i)
-    if (!(std::abs(numbers.data()[i]) <= kFarthest)) return {};
-  return numbers;
+  return is_near(numbers.data(), numbers.size()) ? std::optional(numbers) : std::nullopt;
 }
 
 // A pose whose rotation is one up to rounding.
 std::optional<Pose> plain_pose(const nb::handle& given) {
   const std::optional<Array> numbers = plain(given, {4, 4});
-  if (!numbers) return {};
-  const double* m = numbers->data();
-  if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0) return {};
-  const Pose pose = pose_of(m);
-  const Mat3 square = transposed(pose.R) * pose.R, eye;
-  for (int i = 0; i < 9; ++i)
-    if (!(std::abs(square.m[i] - eye.m[i]) <= kExactRotation)) return {};
-  if (determinant(pose.R) < 0.0) return {};
-  return pose;
+  return numbers ? exact_pose(numbers->data()) : std::nullopt;
 }
 
 // A sample of landmarks, or None for what Python has to look at.
@@ -113,51 +104,6 @@ std::optional<HumanPose> read_joints(JointReader& reader, const nb::handle& q,
   HumanPose found;
   if (!pose || !reader.read(angles->data(), *pose, found)) return {};
   return found;
-}
-
-Landmarks landmarks_of(const nb::handle& given) {
-  const Array numbers = nb::cast<Array>(given);
-  expect_size(numbers, 3 * kLandmarks, "landmarks");
-  Landmarks points;
-  for (int i = 0; i < kLandmarks; ++i)
-    points[i] = {numbers.data()[3 * i], numbers.data()[3 * i + 1], numbers.data()[3 * i + 2]};
-  return points;
-}
-
-// A `Track` of Python, a tuple in the order of its fields.
-Track track_of(const nb::tuple& given) {
-  Track track;
-  track.points = landmarks_of(given[1]);
-  track.centre = points_of(nb::cast<Array>(given[2])).at(0);
-  const Array lengths = nb::cast<Array>(given[3]);
-  expect_size(lengths, kFixed, "lengths");
-  std::copy(lengths.data(), lengths.data() + kFixed, track.lengths.begin());
-  track.velocity = points_of(nb::cast<Array>(given[4])).at(0);
-  track.turning = points_of(nb::cast<Array>(given[5])).at(0);
-  track.bending = landmarks_of(given[6]);
-  track.dt = nb::cast<double>(given[7]);
-  return track;
-}
-
-nb::module_ guard() { return nb::module_::import_("handmap_qp.stream.guard"); }
-
-nb::object first_track_of(double now, const nb::object& landmarks) {
-  const Track track = first_track(landmarks_of(landmarks));
-  const Vec3 still;
-  return guard().attr("Track")(
-      now, array_of({kLandmarks, 3}, &track.points[0].x), array_of({3}, &track.centre.x),
-      array_of({kFixed}, track.lengths.data()), array_of({3}, &still.x),
-      array_of({3}, &still.x), array_of({kLandmarks, 3}, &track.bending[0].x));
-}
-
-nb::object change_of(const nb::tuple& before, const nb::tuple& sample, double dt) {
-  Track moved = track_of(sample);
-  const Change change = change_between(track_of(before), moved, dt);
-  const nb::object track = guard().attr("Track")(
-      sample[0], sample[1], sample[2], sample[3], array_of({3}, &moved.velocity.x),
-      array_of({3}, &moved.turning.x), array_of({kLandmarks, 3}, &moved.bending[0].x), dt);
-  return guard().attr("Change")(track, array_of({4}, change.sizes), change.is_turned,
-                                change.is_alone, change.is_too_fast);
 }
 
 std::function<void(const Vector&, TaskRows&)> rows_of(const nb::object& linearise, int size) {
@@ -235,6 +181,45 @@ Step hold_still(Ik& ik, double dt) {
   return step;
 }
 
+// Numbers that Python reads afterwards.
+using Writable = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
+
+// Map samples of a recording; see run.hpp. `columns` are those of `SampleColumns`.
+nb::tuple run_samples(Ik& ik, const TargetMap& map, const LandmarkReader& reader,
+                      PythonGuard& guard, const nb::tuple& columns, size_t first, size_t last,
+                      const Writable& rows) {
+  const Array time = nb::cast<Array>(columns[1]), landmarks = nb::cast<Array>(columns[2]),
+              confidence = nb::cast<Array>(columns[4]);
+  const Flags valid = nb::cast<Flags>(columns[3]);
+  const auto wrists = nb::cast<std::optional<Array>>(columns[5]);
+  const Samples samples(time, landmarks, wrists);
+  expect_size(confidence, samples.count, "confidence");
+  const size_t width = row_width(ik);
+  if (last > samples.count || valid.size() != samples.count || rows.ndim() != 2 ||
+      rows.shape(0) != samples.count || rows.shape(1) != width)
+    throw std::invalid_argument("wrong sizes of samples or rows");
+  check_map(ik, map, {std::vector<Vec3>(reader.used.size()), true, {}});
+  const double unproven = module_of("handmap_qp.human.sample").get<double>("UNPROVEN_SPEED");
+  Run run{ik, map, reader, guard.guard, unproven};
+  size_t next = first;
+  {
+    const nb::gil_scoped_release no_gil;
+    for (; next < last; ++next) {
+      const double* wrist = samples.wrist_at(next);
+      const StreamSample sample{samples.time[next],
+                                samples.landmarks_at(next),
+                                valid.data()[next] ? wrist : nullptr,
+                                valid.data()[next],
+                                confidence.data()[next],
+                                std::numeric_limits<double>::quiet_NaN()};
+      if (!run.take(sample, rows.data() + next * width)) break;
+    }
+  }
+  return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),
+                        run.count ? nb::cast(run.step) : nb::none(),
+                        run.has_seen ? nb::cast(run.seen) : nb::none());
+}
+
 nb::tuple solve_qp(const Array& H, const Array& c, const Array& lower, const Array& upper,
                    const std::optional<Array>& G, const std::optional<Array>& h) {
   const int n = static_cast<int>(c.size());
@@ -270,7 +255,9 @@ NB_MODULE(_core, m) {
            "postures"_a, "distances"_a.none(), "aims"_a.none(), "aim_weights"_a.none(),
            "linearise"_a.none())
       .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
-      .def("hold", &hold_still, "dt"_a);
+      .def("hold", &hold_still, "dt"_a)
+      .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
+           "rows"_a);
   constexpr auto kOwned = nb::rv_policy::move;
   nb::class_<Step>(m, "Step")
       .def_prop_ro("q", [](const Step& step) { return array_of(step.q); }, kOwned)
@@ -299,10 +286,23 @@ NB_MODULE(_core, m) {
   nb::class_<JointReader>(m, "JointReader")
       .def("__init__", &make_joint_reader)
       .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
-  m.def("is_zero", [](const nb::object& landmarks) { return is_zero(landmarks_of(landmarks)); });
-  m.def("first_track", &first_track_of);
-  m.def("change_between", &change_of);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());
   m.def("measure_shapes", &measure_shapes);
+  nb::class_<PythonInputCheck>(m, "InputCheck")
+      .def(nb::init<const nb::object&>())
+      .def("save", &PythonInputCheck::save)
+      .def("update", &PythonInputCheck::update, "time"_a, "landmarks"_a, "wrist"_a.none() = nb::none())
+      .def("refusal", &PythonInputCheck::refusal, "time"_a, "landmarks"_a, "wrists"_a.none())
+      .def("alert", &PythonInputCheck::alert)
+      .def("finish", &PythonInputCheck::finish)
+      .def("finding", &PythonInputCheck::finding)
+      .def("is_wrist_proven", &PythonInputCheck::is_wrist_proven);
+  nb::class_<PythonGuard>(m, "StreamGuard")
+      .def(nb::init<const nb::object&>())
+      .def("save", &PythonGuard::save)
+      .def_prop_rw("state", &PythonGuard::state, &PythonGuard::set_state)
+      .def("check", &PythonGuard::check, "sample"_a, "arrival"_a.none())
+      .def("judge", &PythonGuard::judge, "time"_a, "landmarks"_a, "valid"_a,
+           "confidence"_a.none(), "wrists"_a.none());
 }

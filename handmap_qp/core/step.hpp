@@ -1,6 +1,7 @@
 // One sample, from what was measured on the human to the robot's command: see mapping/mapper.py.
 #pragma once
 
+#include <optional>
 #include <stdexcept>
 
 #include "targets.hpp"
@@ -9,6 +10,24 @@ namespace handmap {
 
 // See se3.FARTHEST [m] and se3._ROTATION_EXACT.
 constexpr double kFarthest = 1e9, kExactRotation = 1e-12;
+
+// Whether no number is farther than any hand; NaN is.
+inline bool is_near(const double* numbers, size_t count) {
+  for (size_t i = 0; i < count; ++i)
+    if (!(std::abs(numbers[i]) <= kFarthest)) return false;
+  return true;
+}
+
+// A pose, if its rotation is one up to rounding and it is near.
+inline std::optional<Pose> exact_pose(const double* m) {
+  if (!is_near(m, 16) || m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0) return {};
+  const Pose pose{{{m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}}, {m[3], m[7], m[11]}};
+  const Mat3 square = transposed(pose.R) * pose.R, eye;
+  for (int i = 0; i < 9; ++i)
+    if (!(std::abs(square.m[i] - eye.m[i]) <= kExactRotation)) return {};
+  if (determinant(pose.R) < 0.0) return {};
+  return pose;
+}
 
 // See method.HumanPose.
 struct HumanPose {

@@ -69,6 +69,10 @@ struct Pose {
   Mat3 R;
   Vec3 p;
 };
+// Of a matrix (4, 4), row by row.
+inline Pose pose_of(const double* m) {
+  return {{{m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]}}, {m[3], m[7], m[11]}};
+}
 inline Vec3 operator*(const Pose& a, const Vec3& v) { return a.R * v + a.p; }
 inline Pose operator*(const Pose& a, const Pose& b) { return {a.R * b.R, a.R * b.p + a.p}; }
 inline Pose inverse(const Pose& a) { return {transposed(a.R), -tmul(a.R, a.p)}; }

@@ -81,14 +81,29 @@ class CompiledIk:
         """Take the stop that was admitted last, for one sample of dt [s]; return the step."""
         return self._moved(self._core.hold, dt)
 
+    def run(self, *arguments: Any) -> tuple[int, Any, Any]:
+        """Move the hand for samples of a recording; see `stream.follower` and `core/run.hpp`.
+
+        Returns:
+            The index of the first sample that was left out, the core's verdict if it has judged
+            that one, and the pose that was mapped last, if any.
+        """
+        self._push_motion()
+        index, verdict, step, seen = self._core.run(*arguments)
+        if step is not None:
+            self._gate.leave_to(partial(self._motion, step))
+        return index, verdict, seen
+
     def _moved(self, move: Callable[..., Any], *arguments: Any) -> Any:
         """Move from where the gate is, which reads its new motion from the step when asked."""
-        gate = self._gate
-        if gate.was_set:
-            self._core.set_motion(*gate.motion)
+        self._push_motion()
         step = move(*arguments)
-        gate.leave_to(partial(self._motion, step))
+        self._gate.leave_to(partial(self._motion, step))
         return step
+
+    def _push_motion(self) -> None:
+        if self._gate.was_set:
+            self._core.set_motion(*self._gate.motion)
 
     def _motion(self, step: Any) -> Motion:
         q, displacement, stop_times, *_ = self._parts.of(frozen(step.result))

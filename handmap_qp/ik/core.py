@@ -9,7 +9,8 @@ import importlib
 import math
 import os
 import zlib
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any, TypeVar
@@ -42,13 +43,23 @@ core, description = _load()
 """The core, or None; which path runs, and why, in words."""
 
 
-def in_core(reference: T) -> T:
-    """Return the core's function of this one's name, or this one where there is none."""
-    return getattr(core, getattr(reference, "__name__", ""), reference)
+def in_core(reference: Callable[..., T]) -> Callable[..., T]:
+    """Let an object's `core` do what this method does, by its name, where there is one."""
+
+    @wraps(reference)
+    def call(self: Any, *values: Any, **named: Any) -> T:
+        if self.core is None:
+            return reference(self, *values, **named)
+        return getattr(self.core, reference.__name__)(*values, **named)
+
+    return reference if core is None else call
 
 
 class Compiled:
     """Base of classes that the core has too, under the same name; subclasses run in Python."""
+
+    _saved: Any = None
+    """What the core's own of a former copy remembered, which that of this one begins with."""
 
     @cached_property
     def core(self) -> Any | None:
@@ -57,8 +68,10 @@ class Compiled:
         return None if kind is None else kind(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return all but the core's own, which a copy makes anew."""
-        return {name: value for name, value in vars(self).items() if name != "core"}
+        """Return all but the core's own, which a copy makes anew, and what that remembers."""
+        state = vars(self).copy()
+        save = getattr(state.pop("core", None), "save", None)
+        return state if save is None else {**state, "_saved": save()}
 
 
 class Parts:

@@ -309,7 +309,7 @@ class HandMapper:
         plan = self._plan
         reference = self._reference or self._reference_at(sample)
         target_map: Any = reference.map
-        core = self._core_for(target_map, sample)
+        core = self._core_for(target_map) if sample.has_wrist else None
         asked: Any = None if core else target_map.targets(sample)
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
@@ -343,12 +343,23 @@ class HandMapper:
             self._reference = _Reference(kept, posture, plan.bound.start(kept, posture))
         return MapStep(stages, out_of_range, perf_counter() - started)
 
-    def _core_for(self, target_map: TargetMap, sample: HumanPose) -> CompiledIk | None:
-        """Return the core if it takes a sample from its points to the command."""
+    def _core_for(self, target_map: Any) -> CompiledIk | None:
+        """Return the core if it takes samples with a wrist from their points to the command."""
         plan = self._plan
-        is_plain = not (self._is_released or plan.tasks or plan.ik.options.tasks)
+        if self._is_released or plan.tasks or plan.ik.options.tasks:
+            return None
         has_map = getattr(target_map, "core", None) is not None
-        return plan.ik.core if is_plain and has_map and sample.has_wrist else None
+        return plan.ik.core if has_map else None
+
+    @property
+    def compiled(self) -> tuple[CompiledIk, Any] | None:
+        """The core and its map of the present reference, where they map samples by themselves."""
+        reference = self._reference
+        if reference is None or self._plan.bound.renews_reference:
+            return None
+        target_map: Any = reference.map
+        core = self._core_for(target_map)
+        return None if core is None else (core, target_map.core)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.

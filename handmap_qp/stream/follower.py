@@ -299,7 +299,7 @@ class Follower:
         )
         if seen is not None:
             self._return = back._replace(seen=seen)
-        return count, None if verdict is None else self._guard.verdict_of(verdict)
+        return count, verdict
 
     def _judged(
         self, sample: HumanSample, verdict: Verdict, dt: float | None

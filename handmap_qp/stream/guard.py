@@ -13,7 +13,7 @@ samples. `change_between` measures how a hand has moved in that time.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +21,7 @@ import pinocchio as pin
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.human.sample import (
     PALM,
     Finding,
@@ -31,7 +32,7 @@ from handmap_qp.human.sample import (
     landmarks_at_rest,
     palm_sizes,
 )
-from handmap_qp.ik.core import in_core
+from handmap_qp.ik.core import Compiled
 from handmap_qp.se3 import lengths, nearest_rotation
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -243,7 +244,6 @@ class Change(NamedTuple):
     is_too_fast: bool
 
 
-@in_core
 def is_zero(landmarks: np.ndarray) -> bool:
     """Tell whether landmarks (21, 3) lie in one place, or all but one at the origin."""
     # One landmark may be the origin of the tracker's world.
@@ -251,7 +251,6 @@ def is_zero(landmarks: np.ndarray) -> bool:
     return bool(palm_sizes(landmarks[PALM]) < ZERO_SIZE or seen < len(landmarks) - 1)
 
 
-@in_core
 def first_track(now: float, landmarks: np.ndarray) -> Track:
     """Return landmarks (21, 3) [m] at a time [s] as a sample without motion."""
     centre = landmarks[PALM].mean(axis=0)
@@ -267,12 +266,7 @@ def is_same_hand(before: Track, sample: Track) -> bool:
     return bool(is_same and (before.centre == sample.centre).all())
 
 
-@in_core
-def change_between(
-    track: Track,
-    sample: Track,
-    dt: float,
-) -> Change:
+def change_between(track: Track, sample: Track, dt: float) -> Change:
     """Measure the motion from a track to a sample, dt [s] later."""
     # Kabsch: the rotation that takes the palm before to the palm now.
     rotation = nearest_rotation(sample.points[PALM].T @ track.points[PALM])
@@ -365,26 +359,35 @@ class GuardState(NamedTuple):
     same_since: float = 0.0
 
 
-class StreamGuard:
+class StreamGuard(Compiled):
     """Judges the samples of one hand, one after the other.
 
     Args:
         human: The human hand, scaled to the person.
-
-    Attributes:
-        state: What it remembers. Put a former one back to forget the samples since then.
 
     Raises:
         HandError: If the hand has no landmarks.
     """
 
     def __init__(self, human: Hand) -> None:
-        self.state = GuardState()
+        self._state = GuardState()
         self._side: Side = "left" if human.side == "left" else "right"
         self._input = InputCheck(self._side)
         self._rate = RateCheck()
         self._palm = PalmShape(human)
         self._lengths = fixed_lengths(landmarks_at_rest(human))
+
+    @property
+    def state(self) -> Any:
+        """What it remembers. Put a former one back to forget the samples since then."""
+        return self._state if self.core is None else self.core.state
+
+    @state.setter
+    def state(self, state: Any) -> None:
+        if self.core is None:
+            self._state = state
+        else:
+            self.core.state = state
 
     def check(self, sample: HumanSample, *, arrival: float | None = None) -> Verdict:
         """Judge the next sample of the stream.
@@ -406,24 +409,38 @@ class StreamGuard:
                 value=sample.side,
                 got=f"one of a {sample.side} hand",
             )
-        before = self.state
+        if self.core is not None:
+            return self.core.check(sample, arrival)
+        before = self._state
         tick, clock = before.clock.advance(sample.time)
         state = before._replace(clock=clock, now=before.now + tick.elapsed)
         held = Verdict(tick.rule, True, False, tick.dt, math.nan)
         if tick.rule in ("duplicate", "disorder"):
-            self.state = state
+            self._state = state
             return held
         rule, finding = self._input_fault(sample, arrival)
         if rule:
-            self.state = _holding(state, rule)
+            self._state = _holding(state, rule)
             return held._replace(rule=rule, finding=finding)
         was_late = before.clock.late_count > 0
-        verdict, self.state = self._follow(sample, state, tick, was_late)
-        if self.state.cause and not state.cause:
+        verdict, self._state = self._follow(sample, state, tick, was_late)
+        if self._state.cause and not state.cause:
             self._input.alert()
         if sample.wrist is None or self._input.is_wrist_proven or verdict.is_held:
             return verdict
         return verdict._replace(rule="unproven")
+
+    def holds(self, recording: Recording) -> np.ndarray:
+        """Tell which samples of a recording the robot may not follow, shape (T,).
+
+        Args:
+            recording: Samples of the hand; their wrist poses are not looked at.
+        """
+        if self.core is None:
+            samples = recording_samples(recording)
+            return np.array([self.check(sample).is_held for sample in samples])
+        columns = recording.time, recording.landmarks, recording.valid
+        return self.core.judge(*columns, recording.confidence, None)[1]
 
     def _input_fault(
         self, sample: HumanSample, arrival: float | None
@@ -431,11 +448,7 @@ class StreamGuard:
         """Return what makes a sample unusable by itself; empty if nothing does."""
         rate = None if arrival is None else self._rate.update(sample.time, arrival)
         if rate is not None:
-            problem = (
-                f"time stamps run at {rate:.3g} times the speed at which samples arrive"
-            )
-            advice = "give the time of the tracker's clock in seconds"
-            return "time", Finding("time", problem, advice)
+            return "time", _off_rate(rate)
         if not sample.valid or sample.confidence == 0.0:
             return "missing", None
         if is_zero(sample.landmarks):
@@ -496,6 +509,11 @@ class StreamGuard:
             if change.is_turned or _excess(change, state.usual)[3]:
                 settling = _LONG_SETTLING
         return now - state.steady_since >= settling
+
+
+def _off_rate(rate: float) -> Finding:
+    problem = f"time stamps run at {rate:.3g} times the speed at which samples arrive"
+    return Finding("time", problem, "give the time of the tracker's clock in seconds")
 
 
 def _moved(

@@ -11,7 +11,7 @@ from handmap_qp.errors import expect
 from handmap_qp.human.contact_gap import measure_contact_gap
 from handmap_qp.human.measure import measure_hand, scaled_human
 from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording, mirrored, recording_samples
+from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.stream.guard import StreamGuard
 
 
@@ -44,9 +44,7 @@ def without_faults(recording: Recording) -> Recording:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
     human = scaled_human(recording, points="landmarks")
-    guard = StreamGuard(human)
-    is_held = [guard.check(sample).is_held for sample in recording_samples(recording)]
-    valid = recording.valid & ~np.array(is_held)
+    valid = recording.valid & ~StreamGuard(human).holds(recording)
     if 2 * valid.sum() < recording.valid.sum() or (valid == recording.valid).all():
         return recording
     return replace(recording, valid=valid)

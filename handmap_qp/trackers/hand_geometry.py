@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.se3 import lengths, unit
 
 _BONES = [(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)]
@@ -99,36 +98,19 @@ class Distances(NamedTuple):
         return float(np.exp(self.medians[8:12]).sum())
 
 
-def own_distances(landmarks: np.ndarray, pairs: np.ndarray = _PAIRS) -> Distances:
+def own_distances(landmarks: np.ndarray) -> Distances:
     """Measure the distances that bones and palm keep, in our order.
 
     Args:
-        landmarks: Finite landmarks in any unit, shape (T, 21, 3).
-        pairs: Other pairs of landmarks to measure, shape (..., 2).
+        landmarks: Finite landmarks in any unit, shape (T, ..., 21, 3).
     """
-    ends = landmarks[:, pairs]
+    ends = landmarks[..., _PAIRS, :]
     squares = np.square(ends[..., 0, :] - ends[..., 1, :]).sum(axis=-1)
     squares.sort(axis=0)
     count = len(squares)
     rows = squares[[count // 4, count // 2, count - 1 - count // 4]]
     low, middle, high = 0.5 * np.log(np.maximum(rows, 1e-24))
     return Distances(middle, (high - low) / _QUARTILES_APART)
-
-
-def distances_in_orders(landmarks: np.ndarray, orders: np.ndarray) -> Distances:
-    """Measure the same distances in other orders.
-
-    Args:
-        landmarks: As of `own_distances`.
-        orders: Row by row, the index at which each of our landmarks is found, shape (K, 21).
-
-    Returns:
-        Medians and spreads, shape (K, 26).
-    """
-    every = np.moveaxis(np.indices((LANDMARK_COUNT, LANDMARK_COUNT)), 0, -1)
-    found = own_distances(landmarks, every)
-    first, second = np.moveaxis(orders[:, _PAIRS], -1, 0)
-    return Distances(found.medians[first, second], found.spreads[first, second])
 
 
 def log_size(distances: Distances) -> float:

@@ -12,7 +12,6 @@ asks which mistake explains it, and names it. `check_recording` does the same fo
 from __future__ import annotations
 
 import math
-from collections import deque
 from functools import cache
 from itertools import permutations
 from typing import NamedTuple
@@ -24,10 +23,10 @@ from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HAND_LENGTHS, LANDMARK_COUNT, Finding, check_side
+from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.trackers.hand_geometry import (
     Distances,
     carried_fingers,
-    distances_in_orders,
     log_size,
     median,
     misfit,
@@ -63,19 +62,15 @@ _RESIZED = 1.35  # times as large as at the start, or as small; 0.86 to 1.25 in 
 _REFUSED_SHARE = 0.25  # of a recording's valid samples
 
 
-class InputCheck:
+class InputCheck(Compiled):
     """Checks one hand's samples as they come.
 
     Samples are collected into batches of 16, or of a quarter of a second for a slow tracker, and
     of twice as many once nothing changes any more. Two batches in a row must agree before the
-    finding changes, so one bad sample changes nothing. A sample costs 24 to 43 us on
-    average (benchmarks/bench_lies.py).
+    finding changes, so one bad sample changes nothing.
 
     Args:
         side: The hand that the samples are said to be of.
-
-    Attributes:
-        finding: What is wrong with the input; None if it is plausible, or if too little was seen.
 
     Raises:
         InvalidInputError: If the side is neither `right` nor `left`.
@@ -91,27 +86,34 @@ class InputCheck:
 
     def reset(self) -> None:
         """Forget all samples: of a new session, or after the input was changed."""
+        vars(self).pop("core", None)
+        self._saved = None
         self._batch: list[tuple[float, np.ndarray, np.ndarray | None]] = []
         self._last_time: float | None = None
         self._guess: Finding | None = None
         self._batches = 0
         self._calm = 0
-        self.finding: Finding | None = None
+        self._finding: Finding | None = None
         self._wrist = WristCheck(self._sign)
         self._misfit = np.nan
         self._sizes: list[float] = []
-        self._past: deque[np.ndarray] = deque(maxlen=_CARRIED_BATCHES)
+        self._past: list[np.ndarray] = []
 
     @property
+    @in_core
+    def finding(self) -> Finding | None:
+        """What is wrong with the input; None if it is plausible, or if too little was seen."""
+        return self._finding
+
+    @property
+    @in_core
     def is_wrist_proven(self) -> bool:
         """Whether the wrist has followed a palm that turned (`WristCheck.is_proven`)."""
         return self._wrist.is_proven
 
+    @in_core
     def update(
-        self,
-        time: float,
-        landmarks: np.ndarray,
-        wrist: np.ndarray | None = None,
+        self, time: float, landmarks: np.ndarray, wrist: np.ndarray | None = None
     ) -> Finding | None:
         """Take one sample in which the tracker saw the hand.
 
@@ -126,16 +128,42 @@ class InputCheck:
         self._batch.append((time, landmarks, wrist))
         if self._is_complete():
             self._judge()
-        return self.finding
+        return self._finding
 
+    @in_core
     def alert(self) -> None:
         """Judge the next samples by themselves and soon: something has changed."""
         self._batch.clear()
         self._calm = -_CALM_BATCHES
 
+    @in_core
+    def refusal(
+        self, time: np.ndarray, landmarks: np.ndarray, wrists: np.ndarray | None
+    ) -> Finding | None:
+        """Take samples, until what is wrong with them is wrong in a quarter of them.
+
+        Args:
+            time: Their instants [s], shape (T,).
+            landmarks: Their landmarks, shape (T, 21, 3).
+            wrists: Their wrist poses, shape (T, 4, 4), if the tracker has them.
+
+        Returns:
+            What is wrong; None if all samples were taken.
+        """
+        found = 0
+        for i, now in enumerate(time.tolist()):
+            wrist = None if wrists is None else wrists[i]
+            finding = self.update(now, landmarks[i], wrist)
+            found += finding is not None
+            if finding is not None and (
+                finding.kind == "time" or found >= _REFUSED_SHARE * len(time)
+            ):
+                return finding
+        return None
+
     def _is_complete(self) -> bool:
         """Tell whether a batch is complete."""
-        if self._calm < 0 or self.finding is not None:
+        if self._calm < 0 or self._finding is not None:
             size = _ALERT
         else:
             has_wrists = all(wrist is not None for _, _, wrist in self._batch)
@@ -146,6 +174,7 @@ class InputCheck:
         # A batch that began with wrists may have grown beyond the number of one without.
         return count >= size.most or (count >= size.least and duration >= size.time)
 
+    @in_core
     def finish(self) -> Finding | None:
         """Judge the samples that are left, at the end of a recording.
 
@@ -155,7 +184,7 @@ class InputCheck:
         if self._batch and (len(self._batch) >= _NEW.least or not self._batches):
             self._judge()
         self._batch.clear()
-        return self._guess if self._batches == 1 else self.finding
+        return self._guess if self._batches == 1 else self._finding
 
     def _judge(self) -> None:
         """Examine the collected samples, and change the finding if two batches agree."""
@@ -177,7 +206,7 @@ class InputCheck:
         is_same = (guess is None) == (self._guess is None) and self._batches > 1
         self._calm = self._calm + 1 if is_same or self._calm < 0 else 0
         if is_same:
-            self.finding = guess
+            self._finding = guess
         self._guess = guess
 
     def _examine(
@@ -218,7 +247,7 @@ class InputCheck:
 
     def _stuck(self, landmarks: np.ndarray) -> Finding | None:
         """Tell whether a finger repeats, by this batch or by the last ones together."""
-        self._past.append(landmarks)
+        self._past = [*self._past, landmarks][-_CARRIED_BATCHES:]
         is_stuck = stuck_fingers(landmarks)
         if len(self._past) == _CARRIED_BATCHES:
             is_stuck |= carried_fingers(np.concatenate(self._past))
@@ -227,11 +256,7 @@ class InputCheck:
         finger = FINGERS[is_stuck.argmax()]
         problem = f"the {finger} finger repeats exactly while the others do not"
         advice = "check the tracker's sensor or model of that finger"
-        return Finding(
-            "frozen",
-            problem,
-            advice,
-        )
+        return Finding("frozen", problem, advice)
 
     def _resized(self, size: float) -> Finding | None:
         """Compare the logarithm of the hand's size with that of the first batches."""
@@ -242,11 +267,7 @@ class InputCheck:
             return None
         problem = f"the hand is {ratio:.3g} times as large as it was at first"
         advice = "measure the person again, and open a session for each person"
-        return Finding(
-            "size",
-            problem,
-            advice,
-        )
+        return Finding("size", problem, advice)
 
     def _other_side(self, landmarks: np.ndarray, wrists: np.ndarray | None) -> Finding:
         """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
@@ -263,11 +284,7 @@ class InputCheck:
             what = f"a mirrored {self.side} hand; the wrist's pose is not"
             advice = negate
         problem = f"the landmarks are said to be of a {self.side} hand, and are those of {what}"
-        return Finding(
-            "side",
-            problem,
-            advice,
-        )
+        return Finding("side", problem, advice)
 
 
 def _other_order(name: str | None) -> Finding | None:
@@ -278,11 +295,7 @@ def _other_order(name: str | None) -> Finding | None:
     )
     right = "the order wrist, thumb, ..., little finger"
     advice = "name the layout of the data (handmap layouts), or reorder them"
-    return Finding(
-        "order",
-        f"the landmarks are not in {right}; {found}",
-        advice,
-    )
+    return Finding("order", f"the landmarks are not in {right}; {found}", advice)
 
 
 _BENT_BACK = Finding(
@@ -322,18 +335,14 @@ def examine_recording(recording: Recording) -> Finding | None:
         that confuses the hand for a moment is left to the guard (`stream.guard`).
     """
     check = InputCheck(recording.side)
-    indices = np.flatnonzero(recording.valid)
-    times = recording.time.tolist()
-    wrists = [None] * len(times) if recording.wrist is None else recording.wrist
-    found = 0
-    for i in indices.tolist():
-        finding = check.update(times[i], recording.landmarks[i], wrists[i])
-        if finding is not None:
-            found += 1
-            if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):
-                return finding
+    seen = recording.valid
+    time, wrist = recording.time[seen], recording.wrist
+    wrists = None if wrist is None else wrist[seen]
+    refusal = check.refusal(time, recording.landmarks[seen], wrists)
+    if refusal is not None:
+        return refusal
     last = check.finish()
-    return last if times[indices[-1]] - times[indices[0]] <= 1.0 else None
+    return last if time[-1] - time[0] <= 1.0 else None
 
 
 # A misfit that no hand has (`hand_geometry.misfit`): at most 1.2 in recordings.
@@ -361,7 +370,7 @@ def _find_order(
         plausible and none is much better.
     """
     names, orders = _known_orders()
-    distances = distances_in_orders(landmarks, orders)
+    distances = own_distances(landmarks[:, orders])
     misfits = misfit(distances)
     own = float(misfits[0])
     # The other hand is an explanation too, so an order of fingers must beat it only where our own
@@ -444,11 +453,7 @@ def _find_time_unit(times: np.ndarray) -> Finding | None:
     elif fitting:
         found += f", so it is in {fitting[0]}"
         advice = f"multiply it by {_TIME_UNITS[fitting[0]]:g}"
-    return Finding(
-        "time",
-        found,
-        advice,
-    )
+    return Finding("time", found, advice)
 
 
 def _find_length_unit(
@@ -487,26 +492,14 @@ def _find_length_unit(
         if _is_usual(length * unit):
             also = " (or pixels)" if name == "millimetres" else ""
             problem = f"{found}, so the landmarks are in {name}{also}"
-            return Finding(
-                "unit",
-                problem,
-                f"multiply them by {unit:g}",
-            )
+            return Finding("unit", problem, f"multiply them by {unit:g}")
         if _is_usual(length / unit):
             problem = f"{found}, as if metres had been taken for {name}"
-            return Finding(
-                "unit",
-                problem,
-                f"multiply the landmarks by {1.0 / unit:g}",
-            )
+            return Finding("unit", problem, f"multiply the landmarks by {1.0 / unit:g}")
     if length > _PIXELS:
         found += ", as if the landmarks were pixels"
     advice = f"give landmarks in metres, of a hand of {low} to {high} m"
-    return Finding(
-        "unit",
-        found,
-        advice,
-    )
+    return Finding("unit", found, advice)
 
 
 def _is_usual(length: float) -> bool:

@@ -102,11 +102,7 @@ class WristCheck:
         if apart > _FARTHEST_APART:
             problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
             advice = "give both in metres and in the same world"
-            return Finding(
-                "wrist",
-                problem,
-                advice,
-            )
+            return Finding("wrist", problem, advice)
         palms = palm_axes(landmarks, self._sign)
         rotations = wrists[:, :, :3]
         mean, steadiness = _mean_relative(palms, rotations)
@@ -121,19 +117,11 @@ class WristCheck:
                 advice = (
                     "check the order of the quaternion and the direction of the pose"
                 )
-                return Finding(
-                    "wrist",
-                    problem,
-                    advice,
-                )
+                return Finding("wrist", problem, advice)
         if not is_steady:
             problem = f"{does_not_follow} that the landmarks show"
             advice = "check its quaternion's order, and that its world is that of the landmarks"
-            return Finding(
-                "wrist",
-                problem,
-                advice,
-            )
+            return Finding("wrist", problem, advice)
         self._start = start
         is_ours = _cosine(mean, CONVENTIONS[0]) > _FARTHEST
         turn, change = np.arccos([_cosine(palm, start[0]), _cosine(mean, start[1])])

@@ -41,7 +41,7 @@ class Stage:
         mapper = HandMapper(self._human, self.robot, choice.method, ik=choice.ik)
         time = np.array([sample.time for sample in samples])
         return trajectory_of(
-            self.robot, time, map(Follower(mapper).map_sample, samples)
+            mapper.robot, time, map(Follower(mapper).map_sample, samples)
         )
 
 

@@ -168,7 +168,7 @@ def test_the_other_hand_is_an_error_and_changes_nothing() -> None:
         InvalidInputError, match="side: expected samples of a right hand"
     ):
         guard.check(replace(samples[1], side="left"))
-    assert guard.state is before
+    assert guard.state == before
 
 
 @settings(max_examples=10)

@@ -187,7 +187,7 @@ def trajectory_of(
     where that one puts it.
 
     Args:
-        robot: The robot hand.
+        robot: The robot hand, with the reference points that the method moves.
         time: Instants [s], shape (T,).
         mapped: The steps, which are computed one by one.
         progress: Called after each sample with the number of samples done.

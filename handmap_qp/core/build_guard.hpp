@@ -1,0 +1,510 @@
+// The guard of Python: its numbers, its samples and verdicts, and what it says in words.
+#pragma once
+
+#include <nanobind/stl/optional.h>
+
+#include <cstring>
+#include <map>
+#include <optional>
+
+#include "build.hpp"
+#include "guard.hpp"
+
+namespace handmap {
+
+using Flags = nb::ndarray<const bool, nb::c_contig, nb::device::cpu>;
+
+inline Fields module_of(const char* name) { return Fields(nb::module_::import_(name)); }
+
+inline void copy_numbers(const Fields& from, const std::string& path, double* to, size_t size) {
+  const nb::object list = from.object(path).attr("__iter__")();
+  size_t i = 0;
+  for (const nb::handle each : list) {
+    if (i == size) break;
+    to[i++] = nb::cast<double>(nb::borrow(each));
+  }
+  if (i != size) throw std::invalid_argument("wrong size of " + path);
+}
+
+inline BatchSize batch_size(const Fields& from, const std::string& path) {
+  BatchSize size{from.get<int>(path + ".most"), from.get<int>(path + ".least"),
+                 from.get<double>(path + ".time")};
+  if (size.most > kMostSamples) throw std::invalid_argument("too many samples of a batch");
+  return size;
+}
+
+inline void read_orders(InputRules& rules, const Indices& pairs, const Indices& orders) {
+  std::map<std::pair<int, int>, int> known;
+  const auto place_of = [&](int a, int b) {
+    const auto key = std::minmax(a, b);
+    const auto [at, is_new] = known.try_emplace(key, static_cast<int>(rules.first.size()));
+    if (is_new) {
+      rules.first.push_back(a);
+      rules.second.push_back(b);
+    }
+    return at->second;
+  };
+  if (pairs.size() != 2 * kPairs) throw std::invalid_argument("wrong size of pairs");
+  for (int i = 0; i < kPairs; ++i) place_of(pairs[2 * i], pairs[2 * i + 1]);
+  // The first order is our own.
+  rules.orders = static_cast<int>(orders.size()) / kLandmarks - 1;
+  for (int i = 0; i < kPairs; ++i)
+    for (int k = 1; k <= rules.orders; ++k) {
+      const int* order = orders.data() + k * kLandmarks;
+      rules.places.push_back(place_of(order[pairs[2 * i]], order[pairs[2 * i + 1]]));
+    }
+}
+
+inline Indices integers_of(const nb::object& array) {
+  return nb::cast<Indices>(array.attr("ravel")().attr("tolist")());
+}
+
+inline std::unique_ptr<InputRules> read_input_rules() {
+  auto found = std::make_unique<InputRules>();
+  InputRules& rules = *found;
+  const Fields check = module_of("handmap_qp.trackers.plausibility");
+  rules.fresh = batch_size(check, "_NEW");
+  rules.calm = batch_size(check, "_CALM");
+  rules.alert = batch_size(check, "_ALERT");
+  rules.calm_batches = check.get<int>("_CALM_BATCHES");
+  rules.carried_batches = check.get<int>("_CARRIED_BATCHES");
+  rules.first_sizes = check.get<int>("_FIRST_SIZES");
+  if (rules.carried_batches >= kMostPast || rules.first_sizes > kMostSizes)
+    throw std::invalid_argument("too many batches");
+  rules.sure_side = check.get<double>("_SURE_SIDE");
+  rules.backwards = check.get<double>("_BACKWARDS");
+  rules.otherwise_right = check.get<double>("_OTHERWISE_RIGHT");
+  rules.same_misfit = check.get<double>("_SAME_MISFIT");
+  rules.resized = check.get<double>("_RESIZED");
+  rules.refused_share = check.get<double>("_REFUSED_SHARE");
+  double range[2];
+  copy_numbers(check, "_STEPS", range, 2);
+  rules.shortest_step = range[0];
+  rules.longest_step = range[1];
+  copy_numbers(check, "HAND_LENGTHS", range, 2);
+  rules.shortest_hand = range[0];
+  rules.longest_hand = range[1];
+  rules.no_hand = check.get<double>("_NO_HAND");
+  rules.better_by = check.get<double>("_BETTER_BY");
+  rules.contradiction = check.get<double>("_CONTRADICTION");
+  const Fields hand = module_of("handmap_qp.trackers.hand_geometry");
+  copy_numbers(hand, "_CENTRES", rules.centres, kPairs);
+  copy_numbers(hand, "_WIDTHS", rules.widths, kPairs);
+  const Vector sizes = hand.numbers("_FEATURE_SIZES");
+  if (sizes.size() != 5) throw std::invalid_argument("wrong size of _FEATURE_SIZES");
+  std::copy(sizes.begin(), sizes.end(), rules.feature_sizes);
+  rules.largest_deviation = hand.get<double>("_LARGEST_DEVIATION");
+  rules.rigid_spread = hand.get<double>("_RIGID_SPREAD");
+  rules.quartiles_apart = hand.get<double>("_QUARTILES_APART");
+  copy_numbers(hand, "HYPEREXTENSION", range, 2);
+  rules.hyperextension = range[0];
+  rules.least_trembling = hand.get<double>("_LEAST_TREMBLING");
+  rules.stuck = hand.get<double>("_STUCK");
+  rules.carried = hand.get<double>("_CARRIED");
+  rules.step = hand.get<double>("_STEP");
+  rules.others_change = hand.get<double>("_OTHERS_CHANGE");
+  copy_numbers(hand, "_INSIDE", range, 2);
+  rules.most_bent = range[0];
+  rules.least_bent = range[1];
+  const nb::object orders = item(check.object("_known_orders")(), 1);
+  read_orders(rules, integers_of(hand.object("_PAIRS")), integers_of(orders));
+  const Fields wrist = module_of("handmap_qp.trackers.wrist_axes");
+  const Array conventions = wrist.get<Array>("CONVENTIONS");
+  for (size_t k = 0; k < conventions.shape(0); ++k) {
+    Mat3 axes;
+    std::copy(conventions.data() + 9 * k, conventions.data() + 9 * k + 9, axes.m);
+    rules.conventions.push_back(axes);
+  }
+  rules.farthest = wrist.get<double>("_FARTHEST");
+  rules.steady = wrist.get<double>("_STEADY");
+  rules.turned = wrist.get<double>("_TURNED");
+  rules.kept = wrist.get<double>("_KEPT");
+  rules.farthest_apart = wrist.get<double>("_FARTHEST_APART");
+  return found;
+}
+
+inline std::unique_ptr<GuardRules> read_guard_rules() {
+  auto found = std::make_unique<GuardRules>();
+  GuardRules& rules = *found;
+  const Fields from = module_of("handmap_qp.stream.guard");
+  rules.longest_step = from.get<double>("LONGEST_STEP");
+  rules.gap = from.get<double>("GAP");
+  rules.set_back = from.get<double>("_SET_BACK");
+  rules.set_forward = from.get<double>("_SET_FORWARD");
+  rules.late_samples = from.get<int>("_LATE_SAMPLES");
+  rules.period_share = from.get<double>("_PERIOD_SHARE");
+  rules.shortest_step = from.get<double>("_SHORTEST_STEP");
+  rules.rate_window = from.get<double>("_RATE_WINDOW");
+  rules.largest_drift = from.get<double>("_LARGEST_DRIFT");
+  const Indices starts = from.indices("_STARTS"), ends = from.indices("_ENDS");
+  if (starts.size() != kFixed || ends.size() != kFixed)
+    throw std::invalid_argument("wrong size of _STARTS");
+  std::copy(starts.begin(), starts.end(), rules.starts);
+  std::copy(ends.begin(), ends.end(), rules.ends);
+  rules.flip = from.get<double>("FLIP");
+  rules.zero_size = from.get<double>("ZERO_SIZE");
+  rules.mirror = from.get<double>("MIRROR");
+  rules.alone = from.get<double>("ALONE");
+  copy_numbers(from, "BELIEVED", rules.believed, 4);
+  copy_numbers(from, "FASTEST", rules.fastest, 3);
+  copy_numbers(from, "_EXCESS", rules.excess, 4);
+  rules.frozen_after = from.get<double>("FROZEN_AFTER");
+  rules.settling = from.get<double>("SETTLING");
+  rules.long_settling = from.get<double>("_LONG_SETTLING");
+  rules.brief = from.get<double>("_BRIEF");
+  rules.rate = from.get<double>("_RATE");
+  copy_numbers(module_of("handmap_qp.human.sample"), "_PALM_RATIOS", rules.palm_ratios, 2);
+  return found;
+}
+
+// Read once. Another thread may come in while Python runs, so no static of its own would do.
+template <class Rules>
+const Rules& once(std::unique_ptr<Rules> (*read)()) {
+  static Rules* known = nullptr;
+  if (!known) {
+    std::unique_ptr<Rules> found = read();
+    if (!known) known = found.release();
+  }
+  return *known;
+}
+
+// An array of Python, a copy.
+inline nb::object numbers_of(const double* from, std::initializer_list<size_t> shape) {
+  size_t size = 1;
+  for (const size_t n : shape) size *= n;
+  double* to = new double[size];
+  std::copy(from, from + size, to);
+  nb::capsule owner(to, [](void* p) noexcept { delete[] static_cast<double*>(p); });
+  return nb::cast(
+      nb::ndarray<nb::numpy, double>(to, shape.size(), shape.begin(), owner));
+}
+
+// Examines batches by an `InputCheck` of Python, which gets the state of before and gives that after.
+class PythonExplainer : public Explainer {
+ public:
+  nb::object check;
+  std::vector<nb::object> findings;
+
+  explicit PythonExplainer(nb::object own_check) : check(std::move(own_check)) {}
+
+  nb::object finding(int number) const {
+    return number == kNone ? nb::none() : findings[number];
+  }
+
+  int add(nb::object found) {
+    if (found.is_none()) return kNone;
+    const std::string kind = nb::cast<std::string>(found.attr("kind"));
+    const auto at = std::find(std::begin(kRuleNames), std::end(kRuleNames), kind);
+    kinds_.push_back(static_cast<int>(at - std::begin(kRuleNames)));
+    findings.push_back(std::move(found));
+    return static_cast<int>(findings.size()) - 1;
+  }
+
+  // Forget all findings but some, whose numbers change.
+  void keep(std::initializer_list<int*> numbers) {
+    std::vector<nb::object> kept;
+    for (const int* number : numbers) kept.push_back(finding(*number));
+    findings.clear();
+    kinds_.clear();
+    size_t i = 0;
+    for (int* number : numbers) *number = add(kept[i++]);
+  }
+
+  int rule_of(int number) const override { return kinds_[number]; }
+
+  int explain_times(const double* times, int n) override {
+    const nb::gil_scoped_acquire gil;
+    const Fields module = module_of("handmap_qp.trackers.plausibility");
+    return add(module.object("_find_time_unit")(numbers_of(times, {size_t(n)})));
+  }
+
+  int explain_rate(double rate) override {
+    const nb::gil_scoped_acquire gil;
+    return add(module_of("handmap_qp.stream.guard").object("_off_rate")(rate));
+  }
+
+  int explain_batch(const Landmarks* hands, const Pose* wrists, int n, Examined& seen) override {
+    const nb::gil_scoped_acquire gil;
+    give(seen);
+    nb::object poses = nb::none();
+    if (wrists) {
+      Vector rows;
+      for (int t = 0; t < n; ++t)
+        for (int i = 0; i < 3; ++i)
+          rows.insert(rows.end(), {wrists[t].R(i, 0), wrists[t].R(i, 1), wrists[t].R(i, 2),
+                                   wrists[t].p[i]});
+      poses = numbers_of(rows.data(), {size_t(n), 3, 4});
+    }
+    const int number = add(check.attr("_examine")(array_of_hands(hands, n), poses));
+    take(seen);
+    return number;
+  }
+
+ private:
+  std::vector<int> kinds_;
+
+  static nb::object array_of_hands(const Landmarks* hands, int n) {
+    return numbers_of(&hands[0][0].x, {size_t(n), kLandmarks, 3});
+  }
+
+  void give(const Examined& seen) const {
+    check.attr("_misfit") = seen.misfit;
+    nb::list sizes, past;
+    for (int i = 0; i < seen.size_count; ++i) sizes.append(seen.sizes[i]);
+    for (int b = 0; b < seen.past_count; ++b) {
+      const int at = (seen.past_first + b) % kMostPast;
+      past.append(array_of_hands(seen.past[at], seen.past_sizes[at]));
+    }
+    check.attr("_sizes") = sizes;
+    check.attr("_past") = past;
+    const nb::object wrist = check.attr("_wrist");
+    wrist.attr("is_proven") = seen.is_proven;
+    wrist.attr("_start") = nb::none();
+    if (seen.has_start)
+      wrist.attr("_start") = nb::make_tuple(numbers_of(seen.start_palm.m, {3, 3}),
+                                            numbers_of(seen.start_mean.m, {3, 3}));
+  }
+
+  void take(Examined& seen) const {
+    const Fields from(check);
+    seen.misfit = from.get<double>("_misfit");
+    seen.size_count = 0;
+    for (const double size : from.get<std::vector<double>>("_sizes"))
+      seen.sizes[seen.size_count++] = size;
+    seen.past_count = seen.past_first = 0;
+    for (const nb::handle each : from.object("_past")) {
+      const Array hands = nb::cast<Array>(nb::borrow(each));
+      const int at = seen.past_count++, n = static_cast<int>(hands.shape(0));
+      seen.past_sizes[at] = n;
+      std::memcpy(seen.past[at], hands.data(), n * sizeof(Landmarks));
+    }
+    seen.is_proven = from.get<bool>("_wrist.is_proven");
+    const nb::object start = from.object("_wrist._start");
+    seen.has_start = !start.is_none();
+    if (!seen.has_start) return;
+    const Fields palm(item(start, 0)), mean(item(start, 1));
+    seen.start_palm = palm.matrix("");
+    seen.start_mean = mean.matrix("");
+  }
+};
+
+// State as bytes, to be put back in a process that has the same core.
+template <class State>
+nb::bytes bytes_of(const State& state) {
+  static_assert(std::is_trivially_copyable_v<State>);
+  return nb::bytes(reinterpret_cast<const char*>(&state), sizeof(State));
+}
+template <class State>
+void put_back(const nb::object& bytes, State& state) {
+  const nb::bytes given = nb::cast<nb::bytes>(bytes);
+  if (given.size() != sizeof(State)) throw std::invalid_argument("a state of another core");
+  std::memcpy(static_cast<void*>(&state), given.c_str(), sizeof(State));
+}
+
+inline nb::object input_check_of(const std::string& side) {
+  return module_of("handmap_qp.trackers.plausibility").object("InputCheck")(side);
+}
+inline double sign_of(const std::string& side) { return side == "right" ? 1.0 : -1.0; }
+
+// Landmarks and a wrist's pose, one sample after the other.
+struct Samples {
+  const double *time, *landmarks, *wrists;
+  size_t count;
+
+  Samples(const Array& own_time, const Array& own_landmarks, const std::optional<Array>& own_wrists)
+      : time(own_time.data()), landmarks(own_landmarks.data()),
+        wrists(own_wrists ? own_wrists->data() : nullptr), count(own_time.size()) {
+    expect_size(own_landmarks, 3 * kLandmarks * count, "landmarks");
+    if (wrists) expect_size(*own_wrists, 16 * count, "wrists");
+  }
+  const double* landmarks_at(size_t t) const { return landmarks + 3 * kLandmarks * t; }
+  const double* wrist_at(size_t t) const { return wrists ? wrists + 16 * t : nullptr; }
+};
+
+// An `InputCheck` for Python.
+class PythonInputCheck {
+ public:
+  explicit PythonInputCheck(const nb::object& owner)
+      : side_(nb::cast<std::string>(owner.attr("side"))), explainer_(input_check_of(side_)),
+        check_(once(&read_input_rules), sign_of(side_), explainer_) {
+    const nb::object saved = owner.attr("_saved");
+    if (saved.is_none()) return;
+    put_back(item(saved, 0), check_.state);
+    for (const nb::handle each : nb::borrow(item(saved, 1))) explainer_.add(nb::borrow(each));
+  }
+
+  nb::tuple save() const {
+    nb::list findings;
+    for (const nb::object& each : explainer_.findings) findings.append(each);
+    return nb::make_tuple(bytes_of(check_.state), findings);
+  }
+
+  nb::object update(double time, const Array& landmarks, const std::optional<Array>& wrist) {
+    expect_size(landmarks, 3 * kLandmarks, "landmarks");
+    if (wrist) expect_size(*wrist, 16, "wrist");
+    tidy();
+    return explainer_.finding(take(time, landmarks.data(), wrist ? wrist->data() : nullptr));
+  }
+
+  // Take samples, until a finding holds for too many of them.
+  nb::object refusal(const Array& time, const Array& landmarks,
+                     const std::optional<Array>& wrists) {
+    const Samples samples(time, landmarks, wrists);
+    int finding = kNone;
+    {
+      const nb::gil_scoped_release no_gil;
+      finding = refused(samples);
+    }
+    return explainer_.finding(finding);
+  }
+
+  nb::object finish() { return explainer_.finding(check_.finish()); }
+  nb::object finding() const { return explainer_.finding(check_.state.finding); }
+  bool is_wrist_proven() const { return check_.state.seen.is_proven; }
+  void alert() { check_.alert(); }
+
+ private:
+  std::string side_;
+  PythonExplainer explainer_;
+  InputCheck check_;
+
+  int take(double time, const double* landmarks, const double* wrist) {
+    Landmarks hand;
+    std::memcpy(&hand, landmarks, sizeof(hand));
+    Pose pose;
+    if (wrist) pose = pose_of(wrist);
+    return check_.update(time, hand, wrist ? &pose : nullptr);
+  }
+
+  int refused(const Samples& samples) {
+    size_t found = 0;
+    for (size_t t = 0; t < samples.count; ++t) {
+      const int finding = take(samples.time[t], samples.landmarks_at(t), samples.wrist_at(t));
+      if (finding == kNone) continue;
+      ++found;
+      const bool is_much = found >= check_.rules.refused_share * samples.count;
+      if (is_much || explainer_.rule_of(finding) == kTime) return finding;
+    }
+    return kNone;
+  }
+
+  void tidy() {
+    if (explainer_.findings.size() > 64)
+      explainer_.keep({&check_.state.guess, &check_.state.finding});
+  }
+};
+
+// A `StreamGuard` for Python.
+class PythonGuard {
+ public:
+  PythonExplainer explainer;
+  StreamGuard guard;
+
+  explicit PythonGuard(const nb::object& owner)
+      : explainer(owner.attr("_input")),
+        guard(once(&read_guard_rules), once(&read_input_rules),
+              sign_of(nb::cast<std::string>(owner.attr("_side"))), explainer) {
+    const Fields from(owner);
+    guard.palm = from.get<double>("_palm._size");
+    const Array person = from.array("_lengths", kFixed);
+    std::copy(person.data(), person.data() + kFixed, guard.person.begin());
+    copy_numbers(module_of("handmap_qp.stream.guard"), "USUAL", guard.state.usual, 4);
+    const Fields sample = module_of("handmap_qp.human.sample");
+    verdict_ = sample.object("Verdict");
+    new_tuple_ = nb::module_::import_("builtins").attr("tuple").attr("__new__");
+    for (const char* name : kRuleNames) rules_.push_back(nb::str(name));
+    for (const char* name : {"time", "landmarks", "wrist", "valid", "confidence"})
+      names_.push_back(nb::steal(PyUnicode_InternFromString(name)));
+    const nb::object saved = from.object("_saved");
+    if (saved.is_none()) return;
+    put_back(item(saved, 0), guard.state);
+    put_back(item(saved, 1), guard.rate);
+    put_back(item(saved, 2), guard.input.state);
+    for (const nb::handle each : nb::borrow(item(saved, 3))) explainer.add(nb::borrow(each));
+  }
+
+  nb::tuple save() const {
+    nb::list findings;
+    for (const nb::object& each : explainer.findings) findings.append(each);
+    return nb::make_tuple(bytes_of(guard.state), bytes_of(guard.rate), bytes_of(guard.input.state),
+                          findings);
+  }
+
+  nb::bytes state() const { return bytes_of(guard.state); }
+  void set_state(const nb::object& bytes) { put_back(bytes, guard.state); }
+
+  // Judge a `HumanSample` of Python.
+  nb::object check(const nb::object& sample, const nb::object& arrival) {
+    tidy();
+    const Array landmarks = nb::cast<Array>(field(sample, 1));
+    expect_size(landmarks, 3 * kLandmarks, "landmarks");
+    const nb::object wrist = field(sample, 2);
+    std::optional<Array> pose;
+    if (!wrist.is_none()) {
+      pose = nb::cast<Array>(wrist);
+      expect_size(*pose, 16, "wrist");
+    }
+    const double now = arrival.is_none() ? std::numeric_limits<double>::quiet_NaN()
+                                         : nb::cast<double>(arrival);
+    const int is_valid = PyObject_IsTrue(field(sample, 3).ptr());
+    return verdict_of(guard.check({nb::cast<double>(field(sample, 0)), landmarks.data(),
+                                   pose ? pose->data() : nullptr, is_valid != 0,
+                                   nb::cast<double>(field(sample, 4)), now}));
+  }
+
+  // Judge a whole recording: columns of the verdicts, in the order of their fields.
+  nb::tuple judge(const Array& time, const Array& landmarks, const Flags& valid,
+                  const std::optional<Array>& confidence, const std::optional<Array>& wrists) {
+    const Samples samples(time, landmarks, wrists);
+    const size_t count = samples.count;
+    if (valid.size() != count) throw std::invalid_argument("wrong size of valid");
+    if (confidence) expect_size(*confidence, count, "confidence");
+    std::vector<Verdict> verdicts(count);
+    {
+      const nb::gil_scoped_release no_gil;
+      for (size_t t = 0; t < count; ++t)
+        verdicts[t] = guard.check({samples.time[t], samples.landmarks_at(t), samples.wrist_at(t),
+                                   valid.data()[t], confidence ? confidence->data()[t] : 1.0,
+                                   std::numeric_limits<double>::quiet_NaN()});
+    }
+    nb::list findings;
+    for (const Verdict& each : verdicts) findings.append(explainer.finding(each.finding));
+    return nb::make_tuple(column<int>(verdicts, [](const Verdict& v) { return v.rule; }),
+                          column<bool>(verdicts, [](const Verdict& v) { return v.is_held; }),
+                          column<bool>(verdicts, [](const Verdict& v) { return v.is_return; }),
+                          column<double>(verdicts, [](const Verdict& v) { return v.dt; }),
+                          column<double>(verdicts, [](const Verdict& v) { return v.consistency; }),
+                          findings);
+  }
+
+  nb::object verdict_of(const Verdict& verdict) const {
+    const nb::tuple fields =
+        nb::make_tuple(rules_[verdict.rule], verdict.is_held, verdict.is_return, verdict.dt,
+                       verdict.consistency, explainer.finding(verdict.finding));
+    return new_tuple_(verdict_, fields);
+  }
+
+ private:
+  nb::object verdict_, new_tuple_;
+  std::vector<nb::object> rules_, names_;
+
+  nb::object field(const nb::object& sample, int i) const {
+    return nb::getattr(sample, names_[i]);
+  }
+
+  template <class T, class Of>
+  static nb::object column(const std::vector<Verdict>& verdicts, const Of& of) {
+    T* to = new T[verdicts.size()];
+    for (size_t t = 0; t < verdicts.size(); ++t) to[t] = of(verdicts[t]);
+    nb::capsule owner(to, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+    return nb::cast(nb::ndarray<nb::numpy, T>(to, {verdicts.size()}, owner));
+  }
+
+  void tidy() {
+    InputState& input = guard.input.state;
+    if (explainer.findings.size() > 64)
+      explainer.keep({&input.guess, &input.finding, &guard.rate.finding});
+  }
+};
+
+}  // namespace handmap

@@ -1,0 +1,394 @@
+// Which samples of a tracker make sense: see handmap_qp/stream/guard.py, whose names these are.
+#pragma once
+
+#include "input.hpp"
+
+namespace handmap {
+
+// In the order of human.sample.Rule.
+enum Rule {
+  kNothing, kMissing, kZero, kSize, kOutlier, kJump, kFlipped, kFrozen, kGapped, kSettling,
+  kDuplicate, kDisorder, kClockJump, kTime, kUnit, kOrder, kSide, kFlexion, kWrist, kUnproven
+};
+constexpr const char* kRuleNames[] = {
+    "",          "missing",  "zero",       "size", "outlier", "jump",  "flip", "frozen",  "gap",
+    "settling",  "duplicate", "disorder",  "clock_jump", "time", "unit", "order", "side",
+    "flexion",   "wrist",    "unproven"};
+
+constexpr int kFixed = 23;
+
+// Numbers of Python.
+struct GuardRules {
+  // SampleClock and RateCheck
+  double longest_step, gap, set_back, set_forward, period_share, shortest_step;
+  int late_samples;
+  double rate_window, largest_drift;
+  // Motion
+  int starts[kFixed], ends[kFixed];
+  double flip, zero_size, mirror, alone, believed[4], fastest[3];
+  // Rules
+  double frozen_after, settling, long_settling, brief, excess[4], rate, palm_ratios[2];
+};
+
+// -- time
+
+struct Tick {
+  Rule rule;
+  double elapsed, dt;
+};
+
+struct SampleClock {
+  bool has_stamp = false, is_idle = false;
+  int late_count = 0;
+  double stamp = 0.0, period = 1.0 / 60.0, late_stamp = 0.0;
+
+  // Judge a time stamp, and go on to it.
+  Tick advance(const GuardRules& rules, double time) {
+    const double usual = period, step = time - stamp;
+    const bool was_idle = is_idle;
+    if (!has_stamp) {
+      has_stamp = true;
+      stamp = time;
+      return {kNothing, period, period};
+    }
+    if (step == 0.0) {
+      is_idle = true;
+      return {kDuplicate, 0.0, 0.0};
+    }
+    if (-rules.set_back <= step && step < 0.0) {
+      const int count = 1 + (time > late_stamp ? late_count : 0);
+      if (count < rules.late_samples) {
+        late_stamp = time;
+        late_count = count;
+        is_idle = true;
+        return {kDisorder, 0.0, 0.0};
+      }
+    }
+    *this = SampleClock();
+    has_stamp = true;
+    stamp = time;
+    period = usual;
+    if (step < 0.0 || step > rules.set_forward) return {kClockJump, period, period};
+    if (step > rules.gap) return {kGapped, step, period};
+    period = usual + rules.period_share * (step - usual);
+    return {kNothing, step, std::min(step, was_idle ? usual : rules.longest_step * usual)};
+  }
+};
+
+struct RateCheck {
+  double start = std::numeric_limits<double>::quiet_NaN(), former = start;
+  double lead = 0.0, drift = 0.0, rate = 1.0;
+  bool is_off = false;
+  int finding = kNone;
+
+  // Whether another rate was measured.
+  bool update(const GuardRules& rules, double stamp, double arrival) {
+    if (std::isnan(start)) start = arrival;
+    const double elapsed = arrival - start;
+    const bool is_new = elapsed >= rules.rate_window;
+    if (is_new) {
+      // NaN, before there is a former half second, is no drift.
+      const double before = drift;
+      drift = (lead - former) / elapsed;
+      is_off = drift * before > 0.0 &&
+               std::min(std::abs(drift), std::abs(before)) > rules.largest_drift;
+      rate = 1.0 + drift;
+      start = arrival;
+      former = lead;
+    }
+    lead = stamp - arrival;
+    return is_new;
+  }
+};
+
+// -- motion
+
+struct Track {
+  double time = 0.0;
+  Landmarks points;  // from the palm's centre
+  Vec3 centre;
+  std::array<double, kFixed> lengths;
+  Vec3 velocity, turning;
+  Landmarks bending{};
+  double dt = 0.0;
+};
+
+struct Change {
+  double sizes[4];
+  bool is_turned, is_alone, is_too_fast;
+};
+
+inline Vec3 palm_centre(const Landmarks& points) {
+  Vec3 centre;
+  for (const int i : kPalm) centre += 0.2 * points[i];
+  return centre;
+}
+
+inline double palm_size(const Landmarks& points) {
+  const Vec3 centre = palm_centre(points);
+  double sum = 0.0;
+  for (const int i : kPalm) sum += dot(points[i] - centre, points[i] - centre);
+  return std::sqrt(sum / 5.0);
+}
+
+inline bool is_zero(const GuardRules& rules, const Landmarks& points) {
+  int seen = 0;
+  for (const Vec3& p : points) seen += p.x != 0.0 || p.y != 0.0 || p.z != 0.0;
+  return palm_size(points) < rules.zero_size || seen < kLandmarks - 1;
+}
+
+inline Track first_track(const GuardRules& rules, double now, const Landmarks& landmarks) {
+  Track track;
+  track.time = now;
+  track.centre = palm_centre(landmarks);
+  for (int i = 0; i < kLandmarks; ++i) track.points[i] = landmarks[i] - track.centre;
+  for (int k = 0; k < kFixed; ++k)
+    track.lengths[k] = norm(landmarks[rules.ends[k]] - landmarks[rules.starts[k]]);
+  return track;
+}
+
+inline bool is_same(const Vec3& a, const Vec3& b) { return a.x == b.x && a.y == b.y && a.z == b.z; }
+
+inline bool is_same_hand(const Track& before, const Track& sample) {
+  for (int i = 0; i < kLandmarks; ++i)
+    if (!is_same(before.points[i], sample.points[i])) return false;
+  return is_same(before.centre, sample.centre);
+}
+
+// Measure the motion from a track to a sample, which takes it over.
+inline Change change_between(const GuardRules& rules, const Track& track, Track& sample,
+                             double dt) {
+  Mat3 palm = 0.0 * Mat3{}, whole = palm;
+  for (const int i : kPalm) palm = palm + outer(sample.points[i], track.points[i]);
+  for (int i = 0; i < kLandmarks; ++i) whole = whole + outer(sample.points[i], track.points[i]);
+  const Mat3 rotation = nearest_rotation(palm);
+  const Vec3 turn = log3(rotation);
+  const bool is_known = track.dt > 0.0;
+  const double span = is_known ? 0.5 * (dt + track.dt) : dt;
+  sample.velocity = (1.0 / dt) * (sample.centre - track.centre);
+  sample.turning = (1.0 / dt) * turn;
+  sample.dt = dt;
+  Change change{};
+  double fastest = 0.0, second = 0.0, fingers = 0.0;
+  for (int i = 0; i < kLandmarks; ++i) {
+    const Vec3 moved = (1.0 / dt) * (tmul(rotation, sample.points[i]) - track.points[i]);
+    sample.bending[i] = rotation * moved;
+    fastest = std::max(fastest, norm(moved));
+    const double slip = is_known ? norm(moved - track.bending[i]) / span : 0.0;
+    second = std::max(second, std::min(slip, fingers));
+    fingers = std::max(fingers, slip);
+  }
+  if (is_known) {
+    change.sizes[0] = norm(sample.velocity - track.velocity) / span;
+    change.sizes[1] = norm(sample.turning - track.turning) / span;
+    change.sizes[2] = fingers;
+  }
+  for (int k = 0; k < kFixed; ++k)
+    change.sizes[3] = std::max(change.sizes[3], std::abs(sample.lengths[k] - track.lengths[k]));
+  // A reflection that lays one hand better on the other than any rotation does.
+  const bool is_mirrored = determinant(whole) < 0.0 && svd3(whole).s[2] < -rules.mirror;
+  change.is_turned = norm(turn) > rules.flip || is_mirrored;
+  change.is_alone = fingers > rules.alone * second;
+  change.is_too_fast = norm(sample.velocity) > rules.fastest[0] ||
+                       norm(turn) / dt > rules.fastest[1] || fastest > rules.fastest[2];
+  return change;
+}
+
+// -- rules
+
+struct StreamSample {
+  double time;
+  const double* landmarks;  // (21, 3)
+  const double* wrist;      // (4, 4), or null
+  bool valid;
+  double confidence;
+  double arrival;  // NaN: none
+};
+
+struct Verdict {
+  int rule;
+  bool is_held, is_return;
+  double dt, consistency;
+  int finding;
+};
+
+struct GuardState {
+  SampleClock clock;
+  double now = 0.0;
+  bool has_good = false, has_last = false;
+  Track good, last;
+  double usual[4];
+  int cause = kNothing;
+  double steady_since = 0.0, same_since = 0.0;
+};
+
+// See guard.StreamGuard.
+class StreamGuard {
+ public:
+  const GuardRules& rules;
+  double palm;                        // RMS radius
+  std::array<double, kFixed> person;  // the distances that cannot change
+  GuardState state{};
+  RateCheck rate;
+  InputCheck input;
+
+  StreamGuard(const GuardRules& own_rules, const InputRules& input_rules, double sign,
+              Explainer& explainer)
+      : rules(own_rules), input(input_rules, sign, explainer) {}
+
+  // Judge the next sample; without the GIL, which only the explainer takes.
+  Verdict check(const StreamSample& sample) {
+    SampleClock clock = state.clock;
+    const bool was_late = clock.late_count > 0;
+    const Tick tick = clock.advance(rules, sample.time);
+    const double now = state.now + tick.elapsed;
+    Verdict verdict{tick.rule, true, false, tick.dt, std::numeric_limits<double>::quiet_NaN(),
+                    kNone};
+    Landmarks landmarks;
+    const bool is_new = tick.rule != kDuplicate && tick.rule != kDisorder;
+    int rule = kNothing;
+    if (is_new) rule = input_fault(sample, landmarks, verdict.finding);
+    // Nothing is thrown from here on.
+    state.clock = clock;
+    state.now = now;
+    if (!is_new) return verdict;
+    if (rule != kNothing) {
+      hold(rule);
+      verdict.rule = rule;
+      return verdict;
+    }
+    const int cause = state.cause;
+    verdict = follow(first_track(rules, now, landmarks), tick, was_late);
+    if (state.cause != kNothing && cause == kNothing) input.alert();
+    if (sample.wrist && !input.state.seen.is_proven && !verdict.is_held) verdict.rule = kUnproven;
+    return verdict;
+  }
+
+ private:
+  int input_fault(const StreamSample& sample, Landmarks& landmarks, int& finding) {
+    if (!std::isnan(sample.arrival) && rate.update(rules, sample.time, sample.arrival)) {
+      rate.finding = kNone;
+      if (rate.is_off) rate.finding = input.explainer.explain_rate(rate.rate);
+    }
+    if (!std::isnan(sample.arrival) && rate.finding != kNone) {
+      finding = rate.finding;
+      return kTime;
+    }
+    if (!sample.valid || sample.confidence == 0.0) return kMissing;
+    for (int i = 0; i < kLandmarks; ++i) {
+      const double* p = sample.landmarks + 3 * i;
+      landmarks[i] = {p[0], p[1], p[2]};
+    }
+    if (is_zero(rules, landmarks)) return kZero;
+    Pose wrist;
+    if (sample.wrist) wrist = pose_of(sample.wrist);
+    finding = input.update(sample.time, landmarks, sample.wrist ? &wrist : nullptr);
+    if (finding != kNone) return input.explainer.rule_of(finding);
+    const double ratio = palm_size(landmarks) / palm;
+    return ratio >= rules.palm_ratios[0] && ratio <= rules.palm_ratios[1] ? kNothing : kSize;
+  }
+
+  // Judge landmarks that could be a hand's by how they follow the ones before.
+  Verdict follow(const Track& fresh, const Tick& tick, bool was_late) {
+    double sum = 0.0;
+    for (int k = 0; k < kFixed; ++k) {
+      const double off = fresh.lengths[k] - person[k];
+      sum += off * off;
+    }
+    Verdict verdict{kNothing, false, false, tick.dt, std::sqrt(sum / kFixed), kNone};
+    const bool was_held = state.cause != kNothing;
+    if (!state.has_last || !is_same_hand(state.last, fresh)) state.same_since = state.now;
+    if (!state.has_last) {
+      state.good = state.last = fresh;
+      state.has_good = state.has_last = true;
+      state.cause = kNothing;
+      verdict.is_return = was_held;
+      return verdict;
+    }
+    verdict.is_held = true;
+    if (state.now - state.same_since >= rules.frozen_after) {
+      hold(kFrozen);
+      verdict.rule = kFrozen;
+      return verdict;
+    }
+    const int rule = moved(fresh, tick.rule == kGapped);
+    if (state.cause != kNothing && !has_returned(fresh, rule)) {
+      verdict.rule = rule != kNothing ? rule : kSettling;
+      return verdict;
+    }
+    verdict.rule = tick.rule;
+    verdict.is_held = false;
+    verdict.is_return = was_held || rule != kNothing || tick.rule == kGapped || was_late;
+    state.good = state.last;
+    state.has_good = true;
+    state.cause = kNothing;
+    return verdict;
+  }
+
+  // Whether a hold is over: the hand is near where it was, or steady where it is.
+  bool has_returned(const Track& fresh, int rule) const {
+    if (!state.has_good) return rule == kNothing;
+    Track at = fresh;
+    const double since = std::max(state.now - state.good.time, shortest());
+    if (since <= rules.brief)
+      return named(change_between(rules, state.good, at, since), state.usual) == kNothing;
+    if (rule != kNothing) return false;
+    double settling = rules.settling;
+    if (state.cause == kFlipped || state.cause == kOutlier) {
+      // The hand may still be turned, mirrored or of other lengths.
+      const Change change = change_between(rules, state.good, at, 1.0);
+      if (change.is_turned || is_excess(change, state.usual, 3)) settling = rules.long_settling;
+    }
+    return state.now - state.steady_since >= settling;
+  }
+
+  // Name what no hand does from one sample to the next, and learn what is usual.
+  int moved(const Track& fresh, bool is_gap) {
+    const Track& last = state.last;
+    Track at = fresh;
+    const double since = std::max(state.now - last.time, shortest());
+    if (is_gap) {
+      const Change step = change_between(rules, last, at, state.clock.period);
+      at = fresh;
+      is_gap = named(step, state.usual) != kNothing;
+    }
+    const Change change = change_between(rules, last, at, since);
+    const int rule = is_gap ? static_cast<int>(kGapped) : named(change, state.usual);
+    learn(change, last);
+    state.last = rule != kNothing ? fresh : at;
+    if (rule != kNothing) hold(rule);
+    return rule;
+  }
+
+  // Begin a hold, or go on with it; samples must make sense again from now on.
+  void hold(int rule) {
+    if (state.cause == kNothing) state.cause = rule;
+    state.steady_since = state.now;
+  }
+
+  bool is_excess(const Change& change, const double* usual, int i) const {
+    return change.sizes[i] > std::max(rules.believed[i], rules.excess[i] * usual[i]);
+  }
+
+  int named(const Change& change, const double* usual) const {
+    if (change.is_turned) return kFlipped;
+    bool is_any = change.is_too_fast;
+    for (int i = 0; i < 4; ++i) is_any = is_any || is_excess(change, usual, i);
+    if (!is_any) return kNothing;
+    return change.is_alone || is_excess(change, usual, 3) ? kOutlier : kJump;
+  }
+
+  // Move the running medians by a fixed share: a single fault hardly counts.
+  void learn(const Change& change, const Track& before) {
+    // After a first sample, only lengths can be compared.
+    for (int i = before.dt > 0.0 ? 0 : 3; i < 4; ++i) {
+      double& usual = state.usual[i];
+      usual *= change.sizes[i] > usual ? 1.0 + rules.rate : 1.0 - rules.rate;
+      usual = std::max(rules.believed[i] / rules.excess[i], usual);
+    }
+  }
+
+  double shortest() const { return rules.shortest_step * state.clock.period; }
+};
+
+}  // namespace handmap

@@ -1,0 +1,81 @@
+// Samples of a recording, one after the other: see stream/follower.py.
+#pragma once
+
+#include <time.h>
+
+#include "guard.hpp"
+#include "step.hpp"
+
+namespace handmap {
+
+// Numbers of a row; see stream.step_table.StepTable.
+inline size_t row_width(const Ik& ik) {
+  return 2 * ik.tree.q_indices.size() + 32 + 6 * ik.tree.points.size() + 6;
+}
+
+// CPU time of this thread [s].
+inline double thread_time() {
+  timespec now;
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return static_cast<double>(now.tv_sec) + 1e-9 * static_cast<double>(now.tv_nsec);
+}
+
+struct Run {
+  Ik& ik;
+  const TargetMap& map;
+  const LandmarkReader& reader;
+  StreamGuard& guard;
+  double unproven_speed;  // share of the speed limits; see human.sample.UNPROVEN_SPEED
+
+  Verdict verdict{};
+  bool leaves = false;  // whether the last sample was judged, and is left to Python
+  size_t count = 0;     // samples that moved the hand, or held it
+  Step step{};
+  bool has_seen = false;
+  HumanPose seen{};  // the last one that was mapped
+
+  // Map a sample into a row; false for one that Python has to look at.
+  bool take(const StreamSample& sample, double* row) {
+    const double started = thread_time();
+    std::optional<Pose> wrist;
+    if (sample.valid && !is_near(sample.landmarks, 3 * kLandmarks)) return false;
+    if (sample.wrist && !(wrist = exact_pose(sample.wrist))) return false;
+    verdict = guard.check(sample);
+    // Python leads back to the hand after a hold.
+    leaves = verdict.is_return;
+    if (leaves) return false;
+    const double dt = std::max(verdict.dt, kShortestDt);
+    if (verdict.is_held) {
+      hold(ik, dt, step);
+    } else {
+      seen = reader.read(sample.landmarks, wrist ? &*wrist : nullptr);
+      has_seen = true;
+      const double speed = verdict.rule == kUnproven ? unproven_speed : 1.0;
+      follow(ik, map, seen, dt, speed, step);
+    }
+    ++count;
+    write(sample, started, row);
+    return true;
+  }
+
+ private:
+  void write(const StreamSample& sample, double started, double* to) const {
+    constexpr double kHeld = static_cast<double>(Status::released) + 1.0;
+    const Result& result = step.result;
+    Vector numbers = step.q;
+    append(result.wrist, numbers);
+    append(step.asked.wrist, numbers);
+    append(step.asked.points, numbers);
+    append(result.points, numbers);
+    for (const int column : ik.tree.joint_columns) numbers.push_back(result.active[column] != 0);
+    to = std::copy(numbers.begin(), numbers.end(), to);
+    *to++ = verdict.is_held ? kHeld : static_cast<double>(result.status);
+    *to++ = verdict.rule;
+    *to++ = verdict.is_held;
+    *to++ = verdict.consistency;
+    *to++ = sample.confidence;
+    *to++ = thread_time() - started;
+  }
+};
+
+}  // namespace handmap
