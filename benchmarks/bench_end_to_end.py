@@ -4,7 +4,8 @@ All programs map the same landmarks, in turns. Ours are whole calls of `HandMapp
 with every preset that the hand can be mapped with; `teleoperation` has its pinch and contact rows.
 A peer's time is that of its own `retarget` alone. What its examples compute before that, the hand's
 frame in numpy, is the column `frame_us`. `least_us` leaves out what other processes cost: it is the
-median over the samples of the least time of each in all rounds.
+median over the samples of the least time of each in all rounds. Reading the joints of our command
+is part of the time.
 
     make peers
     python benchmarks/bench_end_to_end.py
@@ -35,10 +36,15 @@ import shared_hands
 from interleaved import Worker
 from peers import build
 
+from handmap_qp import HandError
+
 ROBOTS = {
     "allegro_right": "allegro_hand_right",
     "leap_right": "leap_hand_right",
     "svh_right": "schunk_svh_hand_right",
+    "shadow_right": "shadow_hand_right",
+    "inspire_right": "inspire_hand_right",
+    "ability_right": "ability_hand_right",
 }
 """Hands with four and five fingers, and their names in the peers' configurations."""
 PRESETS = (
@@ -57,7 +63,8 @@ PEERS = (
 )
 """Peers and their methods."""
 _SHIFTED = "teleoperation, other, shifted"
-_RECORDING = "quest3_webxr_right"
+_RECORDINGS = ("quest3_webxr_right", "leap_pinch_move_right")
+"""Free motion, and constant pinching."""
 
 
 def measure(
@@ -137,13 +144,27 @@ def _row(worker: Worker, working: Sequence[Worker]) -> dict[str, Any]:
     return row
 
 
+def _is_there(robot: str) -> bool:
+    """Return whether a hand can be loaded; say on stderr what it needs if not."""
+    try:
+        shared_hands.load(robot)
+    except (HandError, FileNotFoundError) as error:
+        print(f"without {robot}: {error}", file=sys.stderr)
+        return False
+    return True
+
+
 def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
     """Draw median and 99th percentile of every program, a panel a robot."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11.0, 3.4), layout="constrained")
-    panels = figure.subplots(1, len(results), squeeze=False)[0]
-    for axes, (robot, rows) in zip(panels, results.items(), strict=True):
+    columns = min(len(results), 3)
+    lines = -(-len(results) // columns)
+    figure = Figure(figsize=(4.0 * columns, 3.4 * lines), layout="constrained")
+    panels = figure.subplots(lines, columns, squeeze=False).ravel()
+    for axes in panels[len(results) :]:
+        axes.set_axis_off()
+    for axes, (robot, rows) in zip(panels, results.items(), strict=False):
         names = [row["program"] for row in rows][::-1]
         axes.barh(
             names, [row["p99_us"] for row in rows][::-1], color="#cfd6df", label="p99"
@@ -156,7 +177,7 @@ def draw(results: dict[str, list[dict[str, Any]]]) -> Any:
         )
         axes.set(title=robot, xlabel="CPU time of a sample [us]", xscale="log")
         axes.grid(axis="y", visible=False)
-    panels[-1].legend(loc="lower right")
+    panels[0].legend(loc="lower right")
     return figure
 
 
@@ -176,7 +197,11 @@ def main(words: Sequence[str] | None = None) -> None:
         "--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS)
     )
     parser.add_argument(
-        "--recording", default=_RECORDING, help="name (default: %(default)s)"
+        "--names",
+        nargs="+",
+        default=list(_RECORDINGS),
+        metavar="RECORDING",
+        help="recordings of right hands (default: %(default)s)",
     )
     arguments = common.parse_arguments(parser, words)
     other = (
@@ -187,26 +212,20 @@ def main(words: Sequence[str] | None = None) -> None:
         print(
             f"without {', '.join(missing)}: not built, run make peers", file=sys.stderr
         )
-    known = [name for name in arguments.robots if name not in shared_hands.NAMES]
-    if shared_hands.shared_hands_folder() is None and known != arguments.robots:
-        print(
-            "without LEAP and SVH: set HANDMAP_HANDS to their folder", file=sys.stderr
-        )
-        arguments.robots = known
+    robots = [name for name in arguments.robots if _is_there(name)]
     files = {file.stem: file for file in common.find_recordings(arguments.recordings)}
-    if arguments.recording not in files:
-        common.stop(
-            f"--recording {arguments.recording}: expected one of {', '.join(files)}"
-        )
-    recording = files[arguments.recording]
+    for name in arguments.names:
+        if name not in files:
+            common.stop(f"--names {name}: expected one of {', '.join(files)}")
     results: dict[str, list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "samples.npz"
-        for robot in arguments.robots[: 1 if arguments.quick else None]:
+        cases = [(robot, name) for robot in robots for name in arguments.names]
+        for robot, name in cases[: 1 if arguments.quick else None]:
             samples = interleaved.write_inputs(
-                recording, robot, file, points="landmarks", quick=arguments.quick
+                files[name], robot, file, points="landmarks", quick=arguments.quick
             )
-            results[robot] = measure(
+            rows = measure(
                 robot,
                 file,
                 samples,
@@ -214,10 +233,11 @@ def main(words: Sequence[str] | None = None) -> None:
                 other=other,
                 has_peers=not (arguments.no_peers or missing),
             )
-            caption = f"{samples} samples of {arguments.recording}, load {os.getloadavg()[0]:.1f}"
+            results[f"{robot}, {name}"] = rows
+            caption = f"{samples} samples of {name}, load {os.getloadavg()[0]:.1f}"
             common.print_table(
                 f"Landmarks to {robot}, CPU time of a sample",
-                results[robot],
+                rows,
                 to_stderr=arguments.json == "-",
                 caption=caption,
             )

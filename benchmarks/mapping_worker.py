@@ -90,8 +90,9 @@ def serve(
     preset: str,
 ) -> None:
     """Answer requests until the input ends."""
-    model, q = mapper.robot.model, mapper.robot.configuration_vector(mapper.robot.rest)
-    jacobian = partial(pin.computeJointJacobians, model, model.createData(), q)
+    model = mapper.robot.model
+    rest = mapper.robot.configuration_vector(mapper.robot.rest)
+    jacobian = partial(pin.computeJointJacobians, model, model.createData(), rest)
     function = getattr(mapper, call)
     print(json.dumps({"ready": True, "variables": model.nv}), flush=True)
     for line in sys.stdin:
@@ -110,8 +111,10 @@ def serve(
             given, dt = samples[i], steps[i]
             started = time.thread_time_ns()
             step = function(*given, dt=dt)
+            # The core makes arrays when they are asked for.
+            q = step.command.q
             times.append(time.thread_time_ns() - started)
-            joints.append(step.command.q.tolist())
+            joints.append(q.tolist())
             wrists.append(step.command.wrist.tolist())
             iterations.append(step.iterations)
         answer = {"ns": times, "jacobian_ns": one, "iterations": iterations}
