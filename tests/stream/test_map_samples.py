@@ -1,0 +1,120 @@
+"""A recording in one go: the same steps as one by one, in threads too."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from faulty_recordings import DEMO
+
+from handmap_qp import Follower, HandMapper, HumanLengths, IkOptions, Smoothing
+from handmap_qp.errors import InvalidInputError
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.recording import SampleColumns, sample_columns
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.step_table import StepTable
+from handmap_qp.trackers.injection import inject, parse_faults
+
+HUMAN = load_hand(
+    "human", points="landmarks", lengths=HumanLengths.from_hand_length(0.19)
+)
+ROBOT = load_hand("three_finger")
+FAULTS = (
+    "",
+    "dropout@0.5+0.4",
+    "zero@0.3+0.2,jump@1.2+0.3:0.2",
+    "flip@0.6+0.2",
+    "outlier@0.5+0.1:0.1,silence@1.3+0.5",
+    "frozen@0.5+0.6",
+)
+
+
+def columns_of(samples: list[HumanSample]) -> SampleColumns:
+    return SampleColumns(
+        "right",
+        np.array([sample.time for sample in samples]),
+        np.array([sample.landmarks for sample in samples]),
+        np.array([sample.valid for sample in samples]),
+        np.array([sample.confidence for sample in samples]),
+        None,
+    )
+
+
+def samples_with(faults: str) -> list[HumanSample]:
+    columns = sample_columns(DEMO.part(slice(0, 150)))
+    plain = [columns.sample(i) for i in range(150)]
+    return list(inject(plain, parse_faults(faults))) if faults else plain
+
+
+def one_by_one(follower: Follower, columns: SampleColumns) -> StepTable:
+    table = StepTable(follower.mapper.robot, len(columns.time))
+    for i in range(len(columns.time)):
+        table.write(i, follower.map_sample(columns.sample(i)), 0.0)
+    return table
+
+
+def assert_same(one: StepTable, other: StepTable) -> None:
+    # The last column is CPU time.
+    np.testing.assert_allclose(
+        one.rows[:, :-1], other.rows[:, :-1], rtol=0.0, atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("limit", [None, 40.0], ids=["free", "accelerating"])
+@pytest.mark.parametrize("faults", FAULTS)
+def test_a_recording_is_mapped_as_its_samples_are(
+    faults: str, limit: float | None
+) -> None:
+    columns = columns_of(samples_with(faults))
+    ik = IkOptions(max_acceleration=limit)
+    whole, single = (Follower(HandMapper(HUMAN, ROBOT, ik=ik)) for _ in range(2))
+    table = whole.map_samples(columns)
+    assert_same(table, one_by_one(single, columns))
+    assert bool(table.columns[8].any()) == bool(faults)
+    # Both go on alike.
+    last = columns.sample(-1)
+    later = HumanSample(last.time + 0.02, "right", last.landmarks)
+    found = [each.map_sample(later).command.q for each in (whole, single)]
+    np.testing.assert_allclose(*found, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "choice",
+    [{"smoothing": Smoothing()}, {"rejoin": "clutch"}],
+    ids=["smooth", "clutch"],
+)
+def test_what_the_core_does_not_do_is_done_all_the_same(choice: dict) -> None:
+    columns = columns_of(samples_with("dropout@0.5+0.4"))
+    whole, single = (Follower(HandMapper(HUMAN, ROBOT), **choice) for _ in range(2))
+    assert_same(whole.map_samples(columns), one_by_one(single, columns))
+
+
+def test_threads_map_recordings_side_by_side() -> None:
+    columns = [columns_of(samples_with(faults)) for faults in FAULTS]
+
+    def run(samples: SampleColumns) -> StepTable:
+        return Follower(HandMapper(HUMAN, ROBOT)).map_samples(samples)
+
+    with ThreadPoolExecutor(3) as pool:
+        found = list(pool.map(run, columns))
+    for table, samples in zip(found, columns, strict=True):
+        assert_same(table, run(samples))
+
+
+def test_progress_tells_of_all_samples() -> None:
+    told: list[int] = []
+    columns = columns_of(samples_with(""))
+    Follower(HandMapper(HUMAN, ROBOT)).map_samples(columns, told.append)
+    assert told == sorted(told)
+    assert told[-1] == 150
+
+
+def test_a_sample_far_away_is_an_error_that_names_it() -> None:
+    columns = columns_of(samples_with(""))
+    columns.landmarks[100, 4] = 1e12
+    with pytest.raises(InvalidInputError) as caught:
+        Follower(HandMapper(HUMAN, ROBOT)).map_samples(
+            columns._replace(valid=np.arange(150) == 100)
+        )
+    assert caught.value.argument == "landmarks"
