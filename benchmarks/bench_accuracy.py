@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import common
 import numpy as np
+from joint_motion import map_motion
 from motion_quality import (
     FingerMatch,
     MotionQuality,
@@ -30,7 +31,6 @@ from motion_quality import (
 from scenes import ROBOTS, Scene, load_scenes, robot_for
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions, MapStep, load_hand
-from handmap_qp.apps.offline.trajectory import map_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

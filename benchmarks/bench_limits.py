@@ -16,10 +16,11 @@ from typing import Any
 import common
 import numpy as np
 import scenes
+from joint_motion import map_motion
 from pseudoinverse import PseudoinverseIk
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions
-from handmap_qp.apps.offline.trajectory import Trajectory, map_motion
+from handmap_qp.apps.offline.trajectory import Trajectory
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
 

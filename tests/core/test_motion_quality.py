@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from joint_motion import map_motion
 from motion_cases import HUMAN, waving
 from motion_quality import (
     FingerMatch,
@@ -19,7 +20,7 @@ from motion_quality import (
 from strategies import generators, poses
 
 from handmap_qp import HandMapper, InvalidInputError, load_hand
-from handmap_qp.apps.offline.trajectory import Trajectory, map_motion
+from handmap_qp.apps.offline.trajectory import Trajectory
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.se3 import affine
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from joint_motion import map_motion
 from motion_cases import HUMAN, waving
 from strategies import generators
 
 from handmap_qp import HandMapper, load_hand
-from handmap_qp.apps.offline.trajectory import map_motion, map_recording, rms_derivative
+from handmap_qp.apps.offline.trajectory import map_recording, rms_derivative
 from handmap_qp.human.recording import Recording
 
 

@@ -1,4 +1,4 @@
-"""Map a recorded motion to a robot: `map_motion` and `map_recording` return a `Trajectory`."""
+"""Map a recorded motion to a robot: `map_recording` returns a `Trajectory`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.recording import HumanMotion, Recording, sample_columns
+from handmap_qp.human.recording import Recording, sample_columns
 from handmap_qp.human.sample import RULES, Rule
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
@@ -99,34 +99,6 @@ def _versions() -> tuple[str, ...]:
     """Return the versions of the packages that the motion depends on."""
     packages = ("handmap-qp", "pin", "daqp", "numpy")
     return tuple(f"{package} {version(package)}" for package in packages)
-
-
-def map_motion(
-    mapper: HandMapper,
-    motion: HumanMotion,
-    progress: Callable[[int], None] | None = None,
-) -> Trajectory:
-    """Map a whole human motion.
-
-    The robot holds its last posture in samples that are not valid.
-
-    Args:
-        mapper: The mapper; its human hand must have the joints of `motion.human`.
-        motion: The human motion.
-        progress: Called after each sample with the number of samples done.
-
-    Returns:
-        The robot's trajectory, with one entry per sample of `motion`.
-
-    Raises:
-        InvalidInputError: If no sample of `motion` is valid, or a sample cannot be mapped.
-    """
-    columns = zip(motion.q, motion.wrist, motion.dt, motion.valid, strict=True)
-    steps = (
-        mapper.map_step(q, wrist, dt=dt) if is_valid else None
-        for q, wrist, dt, is_valid in columns
-    )
-    return trajectory_of(mapper.robot, motion.time, steps, progress)
 
 
 def map_recording(
