@@ -1,0 +1,284 @@
+"""Static gestures after one another: the thumb, the worst finger, and fingers that stay caught.
+
+    python benchmarks/bench_gestures.py
+    python benchmarks/bench_gestures.py --robots leap_right --sheet leap.png
+
+Every labelled pose of a right hand follows every other one, half a second between them (minimum
+jerk) and half a second each. The palm stays. Poses are those of `HANDMAP_POSES`, else of
+`../shared/poses`. A finger counts as caught where, at the end of its pose, it points or bends more
+than 60 degrees off the person's. `start` maps one recording from 20 cuts: the share of samples
+whose joints differ by more than 5 degrees, a second later, from those of the whole recording.
+"""
+
+from __future__ import annotations
+
+import common  # first: it sets the number of threads before numpy is loaded
+
+# isort: split
+import argparse
+import os
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import shared_hands
+
+from handmap_qp import Hand, HandError, HandMapper, Recording, read_recording
+from handmap_qp.apps.offline.fidelity import angles_between
+from handmap_qp.apps.offline.hand_trace import (
+    KNUCKLE,
+    MIDDLE,
+    TIP,
+    HandTrace,
+    trace_human,
+    trace_robot,
+)
+from handmap_qp.apps.offline.surface_gaps import GapMeter
+from handmap_qp.apps.offline.trajectory import map_recording
+from handmap_qp.hands.human import FINGERS, HumanLengths
+from handmap_qp.human.measure import scaled_human
+from handmap_qp.stream.measurement import measure_person
+
+ROBOTS = ("allegro_right", "leap_right", "shadow_right", "wuji_right", "orca_right")
+RATE = 60.0
+"""Samples per second."""
+_MOVE, _HOLD = 30, 30
+CAUGHT = 60.0
+"""A finger that is farther off than this is caught [deg]."""
+_CUTS, _LATER, _APART = 20, 1.0, 5.0
+
+
+class Pose(NamedTuple):
+    """A labelled pose: its landmarks with the palm at the origin, shape (21, 3)."""
+
+    name: str
+    landmarks: np.ndarray
+
+
+def read_poses() -> list[Pose]:
+    """Read the labelled poses of right hands, scaled to one length of the palm."""
+    named = os.environ.get("HANDMAP_POSES")
+    folder = Path(named) if named else common.ROOT.parent / "shared" / "poses"
+    found = []
+    for file in sorted(folder.glob("*.npz")):
+        with np.load(file, allow_pickle=False) as arrays:
+            for name, points in zip(arrays["names"], arrays["landmarks"], strict=True):
+                if not str(name).startswith("LEFT"):
+                    found.append(Pose(str(name), points.astype(float)))
+    if not found:
+        common.stop(f"{folder}: no poses; set HANDMAP_POSES")
+    return _with_one_palm(found)
+
+
+def _with_one_palm(poses: list[Pose]) -> list[Pose]:
+    """Lay the palms on each other, so that only fingers move from pose to pose."""
+    lengths = HumanLengths.from_hand_length(0.19)
+    whole = trace_human(np.array([pose.landmarks for pose in poses]), lengths)
+    local = [
+        (pose.landmarks - palm[:3, 3]) @ palm[:3, :3]
+        for pose, palm in zip(poses, whole.palm, strict=True)
+    ]
+    size = np.median([np.linalg.norm(points[9] - points[0]) for points in local])
+    return [
+        Pose(pose.name, points * size / np.linalg.norm(points[9] - points[0]))
+        for pose, points in zip(poses, local, strict=True)
+    ]
+
+
+def tour(count: int) -> list[int]:
+    """Return an order in which every pose follows every other one once, and some themselves."""
+    order = [0]
+    for step in range(1, count):
+        # Rounds of one step size; each pose of a round follows the one `step` before it.
+        seen = set()
+        for start in range(count):
+            k = start
+            while k not in seen:
+                seen.add(k)
+                order += [k] if order[-1] != k else []
+                k = (k + step) % count
+                order.append(k)
+    return order
+
+
+def stream(poses: Sequence[Pose], order: Sequence[int]) -> Iterator[np.ndarray]:
+    """Return landmarks of all samples: to each pose by minimum jerk, and still there."""
+    share = np.linspace(0.0, 1.0, _MOVE + 1)[1:]
+    ease = share**3 * (10.0 + share * (6.0 * share - 15.0))
+    before = poses[order[0]].landmarks
+    for k in order:
+        now = poses[k].landmarks
+        for x in ease:
+            yield before + x * (now - before)
+        for _ in range(_HOLD):
+            yield now
+        before = now
+
+
+def map_tour(
+    robot: Hand, poses: Sequence[Pose], order: Sequence[int], preset: str
+) -> tuple[Hand, np.ndarray, np.ndarray]:
+    """Map the poses after one another; return the robot, and joints and wrist at each one's end."""
+    every = np.array([pose.landmarks for pose in poses])
+    whole = Recording(
+        "poses", np.arange(len(every)) / RATE, every, np.ones(len(every), bool), "right"
+    )
+    human = scaled_human(whole, points="landmarks")
+    mapper = HandMapper(human, robot, preset, dt=1.0 / RATE)
+    q, wrist = [], []
+    for i, landmarks in enumerate(stream(poses, order)):
+        step = mapper.map_landmarks(landmarks)
+        if (i + 1) % (_MOVE + _HOLD) == 0:
+            q.append(step.command.q)
+            wrist.append(step.command.wrist)
+    return mapper.robot, np.array(q), np.array(wrist)
+
+
+class Errors(NamedTuple):
+    """Degrees between human and robot, shape (T, k) of k fingers.
+
+    Attributes:
+        names: The fingers.
+        direction: From knuckle to tip, in palm axes.
+        last: From the middle joint to the tip, in palm axes.
+        bend: At the middle joint, robot's minus human's.
+    """
+
+    names: list[str]
+    direction: np.ndarray
+    last: np.ndarray
+    bend: np.ndarray
+
+
+def compare(human: HandTrace, robot: HandTrace) -> Errors:
+    """Compare the shapes of the fingers that both hands have."""
+    names = [name for name in human.names if name in robot.names]
+    every = np.arange(len(human.palm))
+    a, b = (trace.part(every, names).local for trace in (human, robot))
+
+    def bends(points: np.ndarray) -> np.ndarray:
+        first = points[:, :, MIDDLE] - points[:, :, KNUCKLE]
+        return angles_between(first, points[:, :, TIP] - points[:, :, MIDDLE])
+
+    return Errors(
+        names,
+        angles_between(
+            a[:, :, TIP] - a[:, :, KNUCKLE], b[:, :, TIP] - b[:, :, KNUCKLE]
+        ),
+        angles_between(a[:, :, TIP] - a[:, :, MIDDLE], b[:, :, TIP] - b[:, :, MIDDLE]),
+        bends(b) - bends(a),
+    )
+
+
+def measure(
+    name: str, preset: str, poses: Sequence[Pose]
+) -> tuple[dict[str, Any], Any]:
+    """Measure a hand; return its row, and what a sheet is drawn of."""
+    robot = shared_hands.load(name)
+    order = tour(len(poses))
+    robot, q, wrist = map_tour(robot, poses, order, preset)
+    shown = np.array([poses[k].landmarks for k in order])
+    lengths = HumanLengths.from_hand_length(0.19)
+    errors = compare(trace_human(shown, lengths), trace_robot(robot, q, wrist))
+    is_thumb = np.array([finger == "thumb" for finger in errors.names])
+    others = np.array([finger in FINGERS[1:4] for finger in errors.names])
+    thumb = errors.direction[:, is_thumb].ravel()
+    worst = errors.direction[:, others].max(axis=1)
+    off = np.maximum(errors.direction, np.abs(errors.bend))[:, ~is_thumb]
+    caught = (off > CAUGHT).any(axis=1)
+    meter = GapMeter(robot)
+    _, first = np.unique(order, return_index=True)
+    row = {
+        "robot": name,
+        "preset": preset,
+        "poses": len(order),
+        "thumb": np.median(thumb),
+        "thumb p95": np.percentile(thumb, 95),
+        "last bone": np.median(errors.last[:, is_thumb]),
+        "worst finger": np.median(worst),
+        "worst p95": np.percentile(worst, 95),
+        "caught": int(caught.sum()),
+        "closed": pinches_closed(meter, q, shown, errors.names),
+        "deepest_mm": 1e3 * min(0.0, meter.nearest(q[first]).min()),
+    }
+    pairs = [f"{poses[a].name} -> {poses[b].name}" for a, b in pairwise(order)]
+    return row, [pairs[i - 1] for i in np.flatnonzero(caught) if i]
+
+
+def pinches_closed(
+    meter: GapMeter, q: np.ndarray, landmarks: np.ndarray, names: list[str]
+) -> float:
+    """Return the share of the human's pinches (gap below 15 mm) that the robot closes to 3 mm."""
+    found = []
+    gaps = np.linalg.norm(landmarks[:, [8, 12, 16, 20]] - landmarks[:, 4:5], axis=2)
+    chosen = np.flatnonzero((gaps < 0.015).any(axis=1))
+    if not len(chosen):
+        return float("nan")
+    measured = meter.pinches(q[chosen])
+    for finger, column in zip(FINGERS[1:], gaps[chosen].T, strict=True):
+        if finger in measured and finger in names:
+            found += (measured[finger][column < 0.015] < 0.003).tolist()
+    return float(np.mean(found)) if found else float("nan")
+
+
+def start_dependence(name: str, recording: Recording) -> float:
+    """Return the share of samples, a second after a cut, with a joint more than 5 deg apart."""
+    robot = shared_hands.load(name)
+    person = measure_person(recording)
+    human = scaled_human(recording, points="landmarks", lengths=person.lengths)
+    whole = map_recording(HandMapper(human, robot), recording)
+    apart = []
+    count = len(recording)
+    for cut in np.linspace(0, 0.7 * count, _CUTS, dtype=int)[1:]:
+        part = recording.part(slice(cut, count))
+        found = map_recording(HandMapper(human, robot), part)
+        later = part.time >= part.time[0] + _LATER
+        differences = np.abs(found.q - whole.q[cut:])[later]
+        apart.append(np.degrees(differences).max(axis=1) > _APART)
+    return float(np.concatenate(apart).mean())
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the benchmark."""
+    parser = common.make_parser("Static gestures after one another.")
+    parser.add_argument("--robots", nargs="+", default=list(ROBOTS), metavar="HAND")
+    parser.add_argument("--presets", nargs="+", default=["teleoperation"])
+    parser.add_argument("--caught", action="store_true", help="list transitions")
+    parser.add_argument("--start", action="store_true", help="map recordings from cuts")
+    arguments: argparse.Namespace = common.parse_arguments(parser, words)
+    poses = read_poses()
+    if arguments.quick:
+        poses = poses[:4]
+    rows, starts = [], []
+    for name in arguments.robots:
+        try:
+            shared_hands.load(name)
+        except HandError as error:
+            print(f"without {name}: {error}")
+            continue
+        for preset in arguments.presets:
+            row, caught = measure(name, preset, poses)
+            rows.append(row)
+            if arguments.caught:
+                print(f"{name}, {preset}:", *caught, sep="\n  ")
+        if arguments.start:
+            for file in common.find_recordings(arguments.recordings):
+                recording = read_recording(file)
+                if recording.side == "right":
+                    share = start_dependence(name, recording)
+                    starts.append(
+                        {"robot": name, "recording": file.stem, "apart": share}
+                    )
+    is_json = arguments.json == "-"
+    common.print_table("Gestures, degrees", rows, to_stderr=is_json)
+    if starts:
+        common.print_table("Start dependence", starts, to_stderr=is_json)
+    common.write_json(
+        arguments.json, "bench_gestures", {"rows": rows, "starts": starts}
+    )
+
+
+if __name__ == "__main__":
+    main()
