@@ -31,7 +31,7 @@ struct InputRules {
   // plausibility
   BatchSize fresh, calm, alert;
   int calm_batches, carried_batches, first_sizes;
-  double sure_side, backwards, otherwise_right, same_misfit, resized, refused_share;
+  double sure_side, backwards, otherwise_right, same_misfit, resized, refused_share, brief;
   double shortest_step, longest_step, shortest_hand, longest_hand;
   double no_hand, better_by, contradiction;
   // hand_geometry
@@ -288,10 +288,8 @@ inline double cosine(const Mat3& a, const Mat3& b) {
 
 // The palm's rotation: +y distal, +z dorsal.
 inline Mat3 palm_axes(const Landmarks& hand, double sign) {
-  Vec3 dorsal = -sign * cross(hand[5] - hand[0], hand[17] - hand[0]);
-  dorsal *= 1.0 / norm(dorsal);
-  Vec3 lateral = cross(hand[9] - hand[0], dorsal);
-  lateral *= 1.0 / norm(lateral);
+  const Vec3 dorsal = unit(-sign * cross(hand[5] - hand[0], hand[17] - hand[0]));
+  const Vec3 lateral = unit(cross(hand[9] - hand[0], dorsal));
   const Vec3 distal = cross(dorsal, lateral);
   return {{lateral.x, distal.x, dorsal.x, lateral.y, distal.y, dorsal.y, lateral.z, distal.z,
            dorsal.z}};
@@ -310,8 +308,6 @@ inline bool follows_palm(const InputRules& rules, double sign, const Landmarks* 
     palms = palms + palm;
     half = half + transposed(palm) * wrists[t].R;
   }
-  for (const double x : palms.m)
-    if (!std::isfinite(x)) return false;
   const Mat3 mean = nearest_rotation(halves[0] + halves[1]), palm = nearest_rotation(palms);
   const double steadiness =
       n < 2 ? 1.0 : cosine(nearest_rotation(halves[0]), nearest_rotation(halves[1]));
