@@ -79,6 +79,8 @@ class InputCheck(Compiled):
 
     def __init__(self, side: Side) -> None:
         check_side(side)
+        # Now, so that the first sample of a session does not wait.
+        _known_orders()
         self.side: Side = side
         self._sign = 1.0 if side == "right" else -1.0
         self.reset()

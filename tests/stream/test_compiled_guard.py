@@ -169,6 +169,21 @@ def test_clocks_that_run_at_another_rate_have_one_verdict() -> None:
         assert ("time" in rules) == (rate != 1.0)
 
 
+def test_findings_of_a_long_stream_keep_their_words() -> None:
+    # A size that changes is another finding in every batch: more than the core keeps.
+    samples, start = [], 0.0
+    for _ in range(5):
+        taken = recording_samples(DEMO)
+        for sample in taken:
+            time = start + sample.time - taken[0].time
+            size = 0.65 - 1e-5 * len(samples) if time > 1.0 else 1.0
+            points = size * sample.landmarks
+            samples.append(replace(sample, time=time, landmarks=points))
+        start = samples[-1].time + 1.0 / 60.0
+    assert len(samples) > 1500
+    assert "size" in expect_same_stream(HUMAN, samples)
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_hostile_streams_have_one_verdict(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -260,7 +275,8 @@ def test_recordings_are_judged_at_once_as_sample_by_sample(
         np.testing.assert_array_equal(
             StreamGuard(human).holds(taken), [each.is_held for each in expected]
         )
-        columns = StreamGuard(human).core.judge(taken)
+        judge: Any = StreamGuard(human).core
+        columns = judge.judge(taken)
         names = get_args(Rule)
         for rule, *rest, verdict in zip(*columns, expected, strict=True):
             expect_same(Verdict(names[rule], *rest), verdict)
