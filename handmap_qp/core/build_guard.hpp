@@ -201,6 +201,15 @@ class PythonExplainer : public Explainer {
     return static_cast<int>(findings.size()) - 1;
   }
 
+  nb::list save() const {
+    nb::list all;
+    for (const nb::object& each : findings) all.append(each);
+    return all;
+  }
+  void put_back(const nb::object& all) {
+    for (const nb::handle each : all) add(nb::borrow(each));
+  }
+
   // Forget all findings but some, whose numbers change.
   void keep(std::initializer_list<int*> numbers) {
     std::vector<nb::object> kept;
@@ -277,7 +286,7 @@ class PythonExplainer : public Explainer {
       const Array hands = nb::cast<Array>(nb::borrow(each));
       const int at = seen.past_count++, n = static_cast<int>(hands.shape(0));
       seen.past_sizes[at] = n;
-      std::memcpy(seen.past[at], hands.data(), n * sizeof(Landmarks));
+      for (int t = 0; t < n; ++t) seen.past[at][t] = landmarks_of(hands.data() + 3 * kLandmarks * t);
     }
     seen.is_proven = from.get<bool>("_wrist.is_proven");
     const nb::object start = from.object("_wrist._start");
@@ -358,13 +367,11 @@ class PythonInputCheck {
     const nb::object saved = owner.attr("_saved");
     if (saved.is_none()) return;
     put_back(item(saved, 0), check_.state);
-    for (const nb::handle each : nb::borrow(item(saved, 1))) explainer_.add(nb::borrow(each));
+    explainer_.put_back(item(saved, 1));
   }
 
   nb::tuple save() const {
-    nb::list findings;
-    for (const nb::object& each : explainer_.findings) findings.append(each);
-    return nb::make_tuple(bytes_of(check_.state), findings);
+    return nb::make_tuple(bytes_of(check_.state), explainer_.save());
   }
 
   nb::object update(double time, const Array& landmarks, const std::optional<Array>& wrist) {
@@ -396,11 +403,9 @@ class PythonInputCheck {
   InputCheck check_;
 
   int take(double time, const double* landmarks, const double* wrist) {
-    Landmarks hand;
-    std::memcpy(&hand, landmarks, sizeof(hand));
     Pose pose;
     if (wrist) pose = pose_of(wrist);
-    return check_.update(time, hand, wrist ? &pose : nullptr);
+    return check_.update(time, landmarks_of(landmarks), wrist ? &pose : nullptr);
   }
 
   int examined(const Samples& samples) {
@@ -452,14 +457,12 @@ class PythonGuard {
     put_back(item(saved, 0), guard.state);
     put_back(item(saved, 1), guard.rate);
     put_back(item(saved, 2), guard.input.state);
-    for (const nb::handle each : nb::borrow(item(saved, 3))) explainer.add(nb::borrow(each));
+    explainer.put_back(item(saved, 3));
   }
 
   nb::tuple save() const {
-    nb::list findings;
-    for (const nb::object& each : explainer.findings) findings.append(each);
     return nb::make_tuple(bytes_of(guard.state), bytes_of(guard.rate), bytes_of(guard.input.state),
-                          findings);
+                          explainer.save());
   }
 
   nb::bytes state() const { return bytes_of(guard.state); }
@@ -479,6 +482,7 @@ class PythonGuard {
     const double now = arrival.is_none() ? std::numeric_limits<double>::quiet_NaN()
                                          : nb::cast<double>(arrival);
     const int is_valid = PyObject_IsTrue(field(sample, 3).ptr());
+    if (is_valid < 0) nb::raise_python_error();
     return verdict_of(guard.check({nb::cast<double>(field(sample, 0)), landmarks.data(),
                                    pose ? pose->data() : nullptr, is_valid != 0,
                                    nb::cast<double>(field(sample, 4)), now}));

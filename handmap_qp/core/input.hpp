@@ -14,6 +14,15 @@ namespace handmap {
 constexpr int kLandmarks = 21;
 using Landmarks = std::array<Vec3, kLandmarks>;
 
+inline Landmarks landmarks_of(const double* p) {
+  Landmarks points;
+  for (Vec3& point : points) {
+    point = {p[0], p[1], p[2]};
+    p += 3;
+  }
+  return points;
+}
+
 // Places in the state; the numbers of Python are at most those. One more than the batches of the past,
 // so that the next one replaces none that is still needed.
 constexpr int kMostSamples = 32, kMostPast = 5, kMostSizes = 8;
@@ -76,11 +85,12 @@ inline double median(double* values, int n) {
 
 inline Vec3 unit(const Vec3& v) { return (1.0 / std::max(norm(v), 1e-9)) * v; }
 
-// Logarithms of the distances of some pairs, over some samples.
+// Logarithms of the distances of some pairs over some samples, and how much they vary.
 struct Distances {
   std::vector<double> medians, spreads;
 };
 
+// Measure the pairs of `rules` with numbers in [from, to).
 inline void measure_pairs(const InputRules& rules, const Landmarks* hands, int n, int from, int to,
                     Distances& found) {
   const int width = to - from;
@@ -103,7 +113,7 @@ inline void measure_pairs(const InputRules& rules, const Landmarks* hands, int n
   }
 }
 
-// The squares that a misfit is the mean of; `rigid` is false to leave out the spreads.
+// How badly distances fit a hand in our order; `rigid` is false to leave out their spreads.
 inline double misfit(const InputRules& rules, const Distances& distances, double middle,
                      bool rigid) {
   const double most = rules.largest_deviation * rules.largest_deviation;
