@@ -77,6 +77,7 @@ inline std::unique_ptr<InputRules> read_input_rules() {
   rules.same_misfit = check.get<double>("_SAME_MISFIT");
   rules.resized = check.get<double>("_RESIZED");
   rules.refused_share = check.get<double>("_REFUSED_SHARE");
+  rules.brief = check.get<double>("_SHORT");
   double range[2];
   copy_numbers(check, "_STEPS", range, 2);
   rules.shortest_step = range[0];
@@ -200,6 +201,15 @@ class PythonExplainer : public Explainer {
     return static_cast<int>(findings.size()) - 1;
   }
 
+  nb::list save() const {
+    nb::list all;
+    for (const nb::object& each : findings) all.append(each);
+    return all;
+  }
+  void put_back(const nb::object& all) {
+    for (const nb::handle each : all) add(nb::borrow(each));
+  }
+
   // Forget all findings but some, whose numbers change.
   void keep(std::initializer_list<int*> numbers) {
     std::vector<nb::object> kept;
@@ -276,7 +286,7 @@ class PythonExplainer : public Explainer {
       const Array hands = nb::cast<Array>(nb::borrow(each));
       const int at = seen.past_count++, n = static_cast<int>(hands.shape(0));
       seen.past_sizes[at] = n;
-      std::memcpy(seen.past[at], hands.data(), n * sizeof(Landmarks));
+      for (int t = 0; t < n; ++t) seen.past[at][t] = landmarks_of(hands.data() + 3 * kLandmarks * t);
     }
     seen.is_proven = from.get<bool>("_wrist.is_proven");
     const nb::object start = from.object("_wrist._start");
@@ -287,6 +297,12 @@ class PythonExplainer : public Explainer {
     seen.start_mean = mean.matrix("");
   }
 };
+
+inline nb::tuple rule_names() {
+  nb::list names;
+  for (const char* name : kRuleNames) names.append(name);
+  return nb::tuple(names);
+}
 
 // State as bytes, to be put back in a process that has the same core.
 template <class State>
@@ -306,19 +322,40 @@ inline nb::object input_check_of(const std::string& side) {
 }
 inline double sign_of(const std::string& side) { return side == "right" ? 1.0 : -1.0; }
 
-// Landmarks and a wrist's pose, one sample after the other.
-struct Samples {
-  const double *time, *landmarks, *wrists;
+// The columns of a `Recording`, with or without the wrist's poses.
+class Samples {
+ public:
   size_t count;
+  const double *time, *landmarks, *confidence, *wrists = nullptr;
+  const bool* valid;
 
-  Samples(const Array& own_time, const Array& own_landmarks, const std::optional<Array>& own_wrists)
-      : time(own_time.data()), landmarks(own_landmarks.data()),
-        wrists(own_wrists ? own_wrists->data() : nullptr), count(own_time.size()) {
-    expect_size(own_landmarks, 3 * kLandmarks * count, "landmarks");
-    if (wrists) expect_size(*own_wrists, 16 * count, "wrists");
+  Samples(const nb::object& recording, bool has_wrists) : from_(recording) {
+    count = from_.get<Array>("time").size();
+    time = column("time", count);
+    landmarks = column("landmarks", 3 * kLandmarks * count);
+    confidence = column("confidence", count);
+    if (has_wrists) wrists = column("wrist", 16 * count);
+    flags_ = from_.get<Flags>("valid");
+    if (flags_.size() != count) throw std::invalid_argument("wrong size of valid");
+    valid = flags_.data();
   }
   const double* landmarks_at(size_t t) const { return landmarks + 3 * kLandmarks * t; }
   const double* wrist_at(size_t t) const { return wrists ? wrists + 16 * t : nullptr; }
+  StreamSample sample(size_t t) const {
+    return {time[t], landmarks_at(t), wrist_at(t), valid[t], confidence ? confidence[t] : 1.0,
+            std::numeric_limits<double>::quiet_NaN()};
+  }
+
+ private:
+  Fields from_;
+  std::vector<Array> kept_;
+  Flags flags_;
+
+  const double* column(const char* name, size_t size) {
+    if (from_.object(name).is_none()) return nullptr;
+    kept_.push_back(from_.array(name, size));
+    return kept_.back().data();
+  }
 };
 
 // An `InputCheck` for Python.
@@ -330,13 +367,11 @@ class PythonInputCheck {
     const nb::object saved = owner.attr("_saved");
     if (saved.is_none()) return;
     put_back(item(saved, 0), check_.state);
-    for (const nb::handle each : nb::borrow(item(saved, 1))) explainer_.add(nb::borrow(each));
+    explainer_.put_back(item(saved, 1));
   }
 
   nb::tuple save() const {
-    nb::list findings;
-    for (const nb::object& each : explainer_.findings) findings.append(each);
-    return nb::make_tuple(bytes_of(check_.state), findings);
+    return nb::make_tuple(bytes_of(check_.state), explainer_.save());
   }
 
   nb::object update(double time, const Array& landmarks, const std::optional<Array>& wrist) {
@@ -346,14 +381,13 @@ class PythonInputCheck {
     return explainer_.finding(take(time, landmarks.data(), wrist ? wrist->data() : nullptr));
   }
 
-  // Take samples, until a finding holds for too many of them.
-  nb::object refusal(const Array& time, const Array& landmarks,
-                     const std::optional<Array>& wrists) {
-    const Samples samples(time, landmarks, wrists);
+  // Take a whole `Recording`.
+  nb::object examine(const nb::object& recording) {
+    const Samples samples(recording, true);
     int finding = kNone;
     {
       const nb::gil_scoped_release no_gil;
-      finding = refused(samples);
+      finding = examined(samples);
     }
     return explainer_.finding(finding);
   }
@@ -369,23 +403,26 @@ class PythonInputCheck {
   InputCheck check_;
 
   int take(double time, const double* landmarks, const double* wrist) {
-    Landmarks hand;
-    std::memcpy(&hand, landmarks, sizeof(hand));
     Pose pose;
     if (wrist) pose = pose_of(wrist);
-    return check_.update(time, hand, wrist ? &pose : nullptr);
+    return check_.update(time, landmarks_of(landmarks), wrist ? &pose : nullptr);
   }
 
-  int refused(const Samples& samples) {
+  int examined(const Samples& samples) {
+    std::vector<size_t> seen;
+    for (size_t t = 0; t < samples.count; ++t)
+      if (samples.valid[t]) seen.push_back(t);
     size_t found = 0;
-    for (size_t t = 0; t < samples.count; ++t) {
+    for (const size_t t : seen) {
       const int finding = take(samples.time[t], samples.landmarks_at(t), samples.wrist_at(t));
       if (finding == kNone) continue;
       ++found;
-      const bool is_much = found >= check_.rules.refused_share * samples.count;
+      const bool is_much = found >= check_.rules.refused_share * seen.size();
       if (is_much || explainer_.rule_of(finding) == kTime) return finding;
     }
-    return kNone;
+    const int last = check_.finish();
+    const double duration = samples.time[seen.back()] - samples.time[seen.front()];
+    return duration <= check_.rules.brief ? last : kNone;
   }
 
   void tidy() {
@@ -420,14 +457,12 @@ class PythonGuard {
     put_back(item(saved, 0), guard.state);
     put_back(item(saved, 1), guard.rate);
     put_back(item(saved, 2), guard.input.state);
-    for (const nb::handle each : nb::borrow(item(saved, 3))) explainer.add(nb::borrow(each));
+    explainer.put_back(item(saved, 3));
   }
 
   nb::tuple save() const {
-    nb::list findings;
-    for (const nb::object& each : explainer.findings) findings.append(each);
     return nb::make_tuple(bytes_of(guard.state), bytes_of(guard.rate), bytes_of(guard.input.state),
-                          findings);
+                          explainer.save());
   }
 
   nb::bytes state() const { return bytes_of(guard.state); }
@@ -447,26 +482,20 @@ class PythonGuard {
     const double now = arrival.is_none() ? std::numeric_limits<double>::quiet_NaN()
                                          : nb::cast<double>(arrival);
     const int is_valid = PyObject_IsTrue(field(sample, 3).ptr());
+    if (is_valid < 0) nb::raise_python_error();
     return verdict_of(guard.check({nb::cast<double>(field(sample, 0)), landmarks.data(),
                                    pose ? pose->data() : nullptr, is_valid != 0,
                                    nb::cast<double>(field(sample, 4)), now}));
   }
 
-  // Judge a whole recording: columns of the verdicts, in the order of their fields.
-  nb::tuple judge(const Array& time, const Array& landmarks, const Flags& valid,
-                  const std::optional<Array>& confidence, const std::optional<Array>& wrists) {
-    const Samples samples(time, landmarks, wrists);
-    const size_t count = samples.count;
-    if (valid.size() != count) throw std::invalid_argument("wrong size of valid");
-    if (confidence) expect_size(*confidence, count, "confidence");
-    std::vector<Verdict> verdicts(count);
-    {
-      const nb::gil_scoped_release no_gil;
-      for (size_t t = 0; t < count; ++t)
-        verdicts[t] = guard.check({samples.time[t], samples.landmarks_at(t), samples.wrist_at(t),
-                                   valid.data()[t], confidence ? confidence->data()[t] : 1.0,
-                                   std::numeric_limits<double>::quiet_NaN()});
-    }
+  // Judge a whole `Recording` without its wrist: which samples are held.
+  nb::object holds(const nb::object& recording) {
+    return column<bool>(judged(recording), [](const Verdict& v) { return v.is_held; });
+  }
+
+  // Columns of its verdicts, in the order of their fields.
+  nb::tuple judge(const nb::object& recording) {
+    const std::vector<Verdict> verdicts = judged(recording);
     nb::list findings;
     for (const Verdict& each : verdicts) findings.append(explainer.finding(each.finding));
     return nb::make_tuple(column<int>(verdicts, [](const Verdict& v) { return v.rule; }),
@@ -487,6 +516,15 @@ class PythonGuard {
  private:
   nb::object verdict_, new_tuple_;
   std::vector<nb::object> rules_, names_;
+
+  std::vector<Verdict> judged(const nb::object& recording) {
+    tidy();
+    const Samples samples(recording, false);
+    std::vector<Verdict> verdicts(samples.count);
+    const nb::gil_scoped_release no_gil;
+    for (size_t t = 0; t < samples.count; ++t) verdicts[t] = guard.check(samples.sample(t));
+    return verdicts;
+  }
 
   nb::object field(const nb::object& sample, int i) const {
     return nb::getattr(sample, names_[i]);

@@ -275,10 +275,7 @@ class StreamGuard {
       return kTime;
     }
     if (!sample.valid || sample.confidence == 0.0) return kMissing;
-    for (int i = 0; i < kLandmarks; ++i) {
-      const double* p = sample.landmarks + 3 * i;
-      landmarks[i] = {p[0], p[1], p[2]};
-    }
+    landmarks = landmarks_of(sample.landmarks);
     if (is_zero(rules, landmarks)) return kZero;
     Pose wrist;
     if (sample.wrist) wrist = pose_of(sample.wrist);

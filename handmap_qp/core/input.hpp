@@ -14,6 +14,15 @@ namespace handmap {
 constexpr int kLandmarks = 21;
 using Landmarks = std::array<Vec3, kLandmarks>;
 
+inline Landmarks landmarks_of(const double* p) {
+  Landmarks points;
+  for (Vec3& point : points) {
+    point = {p[0], p[1], p[2]};
+    p += 3;
+  }
+  return points;
+}
+
 // Places in the state; the numbers of Python are at most those. One more than the batches of the past,
 // so that the next one replaces none that is still needed.
 constexpr int kMostSamples = 32, kMostPast = 5, kMostSizes = 8;
@@ -31,7 +40,7 @@ struct InputRules {
   // plausibility
   BatchSize fresh, calm, alert;
   int calm_batches, carried_batches, first_sizes;
-  double sure_side, backwards, otherwise_right, same_misfit, resized, refused_share;
+  double sure_side, backwards, otherwise_right, same_misfit, resized, refused_share, brief;
   double shortest_step, longest_step, shortest_hand, longest_hand;
   double no_hand, better_by, contradiction;
   // hand_geometry
@@ -76,11 +85,12 @@ inline double median(double* values, int n) {
 
 inline Vec3 unit(const Vec3& v) { return (1.0 / std::max(norm(v), 1e-9)) * v; }
 
-// Logarithms of the distances of some pairs, over some samples.
+// Logarithms of the distances of some pairs over some samples, and how much they vary.
 struct Distances {
   std::vector<double> medians, spreads;
 };
 
+// Measure the pairs of `rules` with numbers in [from, to).
 inline void measure_pairs(const InputRules& rules, const Landmarks* hands, int n, int from, int to,
                     Distances& found) {
   const int width = to - from;
@@ -103,7 +113,7 @@ inline void measure_pairs(const InputRules& rules, const Landmarks* hands, int n
   }
 }
 
-// The squares that a misfit is the mean of; `rigid` is false to leave out the spreads.
+// How badly distances fit a hand in our order; `rigid` is false to leave out their spreads.
 inline double misfit(const InputRules& rules, const Distances& distances, double middle,
                      bool rigid) {
   const double most = rules.largest_deviation * rules.largest_deviation;
@@ -288,10 +298,8 @@ inline double cosine(const Mat3& a, const Mat3& b) {
 
 // The palm's rotation: +y distal, +z dorsal.
 inline Mat3 palm_axes(const Landmarks& hand, double sign) {
-  Vec3 dorsal = -sign * cross(hand[5] - hand[0], hand[17] - hand[0]);
-  dorsal *= 1.0 / norm(dorsal);
-  Vec3 lateral = cross(hand[9] - hand[0], dorsal);
-  lateral *= 1.0 / norm(lateral);
+  const Vec3 dorsal = unit(-sign * cross(hand[5] - hand[0], hand[17] - hand[0]));
+  const Vec3 lateral = unit(cross(hand[9] - hand[0], dorsal));
   const Vec3 distal = cross(dorsal, lateral);
   return {{lateral.x, distal.x, dorsal.x, lateral.y, distal.y, dorsal.y, lateral.z, distal.z,
            dorsal.z}};
@@ -310,8 +318,6 @@ inline bool follows_palm(const InputRules& rules, double sign, const Landmarks* 
     palms = palms + palm;
     half = half + transposed(palm) * wrists[t].R;
   }
-  for (const double x : palms.m)
-    if (!std::isfinite(x)) return false;
   const Mat3 mean = nearest_rotation(halves[0] + halves[1]), palm = nearest_rotation(palms);
   const double steadiness =
       n < 2 ? 1.0 : cosine(nearest_rotation(halves[0]), nearest_rotation(halves[1]));

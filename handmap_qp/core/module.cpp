@@ -292,10 +292,11 @@ NB_MODULE(_core, m) {
   nb::class_<PythonInputCheck>(m, "InputCheck")
       .def(nb::init<const nb::object&>())
       .def("save", &PythonInputCheck::save)
-      .def("update", &PythonInputCheck::update, "time"_a, "landmarks"_a, "wrist"_a.none() = nb::none())
-      .def("refusal", &PythonInputCheck::refusal, "time"_a, "landmarks"_a, "wrists"_a.none())
+      .def("update", &PythonInputCheck::update, "time"_a, "landmarks"_a,
+           "wrist"_a.none() = nb::none())
       .def("alert", &PythonInputCheck::alert)
       .def("finish", &PythonInputCheck::finish)
+      .def("examine", &PythonInputCheck::examine, "recording"_a)
       .def("finding", &PythonInputCheck::finding)
       .def("is_wrist_proven", &PythonInputCheck::is_wrist_proven);
   nb::class_<PythonGuard>(m, "StreamGuard")
@@ -303,6 +304,7 @@ NB_MODULE(_core, m) {
       .def("save", &PythonGuard::save)
       .def_prop_rw("state", &PythonGuard::state, &PythonGuard::set_state)
       .def("check", &PythonGuard::check, "sample"_a, "arrival"_a.none())
-      .def("judge", &PythonGuard::judge, "time"_a, "landmarks"_a, "valid"_a,
-           "confidence"_a.none(), "wrists"_a.none());
+      .def("holds", &PythonGuard::holds, "recording"_a)
+      .def("judge", &PythonGuard::judge, "recording"_a);
+  m.attr("RULES") = rule_names();
 }

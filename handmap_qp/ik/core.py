@@ -9,7 +9,6 @@ import importlib
 import math
 import os
 import zlib
-from collections.abc import Callable
 from functools import cached_property, wraps
 from pathlib import Path
 from types import ModuleType
@@ -43,16 +42,17 @@ core, description = _load()
 """The core, or None; which path runs, and why, in words."""
 
 
-def in_core(reference: Callable[..., T]) -> Callable[..., T]:
+def in_core(reference: T) -> T:
     """Let an object's `core` do what this method does, by its name, where there is one."""
+    method: Any = reference
 
-    @wraps(reference)
-    def call(self: Any, *values: Any, **named: Any) -> T:
+    def call(self: Any, *values: Any, **named: Any) -> Any:
         if self.core is None:
-            return reference(self, *values, **named)
-        return getattr(self.core, reference.__name__)(*values, **named)
+            return method(self, *values, **named)
+        return getattr(self.core, method.__name__)(*values, **named)
 
-    return reference if core is None else call
+    wrapped: Any = wraps(method)(call)
+    return method if core is None else wrapped
 
 
 class Compiled:

@@ -32,7 +32,7 @@ from handmap_qp.human.sample import (
     landmarks_at_rest,
     palm_sizes,
 )
-from handmap_qp.ik.core import Compiled
+from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.se3 import lengths, nearest_rotation
 from handmap_qp.trackers.plausibility import InputCheck
 
@@ -139,8 +139,8 @@ class RateCheck:
     """
 
     def __init__(self) -> None:
-        self._start = self._former = math.nan
-        self._lead = self._drift = 0.0
+        self._start = self._former = self._lead = math.nan
+        self._drift = 0.0
         self._rate: float | None = None
 
     def update(self, stamp: float, arrival: float) -> float | None:
@@ -154,10 +154,10 @@ class RateCheck:
             Seconds of stamps in a second of arrival, if two half seconds in a row differ from it by
             more than 30 %; None otherwise.
         """
-        self._start = arrival if math.isnan(self._start) else self._start
         elapsed = arrival - self._start
-        if elapsed >= _RATE_WINDOW:
-            # NaN, before there is a former half second, is no drift.
+        # NaN: at the first sample, a half second begins; before there is a former one, no drift is
+        # known.
+        if not elapsed < _RATE_WINDOW:
             drift = (self._lead - self._former) / elapsed
             before = self._drift
             is_off = (
@@ -262,8 +262,8 @@ def first_track(now: float, landmarks: np.ndarray) -> Track:
 
 def is_same_hand(before: Track, sample: Track) -> bool:
     """Tell whether two samples have exactly the same landmarks."""
-    is_same = (before.points == sample.points).all()
-    return bool(is_same and (before.centre == sample.centre).all())
+    is_same = before.points == sample.points
+    return bool(is_same.all() and (before.centre == sample.centre).all())
 
 
 def change_between(track: Track, sample: Track, dt: float) -> Change:
@@ -305,9 +305,8 @@ def change_between(track: Track, sample: Track, dt: float) -> Change:
 def _is_mirrored(before: np.ndarray, points: np.ndarray) -> bool:
     """Tell whether a reflection lays one hand better on the other than any rotation does."""
     covariance = points.T @ before
-    if np.linalg.det(covariance) >= 0.0:
-        return False
-    return bool(np.linalg.svd(covariance, compute_uv=False)[2] > MIRROR)
+    least = np.linalg.svd(covariance, compute_uv=False)[2]
+    return bool(np.linalg.det(covariance) < 0.0 and least > MIRROR)
 
 
 def fixed_lengths(landmarks: np.ndarray) -> np.ndarray:
@@ -430,17 +429,15 @@ class StreamGuard(Compiled):
             return verdict
         return verdict._replace(rule="unproven")
 
+    @in_core
     def holds(self, recording: Recording) -> np.ndarray:
         """Tell which samples of a recording the robot may not follow, shape (T,).
 
         Args:
             recording: Samples of the hand; their wrist poses are not looked at.
         """
-        if self.core is None:
-            samples = recording_samples(recording)
-            return np.array([self.check(sample).is_held for sample in samples])
-        columns = recording.time, recording.landmarks, recording.valid
-        return self.core.judge(*columns, recording.confidence, None)[1]
+        samples = recording_samples(recording)
+        return np.array([self.check(sample).is_held for sample in samples])
 
     def _input_fault(
         self, sample: HumanSample, arrival: float | None
@@ -512,8 +509,11 @@ class StreamGuard(Compiled):
 
 
 def _off_rate(rate: float) -> Finding:
-    problem = f"time stamps run at {rate:.3g} times the speed at which samples arrive"
-    return Finding("time", problem, "give the time of the tracker's clock in seconds")
+    return Finding(
+        "time",
+        f"time stamps run at {rate:.3g} times the speed at which samples arrive",
+        "give the time of the tracker's clock in seconds",
+    )
 
 
 def _moved(

@@ -104,8 +104,8 @@ def own_distances(landmarks: np.ndarray) -> Distances:
     Args:
         landmarks: Finite landmarks in any unit, shape (T, ..., 21, 3).
     """
-    ends = landmarks[..., _PAIRS, :]
-    squares = np.square(ends[..., 0, :] - ends[..., 1, :]).sum(axis=-1)
+    apart = np.diff(landmarks[..., _PAIRS, :], axis=-2)
+    squares = np.square(apart).sum(axis=(-2, -1))
     squares.sort(axis=0)
     count = len(squares)
     rows = squares[[count // 4, count // 2, count - 1 - count // 4]]
@@ -192,7 +192,8 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     offsets = landmarks - landmarks[:, :1]
     along = offsets[:, 9]
     palmar = unit(np.cross(offsets[:, 5], offsets[:, 17]))
-    heights = (offsets @ palmar[:, :, None])[:, :, 0] / _sizes(along)[:, None]
+    sizes = np.maximum(lengths(along), 1e-12)
+    heights = (offsets @ palmar[:, :, None])[:, :, 0] / sizes[:, None]
     fingers = landmarks[:, 5:].reshape(-1, 4, 4, 3)
     bones = unit(np.diff(fingers[:, :, :3], axis=2))
     turns = np.cross(bones[:, :, 0], bones[:, :, 1])
@@ -216,8 +217,3 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
 def median(values: np.ndarray) -> float:
     """Return the (upper) median, without the overhead of `np.median` on small arrays."""
     return float(np.sort(values)[len(values) // 2])
-
-
-def _sizes(vectors: np.ndarray) -> np.ndarray:
-    """Return lengths of vectors, shape (...) of (..., 3), nowhere 0."""
-    return np.maximum(lengths(vectors), 1e-12)

@@ -60,6 +60,7 @@ _CARRIED_BATCHES = 4  # 2 s or more: what tells a finger at rest from one that i
 _FIRST_SIZES = 8  # batches at the start that say how large the hand is
 _RESIZED = 1.35  # times as large as at the start, or as small; 0.86 to 1.25 in people
 _REFUSED_SHARE = 0.25  # of a recording's valid samples
+_SHORT = 1.0  # s; of a recording that is judged by its last batches
 
 
 class InputCheck(Compiled):
@@ -78,7 +79,7 @@ class InputCheck(Compiled):
 
     def __init__(self, side: Side) -> None:
         check_side(side)
-        # Now, so that the first batch of a session does not wait.
+        # Now, so that the first sample of a session does not wait.
         _known_orders()
         self.side: Side = side
         self._sign = 1.0 if side == "right" else -1.0
@@ -89,7 +90,7 @@ class InputCheck(Compiled):
         vars(self).pop("core", None)
         self._saved = None
         self._batch: list[tuple[float, np.ndarray, np.ndarray | None]] = []
-        self._last_time: float | None = None
+        self._last_time: tuple[float, ...] = ()
         self._guess: Finding | None = None
         self._batches = 0
         self._calm = 0
@@ -136,31 +137,6 @@ class InputCheck(Compiled):
         self._batch.clear()
         self._calm = -_CALM_BATCHES
 
-    @in_core
-    def refusal(
-        self, time: np.ndarray, landmarks: np.ndarray, wrists: np.ndarray | None
-    ) -> Finding | None:
-        """Take samples, until what is wrong with them is wrong in a quarter of them.
-
-        Args:
-            time: Their instants [s], shape (T,).
-            landmarks: Their landmarks, shape (T, 21, 3).
-            wrists: Their wrist poses, shape (T, 4, 4), if the tracker has them.
-
-        Returns:
-            What is wrong; None if all samples were taken.
-        """
-        found = 0
-        for i, now in enumerate(time.tolist()):
-            wrist = None if wrists is None else wrists[i]
-            finding = self.update(now, landmarks[i], wrist)
-            found += finding is not None
-            if finding is not None and (
-                finding.kind == "time" or found >= _REFUSED_SHARE * len(time)
-            ):
-                return finding
-        return None
-
     def _is_complete(self) -> bool:
         """Tell whether a batch is complete."""
         if self._calm < 0 or self._finding is not None:
@@ -186,19 +162,34 @@ class InputCheck(Compiled):
         self._batch.clear()
         return self._guess if self._batches == 1 else self._finding
 
+    @in_core
+    def examine(self, recording: Recording) -> Finding | None:
+        """Take a whole recording; see `examine_recording`."""
+        indices = np.flatnonzero(recording.valid)
+        times = recording.time.tolist()
+        wrists = [None] * len(times) if recording.wrist is None else recording.wrist
+        found = 0
+        for i in indices.tolist():
+            finding = self.update(times[i], recording.landmarks[i], wrists[i])
+            if finding is not None:
+                found += 1
+                if finding.kind == "time" or found >= _REFUSED_SHARE * len(indices):
+                    return finding
+        last = self.finish()
+        return last if times[indices[-1]] - times[indices[0]] <= _SHORT else None
+
     def _judge(self) -> None:
         """Examine the collected samples, and change the finding if two batches agree."""
         times, points, poses = zip(*self._batch, strict=True)
         self._batch.clear()
         self._batches += 1
-        before = () if self._last_time is None else (self._last_time,)
-        self._last_time = times[-1]
         has_wrists = all(pose is not None for pose in poses)
         landmarks = np.array(points)
         # Trackers send the same point 21 times where they lost the hand: that is no mistake of
         # units or order, and has rules of its own.
         is_hand = np.abs(landmarks[:, 9] - landmarks[:, 0]).sum(axis=1) > 1e-9
-        guess = _find_time_unit(np.array([*before, *times]))
+        guess = _find_time_unit(np.array(self._last_time + times))
+        self._last_time = times[-1:]
         if guess is None and is_hand.any():
             wrists = np.array(poses)[is_hand, :3] if has_wrists else None
             guess = self._examine(landmarks[is_hand], wrists)
@@ -215,14 +206,14 @@ class InputCheck(Compiled):
         """Return what is wrong in one batch."""
         distances = own_distances(landmarks)
         evidence = palmar_evidence(landmarks)
-        own = float(misfit(distances))
+        own = misfit(distances)
         total = median(self._sign * evidence.total)
         fingers = median(self._sign * evidence.fingers)
         is_known = own < self._misfit + _SAME_MISFIT and total > _SURE_SIDE
         order = None if is_known else _find_order(landmarks, self._sign, total)
         finding = (
             _find_length_unit(landmarks, distances, is_hand=order is None)
-            or _other_order(order)
+            or order
             or self._wrong_side(total, fingers, landmarks, wrists)
         )
         if finding is not None:
@@ -254,9 +245,11 @@ class InputCheck(Compiled):
         if not is_stuck.any():
             return None
         finger = FINGERS[is_stuck.argmax()]
-        problem = f"the {finger} finger repeats exactly while the others do not"
-        advice = "check the tracker's sensor or model of that finger"
-        return Finding("frozen", problem, advice)
+        return Finding(
+            "frozen",
+            f"the {finger} finger repeats exactly while the others do not",
+            "check the tracker's sensor or model of that finger",
+        )
 
     def _resized(self, size: float) -> Finding | None:
         """Compare the logarithm of the hand's size with that of the first batches."""
@@ -265,9 +258,11 @@ class InputCheck(Compiled):
         ratio = math.exp(size - median(np.array(self._sizes)))
         if 1.0 / _RESIZED < ratio < _RESIZED:
             return None
-        problem = f"the hand is {ratio:.3g} times as large as it was at first"
-        advice = "measure the person again, and open a session for each person"
-        return Finding("size", problem, advice)
+        return Finding(
+            "size",
+            f"the hand is {ratio:.3g} times as large as it was at first",
+            "measure the person again, and open a session for each person",
+        )
 
     def _other_side(self, landmarks: np.ndarray, wrists: np.ndarray | None) -> Finding:
         """Tell the other hand from a mirrored world, which only the wrist's orientation can."""
@@ -287,15 +282,15 @@ class InputCheck(Compiled):
         return Finding("side", problem, advice)
 
 
-def _other_order(name: str | None) -> Finding | None:
-    if name is None:
-        return None
+def _other_order(name: str) -> Finding:
     found = (
         f"their order is {name}" if name else "they are no hand in any order known here"
     )
-    right = "the order wrist, thumb, ..., little finger"
-    advice = "name the layout of the data (handmap layouts), or reorder them"
-    return Finding("order", f"the landmarks are not in {right}; {found}", advice)
+    return Finding(
+        "order",
+        f"the landmarks are not in the order wrist, thumb, ..., little finger; {found}",
+        "name the layout of the data (handmap layouts), or reorder them",
+    )
 
 
 _BENT_BACK = Finding(
@@ -334,15 +329,7 @@ def examine_recording(recording: Recording) -> Finding | None:
         What is wrong in a quarter of its valid samples or more; None if it is plausible. A tracker
         that confuses the hand for a moment is left to the guard (`stream.guard`).
     """
-    check = InputCheck(recording.side)
-    seen = recording.valid
-    time, wrist = recording.time[seen], recording.wrist
-    wrists = None if wrist is None else wrist[seen]
-    refusal = check.refusal(time, recording.landmarks[seen], wrists)
-    if refusal is not None:
-        return refusal
-    last = check.finish()
-    return last if time[-1] - time[0] <= 1.0 else None
+    return InputCheck(recording.side).examine(recording)
 
 
 # A misfit that no hand has (`hand_geometry.misfit`): at most 1.2 in recordings.
@@ -357,7 +344,7 @@ def _find_order(
     landmarks: np.ndarray,
     sign: float,
     own_evidence: float,
-) -> str | None:
+) -> Finding | None:
     """Look for another order that explains landmarks much better than ours.
 
     Args:
@@ -366,42 +353,27 @@ def _find_order(
         own_evidence: How well the palmar side fits in our order, from -5 to 5.
 
     Returns:
-        Name of the order that explains them, in words, empty if none does; None if our order is
-        plausible and none is much better.
+        Which order explains them, if one does; None if our order is plausible and none is much
+        better.
     """
     names, orders = _known_orders()
     distances = own_distances(landmarks[:, orders])
     misfits = misfit(distances)
-    own = float(misfits[0])
+    own = misfits[0]
     # The other hand is an explanation too, so an order of fingers must beat it only where our own
     # order contradicts the side.
     needed = own - _BETTER_BY if own_evidence > -_CONTRADICTION else own
     better = np.argsort(misfits)
     for k in better[misfits[better] < needed]:
         total = palmar_evidence(landmarks[:, orders[k]]).total
-        if sign * float(np.median(total)) > min(-_CONTRADICTION, own_evidence):
-            return names[k] if misfits[k] < _NO_HAND else ""
-    shape = Distances(distances.medians[0], np.zeros(len(distances.medians[0])))
+        if sign * np.median(total) > min(-_CONTRADICTION, own_evidence):
+            return _other_order(names[k] if misfits[k] < _NO_HAND else "")
+    shape = Distances(distances.medians[0], np.zeros(1))
     if misfit(shape) <= _NO_HAND:
         return None
-    best = int(misfits.argmin())
+    best = misfits.argmin()
     is_hand = misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY)
-    return names[best] if is_hand else ""
-
-
-@cache
-def named_orders() -> dict[str, np.ndarray]:
-    """Return the orders of all layouts with 21 joints, but for our own.
-
-    Returns:
-        By name of the layout, the index at which each of our landmarks is found, shape (21,).
-    """
-    found = {}
-    for name, layout in LAYOUTS.items():
-        order = layout.order("right") if layout.shapes[0][0] == LANDMARK_COUNT else None
-        if order is not None and (order != np.arange(LANDMARK_COUNT)).any():
-            found[name] = order
-    return found
+    return _other_order(names[best] if is_hand else "")
 
 
 @cache
@@ -409,7 +381,10 @@ def _known_orders() -> tuple[list[str], np.ndarray]:
     """Return names and indices of our own order, of the named ones, and of all finger orders."""
     own = np.arange(LANDMARK_COUNT)
     known = {"": own}
-    known |= {f"that of the layout {n}": order for n, order in named_orders().items()}
+    for name, layout in LAYOUTS.items():
+        order = layout.order("right") if layout.shapes[0][0] == len(own) else None
+        if order is not None and (order != own).any():
+            known[f"that of the layout {name}"] = order
     known["one with the wrist last"] = np.roll(own, 1)
     # The first one is our own.
     for fingers in list(permutations(range(len(FINGERS))))[1:]:
@@ -482,7 +457,7 @@ def _find_length_unit(
             "the wrist's z is always 0, so these are image coordinates (in pixels or of 0 to 1)",
             "give MediaPipe's world landmarks, in metres",
         )
-    extent = float(np.median(np.ptp(landmarks, axis=1).max(axis=1)))
+    extent = np.median(np.ptp(landmarks, axis=1).max(axis=1))
     # Landmarks of the size of a hand may be in another order.
     is_other_order = not is_hand and low / 2.0 < extent < high
     if low <= length <= high or is_other_order:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp.human.sample import Finding
-from handmap_qp.se3 import lengths, nearest_rotation
+from handmap_qp.se3 import lengths, nearest_rotation, unit
 from handmap_qp.trackers.hand_geometry import median
 
 _X, _Y, _Z = np.eye(3)
@@ -59,10 +59,8 @@ def palm_axes(landmarks: np.ndarray, sign: float) -> np.ndarray:
         Rotations, shape (T, 3, 3).
     """
     offsets = landmarks - landmarks[:, :1]
-    dorsal = -sign * np.cross(offsets[:, 5], offsets[:, 17])
-    dorsal /= lengths(dorsal)[:, None]
-    lateral = np.cross(offsets[:, 9], dorsal)
-    lateral /= lengths(lateral)[:, None]
+    dorsal = unit(-sign * np.cross(offsets[:, 5], offsets[:, 17]))
+    lateral = unit(np.cross(offsets[:, 9], dorsal))
     return np.stack([lateral, np.cross(dorsal, lateral), dorsal], axis=2)
 
 
@@ -100,9 +98,11 @@ class WristCheck:
         self.is_proven = False
         apart = median(lengths(wrists[:, :, 3] - landmarks[:, 0]))
         if apart > _FARTHEST_APART:
-            problem = f"the wrist pose is {apart:.3g} m from the wrist's landmark"
-            advice = "give both in metres and in the same world"
-            return Finding("wrist", problem, advice)
+            return Finding(
+                "wrist",
+                f"the wrist pose is {apart:.3g} m from the wrist's landmark",
+                "give both in metres and in the same world",
+            )
         palms = palm_axes(landmarks, self._sign)
         rotations = wrists[:, :, :3]
         mean, steadiness = _mean_relative(palms, rotations)
@@ -113,15 +113,17 @@ class WristCheck:
         if not (is_steady and _is_known(mean)):
             name = _usual_mistake(palms, rotations)
             if name:
-                problem = f"{does_not_follow}, but {name} would"
-                advice = (
-                    "check the order of the quaternion and the direction of the pose"
+                return Finding(
+                    "wrist",
+                    f"{does_not_follow}, but {name} would",
+                    "check the order of the quaternion and the direction of the pose",
                 )
-                return Finding("wrist", problem, advice)
         if not is_steady:
-            problem = f"{does_not_follow} that the landmarks show"
-            advice = "check its quaternion's order, and that its world is that of the landmarks"
-            return Finding("wrist", problem, advice)
+            return Finding(
+                "wrist",
+                f"{does_not_follow} that the landmarks show",
+                "check its quaternion's order, and that its world is that of the landmarks",
+            )
         self._start = start
         is_ours = _cosine(mean, CONVENTIONS[0]) > _FARTHEST
         turn, change = np.arccos([_cosine(palm, start[0]), _cosine(mean, start[1])])
@@ -149,12 +151,11 @@ def _mean_relative(
 
 
 def _cosine(a: np.ndarray, b: np.ndarray) -> float:
-    return min(max(float((np.vdot(a, b) - 1.0) / 2.0), -1.0), 1.0)
+    return np.clip((np.vdot(a, b) - 1.0) / 2.0, -1.0, 1.0)
 
 
 def _is_known(relative: np.ndarray) -> bool:
-    traces = np.einsum("gik,ik->g", CONVENTIONS, relative)
-    return float((traces.max() - 1.0) / 2.0) > _FARTHEST
+    return any(_cosine(axes, relative) > _FARTHEST for axes in CONVENTIONS)
 
 
 _ROLLS = {
