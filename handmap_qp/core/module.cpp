@@ -184,19 +184,14 @@ Step hold_still(Ik& ik, double dt) {
 // Numbers that Python reads afterwards.
 using Writable = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 
-// Map samples of a recording; see run.hpp. `columns` are those of `SampleColumns`.
+// Map samples of a recording; see run.hpp.
 nb::tuple run_samples(Ik& ik, const TargetMap& map, const LandmarkReader& reader,
-                      PythonGuard& guard, const nb::tuple& columns, size_t first, size_t last,
+                      PythonGuard& guard, const nb::object& columns, size_t first, size_t last,
                       const Writable& rows) {
-  const Array time = nb::cast<Array>(columns[1]), landmarks = nb::cast<Array>(columns[2]),
-              confidence = nb::cast<Array>(columns[4]);
-  const Flags valid = nb::cast<Flags>(columns[3]);
-  const auto wrists = nb::cast<std::optional<Array>>(columns[5]);
-  const Samples samples(time, landmarks, wrists);
-  expect_size(confidence, samples.count, "confidence");
+  const Samples samples(columns, true);
   const size_t width = row_width(ik);
-  if (last > samples.count || valid.size() != samples.count || rows.ndim() != 2 ||
-      rows.shape(0) != samples.count || rows.shape(1) != width)
+  if (last > samples.count || rows.ndim() != 2 || rows.shape(0) != samples.count ||
+      rows.shape(1) != width)
     throw std::invalid_argument("wrong sizes of samples or rows");
   check_map(ik, map, {std::vector<Vec3>(reader.used.size()), true, {}});
   const double unproven = module_of("handmap_qp.human.sample").get<double>("UNPROVEN_SPEED");
@@ -204,16 +199,7 @@ nb::tuple run_samples(Ik& ik, const TargetMap& map, const LandmarkReader& reader
   size_t next = first;
   {
     const nb::gil_scoped_release no_gil;
-    for (; next < last; ++next) {
-      const double* wrist = samples.wrist_at(next);
-      const StreamSample sample{samples.time[next],
-                                samples.landmarks_at(next),
-                                valid.data()[next] ? wrist : nullptr,
-                                valid.data()[next],
-                                confidence.data()[next],
-                                std::numeric_limits<double>::quiet_NaN()};
-      if (!run.take(sample, rows.data() + next * width)) break;
-    }
+    while (next < last && run.take(samples.sample(next), rows.data() + next * width)) ++next;
   }
   return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),
                         run.count ? nb::cast(run.step) : nb::none(),

@@ -39,7 +39,7 @@ struct Run {
     const double started = thread_time();
     std::optional<Pose> wrist;
     if (sample.valid && !is_near(sample.landmarks, 3 * kLandmarks)) return false;
-    if (sample.wrist && !(wrist = exact_pose(sample.wrist))) return false;
+    if (sample.wrist && sample.valid && !(wrist = exact_pose(sample.wrist))) return false;
     verdict = guard.check(sample);
     // Python leads back to the hand after a hold.
     leaves = verdict.is_return;

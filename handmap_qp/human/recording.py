@@ -169,7 +169,7 @@ class SampleColumns(NamedTuple):
         landmarks: Landmarks [m], shape (T, 21, 3).
         valid: Samples in which the hand was seen, shape (T,).
         confidence: From 0 to 1, shape (T,).
-        wrists: Poses of the wrist with our axes, shape (T, 4, 4), or None.
+        wrist: Poses of the wrist with our axes, shape (T, 4, 4), or None.
     """
 
     side: Side
@@ -177,12 +177,12 @@ class SampleColumns(NamedTuple):
     landmarks: np.ndarray
     valid: np.ndarray
     confidence: np.ndarray
-    wrists: np.ndarray | None
+    wrist: np.ndarray | None
 
     def sample(self, i: int) -> HumanSample:
         """Return one of them."""
         seen = bool(self.valid[i])
-        wrist = self.wrists[i] if self.wrists is not None and seen else None
+        wrist = self.wrist[i] if self.wrist is not None and seen else None
         share = float(self.confidence[i])
         time = float(self.time[i])
         return HumanSample(time, self.side, self.landmarks[i], wrist, seen, share)
