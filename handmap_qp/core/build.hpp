@@ -207,8 +207,7 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
     const Pose placement = body.pose("placement.homogeneous");
     pairs->bodies.push_back({body.get<int>("parentJoint") - 1, placement,
                              make_shape(Fields(body.object("geometry"))),
-                             placement * body.point("geometry.aabb_center"),
-                             body.get<double>("geometry.aabb_radius")});
+                             placement * body.point("geometry.aabb_center")});
   }
   const Array levers = distances.get<Array>("levers"), turns = distances.get<Array>("turns"),
               signs = distances.get<Array>("signs");
@@ -216,7 +215,7 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
   for (const nb::handle& each : distances.object("geometry.collisionPairs")) {
     const Fields pair(nb::borrow(each));
     pairs->pairs.push_back({pair.get<int>("first"), pair.get<int>("second"), sparse_of(levers, k),
-                            sparse_of(turns, k), sparse_of(signs, k)});
+                            sparse_of(turns, k), sparse_of(signs, k), k});
     ++k;
   }
   pairs->finish();

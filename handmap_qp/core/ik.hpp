@@ -88,7 +88,7 @@ class Ik {
     const int n = tree.size;
     bool has_rows = false;
     if (pairs) {
-      start_.place(motion.q.data());
+      start_.copy(at);
       pairs->rows(start_, dt, margins, motion.displacement, linear_);
       has_rows = linear_.count > 0;
     }
@@ -211,13 +211,22 @@ class Ik {
     }
   }
 
-  // The active coordinates of some of the tangent space, increasing.
-  void use_columns(const std::vector<int>& support) {
-    columns_.clear();
-    for (const int c : support)
-      if (tree.factor[c] != 0.0) columns_.push_back(tree.leader[c]);
-    std::sort(columns_.begin(), columns_.end());
-    columns_.erase(std::unique(columns_.begin(), columns_.end()), columns_.end());
+  void start_levers(int joint) {
+    levers_.resize(tree.size);
+    if (joint >= 0)
+      for (const int i : tree.moving[joint]) levers_[i] = Vec3{};
+  }
+
+  // Add three rows of the cost: `levers_` of the active coordinates that move a joint.
+  void add_levers(int joint, const Vec3& error) {
+    if (joint < 0) return;
+    const std::vector<int>& moving = tree.moving[joint];
+    for (size_t a = 0; a < moving.size(); ++a) {
+      const Vec3 lever = levers_[moving[a]];
+      c_[moving[a]] += dot(error, lever);
+      double* row = H_.data() + moving[a] * tree.size;
+      for (size_t b = 0; b <= a; ++b) row[moving[b]] += dot(lever, levers_[moving[b]]);
+    }
   }
 
   const std::vector<int>& support(int joint) const {
@@ -225,7 +234,7 @@ class Ik {
     return joint < 0 ? none : tree.supports[joint];
   }
 
-  // H and c of the QP where the hand is.
+  // c and the lower triangle of H of the QP where the hand is.
   void cost(const Goal& goal) {
     const int n = tree.size;
     H_.assign(n * n, 0.0);
@@ -255,61 +264,44 @@ class Ik {
       add_rows(further_.jacobian.data(), further_.count, further_.residual.data());
       for (int i = 0; i < n; ++i) diagonal_[i] += further_.damping[i];
     }
-    for (int i = 0; i < n; ++i) {
-      H_[i * n + i] += diagonal_[i];
-      for (int j = 0; j < i; ++j) H_[j * n + i] = H_[i * n + j];
-    }
+    for (int i = 0; i < n; ++i) H_[i * n + i] += diagonal_[i];
   }
 
   double add_points(const Goal& goal) {
-    const int n = tree.size;
     double error2 = 0.0;
-    block_.resize(6 * n);
     for (size_t k = 0; k < tree.points.size(); ++k) {
       const Attached& attached = tree.points[k];
       const Vec3 point = at.point(attached);
       const Vec3 error = weights.points[k] * (point - goal.points[k]);
       error2 += dot(error, error);
-      const std::vector<int>& moving = support(attached.joint);
-      use_columns(moving);
-      for (const int i : columns_)
-        for (int r = 0; r < 3; ++r) block_[r * n + i] = 0.0;
-      for (const int c : moving) {
-        const Vec3 column = (weights.points[k] * tree.factor[c]) * at.velocity(c, point);
-        double* to = block_.data() + tree.leader[c];
-        to[0] += column.x;
-        to[n] += column.y;
-        to[2 * n] += column.z;
-      }
-      add_rows(block_.data(), 3, &error.x);
+      start_levers(attached.joint);
+      for (const int c : support(attached.joint))
+        levers_[tree.leader[c]] += (weights.points[k] * tree.factor[c]) * at.velocity(c, point);
+      add_levers(attached.joint, error);
     }
     return error2;
   }
 
   double add_wrist(const Pose& target) {
-    const int n = tree.size;
     const Pose here = at.wrist(), offset = inverse(target) * here;
     const Twist twist = log6(offset);
     const LogJacobian log = jlog6(offset);
     const double a = weights.wrist_position, b = weights.wrist_orientation;
-    const std::vector<int>& moving = support(tree.wrist_origin.joint);
-    use_columns(moving);
-    for (const int i : columns_)
-      for (int r = 0; r < 6; ++r) block_[r * n + i] = 0.0;
-    for (const int c : moving) {
-      // The column's velocity in the wrist's axes.
-      const Vec3 w = tmul(here.R, at.columns[c].w), v = tmul(here.R, at.velocity(c, here.p));
-      const Vec3 linear = (a * tree.factor[c]) * (log.A * v + log.B * w);
-      const Vec3 angular = (b * tree.factor[c]) * (log.A * w);
-      double* to = block_.data() + tree.leader[c];
-      for (int r = 0; r < 3; ++r) {
-        to[r * n] += linear[r];
-        to[(r + 3) * n] += angular[r];
-      }
-    }
+    const int joint = tree.wrist_origin.joint;
     const Vec3 v = a * twist.v, w = b * twist.w;
-    const double errors[6] = {v.x, v.y, v.z, w.x, w.y, w.z};
-    add_rows(block_.data(), 6, errors);
+    // The columns' velocities in the wrist's axes.
+    start_levers(joint);
+    for (const int c : support(joint)) {
+      const Vec3 angular = tmul(here.R, at.columns[c].w);
+      const Vec3 linear = tmul(here.R, at.velocity(c, here.p));
+      levers_[tree.leader[c]] += (a * tree.factor[c]) * (log.A * linear + log.B * angular);
+    }
+    add_levers(joint, v);
+    start_levers(joint);
+    for (const int c : support(joint))
+      levers_[tree.leader[c]] +=
+          (b * tree.factor[c]) * (log.A * tmul(here.R, at.columns[c].w));
+    add_levers(joint, w);
     return dot(v, v) + dot(w, w);
   }
 
@@ -317,6 +309,7 @@ class Ik {
   void add_distances(const DistanceTask& task, const Vector& aims, const Vector& aim_weights) {
     constexpr double kShortest = 1e-9;
     const int n = tree.size;
+    block_.resize(n);
     for (size_t k = 0; k < task.first.size(); ++k) {
       const double weight = aim_weights[k] / kLengthUnit;
       if (weight == 0.0) continue;
@@ -355,7 +348,7 @@ class Ik {
     for (int i = 0; i < tree.size; ++i)
       whole_[i] = limits.together[i] ? (1.0 + 0.5 * time / dt) * displacement[i] : 0.0;
     start_.place(motion.q.data());
-    path_end_.displace(motion.q.data(), whole_.data());
+    path_end_.displace(motion.q.data(), whole_.data(), &at);
     path_.resize(tree.nv);
     tree.expand(whole_.data(), path_.data());
     return pairs->is_clear(start_, path_.data(), path_end_);

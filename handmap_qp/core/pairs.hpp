@@ -27,6 +27,11 @@ struct Sparse {
   }
 };
 
+// Most pairs are far apart, so few are measured. Three lower bounds of a distance come first:
+//
+// - what was last known of it, less what the joints have turned since times levers;
+// - how far the shapes are apart along the direction that parted them last;
+// - both of these for the boxes around all shapes of two joints, for all their pairs at once.
 class Pairs {
  public:
   struct Body {
@@ -34,12 +39,12 @@ class Pairs {
     Pose placement;
     Shape shape;
     Vec3 centre;  // of its bounding ball, in the joint's frame
-    double radius;
   };
   struct Pair {
     int first, second;
     Sparse levers, turns;
     Sparse signs;  // 1 where a coordinate moves the first shape, -1 where it moves the second
+    size_t row;    // its index in Python, as of margins
   };
 
   std::vector<Body> bodies;
@@ -47,15 +52,37 @@ class Pairs {
   double margin = 0.0, horizon = kInfinity;
 
   explicit Pairs(const Tree& tree) : tree_(tree), middle_(tree) {}
+  Pairs(const Pairs&) = delete;
 
+  // Sort the pairs by their joints, and group them.
   void finish() {
+    const auto joints = [this](const Pair& pair) {
+      return std::make_pair(bodies[pair.first].joint, bodies[pair.second].joint);
+    };
+    const int joint_count = static_cast<int>(tree_.joints.size());
+    for (int j = -1; j < joint_count; ++j) boxes_.push_back(box(j));
+    std::stable_sort(pairs.begin(), pairs.end(),
+                     [&](const Pair& a, const Pair& b) { return joints(a) < joints(b); });
     known_.resize(pairs.size());
     warm_.resize(pairs.size());
     keys_.assign(pairs.size(), -kInfinity);
-    levers_.assign(pairs.size(), 0.0);
-    centres_.resize(bodies.size());
+    for (size_t k = 0; k < pairs.size(); ++k) {
+      const auto [a, b] = joints(pairs[k]);
+      if (k == 0 || joints(pairs[k]) != joints(pairs[k - 1]))
+        groups_.push_back({k, k, {&boxes_[a + 1], &boxes_[b + 1], groups_.size(), {}}});
+      ++groups_.back().end;
+      const Body &first = bodies[pairs[k].first], &second = bodies[pairs[k].second];
+      partings_.push_back({&first, &second, groups_.size() - 1, {}});
+    }
+    const size_t count = groups_.size();
+    group_keys_.assign(count, -kInfinity);
+    so_far_.assign(count, 0.0);
+    levers_.assign(tree_.nv * count, 0.0);
     for (size_t k = 0; k < pairs.size(); ++k)
-      for (const double lever : pairs[k].levers.values) levers_[k] += lever;
+      for (size_t i = 0; i < pairs[k].levers.columns.size(); ++i) {
+        double& most = levers_[pairs[k].levers.columns[i] * count + partings_[k].group];
+        most = std::max(most, pairs[k].levers.values[i]);
+      }
   }
 
   // Rows of the pairs that may come to their margin in the next displacement, where the robot is.
@@ -64,26 +91,37 @@ class Pairs {
     const int n = tree_.size;
     const double reach = std::max(
         std::min(horizon == kInfinity ? kInfinity : kNear + kApproach * dt, horizon), kKept);
-    turned_.resize(tree_.nv);
-    tree_.expand(last.data(), turned_.data());
-    for (double& turn : turned_) turn = std::abs(turn);
-    const double most = longest_turn();
-    rows.count = 0;
-    rows.G.clear();
+    const auto within = [reach](double travel) {
+      return reach < kInfinity ? std::min(kNear + kExpected * travel, reach) : reach;
+    };
+    moved_.resize(tree_.nv);
+    tree_.expand(last.data(), moved_.data());
+    for (const Joint& joint : tree_.joints)  // a floating wrist moves no pair
+      if (joint.kind == JointKind::floating) std::fill_n(moved_.begin() + joint.v, 6, 0.0);
+    travel_along(moved_.data());
+    const double most_kept = margins.empty() ? margin : largest(margins);
+    near_.clear();
+    const auto is_far = [&](size_t g) {
+      return raised(at, groups_[g].parting, group_keys_[g]) > most_kept + within(travels_[g]);
+    };
+    visit(within, most_kept, is_far, [&](size_t k, double most) {
+      const bool is_known = known_[k].stamp == stamp_;
+      if (!is_known && raised(at, partings_[k], keys_[k]) > most_kept + most) return;
+      const double kept = margins.empty() ? margin : margins[pairs[k].row];
+      const double farthest = kept + within(pairs[k].levers.dot(turned_.data()));
+      if (!is_known && keys_[k] - so_far_[partings_[k].group] > farthest) return;
+      if (found(at, k).distance <= farthest) near_.push_back({pairs[k].row, k});
+    });
+    std::sort(near_.begin(), near_.end());
+    rows.count = static_cast<int>(near_.size());
+    rows.G.assign(near_.size() * n, 0.0);
     rows.h.clear();
-    for (size_t k = 0; k < pairs.size(); ++k) {
-      const double kept = margins.empty() ? margin : margins[k];
-      // At most, before the sum of levers times turns is known.
-      double within = reach;
-      if (reach < kInfinity) within = std::min(kNear + kExpected * levers_[k] * most, reach);
-      if (bound(k) > kept + within || gap(k) > kept + within) continue;
-      if (reach < kInfinity)
-        within = std::min(kNear + kExpected * pairs[k].levers.dot(turned_.data()), reach);
-      if (!is_within(at, k, kept + within)) continue;
-      rows.G.resize((rows.count + 1) * n, 0.0);
-      linearise(at, k, rows.G.data() + rows.count * n);
+    double* row = rows.G.data();
+    for (const auto& [place, k] : near_) {
+      linearise(at, k, row);
+      row += n;
+      const double kept = margins.empty() ? margin : margins[place];
       rows.h.push_back(kGain * (known_[k].found.distance - kept));
-      ++rows.count;
     }
   }
 
@@ -91,25 +129,30 @@ class Pairs {
   // coordinates.
   bool is_clear(const Placed& at, const double* step, const Placed& end) {
     go_to(at);
-    turned_.resize(tree_.nv);
-    for (int c = 0; c < tree_.nv; ++c) turned_[c] = std::abs(step[c]);
-    const double most = longest_turn();
+    travel_along(step);
+    lows_.clear();
     ends_.clear();
     parts_.clear();
     bool is_clear = true;
-    for (size_t k = 0; k < pairs.size(); ++k) {
-      const double farthest = kKept + levers_[k] * most;
-      if (bound(k) > farthest || gap(k) > farthest) continue;
+    const auto within = [](double travel) { return kKept + travel; };
+    const auto is_far = [&](size_t g) {
+      Group& group = groups_[g];
+      const Sparse& turns = pairs[group.begin].turns;
+      return stays_apart(at, end, group.parting, group_keys_[g], travels_[g], turns);
+    };
+    visit(within, 0.0, is_far, [&](size_t k, double) {
+      const double most = travels_[partings_[k].group];
+      if (stays_apart(at, end, partings_[k], keys_[k], most, pairs[k].turns)) return;
       const double travel = pairs[k].levers.dot(turned_.data());
-      if (!is_within(at, k, kKept + travel)) continue;
-      const Found &before = known_[k].found, after = found_at(end, k);
+      const Found &before = found(at, k), after = found_at(end, k);
+      if (before.distance > kKept + travel) return;
       ends_.push_back({k, after});
       // On a path from a to b, the distance is never below (a + b - travel) / 2.
-      if (!(before.distance > 0.0 && before.distance + after.distance - travel < kKept)) continue;
+      if (!(before.distance > 0.0 && before.distance + after.distance - travel < kKept)) return;
       const double kept = std::min(before.distance, kKept);
       is_clear &= after.distance >= kept;
       parts_.push_back({0.0, 1.0, k, kept, before, after});
-    }
+    });
     return is_clear && halve(at.q, step);
   }
 
@@ -119,15 +162,40 @@ class Pairs {
     if (q_.empty() || longest(at.q, end.q) != 0.0) return;
     const Pose moved = tree_.is_floating ? at.pose(0) * inverse(end.pose(0)) : Pose{};
     go_to(at);
+    for (const Low& low : lows_) *low.key = std::max(*low.key, low.distance + so_far_[low.group]);
     for (const auto& [k, found] : ends_)
-      know(k, {found.distance, moved.R * found.normal, moved * found.point});
+      know(at, k, {found.distance, moved.R * found.normal, moved * found.point});
   }
 
  private:
+  // Two bodies and a unit direction: their distance is at least that along the direction.
+  struct Parting {
+    const Body *a, *b;
+    size_t group;
+    Vec3 axis;                       // in the axes of the first one's joint; 0 at the beginning
+    double reach = 0.0;              // of the first one along it, from the joint
+    int index_a = -1, index_b = -1;  // vertices that reach farthest
+
+    void set(const Vec3& direction) {
+      axis = direction;
+      reach = reach_of(*a, axis, index_a);
+    }
+  };
   // What was found of a pair where the robot was at a stamp.
   struct Known {
     long stamp = -1;
     Found found{};
+  };
+  // The pairs of the shapes of two joints: a range of all, as they are sorted.
+  struct Group {
+    size_t begin, end;
+    Parting parting;  // of the boxes around all shapes of the joints
+  };
+  // A lower bound of a distance where the last path ends, and the key that it may raise.
+  struct Low {
+    double* key;
+    size_t group;
+    double distance;
   };
   struct Part {
     double low, high;
@@ -147,47 +215,156 @@ class Pairs {
 
   void go_to(const Placed& at) {
     if (q_ == at.q) return;
-    if (!q_.empty()) turned_so_far_ += longest(q_, at.q);
+    if (!q_.empty()) {
+      moved_.assign(tree_.nv, 0.0);
+      for (const Joint& joint : tree_.joints)
+        if (joint.kind != JointKind::floating) moved_[joint.v] = at.q[joint.q] - q_[joint.q];
+      add_travels(moved_.data(), so_far_);
+    }
     q_ = at.q;
     ++stamp_;
-    for (size_t b = 0; b < bodies.size(); ++b)
-      centres_[b] = at.pose(bodies[b].joint) * bodies[b].centre;
   }
 
-  // A lower bound of the distance where the robot is: keys are bounds, plus the pair's levers times
-  // how far the joints had turned since the beginning.
-  double bound(size_t k) const { return keys_[k] - levers_[k] * turned_so_far_; }
-
-  // The distance of the bounding balls of a pair that is not measured, as its new bound.
-  double gap(size_t k) {
-    if (known_[k].stamp == stamp_) return known_[k].found.distance;
-    const int a = pairs[k].first, b = pairs[k].second;
-    const double gap = norm(centres_[a] - centres_[b]) - bodies[a].radius - bodies[b].radius;
-    keys_[k] = std::max(keys_[k], gap + levers_[k] * turned_so_far_);
-    return gap;
-  }
-
-  // The longest turn of a joint in `turned_`; a floating wrist moves no pair.
-  double longest_turn() const {
-    double most = 0.0;
-    for (const Joint& joint : tree_.joints)
-      if (joint.kind != JointKind::floating) most = std::max(most, turned_[joint.v]);
-    return most;
-  }
-
-  void know(size_t k, const Found& found) {
-    known_[k] = {stamp_, found};
-    keys_[k] = found.distance + levers_[k] * turned_so_far_;
-  }
-
-  // Whether a pair is within a distance where the robot is; if so, it is measured.
-  bool is_within(const Placed& at, size_t k, double distance) {
-    Known& known = known_[k];
-    if (known.stamp != stamp_) {
-      if (bound(k) > distance || gap(k) > distance) return false;
-      know(k, found_at(at, k));
+  // Add the travel of each group along a step: the sum of turns times the largest levers of its pairs.
+  void add_travels(const double* step, Vector& travels) const {
+    const size_t count = groups_.size();
+    for (const Joint& joint : tree_.joints) {
+      const double turn = joint.kind == JointKind::floating ? 0.0 : std::abs(step[joint.v]);
+      if (turn == 0.0) continue;  // a floating wrist moves no pair
+      const double* levers = levers_.data() + joint.v * count;
+      for (size_t g = 0; g < count; ++g) travels[g] += levers[g] * turn;
     }
-    return known.found.distance <= distance;
+  }
+
+  // Set `turned_` and `travels_` to those of a step.
+  void travel_along(const double* step) {
+    bool is_same = !turned_.empty();
+    turned_.resize(tree_.nv);
+    for (int c = 0; c < tree_.nv; ++c) {
+      const double turn = std::abs(step[c]);
+      is_same &= turn == turned_[c];
+      turned_[c] = turn;
+    }
+    if (is_same) return;
+    travels_.assign(groups_.size(), 0.0);
+    add_travels(step, travels_);
+  }
+
+  // Visit the pairs that may be within a margin and `within(travel)`, but for groups that are far.
+  //
+  // Keys are lower bounds of distances, plus the group's travel since the beginning. Comparisons are
+  // written so that NaN visits all.
+  template <class Within, class IsFar, class Visit>
+  void visit(const Within& within, double kept, const IsFar& is_far, const Visit& visit_pair) {
+    for (size_t g = 0; g < groups_.size(); ++g) {
+      const double so_far = so_far_[g], farthest = within(travels_[g]);
+      if (group_keys_[g] - so_far > kept + farthest || is_far(g)) continue;
+      Group& group = groups_[g];
+      size_t nearest = group.begin;
+      for (size_t k = group.begin; k < group.end; ++k) {
+        if (!(keys_[k] - so_far > kept + farthest)) visit_pair(k, farthest);
+        if (keys_[k] < keys_[nearest]) nearest = k;
+      }
+      group_keys_[g] = std::max(group_keys_[g], keys_[nearest]);
+      group.parting.set(partings_[nearest].axis);
+    }
+  }
+
+  // The box around all shapes of a joint, in its axes.
+  Body box(int joint) const {
+    Vec3 least, most;
+    for (int i = 0; i < 3; ++i) {
+      Vec3 d;
+      d[i] = 1.0;
+      double low = kInfinity, high = -kInfinity;
+      for (const Body& body : bodies)
+        if (body.joint == joint) {
+          int index = -1;
+          high = std::max(high, reach_of(body, d, index));
+          low = std::min(low, -reach_of(body, -d, index));
+        }
+      least[i] = low;
+      most[i] = high;
+    }
+    const Vec3 centre = 0.5 * (least + most);
+    return {joint, {{}, centre}, make_box(0.5 * (most - least)), centre};
+  }
+
+  // How far a body reaches along a direction in its joint's axes, from the joint.
+  static double reach_of(const Body& body, const Vec3& d, int& index) {
+    return dot(d, body.placement.p) + reach(body.shape, tmul(body.placement.R, d), index);
+  }
+
+  // The distance of two bodies along their axis; at first, the axis is the line of their centres.
+  double gap(const Placed& at, Parting& parting) const {
+    const Body &a = *parting.a, &b = *parting.b;
+    const Pose &pose_a = at.pose(a.joint), &pose_b = at.pose(b.joint);
+    if (parting.axis.x == 0.0 && parting.axis.y == 0.0 && parting.axis.z == 0.0) {
+      const Vec3 apart = tmul(pose_a.R, pose_b * b.centre - pose_a * a.centre);
+      const double length = norm(apart);
+      if (!(length > 0.0)) return -kInfinity;
+      parting.set((1.0 / length) * apart);
+    }
+    const Vec3 axis = pose_a.R * parting.axis, axis_b = tmul(pose_b.R, axis);
+    return dot(axis, pose_b.p - pose_a.p) - parting.reach - reach_of(b, -axis_b, parting.index_b);
+  }
+
+  // Raise the key of two bodies to their distance along their axis where the robot is, and return the
+  // lower bound that it is then.
+  double raised(const Placed& at, Parting& parting, double& key) const {
+    const double so_far = so_far_[parting.group];
+    key = std::max(key, gap(at, parting) + so_far);
+    return key - so_far;
+  }
+
+  // Whether two bodies are shown to stay apart by KEPT on the path to `end`, without a measurement.
+  //
+  // The proof in collision.py holds for any two directions at the ends, here the axis carried along.
+  bool stays_apart(const Placed& at, const Placed& end, Parting& parting, double& key, double travel,
+                   const Sparse& turns) {
+    const double enough = kKept + travel, so_far = so_far_[parting.group];
+    if (key - so_far > enough) return true;
+    const double after = gap(end, parting);
+    lows_.push_back({&key, parting.group, after});
+    // On a path from a to b, the distance is never below (a + b - travel) / 2.
+    if (key - so_far + after >= enough) return true;
+    const double before = gap(at, parting);
+    key = std::max(key, before + so_far);
+    const double low = key - so_far, nearest = std::min(before, after);
+    if (low > enough || low + after >= enough) return true;
+    if (nearest < kKept) return false;
+    const int joint = parting.a->joint;
+    const Vec3 change = end.pose(joint).R * parting.axis - at.pose(joint).R * parting.axis;
+    return nearest - dip(change, 1.0, travel, turns.dot(turned_.data())) >= kKept;
+  }
+
+  // How far below its ends a distance may be on a part of a path; see handmap_qp/ik/collision.py.
+  static double dip(const Vec3& change, double length, double travel, double bend) {
+    return 0.125 * (2.0 * norm(change) + length * bend) * length * travel;
+  }
+
+  // Four maxima at a time, as each waits for the one before.
+  static double largest(const Vector& numbers) {
+    double most[4] = {-kInfinity, -kInfinity, -kInfinity, -kInfinity};
+    size_t i = 0;
+    for (; i + 3 < numbers.size(); i += 4)
+      for (int k = 0; k < 4; ++k) most[k] = std::max(most[k], numbers[i + k]);
+    for (; i < numbers.size(); ++i) most[0] = std::max(most[0], numbers[i]);
+    return std::max(std::max(most[0], most[1]), std::max(most[2], most[3]));
+  }
+
+  void know(const Placed& at, size_t k, const Found& found) {
+    Known& known = known_[k];
+    known.stamp = stamp_;
+    known.found = found;
+    partings_[k].set(tmul(at.pose(bodies[pairs[k].first].joint).R, found.normal));
+    keys_[k] = found.distance + so_far_[partings_[k].group];
+  }
+
+  // The distance of a pair where the robot is.
+  const Found& found(const Placed& at, size_t k) {
+    if (known_[k].stamp != stamp_) know(at, k, found_at(at, k));
+    return known_[k].found;
   }
 
   Found found_at(const Placed& at, size_t k) {
@@ -220,9 +397,9 @@ class Pairs {
         const double length = part.high - part.low;
         const double travel = pairs[part.pair].levers.dot(turned_.data());
         const double bend = pairs[part.pair].turns.dot(turned_.data());
-        const double turned = 2.0 * norm(part.after.normal - part.before.normal) + length * bend;
         const double nearest = std::min(part.before.distance, part.after.distance);
-        if (!(nearest - 0.125 * turned * length * travel < 0.5 * part.kept)) continue;
+        const Vec3 change = part.after.normal - part.before.normal;
+        if (!(nearest - dip(change, length, travel, bend) < 0.5 * part.kept)) continue;
         const double middle = 0.5 * (part.low + part.high);
         // All parts of one interval are halved at one point.
         if (at_low != part.low) {
@@ -248,12 +425,17 @@ class Pairs {
   const Tree& tree_;
   Placed middle_;
   Vector q_;  // where the robot is
-  double turned_so_far_ = 0.0;
   long stamp_ = 0;
   std::vector<Known> known_;
-  Vector keys_, levers_;
-  std::vector<Vec3> centres_;  // of the bodies' balls where the robot is
+  Vector keys_;
+  std::vector<Group> groups_;
+  Vector group_keys_, so_far_, travels_;
+  Vector levers_;  // (nv, groups)
+  std::vector<Parting> partings_;
+  std::vector<Body> boxes_;  // of the world and the joints
+  std::vector<std::pair<size_t, size_t>> near_;
   std::vector<Warm> warm_;
+  std::vector<Low> lows_;
   std::vector<std::pair<size_t, Found>> ends_;
   Vector turned_, moved_, reached_;
   std::vector<Part> parts_, further_;

@@ -2,8 +2,9 @@
 //
 //   min  1/2 x^T H x + c^T x   s.t.   lower <= x <= upper,   G x <= h,    H positive definite.
 //
-// It starts from the free minimum and takes in one violated constraint after the other. J and R
-// hold J^T H J = I and J^T N = [R; 0], with the normals N of the active constraints.
+// It starts from the free minimum and takes in one violated constraint after the other. H = L^T L, with
+// L lower triangular, and L^-T N = Q R, with the normals N of the active constraints. Few are active,
+// so Q has few columns (Daniel, Gragg, Kaufman and Stewart, Math. Comp. 30, 1976).
 #pragma once
 
 #include <algorithm>
@@ -18,7 +19,8 @@ class Qp {
   std::vector<double> x;
   int iterations = 0;
 
-  // Return whether a minimum was found; G has `rows` rows, one after the other.
+  // Return whether a minimum was found; of H, the lower triangle counts. G has `rows` rows, one after
+  // the other.
   bool solve(int n, const double* H, const double* c, const double* lower, const double* upper,
              int rows, const double* G, const double* h) {
     n_ = n;
@@ -55,8 +57,8 @@ class Qp {
   // A constraint that depends on the active ones may be violated by this much.
   static constexpr double kLoose = 1e-8;
 
-  // Column j of J, contiguous, so that turning two columns and adding one are quick.
-  double* J(int j) { return J_.data() + j * n_; }
+  double* L(int i) { return L_.data() + i * n_; }
+  double* Q(int j) { return Q_.data() + j * n_; }
   double& R(int i, int j) { return R_[i * n_ + j]; }
 
   // With four sums, as one sum waits for itself.
@@ -72,51 +74,67 @@ class Qp {
     for (int i = 0; i < n; ++i) to[i] += factor * from[i];
   }
 
-  // Factor H = U^T U, and go to the free minimum.
+  // Factor H = L^T L, and go to the free minimum.
   bool start() {
     const int n = n_;
-    J_.assign(n * n, 0.0);
-    U_.resize(n * n);
+    L_.resize(n * n);
+    Q_.resize(n * n);
     R_.resize(n * n);
-    x.assign(n, 0.0);
-    d_.resize(n);
-    z_.resize(n);
-    r_.resize(n);
+    for (std::vector<double>* part : {&x, &inverse_, &d_, &w_, &v_, &r_}) part->resize(n);
     active_.clear();
     multipliers_.clear();
     is_active_.assign(2 * n + rows_, 0);
     is_rounded_ = false;
     row_norms_.resize(rows_);
     for (int k = 0; k < rows_; ++k) row_norms_[k] = std::sqrt(dot(G_ + k * n, G_ + k * n, n));
-    for (int k = 0; k < n; ++k) {
-      double* row = U_.data() + k * n;
-      std::copy(H_ + k * n + k, H_ + k * n + n, row + k);
-      for (int i = 0; i < k; ++i) {
-        const double* above = U_.data() + i * n;
-        add(-above[k], above + k, row + k, n - k);
-      }
+    for (int k = 0; k < n; ++k) std::copy(H_ + k * n, H_ + k * n + k + 1, L(k));
+    // From the last coordinate to the first: along a tree, zeros of H stay zeros of L (Featherstone,
+    // Int. J. Robotics Res. 24, 2005).
+    for (int k = n - 1; k >= 0; --k) {
+      double* row = L(k);
       // Where targets are 1e18 m away, rounding may leave less than nothing of a pivot.
       const double least = kLeastPivot * H_[k * n + k];
       if (!(least > 0.0 && least < kInfinity)) return false;
       is_rounded_ |= !(row[k] > least);
-      const double root = std::sqrt(std::max(row[k], least));
-      row[k] = root;
-      for (int j = k + 1; j < n; ++j) row[j] /= root;
+      row[k] = std::sqrt(std::max(row[k], least));
+      inverse_[k] = 1.0 / row[k];
+      for (int i = 0; i < k; ++i) row[i] *= inverse_[k];
+      for (int i = 0; i < k; ++i)
+        if (row[i] != 0.0) add(-row[i], row, L(i), i + 1);
     }
-    // J = U^-1, column by column.
-    for (int i = 0; i < n; ++i) {
-      double* column = J(i);
-      for (int k = 0; k < i; ++k) add(-U_[k * n + i], J(k), column, k + 1);
-      column[i] = 1.0;
-      const double pivot = U_[i * n + i];
-      for (int j = 0; j <= i; ++j) column[j] /= pivot;
-    }
-    for (int i = 0; i < n; ++i) {  // x = -J J^T c
-      const double along = dot(J(i), c_, i + 1);
-      if (!(std::abs(along) < kInfinity)) return false;
-      add(-along, J(i), x.data(), i + 1);
-    }
+    for (int i = 0; i < n; ++i) w_[i] = -c_[i];
+    solve_transposed(w_.data());
+    for (int i = 0; i < n; ++i)
+      if (!(std::abs(w_[i]) < kInfinity)) return false;
+    solve_lower(w_.data());
+    std::copy(w_.begin(), w_.end(), x.begin());
     return true;
+  }
+
+  // y = L^-T y
+  void solve_transposed(double* y) {
+    for (int k = n_ - 1; k >= 0; --k) {
+      if (y[k] == 0.0) continue;
+      y[k] *= inverse_[k];
+      add(-y[k], L(k), y, k);
+    }
+  }
+
+  // y = L^-1 y
+  void solve_lower(double* y) {
+    for (int k = 0; k < n_; ++k) y[k] = (y[k] - dot(L(k), y, k)) * inverse_[k];
+  }
+
+  // Take from v its part in the span of Q, to which `d_` adds up.
+  void leave_active(double* v) {
+    const int count = static_cast<int>(active_.size());
+    std::fill(d_.begin(), d_.begin() + count, 0.0);
+    for (int pass = 0; pass < 2; ++pass)  // twice is enough for rounding
+      for (int j = 0; j < count; ++j) {
+        const double along = dot(Q(j), v, n_);
+        d_[j] += along;
+        add(-along, Q(j), v, n_);
+      }
   }
 
   // How far a constraint is on its right side; negative where it is violated.
@@ -147,29 +165,30 @@ class Qp {
     return found;
   }
 
-  // d = J^T normal
-  void project(int k) {
+  // w = L^-T normal
+  void set_normal(int k) {
     const int n = n_;
     if (k < 2 * n) {
-      const int i = k < n ? k : k - n;
-      const double sign = k < n ? 1.0 : -1.0;
-      for (int j = 0; j < n; ++j) d_[j] = sign * J(j)[i];
-      return;
+      std::fill(w_.begin(), w_.end(), 0.0);
+      w_[k < n ? k : k - n] = k < n ? 1.0 : -1.0;
+    } else {
+      const double* g = G_ + (k - 2 * n) * n;
+      for (int i = 0; i < n; ++i) w_[i] = -g[i];
     }
-    const double* g = G_ + (k - 2 * n) * n;
-    for (int j = 0; j < n; ++j) d_[j] = -dot(g, J(j), n);
+    solve_transposed(w_.data());
   }
 
   // Take in a violated constraint; drop others on the way. False if it contradicts them.
   bool take(int k) {
     const int n = n_;
     double own = 0.0;
+    set_normal(k);
+    const double all = dot(w_.data(), w_.data(), n);
     while (true) {
       const int count = static_cast<int>(active_.size());
-      project(k);
-      double all = 0.0, free = 0.0;
-      for (int i = 0; i < n; ++i) all += d_[i] * d_[i];
-      for (int i = count; i < n; ++i) free += d_[i] * d_[i];
+      v_ = w_;
+      leave_active(v_.data());
+      const double free = dot(v_.data(), v_.data(), n);
       for (int i = count - 1; i >= 0; --i) {  // r = R^-1 d_1
         double sum = d_[i];
         for (int j = i + 1; j < count; ++j) sum -= R(i, j) * r_[j];
@@ -196,10 +215,12 @@ class Qp {
       }
       for (int i = 0; i < count; ++i) multipliers_[i] = std::max(multipliers_[i] - t * r_[i], 0.0);
       own += t;
-      if (!depends)
-        for (int j = count; j < n; ++j) add(t * d_[j], J(j), x.data(), n);
+      if (full <= drop_at) append(k, own, std::sqrt(free));
+      if (!depends) {
+        solve_lower(v_.data());
+        add(t, v_.data(), x.data(), n);
+      }
       if (full <= drop_at) {
-        append(k, own);
         snap();
         return true;
       }
@@ -214,9 +235,9 @@ class Qp {
       if (k < 2 * n_) x[k < n_ ? k : k - n_] = k < n_ ? lower_[k] : upper_[k - n_];
   }
 
-  // Turn two columns of J.
+  // Turn two columns of Q.
   void turn(int i, int j, double c, double s) {
-    double *a = J(i), *b = J(j);
+    double *a = Q(i), *b = Q(j);
     for (int k = 0; k < n_; ++k) {
       const double first = a[k], second = b[k];
       a[k] = c * first + s * second;
@@ -224,16 +245,12 @@ class Qp {
     }
   }
 
-  void append(int k, double multiplier) {
+  // Take in a constraint; `free` is the length of what its normal has outside the active ones, v.
+  void append(int k, double multiplier, double free) {
     const int count = static_cast<int>(active_.size());
-    for (int j = n_ - 1; j > count; --j) {
-      const double length = std::hypot(d_[j - 1], d_[j]);
-      if (length == 0.0 || d_[j] == 0.0) continue;
-      turn(j - 1, j, d_[j - 1] / length, d_[j] / length);
-      d_[j - 1] = length;
-      d_[j] = 0.0;
-    }
-    for (int i = 0; i <= count; ++i) R(i, count) = d_[i];
+    for (int i = 0; i < count; ++i) R(i, count) = d_[i];
+    R(count, count) = free;
+    for (int i = 0; i < n_; ++i) Q(count)[i] = v_[i] / free;
     active_.push_back(k);
     multipliers_.push_back(multiplier);
     is_active_[k] = 1;
@@ -267,24 +284,35 @@ class Qp {
   // Take out the rounding of the way from a free minimum that may be far away.
   void polish() {
     const int n = n_, count = static_cast<int>(active_.size());
-    // Back onto the active constraints: x += J_1 R^-T (b - N^T x).
+    // Back onto the active constraints: x += L^-1 Q R^-T (b - N^T x).
+    std::fill(v_.begin(), v_.end(), 0.0);
     for (int i = 0; i < count; ++i) {
       double sum = -slack(active_[i]);
       for (int j = 0; j < i; ++j) sum -= R(j, i) * r_[j];
       r_[i] = sum / R(i, i);
+      add(r_[i], Q(i), v_.data(), n);
     }
-    for (int j = 0; j < count; ++j) add(r_[j], J(j), x.data(), n);
+    if (count > 0) {
+      solve_lower(v_.data());
+      add(1.0, v_.data(), x.data(), n);
+    }
     if (is_rounded_) return;
-    // And to the minimum along them: x -= J_2 J_2^T (H x + c).
-    for (int i = 0; i < n; ++i) z_[i] = c_[i] + dot(H_ + i * n, x.data(), n);
-    for (int j = count; j < n; ++j) d_[j] = dot(J(j), z_.data(), n);
-    for (int j = count; j < n; ++j) add(-d_[j], J(j), x.data(), n);
+    // And to the minimum along them: x -= L^-1 (I - Q Q^T) L^-T (H x + c).
+    std::copy(c_, c_ + n, v_.begin());
+    for (int i = 0; i < n; ++i) {
+      v_[i] += dot(H_ + i * n, x.data(), i + 1);
+      add(x[i], H_ + i * n, v_.data(), i);
+    }
+    solve_transposed(v_.data());
+    leave_active(v_.data());
+    solve_lower(v_.data());
+    add(-1.0, v_.data(), x.data(), n);
   }
 
   int n_ = 0, rows_ = 0;
   const double *H_ = nullptr, *c_ = nullptr, *lower_ = nullptr, *upper_ = nullptr, *G_ = nullptr,
                *h_ = nullptr;
-  std::vector<double> J_, U_, R_, d_, z_, r_, multipliers_, row_norms_;
+  std::vector<double> L_, inverse_, Q_, R_, d_, w_, v_, r_, multipliers_, row_norms_;
   std::vector<int> active_;
   std::vector<char> is_active_;
   bool is_rounded_ = false;

@@ -3,6 +3,7 @@
 //
 // Spheres are points, capsules are segments, with a radius around them. Polytopes end at the exact
 // pair of features, so that normals are exact up to rounding. A pair starts from its last simplex.
+// A sphere beside a shape other than a hull needs neither.
 #pragma once
 
 #include <algorithm>
@@ -119,15 +120,22 @@ inline Vec3 farthest(const Shape& shape, const Vec3& d, int& index) {
   return at[index];
 }
 
-// The point of a simplex that is nearest to the origin; `count` and `points` are reduced to those
-// that it needs, with their shares.
+// How far a shape reaches along a unit direction, in its own axes.
+inline double reach(const Shape& shape, const Vec3& d, int& index) {
+  const Vec3& half = shape.half;
+  if (shape.kind == ShapeKind::box)
+    return half.x * std::abs(d.x) + half.y * std::abs(d.y) + half.z * std::abs(d.z);
+  return dot(d, farthest(shape, d, index)) + shape.radius;
+}
+
+// A simplex, and its point that is nearest to the origin; `shares` are those of the vertices in it.
 class Simplex {
  public:
   std::array<Support, 4> points;
   std::array<double, 4> shares{};
   int count = 0;
 
-  // False if the origin is inside.
+  // Find the nearest point; false if the origin is inside.
   bool reduce(Vec3& nearest) {
     std::array<int, 4> used{0, 1, 2, 3};
     best2_ = std::numeric_limits<double>::infinity();
@@ -147,14 +155,17 @@ class Simplex {
     } else {
       try_point(0);
     }
-    const std::array<Support, 4> before = points;
-    count = best_count_;
-    for (int i = 0; i < count; ++i) {
-      points[i] = before[best_[i]];
-      shares[i] = best_shares_[i];
-    }
     nearest = best_point_;
     return true;
+  }
+
+  // Keep the vertices that the nearest point needs; their order stays.
+  void keep_used() {
+    count = best_count_;
+    for (int i = 0; i < count; ++i) {
+      if (best_[i] != i) points[i] = points[best_[i]];
+      shares[i] = best_shares_[i];
+    }
   }
 
  private:
@@ -167,8 +178,8 @@ class Simplex {
       const Vec3 normal = cross(b - a, c - a);
       const double own = dot(normal, w(i) - a), origin = -dot(normal, a);
       // A flat tetrahedron has no inside.
-      const double flat = 1e-14 * norm(normal) * (norm(w(i)) + norm(a));
-      is_outside_[i] = !(std::abs(own) > flat) || own * origin < 0.0;
+      const double flat2 = 1e-28 * dot(normal, normal) * (dot(w(i), w(i)) + dot(a, a));
+      is_outside_[i] = !(own * own > flat2) || own * origin < 0.0;
       inside &= !is_outside_[i];
     }
     return inside;
@@ -394,11 +405,41 @@ class Expansion {
   std::vector<std::array<int, 2>> rim_;
 };
 
+// Find the point of a shape that is nearest to a point, both in its own axes. False for hulls, and
+// where the point is inside.
+inline bool find_nearest(const Shape& shape, const Vec3& to, Vec3& nearest) {
+  if (shape.kind == ShapeKind::convex) return false;
+  const Vec3& half = shape.half;
+  const auto clamp = [](double x, double most) { return std::min(std::max(x, -most), most); };
+  nearest = {clamp(to.x, half.x), clamp(to.y, half.y), clamp(to.z, half.z)};
+  if (shape.kind == ShapeKind::cylinder) {
+    const double across = std::sqrt(to.x * to.x + to.y * to.y);
+    const double scale = across > half.x ? half.x / across : 1.0;
+    nearest = {scale * to.x, scale * to.y, nearest.z};
+  }
+  return dot(to - nearest, to - nearest) >= 1e-24;
+}
+
 // Measure the signed distance of two shapes.
 inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const Pose& pose_b,
                      Warm& warm) {
   constexpr int kMost = 200;
-  const Difference both(a, b, inverse(pose_a) * pose_b);
+  const Pose b_in_a = inverse(pose_a) * pose_b;
+  const double radii = a.radius + b.radius;
+  const auto found = [&](double distance, const Vec3& normal, const Vec3& point) {
+    return Found{distance - radii, pose_a.R * normal, pose_a * (point + a.radius * normal)};
+  };
+  Vec3 on;
+  if (b.kind == ShapeKind::point && find_nearest(a, b_in_a.p, on)) {
+    const double length = norm(b_in_a.p - on);
+    return found(length, (1.0 / length) * (b_in_a.p - on), on);
+  }
+  if (a.kind == ShapeKind::point && find_nearest(b, inverse(b_in_a).p, on)) {
+    const Vec3 offset = b_in_a * on;
+    const double length = norm(offset);
+    return found(length, (1.0 / length) * offset, {});
+  }
+  const Difference both(a, b, b_in_a);
   Simplex simplex;
   Vec3 v;
   int index_a = -1, index_b = -1;
@@ -410,10 +451,12 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
     index_a = simplex.points[0].index_a;
     index_b = simplex.points[0].index_b;
     is_apart = simplex.reduce(v);
+    if (is_apart) simplex.keep_used();
   } else {
     simplex.points[0] = both.along({1.0, 0.0, 0.0}, -1, -1);
     simplex.count = 1;
     simplex.reduce(v);
+    simplex.keep_used();
   }
   for (int round = 0; is_apart && round < kMost; ++round) {
     const double length2 = dot(v, v);
@@ -432,7 +475,6 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
       is_known |= s.index_a >= 0 && s.index_b >= 0 && simplex.points[i].index_a == s.index_a &&
                   simplex.points[i].index_b == s.index_b;
     if (is_known) break;
-    const Simplex before = simplex;
     simplex.points[simplex.count++] = s;
     Vec3 next;
     if (!simplex.reduce(next)) {
@@ -440,12 +482,12 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
       break;
     }
     if (!(dot(next, next) < length2)) {
-      simplex = before;
+      --simplex.count;
       break;
     }
+    simplex.keep_used();
     v = next;
   }
-  const double radii = a.radius + b.radius;
   double distance = 0.0;
   Vec3 normal{1.0, 0.0, 0.0}, point;
   warm.points = simplex.points;
@@ -460,8 +502,7 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
     double depth = 0.0;
     if (expansion.run(both, simplex, depth, normal, point)) distance = -depth;
   }
-  point += a.radius * normal;
-  return {distance - radii, pose_a.R * normal, pose_a * point};
+  return found(distance, normal, point);
 }
 
 }  // namespace handmap

@@ -25,7 +25,7 @@ inline Svd3 svd3(const Mat3& A) {
     for (int p = 0; p < 2; ++p)
       for (int q = p + 1; q < 3; ++q) {
         const double pp = dot(a[p], a[p]), qq = dot(a[q], a[q]), pq = dot(a[p], a[q]);
-        if (!(std::abs(pq) > 1e-17 * std::sqrt(pp * qq))) continue;
+        if (!(std::abs(pq) > 1e-15 * std::sqrt(pp * qq))) continue;
         turned = true;
         const double zeta = (qq - pp) / (2.0 * pq);
         const double t = std::copysign(1.0, zeta) / (std::abs(zeta) + std::sqrt(1.0 + zeta * zeta));

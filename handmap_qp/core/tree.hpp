@@ -35,6 +35,7 @@ struct Tree {
   std::vector<int> leader;
   Vector factor;
   std::vector<std::vector<int>> supports;  // by joint: coordinates that move it
+  std::vector<std::vector<int>> moving;    // by joint: active coordinates that move it, increasing
   bool is_floating = false;
   Attached wrist_origin{-1, {}};
   Pose wrist;                       // in the frame of its joint
@@ -49,6 +50,14 @@ struct Tree {
       const int count = joints[j].kind == JointKind::floating ? 6 : 1;
       for (int c = 0; c < count; ++c) supports[j].push_back(joints[j].v + c);
       is_floating |= joints[j].kind == JointKind::floating;
+    }
+    for (const std::vector<int>& support : supports) {
+      std::vector<int> active;
+      for (const int c : support)
+        if (factor[c] != 0.0) active.push_back(leader[c]);
+      std::sort(active.begin(), active.end());
+      active.erase(std::unique(active.begin(), active.end()), active.end());
+      moving.push_back(active);
     }
   }
 
@@ -127,12 +136,21 @@ class Placed {
     }
   }
 
-  // Go from a configuration by a displacement of the active coordinates.
-  void displace(const double* start, const double* displacement) {
+  // Go to the posture of another one of the same tree.
+  void copy(const Placed& other) {
+    q = other.q;
+    poses_ = other.poses_;
+    columns = other.columns;
+    has_placed_ = other.has_placed_;
+  }
+
+  // Go from a configuration by a displacement of the active coordinates, to where another one may be.
+  void displace(const double* start, const double* displacement, const Placed* other = nullptr) {
     step_.resize(tree_.nv);
     reached_.resize(tree_.nq);
     tree_.expand(displacement, step_.data());
     tree_.integrate(start, step_.data(), reached_.data());
+    if (other && other->q == reached_) return copy(*other);
     place(reached_.data());
   }
 
