@@ -29,7 +29,7 @@ from handmap_qp.human.sample import (
 from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, PointIk
+from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Task
 from handmap_qp.mapping.method import (
     BoundMethod,
@@ -309,31 +309,21 @@ class HandMapper:
         plan = self._plan
         reference = self._reference or self._reference_at(sample)
         target_map: Any = reference.map
-        core = self._core_for(target_map) if sample.has_wrist else None
-        asked: Any = None if core else target_map.targets(sample)
+        core = self._core_for(target_map)
+        core = core if core and sample.has_wrist else None
+        asked = None if core else target_map.targets(sample)
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             plan.bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
-        robot = plan.bound.robot
         stages: Stages | CompiledStages
-        if core is not None:
-            step = core.follow(target_map.core, sample, dt, speed)
-            stages = CompiledStages(core, step, robot, sample, target_map.asked)
-        elif self._is_released:
-            stages = _stages(robot, sample, asked, plan.ik.hold(dt))
+        if core is None:
+            stages = self._moved(sample, asked, target_map.rest, dt, speed)
         else:
-            result = plan.ik.solve(
-                asked.points,
-                asked.wrist,
-                dt,
-                rest=target_map.rest,
-                tasks=(*asked.tasks, *plan.tasks),
-                margins=asked.margins,
-                speed=speed,
-            )
-            stages = _stages(robot, sample, asked, result)
+            step = core.follow(target_map.core, sample, dt, speed)
+            robot = plan.bound.robot
+            stages = CompiledStages(core, step, robot, sample, target_map.asked)
         if plan.bound.renews_reference:
             kept = deepcopy(sample)
             command = stages.command
@@ -342,6 +332,33 @@ class HandMapper:
             )
             self._reference = _Reference(kept, posture, plan.bound.start(kept, posture))
         return MapStep(stages, out_of_range, perf_counter() - started)
+
+    def _moved(
+        self,
+        sample: HumanPose,
+        asked: Targets,
+        rest: np.ndarray,
+        dt: float,
+        speed: float,
+    ) -> Stages:
+        """Move the robot towards its targets in Python, or in the core by its QP alone."""
+        plan = self._plan
+        if self._is_released:
+            result = plan.ik.hold(dt)
+        else:
+            result = plan.ik.solve(
+                asked.points,
+                asked.wrist,
+                dt,
+                rest=rest,
+                tasks=(*asked.tasks, *plan.tasks),
+                margins=asked.margins,
+                speed=speed,
+            )
+        robot = plan.bound.robot
+        q = result.q[robot.q_indices]
+        command = RobotCommand(robot.joint_names, q, result.wrist)
+        return Stages(sample, asked, result, command)
 
     def _core_for(self, target_map: Any) -> CompiledIk | None:
         """Return the core if it takes samples with a wrist from their points to the command."""
@@ -709,13 +726,6 @@ def _method_of(
         expected="a method, the name of a preset, or single options of the paper's method",
         value=method,
     )
-
-
-def _stages(robot: Hand, sample: HumanPose, asked: Targets, result: IkResult) -> Stages:
-    """Put the stages of a step together."""
-    q = result.q[robot.q_indices]
-    command = RobotCommand(robot.joint_names, q, result.wrist)
-    return Stages(sample, asked, result, command)
 
 
 def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:

@@ -75,8 +75,8 @@ def test_a_recording_is_mapped_as_its_samples_are(
     # Both go on alike.
     last = columns.sample(-1)
     later = HumanSample(last.time + 0.02, "right", last.landmarks)
-    found = [each.map_sample(later).command.q for each in (whole, single)]
-    np.testing.assert_allclose(*found, atol=1e-12)
+    one, other = (each.map_sample(later).command.q for each in (whole, single))
+    np.testing.assert_allclose(one, other, atol=1e-12)
 
 
 @pytest.mark.parametrize(
