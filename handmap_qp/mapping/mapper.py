@@ -311,7 +311,7 @@ class HandMapper:
         target_map: Any = reference.map
         core = self._core_for(target_map)
         core = core if core and sample.has_wrist else None
-        asked = None if core else target_map.targets(sample)
+        asked: Any = None if core else target_map.targets(sample)
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             plan.bound.start(sample, reference.posture)
