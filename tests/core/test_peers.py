@@ -77,13 +77,7 @@ def recording_of(
 
 
 def stretch(recording: Recording, first: int, count: int) -> Recording:
-    part = slice(first, first + count)
-    return replace(
-        recording,
-        time=recording.time[part],
-        landmarks=recording.landmarks[part],
-        valid=recording.valid[part],
-    )
+    return recording.part(slice(first, first + count))
 
 
 def test_operator_frame_is_the_one_of_dex_retargetings_examples(peers: Any) -> None:
