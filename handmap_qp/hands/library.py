@@ -22,7 +22,12 @@ from handmap_qp.errors import (
     expect,
 )
 from handmap_qp.hands.hand import LONGEST_STOP, Hand, Points
-from handmap_qp.hands.human import HumanLengths, joint_moves, scaled_human_urdf
+from handmap_qp.hands.human import (
+    HumanLengths,
+    joint_moves,
+    scaled_human_urdf,
+    shape_stretches,
+)
 from handmap_qp.hands.model import compose_urdf
 from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
 from handmap_qp.hands.spec import HandSpec, Mount, is_named_source, read_hand_spec
@@ -122,8 +127,9 @@ def load_hand(
             argument="lengths", expected="HumanLengths", value=lengths
         )
     moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
+    stretches = shape_stretches(own, lengths)
     compose = partial(_person_urdf, standard.spec, lengths)
-    scaled = standard.with_joints(moves, compose).with_points(points)
+    scaled = standard.with_points(points).with_joints(moves, stretches, compose)
     return scaled.with_contact_gap(lengths.contact_gap)
 
 

@@ -6,18 +6,17 @@ A description names them, or they are found in the collision shapes.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
 
 import coal
 import msgspec
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, place_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import distal_shapes
 from handmap_qp.hands.spec import PointSpec
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
@@ -61,31 +60,73 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
     Raises:
         HandError: If a shape cannot be read.
     """
-    geometry = read_collision_shapes(hand)
     given = {point.finger: point for point in hand.spec.points if point.pad is not None}
-    return {f: _pad(hand, chain, given.get(f), geometry) for f, chain in chains.items()}
+    return {finger: _pad(hand, c, given.get(finger)) for finger, c in chains.items()}
 
 
-def _pad(
-    hand: Hand, chain: Finger, point: PointSpec | None, geometry: pin.GeometryModel
-) -> Pad:
+class _Surface(NamedTuple):
+    """A shape as the hull of balls around k points.
+
+    Attributes:
+        joint: Joint that carries it.
+        points: The points in the joint's frame [m], shape (k, 3).
+        radius: Radius of the balls [m].
+    """
+
+    joint: int
+    points: np.ndarray
+    radius: float
+
+    def supports(self, stretch: np.ndarray) -> np.ndarray:
+        """Return the largest `n p` for every direction n.
+
+        Args:
+            stretch: Factors along the joint's axes, shape (3,); the last is that of the radius.
+        """
+        points = stretch * self.points
+        return (_DIRECTIONS @ points.T).max(axis=1) + stretch[2] * self.radius
+
+
+@lru_cache(maxsize=32)
+def _surfaces(hand: Hand) -> tuple[_Surface, ...]:
+    """Return all shapes of a hand, in the order of `read_collision_shapes`."""
+    surfaces = []
+    for shape in read_collision_shapes(hand).geometryObjects:
+        points, radius = _corners(shape.geometry)
+        place = shape.placement
+        placed = points @ place.rotation.T + place.translation
+        surfaces.append(_Surface(shape.parentJoint, placed, radius))
+    return tuple(surfaces)
+
+
+def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
     """Return the pad of a finger, which its point gives or its shapes have."""
     joint, middle = chain.tip
     if point is not None and point.pad is not None:
         middle_point = msgspec.structs.replace(point, xyz=point.pad.xyz)
         joint, middle = place_of(hand, middle_point)
-    shapes = [geometry.geometryObjects[i] for i in distal_shapes(chain, geometry)]
-    supports = [_supports(shape) for shape in shapes if shape.parentJoint == joint]
+    stretch = hand.stretches.get(joint, np.ones(3))
+    supports = [
+        surface.supports(stretch)
+        for surface in _surfaces(hand.unscaled or hand)
+        if surface.joint == joint in chain.joints
+    ]
     if point is not None and point.pad is not None:
         radius = point.pad.radius
-        depth = max((_depth(one, middle) for one in supports), default=radius)
+        depth = float(_depths(supports, middle)) if supports else radius
         return Pad(joint, middle, radius, max(0.0, radius - max(0.0, depth)))
     return Pad(joint, *(_ball(supports, middle) if supports else (middle, _RADIUS)))
 
 
-def _depth(support: np.ndarray, point: np.ndarray) -> float:
-    """Return how deep a point is under a convex surface [m]; negative outside."""
-    return float((support - _DIRECTIONS @ point).min())
+def _depths(supports: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+    """Return how deep points (..., 3) are under convex surfaces [m], shape (...); negative outside.
+
+    Args:
+        supports: The largest `n p` of each surface for every direction n.
+        points: The points [m].
+    """
+    ahead = points @ _DIRECTIONS.T
+    return np.max([(support - ahead).min(axis=-1) for support in supports], axis=0)
 
 
 def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
@@ -104,25 +145,16 @@ def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
 def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, float]:
     """Return centre and radius of the ball inside convex shapes, given by their supports."""
 
-    def depth(point: np.ndarray) -> float:
-        return max(_depth(support, point) for support in supports)
-
-    if depth(tip) > _DEEP:
-        return tip, depth(tip)
+    depth = float(_depths(supports, tip))
+    if depth > _DEEP:
+        return tip, depth
     length = np.linalg.norm(tip)
     inwards = -tip / length if length > 1e-6 else np.zeros(3)
     steps = np.arange(0.0, _LONGEST + _STEP, _STEP)
     points = tip + steps[:, None] * inwards
-    depths = np.array([*map(depth, points)])
+    depths = _depths(supports, points)
     chosen = int(np.argmax(depths >= _SHARE * depths.max()))
     return points[chosen], max(float(depths.max()), _SMALLEST)
-
-
-def _supports(shape: pin.GeometryObject) -> np.ndarray:
-    """Return a convex shape's largest `n p` for every direction n, in the joint's frame."""
-    points, radius = _corners(shape.geometry)
-    placed = points @ shape.placement.rotation.T + shape.placement.translation
-    return (_DIRECTIONS @ placed.T).max(axis=1) + radius
 
 
 def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:
