@@ -5,6 +5,7 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -199,30 +200,34 @@ inline Sparse sparse_of(const Array& matrix, size_t row) {
   return sparse;
 }
 
-// `from` is a CollisionLimit.
-inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
-  auto pairs = std::make_unique<Pairs>(tree);
-  pairs->margin = from.get<double>("margin");
-  pairs->horizon = from.get<double>("horizon");
-  const Fields distances(from.object("shape_distances"));
-  for (const nb::handle& each : distances.object("geometry.geometryObjects")) {
+inline void make_bounds(PairBounds* self, const nb::object& owner) {
+  const Fields from(owner);
+  PairBounds& bounds = *new (self) PairBounds();
+  for (const nb::handle& each : from.object("geometry.geometryObjects")) {
     const Fields body(nb::borrow(each));
     const Pose placement = body.pose("placement.homogeneous");
-    pairs->bodies.push_back({body.get<int>("parentJoint") - 1, placement,
+    bounds.bodies.push_back({body.get<int>("parentJoint") - 1, placement,
                              make_shape(Fields(body.object("geometry"))),
                              placement * body.point("geometry.aabb_center"),
                              body.get<double>("geometry.aabb_radius")});
   }
-  const Array levers = distances.get<Array>("levers"), turns = distances.get<Array>("turns"),
-              signs = distances.get<Array>("signs");
+  const Array levers = from.get<Array>("levers"), turns = from.get<Array>("turns"),
+              signs = from.get<Array>("signs");
   size_t k = 0;
-  for (const nb::handle& each : distances.object("geometry.collisionPairs")) {
+  for (const nb::handle& each : from.object("geometry.collisionPairs")) {
     const Fields pair(nb::borrow(each));
-    pairs->pairs.push_back({pair.get<int>("first"), pair.get<int>("second"), sparse_of(levers, k),
+    bounds.pairs.push_back({pair.get<int>("first"), pair.get<int>("second"), sparse_of(levers, k),
                             sparse_of(turns, k), sparse_of(signs, k)});
     ++k;
   }
-  pairs->finish();
+}
+
+// `from` is a CollisionLimit.
+inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
+  auto pairs = std::make_unique<Pairs>(
+      tree, from.get<std::shared_ptr<PairBounds>>("shape_distances.bounds.core"));
+  pairs->margin = from.get<double>("margin");
+  pairs->horizon = from.get<double>("horizon");
   return pairs;
 }
 

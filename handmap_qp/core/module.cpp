@@ -7,6 +7,8 @@
 #include <optional>
 
 #include "build.hpp"
+#include "person.hpp"
+#include "posture.hpp"
 #include "tracks.hpp"
 
 using namespace nb::literals;
@@ -270,6 +272,55 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
+// Bases (5, 3) and rolls (5,) of a person, in landmarks (T, 21, 3) of a right hand.
+nb::tuple measure_shape(const Array& landmarks, const Array& palm, double bent, size_t fewest_bent,
+                        double largest_roll) {
+  expect_size(palm, 15, "palm");
+  if (landmarks.size() == 0 || landmarks.size() % (3 * kLandmarks))
+    throw std::invalid_argument("wrong size of landmarks");
+  const PersonShape shape =
+      PersonMeter{bent, fewest_bent, largest_roll}.measure(points_of(landmarks), points_of(palm));
+  return nb::make_tuple(numbers_of(&shape.bases[0].x, 5, 3), numbers_of(shape.rolls.data(), 5, 1));
+}
+
+// See matched_posture.nearest_posture; `costs` are squared, `limits` lower and upper ones.
+nb::object nearest_posture(const Tree& tree, const Array& configuration, const Array& rest,
+                           const Array& limits, const Array& targets, const Array& costs,
+                           double rest_cost, const Array& start) {
+  const size_t n = tree.joint_columns.size(), m = tree.points.size();
+  expect_size(configuration, tree.nq, "configuration");
+  expect_size(rest, n, "rest");
+  expect_size(limits, 2 * n, "limits");
+  expect_size(targets, 3 * m, "targets");
+  expect_size(costs, m, "costs");
+  expect_size(start, n, "start");
+  NearestPosture problem(tree);
+  problem.configuration = vector_of(configuration);
+  problem.rest = vector_of(rest);
+  problem.lower = Vector(limits.data(), limits.data() + n);
+  problem.upper = Vector(limits.data() + n, limits.data() + 2 * n);
+  problem.targets = points_of(targets);
+  problem.costs = vector_of(costs);
+  problem.rest_cost = rest_cost;
+  return numbers_of(problem.solve(vector_of(start)).data(), n, 1);
+}
+
+// See surface_gaps: of configurations (T, nq), a column for the pairs from each of `starts` on.
+nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
+                              const Array& configurations, const Indices& starts, double most) {
+  const size_t rows = configurations.size() / tree.nq, columns = starts.size();
+  Vector found;
+  Placed placed(tree);
+  for (size_t t = 0; t < rows; ++t) {
+    placed.place(configurations.data() + t * tree.nq);
+    for (size_t g = 0; g < columns; ++g) {
+      const size_t to = g + 1 < columns ? starts[g + 1] : bounds.pairs.size();
+      found.push_back(smallest_distance(bounds, placed, starts[g], to, most));
+    }
+  }
+  return numbers_of(found.data(), rows, columns);
+}
+
 }  // namespace
 }  // namespace handmap
 
@@ -292,6 +343,12 @@ NB_MODULE(_core, m) {
   nb::class_<LandmarkReader>(m, "LandmarkReader")
       .def("__init__", &make_reader)
       .def("read", &read_landmarks);
+  nb::class_<Tree>(m, "Tree").def(
+      "__init__", [](Tree* self, const nb::object& hand) { new (self) Tree(make_tree(Fields(hand))); });
+  nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
+  m.def("measure_shape", &measure_shape);
+  m.def("nearest_posture", &nearest_posture);
+  m.def("smallest_distances", &smallest_distances);
   m.def("is_zero", [](const nb::object& landmarks) { return is_zero(landmarks_of(landmarks)); });
   m.def("first_track", &first_track_of);
   m.def("change_between", &change_of);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <limits>
+#include <memory>
 #include <vector>
 
 #include "limits.hpp"
@@ -27,33 +28,39 @@ struct Sparse {
   }
 };
 
-class Pairs {
- public:
-  struct Body {
-    int joint;
-    Pose placement;
-    Shape shape;
-    Vec3 centre;  // of its bounding ball, in the joint's frame
-    double radius;
-  };
-  struct Pair {
-    int first, second;
-    Sparse levers, turns;
-    Sparse signs;  // 1 where a coordinate moves the first shape, -1 where it moves the second
-  };
+struct Body {
+  int joint;
+  Pose placement;
+  Shape shape;
+  Vec3 centre;  // of its bounding ball, in the joint's frame
+  double radius;
+};
 
+struct Pair {
+  int first, second;
+  Sparse levers, turns;
+  Sparse signs;  // 1 where a coordinate moves the first shape, -1 where it moves the second
+};
+
+// What never changes of the pairs of a hand.
+struct PairBounds {
   std::vector<Body> bodies;
   std::vector<Pair> pairs;
+};
+
+class Pairs {
+ private:
+  const std::shared_ptr<const PairBounds> bounds_;
+
+ public:
+  const std::vector<Body>& bodies;
+  const std::vector<Pair>& pairs;
   double margin = 0.0, horizon = kInfinity;
 
-  explicit Pairs(const Tree& tree) : tree_(tree), middle_(tree) {}
-
-  void finish() {
-    known_.resize(pairs.size());
-    warm_.resize(pairs.size());
-    keys_.assign(pairs.size(), -kInfinity);
-    levers_.assign(pairs.size(), 0.0);
-    centres_.resize(bodies.size());
+  Pairs(const Tree& tree, std::shared_ptr<const PairBounds> bounds)
+      : bounds_(std::move(bounds)), bodies(bounds_->bodies), pairs(bounds_->pairs), tree_(tree),
+        middle_(tree), known_(pairs.size()), keys_(pairs.size(), -kInfinity),
+        levers_(pairs.size(), 0.0), centres_(bodies.size()), warm_(pairs.size()) {
     for (size_t k = 0; k < pairs.size(); ++k)
       for (const double lever : pairs[k].levers.values) levers_[k] += lever;
   }
