@@ -286,7 +286,9 @@ nb::tuple measure_shape(const Array& landmarks, const Array& palm, double bent, 
 // See matched_posture.nearest_posture; `costs` are squared, `limits` lower and upper ones.
 nb::object nearest_posture(const Tree& tree, const Array& configuration, const Array& rest,
                            const Array& limits, const Array& targets, const Array& costs,
-                           double rest_cost, const Array& start) {
+                           double rest_cost, const Array& start, int most_steps,
+                           double smallest_step, double least_decrease, double smallest_share,
+                           double least_curvature) {
   const size_t n = tree.joint_columns.size(), m = tree.points.size();
   expect_size(configuration, tree.nq, "configuration");
   expect_size(rest, n, "rest");
@@ -302,6 +304,7 @@ nb::object nearest_posture(const Tree& tree, const Array& configuration, const A
   problem.targets = points_of(targets);
   problem.costs = vector_of(costs);
   problem.rest_cost = rest_cost;
+  problem.settings = {most_steps, smallest_step, least_decrease, smallest_share, least_curvature};
   return numbers_of(problem.solve(vector_of(start)).data(), n, 1);
 }
 
@@ -327,6 +330,8 @@ nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
 NB_MODULE(_core, m) {
   using namespace handmap;
   m.attr("SOURCES") = HANDMAP_SOURCES;
+  // Caches of Python modules may outlive this one when the interpreter ends.
+  nb::set_leak_warnings(false);
   nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances);
   nb::class_<Ik>(m, "Ik")
       .def("__init__", &make_ik)

@@ -21,6 +21,10 @@ class NearestPosture {
   double rest_cost;              // squared
   Vector configuration, rest;    // where the hand is at rest: all coordinates, joints
   Vector lower, upper;
+  struct Settings {  // see matched_posture, in its order
+    int most_steps;
+    double smallest_step, least_decrease, smallest_share, least_curvature;
+  } settings;
 
   explicit NearestPosture(const Tree& tree) : tree_(tree), placed_(tree) {}
 
@@ -32,7 +36,7 @@ class NearestPosture {
     for (size_t i = 0; i < n; ++i)
       x[i] = std::clamp(start[free_[i]], lower[free_[i]], upper[free_[i]]);
     Terms here = at(x);
-    for (int round = 0; round < kMostSteps; ++round) {
+    for (int round = 0; round < settings.most_steps; ++round) {
       for (size_t i = 0; i < n; ++i) {
         low[i] = lower[free_[i]] - x[i];
         high[i] = upper[free_[i]] - x[i];
@@ -48,24 +52,20 @@ class NearestPosture {
         for (size_t i = 0; i < n; ++i)
           ahead[i] = std::clamp(x[i] + share * step[i], lower[free_[i]], upper[free_[i]]);
         there = at(ahead);
-        if (there.value <= here.value + kLeastDecrease * share * slope) break;
+        if (there.value <= here.value + settings.least_decrease * share * slope) break;
         share *= 0.5;
-        if (share < kSmallestShare) return whole(x);
+        if (share < settings.smallest_share) return whole(x);
       }
       double length = 0.0;
       for (size_t i = 0; i < n; ++i) length = std::max(length, std::abs(ahead[i] - x[i]));
       x = ahead;
       here = std::move(there);
-      if (length < kSmallestStep) break;
+      if (length < settings.smallest_step) break;
     }
     return whole(x);
   }
 
  private:
-  static constexpr int kMostSteps = 50;
-  static constexpr double kSmallestStep = 1e-6, kLeastDecrease = 1e-4, kSmallestShare = 1e-4;
-  static constexpr double kLeastCurvature = 1e-6;
-
   struct Terms {
     double value = 0.0;
     Vector gradient, hessian;
@@ -160,7 +160,7 @@ class NearestPosture {
   }
 
   // Turn or lift the eigenvalues of a symmetric matrix that are not positive (Jacobi's method).
-  static void make_convex(Vector& a, size_t n) {
+  void make_convex(Vector& a, size_t n) const {
     if (is_convex(a, n)) return;
     Vector vectors(n * n, 0.0);
     for (size_t i = 0; i < n; ++i) vectors[i * n + i] = 1.0;
@@ -191,7 +191,7 @@ class NearestPosture {
       for (size_t j = 0; j < n; ++j) {
         double sum = 0.0;
         for (size_t k = 0; k < n; ++k)
-          sum += vectors[i * n + k] * std::max(values[k], kLeastCurvature * largest) *
+          sum += vectors[i * n + k] * std::max(values[k], settings.least_curvature * largest) *
                  vectors[j * n + k];
         a[i * n + j] = sum;
       }

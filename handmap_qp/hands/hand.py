@@ -290,16 +290,16 @@ class Hand:
         """Write a configuration into an array of the caller's, for use sample by sample.
 
         Args:
-            vector: Where to write, shape (model.nq,).
-            q: Joint angles [rad or m], shape (n,); values are not checked.
-            wrist_pose: Wrist in the world, shape (4, 4), not checked; ignored by a fixed hand. The
-                wrist stays as the array has it if omitted.
+            vector: Where to write, shape (..., model.nq).
+            q: Joint angles [rad or m], shape (..., n); values are not checked.
+            wrist_pose: Wrist in the world of one configuration, shape (4, 4), not checked; ignored
+                by a fixed hand. The wrist stays as the array has it if omitted.
 
         Raises:
             InvalidInputError: On a wrong shape or type; the array may be written in part.
         """
         try:
-            vector[self._moving_q] = self._moving.all_joints(q)
+            vector[..., self._moving_q] = self._moving.all_joints(q)
             if wrist_pose is not None and self.is_floating:
                 vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
         except (TypeError, ValueError, IndexError) as error:

@@ -13,6 +13,7 @@ from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import FIRST_JOINTS, PALM, check_length, human_name
+from handmap_qp.ik.core import in_core
 from handmap_qp.se3 import frozen, lengths, rigid_fit, transform_points
 
 _BENT = math.sin(math.radians(15.0))
@@ -52,7 +53,31 @@ def _measured_hand(recording: Recording) -> HumanLengths:
     segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
-    palm = _standard_palm()
+    limits = _BENT, _FEWEST_BENT, LARGEST_ROLL
+    bases, rolls = measure_shape(landmarks, _standard_palm(), *limits)
+    return HumanLengths(bases, segments, rolls)
+
+
+@in_core
+def measure_shape(
+    landmarks: np.ndarray,
+    palm: np.ndarray,
+    bent: float,
+    fewest_bent: int,
+    largest_roll: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measure the palm and the rolls of a right hand.
+
+    Args:
+        landmarks: Samples [m], shape (T, 21, 3).
+        palm: The palm's landmarks of the standard hand [m], shape (5, 3).
+        bent: As `_BENT`.
+        fewest_bent: As `_FEWEST_BENT`.
+        largest_roll: Largest roll [rad].
+
+    Returns:
+        `HumanLengths.bases` and `rolls`.
+    """
     palms = landmarks[:, PALM]
     # Generalised Procrustes: lay every sample on the median shape, then take the median again.
     # Three rounds are enough to converge.
@@ -60,38 +85,21 @@ def _measured_hand(recording: Recording) -> HumanLengths:
         palm = np.median(transform_points(rigid_fit(palms, palm), palms), axis=0)
         palm = palm - palm[0]
     laid = transform_points(rigid_fit(palms, palm), landmarks)
-    bases = np.median(laid[:, FIRST_JOINTS], axis=0)
-    return HumanLengths(
-        bases=bases,
-        segments=segments,
-        rolls=_rolls(laid),
-    )
-
-
-def _rolls(landmarks: np.ndarray) -> np.ndarray:
-    """Measure how far the flexion axes of the fingers are turned about the palm's y axis [rad].
-
-    The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
-    about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
-
-    Args:
-        landmarks: Samples in the palm frame of a right hand [m], shape (T, 21, 3).
-
-    Returns:
-        Medians over the samples that bend the finger, shape (5,); 0 for the thumb, whose bones
-        bend about two axes, and for a finger that hardly bends.
-    """
-    joints = landmarks[:, 1:].reshape(-1, len(FINGERS), 4, 3)
+    # The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
+    # about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
+    # The thumb's bones bend about two axes.
+    joints = laid[:, 1:].reshape(-1, len(FINGERS), 4, 3)
     proximal = joints[:, :, 1] - joints[:, :, 0]
     beyond = joints[:, :, 3] - joints[:, :, 1]
     normals = np.cross(proximal, beyond)
     angles = np.arctan2(normals[..., 2], -normals[..., 0])
-    is_bent = lengths(normals) > _BENT * lengths(proximal) * lengths(beyond)
+    is_bent = lengths(normals) > bent * lengths(proximal) * lengths(beyond)
     rolls = np.zeros(len(FINGERS))
     for i in range(1, len(FINGERS)):
-        if is_bent[:, i].sum() >= _FEWEST_BENT:
+        if is_bent[:, i].sum() >= fewest_bent:
             rolls[i] = np.median(angles[is_bent[:, i], i])
-    return np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
+    bases = np.median(laid[:, FIRST_JOINTS], axis=0)
+    return bases, np.clip(rolls, -largest_roll, largest_roll)
 
 
 def scaled_human(

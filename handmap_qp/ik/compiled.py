@@ -7,7 +7,7 @@ rounding: they are its readable reference. It has kinematics, distances and a QP
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, get_args
 
 import numpy as np
@@ -138,6 +138,15 @@ class CompiledIk:
             iterations,
             last_step,
         )
+
+
+@lru_cache(maxsize=16)
+def core_tree(hand: Hand) -> Any | None:
+    """Return the core's kinematics of a hand; None without a core, or if it lacks a joint."""
+    try:
+        return core and core.Tree(hand)
+    except ValueError:
+        return None
 
 
 def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> CompiledIk | None:

@@ -16,9 +16,11 @@ import numpy as np
 
 from handmap_qp.hands.configuration import CROSS, moved_by
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.compiled import core_tree
+from handmap_qp.ik.core import core
 from handmap_qp.ik.qp import solve_by_daqp
 
-_MOST_STEPS, _SMALLEST_STEP = 50, 1e-6  # rad or m
+_MOST_STEPS, _SMALLEST_STEP = 50, 1e-8  # rad or m
 _LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4
 """Share of the decrease that the slope foretells (Armijo), and least share of a step to try."""
 _LEAST_CURVATURE = 1e-6
@@ -47,6 +49,22 @@ def nearest_posture(
     Returns:
         Joint positions inside their limits [rad or m], shape (n,).
     """
+    if core is not None and (tree := core_tree(hand)) is not None:
+        where = hand.configuration_vector(hand.rest), hand.rest
+        limits = np.array([hand.lower_limits, hand.upper_limits])
+        asked = targets, costs**2, rest_cost**2
+        return core.nearest_posture(
+            tree,
+            *where,
+            limits,
+            *asked,
+            start,
+            _MOST_STEPS,
+            _SMALLEST_STEP,
+            _LEAST_DECREASE,
+            _SMALLEST_SHARE,
+            _LEAST_CURVATURE,
+        )
     distance = _Distance(hand, targets, costs, rest_cost)
     free = distance.free
     lower = hand.lower_limits[free]
