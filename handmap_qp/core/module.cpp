@@ -288,7 +288,7 @@ nb::object nearest_posture(const Tree& tree, const Array& configuration, const A
                            const Array& limits, const Array& targets, const Array& costs,
                            double rest_cost, const Array& start, int most_steps,
                            double smallest_step, double least_decrease, double smallest_share,
-                           double least_curvature) {
+                           double rounding, double least_curvature) {
   const size_t n = tree.joint_columns.size(), m = tree.points.size();
   expect_size(configuration, tree.nq, "configuration");
   expect_size(rest, n, "rest");
@@ -304,7 +304,8 @@ nb::object nearest_posture(const Tree& tree, const Array& configuration, const A
   problem.targets = points_of(targets);
   problem.costs = vector_of(costs);
   problem.rest_cost = rest_cost;
-  problem.settings = {most_steps, smallest_step, least_decrease, smallest_share, least_curvature};
+  problem.settings = {most_steps, smallest_step, least_decrease, smallest_share, rounding,
+                      least_curvature};
   return numbers_of(problem.solve(vector_of(start)).data(), n, 1);
 }
 

@@ -23,7 +23,7 @@ class NearestPosture {
   Vector lower, upper;
   struct Settings {  // see matched_posture, in its order
     int most_steps;
-    double smallest_step, least_decrease, smallest_share, least_curvature;
+    double smallest_step, least_decrease, smallest_share, rounding, least_curvature;
   } settings;
 
   explicit NearestPosture(const Tree& tree) : tree_(tree), placed_(tree) {}
@@ -52,7 +52,7 @@ class NearestPosture {
         for (size_t i = 0; i < n; ++i)
           ahead[i] = std::clamp(x[i] + share * step[i], lower[free_[i]], upper[free_[i]]);
         there = at(ahead);
-        if (there.value <= here.value + settings.least_decrease * share * slope) break;
+        if (there.value <= settings.rounding * here.value + settings.least_decrease * share * slope) break;
         share *= 0.5;
         if (share < settings.smallest_share) return whole(x);
       }

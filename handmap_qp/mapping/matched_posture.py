@@ -23,6 +23,8 @@ from handmap_qp.ik.qp import solve_by_daqp
 _MOST_STEPS, _SMALLEST_STEP = 50, 1e-8  # rad or m
 _LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4
 """Share of the decrease that the slope foretells (Armijo), and least share of a step to try."""
+_ROUNDING = 1.0 + 1e-14
+"""Near the minimum, values differ by less than their rounding."""
 _LEAST_CURVATURE = 1e-6
 """Least eigenvalue of the Hessian over its largest; smaller ones are turned or lifted."""
 
@@ -63,6 +65,7 @@ def nearest_posture(
             _SMALLEST_STEP,
             _LEAST_DECREASE,
             _SMALLEST_SHARE,
+            _ROUNDING,
             _LEAST_CURVATURE,
         )
     distance = _Distance(hand, targets, costs, rest_cost)
@@ -80,7 +83,8 @@ def nearest_posture(
         while True:
             ahead = np.clip(x + share * step, lower, upper)
             there = distance.at(ahead)
-            if there.value <= here.value + _LEAST_DECREASE * share * slope:
+            most = _ROUNDING * here.value + _LEAST_DECREASE * share * slope
+            if there.value <= most:
                 break
             share *= 0.5
             if share < _SMALLEST_SHARE:
