@@ -272,6 +272,19 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
+nb::object approach_from(Ik& ik, const Array& start, const Postures& postures,
+                         const DistanceTask& distances, const Array& aims, const Array& weights,
+                         double dt, int samples, double tolerance) {
+  expect_size(start, ik.tree.nq, "start");
+  Goal goal;
+  goal.postures = postures_of(ik, postures);
+  goal.distances = &distances;
+  goal.aims = vector_of(aims);
+  goal.aim_weights = vector_of(weights);
+  approach(ik, goal, vector_of(start), dt, samples, tolerance);
+  return numbers_of(ik.motion.q.data(), ik.motion.q.size(), 1);
+}
+
 // Bases (5, 3) and rolls (5,) of a person, in landmarks (T, 21, 3) of a right hand.
 nb::tuple measure_shape(const Array& landmarks, const Array& palm, double bent, size_t fewest_bent,
                         double largest_roll) {
@@ -340,6 +353,7 @@ NB_MODULE(_core, m) {
       .def("solve", &solve, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a, "margins"_a.none(),
            "postures"_a, "distances"_a.none(), "aims"_a.none(), "aim_weights"_a.none(),
            "linearise"_a.none())
+      .def("approach", &approach_from)
       .def("follow", &follow, "map"_a, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a,
            "postures"_a);
   nb::class_<TargetMap>(m, "TargetMap").def("targets", &targets, "points"_a, "wrist"_a.none());

@@ -30,6 +30,69 @@ inline std::vector<Vec3> medians(const std::vector<Vec3>& samples, size_t count)
   return found;
 }
 
+// Lays points onto others like `rigid_fit`. The axes in which the shape of `onto` is spread hardly
+// differ from sample to sample, so the turns that find them begin at the last ones.
+class Layer {
+ public:
+  Pose fit(const Vec3* points, const std::vector<Vec3>& onto) {
+    const double share = 1.0 / static_cast<double>(onto.size());
+    Vec3 centre, centre_onto;
+    for (size_t k = 0; k < onto.size(); ++k) {
+      centre += share * points[k];
+      centre_onto += share * onto[k];
+    }
+    Mat3 covariance = 0.0 * Mat3{};
+    for (size_t k = 0; k < onto.size(); ++k)
+      covariance = covariance + outer(share * (onto[k] - centre_onto), points[k] - centre);
+    const Mat3 R = rotation(covariance);
+    return {R, centre_onto - R * centre};
+  }
+
+ private:
+  Mat3 rotation(const Mat3& A) {
+    axes_[0] *= 1.0 / norm(axes_[0]);
+    axes_[2] = cross(axes_[0], axes_[1]);
+    axes_[2] *= 1.0 / norm(axes_[2]);
+    axes_[1] = cross(axes_[2], axes_[0]);
+    Vec3 a[3];
+    for (int i = 0; i < 3; ++i) a[i] = tmul(A, axes_[i]);
+    for (int sweep = 0; sweep < 30; ++sweep) {
+      bool turned = false;
+      for (int p = 0; p < 2; ++p)
+        for (int q = p + 1; q < 3; ++q) turned |= turn(a[p], a[q], axes_[p], axes_[q]);
+      if (!turned) break;
+    }
+    int first = 0, least = 0;
+    for (int i = 1; i < 3; ++i) {
+      if (dot(a[i], a[i]) > dot(a[first], a[first])) first = i;
+      if (dot(a[i], a[i]) <= dot(a[least], a[least])) least = i;
+    }
+    const int second = 3 - first - least;
+    const double s0 = norm(a[first]), s1 = norm(a[second]);
+    if (first == least || !(s1 > 1e-9 * s0)) return nearest_rotation(A);
+    const Vec3 u[2] = {axes_[first], axes_[second]};
+    const Vec3 v[2] = {(1.0 / s0) * a[first], (1.0 / s1) * a[second]};
+    return outer(u[0], v[0]) + outer(u[1], v[1]) + outer(cross(u[0], u[1]), cross(v[0], v[1]));
+  }
+
+  // Turn two columns until they are orthogonal, and their axes along.
+  static bool turn(Vec3& a, Vec3& b, Vec3& axis_a, Vec3& axis_b) {
+    const double aa = dot(a, a), bb = dot(b, b), ab = dot(a, b);
+    if (!(ab * ab > 1e-32 * aa * bb)) return false;
+    const double zeta = (bb - aa) / (2.0 * ab);
+    const double t = std::copysign(1.0, zeta) / (std::abs(zeta) + std::sqrt(1.0 + zeta * zeta));
+    const double c = 1.0 / std::sqrt(1.0 + t * t), s = c * t;
+    const Vec3 x = a, y = axis_a;
+    a = c * x - s * b;
+    b = s * x + c * b;
+    axis_a = c * y - s * axis_b;
+    axis_b = s * y + c * axis_b;
+    return true;
+  }
+
+  Vec3 axes_[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+};
+
 struct PersonShape {
   std::vector<Vec3> bases;
   std::array<double, 5> rolls{};
@@ -69,10 +132,9 @@ class PersonMeter {
   static void lay(const std::vector<Vec3>& palms, const std::vector<Vec3>& onto,
                   const std::vector<Vec3>& points, std::vector<Vec3>& laid) {
     const size_t n = onto.size(), count = palms.size() / n, each = points.size() / count;
-    std::vector<Vec3> palm(n);
+    Layer layer;
     for (size_t t = 0; t < count; ++t) {
-      std::copy_n(palms.begin() + n * t, n, palm.begin());
-      const Pose pose = rigid_fit(palm, onto);
+      const Pose pose = layer.fit(palms.data() + n * t, onto);
       for (size_t i = each * t; i < each * (t + 1); ++i) laid[i] = pose * points[i];
     }
   }

@@ -144,7 +144,6 @@ def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, float]:
     """Return centre and radius of the ball inside convex shapes, given by their supports."""
-
     depth = float(_depths(supports, tip))
     if depth > _DEEP:
         return tip, depth

@@ -88,6 +88,16 @@ class CompiledIk:
         targets = target_map.asked(*asked)
         return targets, self._result(ik.gate, targets.points, dt, *found)
 
+    def approach(
+        self, ik: PointIk, task: PointDistances, dt: float, samples: int, near: float
+    ) -> np.ndarray:
+        """Move the hand from rest for a task; see `hand_pair.approach`."""
+        self._motion = None
+        start = self._hand.configuration_vector(self._hand.rest)
+        aims = task.core, task.distances, task.weights
+        postures = ik.postures(dt, None)
+        return self._core.approach(start, postures, *aims, dt, samples, near)
+
     def _take(self, gate: Gate) -> None:
         """Continue from the gate's motion, unless it is the core's own."""
         if gate.motion is not self._motion:

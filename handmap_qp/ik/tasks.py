@@ -18,6 +18,7 @@ function from a hand to a task; `IkOptions.tasks` takes them by name.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
@@ -116,7 +117,11 @@ class AttachedPoints:
         self.offsets = np.array([offset for _, offset in places], dtype=float).reshape(
             -1, 3
         )
-        self._moved = moved_by(hand.model, self.joints)[:, None]
+        self._model = hand.model
+
+    @cached_property
+    def _moved(self) -> np.ndarray:
+        return moved_by(self._model, self.joints)[:, None]
 
     @classmethod
     def reference_points(cls, hand: Hand) -> Self:

@@ -76,7 +76,7 @@ _PINCHING = _OPENING.replaced(
     wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
 )
 _PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
-_GAP_WEIGHT = 3.0
+_GAP_WEIGHT, _UNHURRIED = 3.0, 1e3  # s
 
 
 def finger_landmarks(fingers: Iterable[str]) -> list[str]:
@@ -198,7 +198,7 @@ class HandPair:
             gaps = np.linalg.norm(at_rest[1:] - at_rest[0], axis=1)
             thumb, *pads = (self.pads[finger] for finger in self.fingers)
             task = _gap_task(self.robot, thumb, pads, gaps)
-            return _approach(PointIk(self.robot, _OPENING), task)
+            return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
         places = [self.chains[finger].knuckle for finger in self.fingers]
         knuckles = points_in_palm(self._measured.hand, robot.rest, places)
@@ -411,7 +411,7 @@ def _pinching_thumb(
     tips = []
     for is_used in np.eye(len(pads)):
         own = task.aimed_at(task.distances, is_used * task.weights)
-        q = _approach(ik, own, _PINCH_STEPS)
+        q = approach(ik, own, _PINCH_STEPS)
         tips.append(points_in_palm(hand, q, [chains[THUMB].tip])[0])
     return np.mean(tips, axis=0)
 
@@ -426,24 +426,27 @@ def _gap_task(
     return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
 
 
-def _approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:
+def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:
     """Move a hand from rest for a task.
 
     Args:
         ik: The hand and weights of the QP.
         task: The task.
-        steps: Most QP solutions; fewer if distances with a weight are reached before.
+        steps: Most QP solutions; fewer if the distances that have a weight are reached before.
 
     Returns:
         Joint positions there [rad or m], shape (n,).
     """
     hand = ik.hand
+    if ik.core is not None:
+        q = ik.core.approach(ik, task, _UNHURRIED, steps, _TOUCHING)
+        return q[hand.q_indices]
     ik.place(hand.configuration_vector(hand.rest))
     placed = ik.configuration
     targets = placed.points.copy()
     wrist = placed.wrist.homogeneous
     for _ in range(steps):
-        ik.solve(targets, wrist, 1e3, tasks=[task])
+        ik.solve(targets, wrist, _UNHURRIED, tasks=[task])
         places = task.points.positions(ik.configuration)
         errors = np.abs(lengths(places[1:] - places[0]) - task.distances)
         if errors[task.weights > 0.0].max() < _TOUCHING:
