@@ -135,6 +135,9 @@ inline Tree make_tree(const Fields& hand) {
   const Fields wrist(item(model.object("frames"), hand.get<size_t>("wrist_frame_id")));
   tree.wrist_origin = {wrist.get<int>("parentJoint") - 1, {}};
   tree.wrist = wrist.pose("placement.homogeneous");
+  const Fields palm(item(model.object("frames"), hand.get<size_t>("palm_frame_id")));
+  tree.palm_origin = {palm.get<int>("parentJoint") - 1, {}};
+  tree.palm = palm.pose("placement.homogeneous");
   for (const nb::handle& each : hand.object("point_frames")) {
     const Fields frame(nb::borrow(each));
     tree.points.push_back({frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});

@@ -322,6 +322,24 @@ nb::object nearest_posture(const Tree& tree, const Array& configuration, const A
   return numbers_of(problem.solve(vector_of(start)).data(), n, 1);
 }
 
+// Points on joints (world: 0, as Pinocchio counts) at a configuration; those of the hand if omitted.
+nb::object points_of_tree(const Tree& tree, const Array& configuration, bool is_in_palm,
+                          const std::optional<Indices>& joints,
+                          const std::optional<Array>& offsets) {
+  expect_size(configuration, tree.nq, "configuration");
+  std::vector<Attached> points = joints ? attached_of(*joints, *offsets) : tree.points;
+  Placed placed(tree);
+  placed.place(configuration.data());
+  const Pose from =
+      is_in_palm ? inverse(placed.pose(tree.palm_origin.joint) * tree.palm) : Pose{};
+  std::vector<Vec3> found;
+  for (Attached& point : points) {
+    if (joints) --point.joint;
+    found.push_back(from * placed.point(point));
+  }
+  return numbers_of(found.empty() ? nullptr : &found[0].x, found.size(), 3);
+}
+
 // See surface_gaps: of configurations (T, nq), a column for the pairs from each of `starts` on.
 nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
                               const Array& configurations, const Indices& starts, double most) {
@@ -363,12 +381,15 @@ NB_MODULE(_core, m) {
   nb::class_<LandmarkReader>(m, "LandmarkReader")
       .def("__init__", &make_reader)
       .def("read", &read_landmarks);
-  nb::class_<Tree>(m, "Tree").def(
-      "__init__", [](Tree* self, const nb::object& hand) { new (self) Tree(make_tree(Fields(hand))); });
+  nb::class_<Tree>(m, "Tree")
+      .def("__init__",
+           [](Tree* self, const nb::object& hand) { new (self) Tree(make_tree(Fields(hand))); })
+      .def("points", &points_of_tree, "configuration"_a, "is_in_palm"_a = false,
+           "joints"_a.none() = nb::none(), "offsets"_a.none() = nb::none())
+      .def("nearest_posture", &nearest_posture)
+      .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);
-  m.def("nearest_posture", &nearest_posture);
-  m.def("smallest_distances", &smallest_distances);
   m.def("is_zero", [](const nb::object& landmarks) { return is_zero(landmarks_of(landmarks)); });
   m.def("first_track", &first_track_of);
   m.def("change_between", &change_of);

@@ -84,7 +84,7 @@ class _Surface(NamedTuple):
             stretch: Factors along the joint's axes, shape (3,); the last is that of the radius.
         """
         points = stretch * self.points
-        return (_DIRECTIONS @ points.T).max(axis=1) + stretch[2] * self.radius
+        return (points @ _DIRECTIONS.T).max(axis=0) + stretch[2] * self.radius
 
 
 @lru_cache(maxsize=32)

@@ -17,6 +17,7 @@ import numpy as np
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
+from handmap_qp.ik.compiled import core_tree
 from handmap_qp.se3 import as_floats, check_pose, frozen, lengths
 
 LANDMARK_COUNT = 21
@@ -169,9 +170,12 @@ def landmarks_at_rest(human: Hand) -> np.ndarray:
         HandError: If the hand has no landmarks.
     """
     hand = human.with_points("landmarks")
+    vector = hand.configuration_vector(hand.rest)
+    if (tree := core_tree(hand)) is not None:
+        return frozen(tree.points(vector))
     # A workspace for once: the hand's own would stay, a megabyte a person.
     placed = hand.configuration()
-    placed.place(hand.configuration_vector(hand.rest))
+    placed.place(vector)
     return frozen(placed.points.copy())
 
 

@@ -26,6 +26,7 @@ from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
@@ -165,14 +166,15 @@ class HandPair:
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
         others = self._others
-        self.robot_rest = frozen(points_in_palm(self.robot, self.matched))
+        robot = self._measured.with_points
+        self.robot_rest = frozen(points_in_palm(robot, self.matched))
         chains = [self.chains[finger] for finger in self.fingers]
         places = [
             place
             for chain in chains
             for place in (chain.knuckle, chain.tip, chain.middle)
         ]
-        points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
+        points = points_in_palm(robot, self.matched, places).reshape(-1, 3, 3)
         self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
         self.human_knuckles = frozen(
             self.human_rest[self.knuckles[others]].mean(axis=0)
@@ -199,9 +201,8 @@ class HandPair:
             thumb, *pads = (self.pads[finger] for finger in self.fingers)
             task = _gap_task(self.robot, thumb, pads, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
-        robot = self.robot
-        places = [self.chains[finger].knuckle for finger in self.fingers]
-        knuckles = points_in_palm(self._measured.hand, robot.rest, places)
+        robot = self._measured.with_points
+        knuckles = self._measured.knuckles
         in_palm = np.empty((len(robot.reference_points), 3))
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
@@ -211,8 +212,7 @@ class HandPair:
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
-        palm = self._measured.hand.frame_pose("palm", robot.rest)
-        targets = transform_points(palm, in_palm)
+        targets = transform_points(self._measured.palm, in_palm)
         costs = IkOptions().point_costs(robot)
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
 
@@ -267,6 +267,17 @@ class _RobotFingers:
         used = {finger: self.chains[finger] for finger in self.names}
         weight = _JAW_WEIGHT if self.has_jaws else 1.0
         return self.hand.with_points(tuple(_finger_points(self.hand, used, weight)))
+
+    @cached_property
+    def knuckles(self) -> np.ndarray:
+        """Knuckles of `names` at rest, in palm axes [m], shape (f, 3)."""
+        places = [self.chains[finger].knuckle for finger in self.names]
+        return points_in_palm(self.hand, self.hand.rest, places)
+
+    @cached_property
+    def palm(self) -> np.ndarray:
+        """The palm at rest, shape (4, 4)."""
+        return self.hand.frame_pose("palm", self.hand.rest)
 
     @cached_property
     def pinching_thumb(self) -> np.ndarray:
@@ -373,9 +384,13 @@ def points_in_palm(
     """
     if places is None:
         places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
+    vector = hand.configuration_vector(q)
+    if (tree := core_tree(hand)) is not None:
+        joints, offsets = zip(*places, strict=True)
+        return tree.points(vector, True, joints, np.array(offsets))
     model = hand.model
     data = model.createData()
-    pin.forwardKinematics(model, data, hand.configuration_vector(q))
+    pin.forwardKinematics(model, data, vector)
     palm = model.frames[hand.palm_frame_id]
     to_palm = (data.oMi[palm.parentJoint] * palm.placement).inverse()
     return np.array([to_palm * data.oMi[joint] * place for joint, place in places])
@@ -403,10 +418,9 @@ def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
-    # Reference points have no weight here, and one of them takes the least time.
-    hand = hand.with_points(hand.reference_points[:1])
     pads = {finger: pads[finger] for finger in chains}
-    ik = PointIk(hand, _PINCHING)
+    # Reference points have no weight here, and one of them takes the least time.
+    ik = PointIk(hand.with_points(hand.reference_points[:1]), _PINCHING)
     task = _gap_task(hand, pads.pop(THUMB), list(pads.values()), 0.0)
     tips = []
     for is_used in np.eye(len(pads)):

@@ -17,7 +17,6 @@ import numpy as np
 from handmap_qp.hands.configuration import CROSS, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.compiled import core_tree
-from handmap_qp.ik.core import core
 from handmap_qp.ik.qp import solve_by_daqp
 
 _MOST_STEPS, _SMALLEST_STEP = 50, 1e-8  # rad or m
@@ -51,12 +50,11 @@ def nearest_posture(
     Returns:
         Joint positions inside their limits [rad or m], shape (n,).
     """
-    if core is not None and (tree := core_tree(hand)) is not None:
+    if (tree := core_tree(hand)) is not None:
         where = hand.configuration_vector(hand.rest), hand.rest
         limits = np.array([hand.lower_limits, hand.upper_limits])
         asked = targets, costs**2, rest_cost**2
-        return core.nearest_posture(
-            tree,
+        return tree.nearest_posture(
             *where,
             limits,
             *asked,

@@ -16,7 +16,6 @@ from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, pair_distances
 from handmap_qp.ik.collision import pair_bounds
 from handmap_qp.ik.compiled import core_tree
-from handmap_qp.ik.core import core
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
@@ -130,11 +129,11 @@ class GapMeter:
             Shape (T, g).
         """
         hand = self._hand
-        if core is not None and (tree := core_tree(hand)) is not None:
+        if (tree := core_tree(hand)) is not None:
             vectors = np.tile(hand.configuration_vector(hand.rest), (len(q), 1))
             hand.write_configuration(vectors, q)
             bounds = pair_bounds(hand.model, geometry).core
-            found = core.smallest_distances(tree, bounds, vectors, starts, most)
+            found = tree.smallest_distances(bounds, vectors, starts, most)
             return found.reshape(len(q), len(starts))
         distances = pair_distances(hand, geometry, q)
         return np.minimum(np.minimum.reduceat(distances, starts, axis=1), most)
