@@ -234,10 +234,10 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
   return pairs;
 }
 
-// Of a hand, `IkOptions` and a `Gate`.
-inline void make_ik(Ik* self, const nb::object& hand, const nb::object& options,
+// Of a hand and its tree, `IkOptions` and a `Gate`.
+inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb::object& options,
                     const nb::object& gate) {
-  Ik& ik = *new (self) Ik(make_tree(Fields(hand)));
+  Ik& ik = *new (self) Ik(tree);
   set_weights(ik, Fields(hand), Fields(options));
   set_limits(ik, Fields(nb::getattr(gate, "limits")));
   const nb::object collisions = nb::getattr(gate, "collisions");

@@ -168,10 +168,11 @@ def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> CompiledIk | None:
         gate: Its limits and pairs.
     """
     is_asked = options.formulation == "compiled" and options.solver == "daqp"
-    if core is None or not is_asked:
+    tree = core_tree(hand)
+    if core is None or tree is None or not is_asked:
         return None
     try:
-        return CompiledIk(hand, core.Ik(hand, options, gate))
+        return CompiledIk(hand, core.Ik(tree, hand, options, gate))
     except ValueError:
-        # A kind of joint or of shape that the core does not have.
+        # A kind of shape that the core does not have.
         return None

@@ -6,7 +6,6 @@ All of it is measured on the two models, once for each pair of hands.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -143,7 +142,7 @@ class HandPair:
         self.chains = self._measured.chains
         self.pads = self._measured.pads
         self.contacts: ShapePairs = self._measured.contacts
-        self.robot = copy(self._measured.with_points)
+        self.robot = self._measured.with_points
         names = point_indices(human)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
@@ -166,15 +165,14 @@ class HandPair:
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
         others = self._others
-        robot = self._measured.with_points
-        self.robot_rest = frozen(points_in_palm(robot, self.matched))
+        self.robot_rest = frozen(points_in_palm(self.robot, self.matched))
         chains = [self.chains[finger] for finger in self.fingers]
         places = [
             place
             for chain in chains
             for place in (chain.knuckle, chain.tip, chain.middle)
         ]
-        points = points_in_palm(robot, self.matched, places).reshape(-1, 3, 3)
+        points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
         self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
         self.human_knuckles = frozen(
             self.human_rest[self.knuckles[others]].mean(axis=0)
@@ -201,7 +199,7 @@ class HandPair:
             thumb, *pads = (self.pads[finger] for finger in self.fingers)
             task = _gap_task(self.robot, thumb, pads, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
-        robot = self._measured.with_points
+        robot = self.robot
         knuckles = self._measured.knuckles
         in_palm = np.empty((len(robot.reference_points), 3))
         for j, point in enumerate(robot.reference_points):
@@ -419,8 +417,7 @@ def _pinching_thumb(
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     pads = {finger: pads[finger] for finger in chains}
-    # Reference points have no weight here, and one of them takes the least time.
-    ik = PointIk(hand.with_points(hand.reference_points[:1]), _PINCHING)
+    ik = PointIk(hand, _PINCHING)
     task = _gap_task(hand, pads.pop(THUMB), list(pads.values()), 0.0)
     tips = []
     for is_used in np.eye(len(pads)):
