@@ -41,7 +41,8 @@ inline std::vector<Attached> attached_of(const Indices& joints, const Array& off
   expect_size(offsets, 3 * joints.size(), "offsets");
   const std::vector<Vec3> at = points_of(offsets);
   std::vector<Attached> points(joints.size());
-  for (size_t k = 0; k < points.size(); ++k) points[k] = {joints[k], at[k]};
+  // Pinocchio counts the world as joint 0.
+  for (size_t k = 0; k < points.size(); ++k) points[k] = {joints[k] - 1, at[k]};
   return points;
 }
 
@@ -138,10 +139,6 @@ inline Tree make_tree(const Fields& hand) {
   const Fields palm(item(model.object("frames"), hand.get<size_t>("palm_frame_id")));
   tree.palm_origin = {palm.get<int>("parentJoint") - 1, {}};
   tree.palm = palm.pose("placement.homogeneous");
-  for (const nb::handle& each : hand.object("point_frames")) {
-    const Fields frame(nb::borrow(each));
-    tree.points.push_back({frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});
-  }
   tree.q_indices = hand.indices("q_indices");
   tree.joint_columns = hand.indices("joint_columns");
   tree.finish();
@@ -238,6 +235,11 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
 inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb::object& options,
                     const nb::object& gate) {
   Ik& ik = *new (self) Ik(tree);
+  for (const nb::handle& each : nb::getattr(hand, "point_frames")) {
+    const Fields frame(nb::borrow(each));
+    ik.tree.points.push_back(
+        {frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});
+  }
   set_weights(ik, Fields(hand), Fields(options));
   set_limits(ik, Fields(nb::getattr(gate, "limits")));
   const nb::object collisions = nb::getattr(gate, "collisions");
@@ -324,8 +326,7 @@ inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
 
 inline void make_distances(DistanceTask* self, const nb::object& owner) {
   const Fields from(owner);
-  Indices joints = from.get<Indices>("points.joints");
-  for (int& joint : joints) --joint;  // Pinocchio counts the world
+  const Indices joints = from.get<Indices>("points.joints");
   new (self) DistanceTask{attached_of(joints, from.get<Array>("points.offsets")),
                           from.indices("first"), from.indices("second"), from.numbers("damping")};
 }

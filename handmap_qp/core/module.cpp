@@ -298,11 +298,12 @@ nb::tuple measure_shape(const Array& landmarks, const Array& palm, double bent, 
 
 // See matched_posture.nearest_posture; `costs` are squared, `limits` lower and upper ones.
 nb::object nearest_posture(const Tree& tree, const Array& configuration, const Array& rest,
-                           const Array& limits, const Array& targets, const Array& costs,
+                           const Array& limits, const Indices& joints, const Array& offsets,
+                           const Array& targets, const Array& costs,
                            double rest_cost, const Array& start, int most_steps,
                            double smallest_step, double least_decrease, double smallest_share,
                            double rounding, double least_curvature) {
-  const size_t n = tree.joint_columns.size(), m = tree.points.size();
+  const size_t n = tree.joint_columns.size(), m = joints.size();
   expect_size(configuration, tree.nq, "configuration");
   expect_size(rest, n, "rest");
   expect_size(limits, 2 * n, "limits");
@@ -310,6 +311,7 @@ nb::object nearest_posture(const Tree& tree, const Array& configuration, const A
   expect_size(costs, m, "costs");
   expect_size(start, n, "start");
   NearestPosture problem(tree);
+  problem.points = attached_of(joints, offsets);
   problem.configuration = vector_of(configuration);
   problem.rest = vector_of(rest);
   problem.lower = Vector(limits.data(), limits.data() + n);
@@ -322,21 +324,16 @@ nb::object nearest_posture(const Tree& tree, const Array& configuration, const A
   return numbers_of(problem.solve(vector_of(start)).data(), n, 1);
 }
 
-// Points on joints (world: 0, as Pinocchio counts) at a configuration; those of the hand if omitted.
-nb::object points_of_tree(const Tree& tree, const Array& configuration, bool is_in_palm,
-                          const std::optional<Indices>& joints,
-                          const std::optional<Array>& offsets) {
+nb::object points_of_tree(const Tree& tree, const Array& configuration, const Indices& joints,
+                          const Array& offsets, bool is_in_palm) {
   expect_size(configuration, tree.nq, "configuration");
-  std::vector<Attached> points = joints ? attached_of(*joints, *offsets) : tree.points;
   Placed placed(tree);
   placed.place(configuration.data());
   const Pose from =
       is_in_palm ? inverse(placed.pose(tree.palm_origin.joint) * tree.palm) : Pose{};
   std::vector<Vec3> found;
-  for (Attached& point : points) {
-    if (joints) --point.joint;
+  for (const Attached& point : attached_of(joints, offsets))
     found.push_back(from * placed.point(point));
-  }
   return numbers_of(found.empty() ? nullptr : &found[0].x, found.size(), 3);
 }
 
@@ -384,8 +381,7 @@ NB_MODULE(_core, m) {
   nb::class_<Tree>(m, "Tree")
       .def("__init__",
            [](Tree* self, const nb::object& hand) { new (self) Tree(make_tree(Fields(hand))); })
-      .def("points", &points_of_tree, "configuration"_a, "is_in_palm"_a = false,
-           "joints"_a.none() = nb::none(), "offsets"_a.none() = nb::none())
+      .def("points", &points_of_tree)
       .def("nearest_posture", &nearest_posture)
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);

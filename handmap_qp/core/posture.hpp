@@ -15,6 +15,7 @@ namespace handmap {
 // The posture in which a hand's points are nearest to their targets, by Newton's method.
 class NearestPosture {
  public:
+  std::vector<Attached> points;
   std::vector<Vec3> targets;
   Vector costs;                  // of each point's error, squared
   double rest_cost;              // squared
@@ -104,13 +105,13 @@ class NearestPosture {
     turning_.assign(tree_.nv, Vec3{});
     double cost = 0.0, moved = 0.0;
     std::vector<Vec3> levers(n);
-    for (size_t k = 0; k < tree_.points.size(); ++k) {
-      const Vec3 point = placed_.point(tree_.points[k]), error = point - targets[k];
+    for (size_t k = 0; k < points.size(); ++k) {
+      const Vec3 point = placed_.point(points[k]), error = point - targets[k];
       const Vec3 force = costs[k] * error;
       cost += dot(force, error);
       std::fill(levers.begin(), levers.end(), Vec3{});
-      if (tree_.points[k].joint < 0) continue;
-      for (const int c : tree_.supports[tree_.points[k].joint]) {
+      if (points[k].joint < 0) continue;
+      for (const int c : tree_.supports[points[k].joint]) {
         if (place_of(c) < 0) continue;
         const Vec3 velocity = placed_.velocity(c, point);
         levers[place_of(c)] += tree_.factor[c] * velocity;

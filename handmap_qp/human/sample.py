@@ -9,15 +9,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Literal, NamedTuple, get_args
+from weakref import WeakKeyDictionary
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.ik.compiled import core_tree
 from handmap_qp.se3 import as_floats, check_pose, frozen, lengths
 
 LANDMARK_COUNT = 21
@@ -162,21 +162,25 @@ class PalmShape:
         )
 
 
-@lru_cache(maxsize=8)
+_AT_REST: WeakKeyDictionary[pin.Model, np.ndarray] = WeakKeyDictionary()
+
+
 def landmarks_at_rest(human: Hand) -> np.ndarray:
     """Return the landmarks of a hand at rest in the frame of its wrist [m], shape (21, 3).
 
     Raises:
         HandError: If the hand has no landmarks.
     """
-    hand = human.with_points("landmarks")
-    vector = hand.configuration_vector(hand.rest)
-    if (tree := core_tree(hand)) is not None:
-        return frozen(tree.points(vector))
-    # A workspace for once: the hand's own would stay, a megabyte a person.
-    placed = hand.configuration()
-    placed.place(vector)
-    return frozen(placed.points.copy())
+    # Hands that differ in their reference points only have one model.
+    if human.model not in _AT_REST:
+        hand = human.with_points("landmarks")
+        data = hand.model.createData()
+        pin.forwardKinematics(hand.model, data, hand.configuration_vector(hand.rest))
+        placed = [
+            data.oMi[f.parentJoint] * f.placement.translation for f in hand.point_frames
+        ]
+        _AT_REST[human.model] = frozen(np.array(placed))
+    return _AT_REST[human.model]
 
 
 def human_name(side: Side) -> str:

@@ -381,17 +381,19 @@ def points_in_palm(
         places: Points on joints; the hand's reference points if omitted.
     """
     if places is None:
-        places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
+        points = AttachedPoints.reference_points(hand)
+    else:
+        points = AttachedPoints(hand, places)
     vector = hand.configuration_vector(q)
     if (tree := core_tree(hand)) is not None:
-        joints, offsets = zip(*places, strict=True)
-        return tree.points(vector, True, joints, np.array(offsets))
+        return tree.points(vector, points.joints, points.offsets, True)
     model = hand.model
     data = model.createData()
     pin.forwardKinematics(model, data, vector)
     palm = model.frames[hand.palm_frame_id]
     to_palm = (data.oMi[palm.parentJoint] * palm.placement).inverse()
-    return np.array([to_palm * data.oMi[joint] * place for joint, place in places])
+    placed = zip(points.joints, points.offsets, strict=True)
+    return np.array([to_palm * data.oMi[joint] * offset for joint, offset in placed])
 
 
 def resting_posture(human: Hand) -> np.ndarray:

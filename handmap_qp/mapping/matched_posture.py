@@ -18,6 +18,7 @@ from handmap_qp.hands.configuration import CROSS, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import solve_by_daqp
+from handmap_qp.ik.tasks import AttachedPoints
 
 _MOST_STEPS, _SMALLEST_STEP = 50, 1e-8  # rad or m
 _LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4
@@ -51,13 +52,16 @@ def nearest_posture(
         Joint positions inside their limits [rad or m], shape (n,).
     """
     if (tree := core_tree(hand)) is not None:
-        where = hand.configuration_vector(hand.rest), hand.rest
-        limits = np.array([hand.lower_limits, hand.upper_limits])
-        asked = targets, costs**2, rest_cost**2
+        points = AttachedPoints.reference_points(hand)
         return tree.nearest_posture(
-            *where,
-            limits,
-            *asked,
+            hand.configuration_vector(hand.rest),
+            hand.rest,
+            np.array([hand.lower_limits, hand.upper_limits]),
+            points.joints,
+            points.offsets,
+            targets,
+            costs**2,
+            rest_cost**2,
             start,
             _MOST_STEPS,
             _SMALLEST_STEP,

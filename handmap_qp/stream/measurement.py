@@ -43,7 +43,7 @@ def without_faults(recording: Recording) -> Recording:
     Raises:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
-    human = scaled_human(recording, points="landmarks")
+    human = scaled_human(recording)
     guard = StreamGuard(human)
     is_held = [guard.check(sample).is_held for sample in recording_samples(recording)]
     valid = recording.valid & ~np.array(is_held)
