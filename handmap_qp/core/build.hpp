@@ -145,6 +145,15 @@ inline Tree make_tree(const Fields& hand) {
   return tree;
 }
 
+inline std::vector<Attached> reference_points(const Fields& hand) {
+  std::vector<Attached> points;
+  for (const nb::handle& each : hand.object("point_frames")) {
+    const Fields frame(nb::borrow(each));
+    points.push_back({frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});
+  }
+  return points;
+}
+
 inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
   const Array costs = nb::cast<Array>(options.object("point_costs")(hand.owner()));
   expect_size(costs, ik.tree.points.size(), "point costs");
@@ -235,11 +244,7 @@ inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
 inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb::object& options,
                     const nb::object& gate) {
   Ik& ik = *new (self) Ik(tree);
-  for (const nb::handle& each : nb::getattr(hand, "point_frames")) {
-    const Fields frame(nb::borrow(each));
-    ik.tree.points.push_back(
-        {frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});
-  }
+  ik.tree.points = reference_points(Fields(hand));
   set_weights(ik, Fields(hand), Fields(options));
   set_limits(ik, Fields(nb::getattr(gate, "limits")));
   const nb::object collisions = nb::getattr(gate, "collisions");

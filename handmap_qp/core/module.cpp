@@ -272,55 +272,57 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
-nb::object approach_from(Ik& ik, const Array& start, const Postures& postures,
-                         const DistanceTask& distances, const Array& aims, const Array& weights,
-                         double dt, int samples, double tolerance) {
-  expect_size(start, ik.tree.nq, "start");
+// Of a `PointIk` and a `PointDistances`; see hand_pair.approach.
+nb::object approach_from(Ik& ik, const nb::object& solver, const nb::object& task, double dt,
+                         int samples, double tolerance) {
+  const nb::object hand = nb::getattr(solver, "hand");
+  const nb::object start = nb::getattr(hand, "configuration_vector")(nb::getattr(hand, "rest"));
   Goal goal;
-  goal.postures = postures_of(ik, postures);
-  goal.distances = &distances;
-  goal.aims = vector_of(aims);
-  goal.aim_weights = vector_of(weights);
-  approach(ik, goal, vector_of(start), dt, samples, tolerance);
+  goal.postures =
+      postures_of(ik, nb::cast<Postures>(nb::getattr(solver, "postures")(dt, nb::none())));
+  goal.distances = Fields(task).get<DistanceTask*>("core");
+  goal.aims = Fields(task).numbers("distances");
+  goal.aim_weights = Fields(task).numbers("weights");
+  approach(ik, goal, vector_of(nb::cast<Array>(start)), dt, samples, tolerance);
   return numbers_of(ik.motion.q.data(), ik.motion.q.size(), 1);
 }
 
-// Bases (5, 3) and rolls (5,) of a person, in landmarks (T, 21, 3) of a right hand.
-nb::tuple measure_shape(const Array& landmarks, const Array& palm, double bent, size_t fewest_bent,
-                        double largest_roll) {
+// See measure.measure_shape, whose constants and arguments these are.
+nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
+  const Fields constants(nb::module_::import_("handmap_qp.human.measure"));
+  const PersonMeter meter{constants.get<double>("_BENT"), constants.get<size_t>("_FEWEST_BENT"),
+                          constants.get<double>("LARGEST_ROLL")};
   expect_size(palm, 15, "palm");
   if (landmarks.size() == 0 || landmarks.size() % (3 * kLandmarks))
     throw std::invalid_argument("wrong size of landmarks");
-  const PersonShape shape =
-      PersonMeter{bent, fewest_bent, largest_roll}.measure(points_of(landmarks), points_of(palm));
+  const PersonShape shape = meter.measure(points_of(landmarks), points_of(palm));
   return nb::make_tuple(numbers_of(&shape.bases[0].x, 5, 3), numbers_of(shape.rolls.data(), 5, 1));
 }
 
-// See matched_posture.nearest_posture; `costs` are squared, `limits` lower and upper ones.
-nb::object nearest_posture(const Tree& tree, const Array& configuration, const Array& rest,
-                           const Array& limits, const Indices& joints, const Array& offsets,
-                           const Array& targets, const Array& costs,
-                           double rest_cost, const Array& start, int most_steps,
-                           double smallest_step, double least_decrease, double smallest_share,
-                           double rounding, double least_curvature) {
-  const size_t n = tree.joint_columns.size(), m = joints.size();
-  expect_size(configuration, tree.nq, "configuration");
-  expect_size(rest, n, "rest");
-  expect_size(limits, 2 * n, "limits");
+// See matched_posture.nearest_posture, whose constants and arguments these are.
+nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array& targets,
+                           const Array& costs, double rest_cost, const Array& start) {
+  const Fields constants(nb::module_::import_("handmap_qp.mapping.matched_posture"));
+  const Fields of(hand);
+  NearestPosture problem(tree);
+  problem.settings = {constants.get<int>("_MOST_STEPS"), constants.get<double>("_SMALLEST_STEP"),
+                      constants.get<double>("_LEAST_DECREASE"),
+                      constants.get<double>("_SMALLEST_SHARE"), constants.get<double>("_ROUNDING"),
+                      constants.get<double>("_LEAST_CURVATURE")};
+  problem.points = reference_points(of);
+  const size_t n = tree.joint_columns.size(), m = problem.points.size();
+  problem.configuration =
+      vector_of(nb::cast<Array>(of.object("configuration_vector")(of.object("rest"))));
+  problem.rest = vector_of(of.array("rest", n));
+  problem.lower = vector_of(of.array("lower_limits", n));
+  problem.upper = vector_of(of.array("upper_limits", n));
   expect_size(targets, 3 * m, "targets");
   expect_size(costs, m, "costs");
   expect_size(start, n, "start");
-  NearestPosture problem(tree);
-  problem.points = attached_of(joints, offsets);
-  problem.configuration = vector_of(configuration);
-  problem.rest = vector_of(rest);
-  problem.lower = Vector(limits.data(), limits.data() + n);
-  problem.upper = Vector(limits.data() + n, limits.data() + 2 * n);
   problem.targets = points_of(targets);
   problem.costs = vector_of(costs);
-  problem.rest_cost = rest_cost;
-  problem.settings = {most_steps, smallest_step, least_decrease, smallest_share, rounding,
-                      least_curvature};
+  for (double& cost : problem.costs) cost *= cost;
+  problem.rest_cost = rest_cost * rest_cost;
   return numbers_of(problem.solve(vector_of(start)).data(), n, 1);
 }
 

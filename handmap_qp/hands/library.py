@@ -126,9 +126,10 @@ def load_hand(
         raise InvalidInputError(
             argument="lengths", expected="HumanLengths", value=lengths
         )
+    is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
+    load = _standard_human if is_standard else _load_human
     numbers = np.column_stack([lengths.bases, lengths.segments, lengths.rolls])
-    scale = _scaled_human if isinstance(points, str | None) else _scale_human
-    scaled = scale(hand, mount, points, numbers.tobytes())
+    scaled = _scaled(*load(hand, mount, points), numbers.tobytes())
     return scaled.with_contact_gap(lengths.contact_gap)
 
 
@@ -159,25 +160,15 @@ def _load_human(
 _standard_human = lru_cache(maxsize=8)(_load_human)
 
 
-def _scale_human(
-    hand: str | Path | HandSpec,
-    mount: Mount | None,
-    points: Points | None,
-    numbers: bytes,
-) -> Hand:
+# The guard and the mapper have the same person.
+@lru_cache(maxsize=4)
+def _scaled(standard: Hand, own: HumanLengths, numbers: bytes) -> Hand:
     """Scale a human hand to a person's bases, segments and rolls, shape (5, 7) together."""
-    is_standard = isinstance(hand, str) and hand in HUMAN_HANDS
-    load = _standard_human if is_standard else _load_human
-    standard, own = load(hand, mount, points)
     columns = np.frombuffer(numbers).reshape(5, 7)
     lengths = HumanLengths(columns[:, :3], columns[:, 3:6], columns[:, 6])
     moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
     compose = partial(_person_urdf, standard.spec, lengths)
     return standard.with_joints(moves, shape_stretches(own, lengths), compose)
-
-
-# The same person is scaled for the guard and for the mapper.
-_scaled_human = lru_cache(maxsize=4)(_scale_human)
 
 
 def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:

@@ -53,27 +53,19 @@ def _measured_hand(recording: Recording) -> HumanLengths:
     segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
-    limits = _BENT, _FEWEST_BENT, LARGEST_ROLL
-    bases, rolls = measure_shape(landmarks, _standard_palm(), *limits)
+    bases, rolls = measure_shape(landmarks, _standard_palm())
     return HumanLengths(bases, segments, rolls)
 
 
 @in_core
 def measure_shape(
-    landmarks: np.ndarray,
-    palm: np.ndarray,
-    bent: float,
-    fewest_bent: int,
-    largest_roll: float,
+    landmarks: np.ndarray, palm: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Measure the palm and the rolls of a right hand.
 
     Args:
         landmarks: Samples [m], shape (T, 21, 3).
         palm: The palm's landmarks of the standard hand [m], shape (5, 3).
-        bent: As `_BENT`.
-        fewest_bent: As `_FEWEST_BENT`.
-        largest_roll: Largest roll [rad].
 
     Returns:
         `HumanLengths.bases` and `rolls`.
@@ -93,13 +85,13 @@ def measure_shape(
     beyond = joints[:, :, 3] - joints[:, :, 1]
     normals = np.cross(proximal, beyond)
     angles = np.arctan2(normals[..., 2], -normals[..., 0])
-    is_bent = lengths(normals) > bent * lengths(proximal) * lengths(beyond)
+    is_bent = lengths(normals) > _BENT * lengths(proximal) * lengths(beyond)
     rolls = np.zeros(len(FINGERS))
     for i in range(1, len(FINGERS)):
-        if is_bent[:, i].sum() >= fewest_bent:
+        if is_bent[:, i].sum() >= _FEWEST_BENT:
             rolls[i] = np.median(angles[is_bent[:, i], i])
     bases = np.median(laid[:, FIRST_JOINTS], axis=0)
-    return bases, np.clip(rolls, -largest_roll, largest_roll)
+    return bases, np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
 
 
 def scaled_human(

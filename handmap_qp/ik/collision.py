@@ -47,7 +47,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration, Placements, moved_by
+from handmap_qp.hands.configuration import Configuration, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 from handmap_qp.ik.core import Compiled
@@ -94,6 +94,8 @@ class PairBounds(Compiled):
         geometry: As given.
         first: Index of the first shape of each pair, shape (k,).
         second: Index of the second one.
+        centres: Centres of the shapes' bounding balls in their axes [m].
+        radii: Radii of the balls [m], shape (s,).
         levers: Bound of the change of each pair's distance per change of each velocity coordinate
             [m/rad, or 1 for sliding joints], shape (k, nv); 0 for coordinates that move both shapes
             of a pair or neither.
@@ -108,6 +110,8 @@ class PairBounds(Compiled):
         self.first = np.array([pair.first for pair in pairs], dtype=int)
         self.second = np.array([pair.second for pair in pairs], dtype=int)
         shapes = geometry.geometryObjects
+        self.centres = [shape.geometry.aabb_center for shape in shapes]
+        self.radii = np.array([shape.geometry.aabb_radius for shape in shapes])
         levers = np.array([_levers(model, shape) for shape in shapes])
         levers = levers.reshape(-1, model.nv)
         moved = moved_by(model, [shape.parentJoint for shape in shapes])
@@ -161,17 +165,6 @@ class ShapeDistances:
             request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
         return shapes
 
-    @cached_property
-    def _placed(self) -> Placements:
-        return Placements(self._shapes.oMg)
-
-    @cached_property
-    def _balls(self) -> np.ndarray:
-        """Centres and radii of the shapes' bounding balls in their axes [m], shape (s, 4)."""
-        shapes = [shape.geometry for shape in self.bounds.geometry.geometryObjects]
-        balls = [(*shape.aabb_center, shape.aabb_radius) for shape in shapes]
-        return np.array(balls).reshape(-1, 4)
-
     def measure(self, q: np.ndarray, horizon: np.ndarray | float = np.inf) -> NearPairs:
         """Measure the pairs within a horizon.
 
@@ -204,12 +197,10 @@ class ShapeDistances:
 
     def _ball_gaps(self) -> np.ndarray:
         """Return the distances of the bounding balls of all placed pairs [m], shape (k,)."""
-        centres = self._placed.points(self._balls[:, :3])
-        radii = self._balls[:, 3]
-        first = self.bounds.first
-        second = self.bounds.second
-        apart = centres[first] - centres[second]
-        return lengths(apart) - radii[first] - radii[second]
+        bounds = self.bounds
+        centres = np.array([*map(pin.SE3.act, self._shapes.oMg, bounds.centres)])
+        apart = centres[bounds.first] - centres[bounds.second]
+        return lengths(apart) - bounds.radii[bounds.first] - bounds.radii[bounds.second]
 
     def is_clear(self, q: np.ndarray, step: np.ndarray) -> bool:
         """Return whether no pair of shapes touches on a straight path.

@@ -95,10 +95,7 @@ class CompiledIk:
     ) -> np.ndarray:
         """Move the hand from rest for a task; see `hand_pair.approach`."""
         self._motion = None
-        start = self._hand.configuration_vector(self._hand.rest)
-        aims = task.core, task.distances, task.weights
-        postures = ik.postures(dt, None)
-        return self._core.approach(start, postures, *aims, dt, samples, near)
+        return self._core.approach(ik, task, dt, samples, near)
 
     def _take(self, gate: Gate) -> None:
         """Continue from the gate's motion, unless it is the core's own."""

@@ -17,7 +17,6 @@ from handmap_qp.hands.fingers import (
     Place,
     find_fingers,
     partner_names,
-    place_of,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
@@ -25,13 +24,13 @@ from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.human.sample import landmarks_at_rest
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
 from handmap_qp.mapping.palm import (
-    chain_landmarks,
     point_indices,
     require_points,
 )
@@ -407,11 +406,9 @@ def resting_posture(human: Hand) -> np.ndarray:
 
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
-    described = {point.name: point for point in human.spec.points}
-    names = [name for finger in fingers for name in chain_landmarks(finger)]
-    places = [place_of(human, described[name]) for name in names]
-    joints = points_in_palm(human, human.rest, places).reshape(-1, 4, 3)
-    return lengths(np.diff(joints, axis=1)).sum(axis=1)
+    joints = landmarks_at_rest(human)[1:].reshape(len(FINGERS), 4, 3)
+    reaches = lengths(np.diff(joints, axis=1)).sum(axis=1)
+    return reaches[[FINGERS.index(finger) for finger in fingers]]
 
 
 def _pinching_thumb(

@@ -18,7 +18,6 @@ from handmap_qp.hands.configuration import CROSS, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import solve_by_daqp
-from handmap_qp.ik.tasks import AttachedPoints
 
 _MOST_STEPS, _SMALLEST_STEP = 50, 1e-8  # rad or m
 _LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4
@@ -52,24 +51,7 @@ def nearest_posture(
         Joint positions inside their limits [rad or m], shape (n,).
     """
     if (tree := core_tree(hand)) is not None:
-        points = AttachedPoints.reference_points(hand)
-        return tree.nearest_posture(
-            hand.configuration_vector(hand.rest),
-            hand.rest,
-            np.array([hand.lower_limits, hand.upper_limits]),
-            points.joints,
-            points.offsets,
-            targets,
-            costs**2,
-            rest_cost**2,
-            start,
-            _MOST_STEPS,
-            _SMALLEST_STEP,
-            _LEAST_DECREASE,
-            _SMALLEST_SHARE,
-            _ROUNDING,
-            _LEAST_CURVATURE,
-        )
+        return tree.nearest_posture(hand, targets, costs, rest_cost, start)
     distance = _Distance(hand, targets, costs, rest_cost)
     free = distance.free
     lower = hand.lower_limits[free]
