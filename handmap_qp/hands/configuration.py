@@ -17,43 +17,6 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.se3 import frozen
 
 
-class Placements:
-    """Placements of a Pinocchio vector, read as arrays.
-
-    Args:
-        poses: `data.oMi`, `data.oMf` or `geometry_data.oMg`, which every placing overwrites.
-        first: Index of the first placement.
-    """
-
-    def __init__(self, poses: Sequence[pin.SE3], first: int = 0) -> None:
-        self._poses = [poses[i] for i in range(first, len(poses))]
-        # Pinocchio's arrays follow every placing, so they are fetched once.
-        self._rotations = [pose.rotation for pose in self._poses]
-        self._translations = [pose.translation for pose in self._poses]
-
-    @property
-    def translations(self) -> np.ndarray:
-        """Origins of the placements [m], shape (n, 3); a new array."""
-        return np.array(self._translations).reshape(-1, 3)
-
-    def points(
-        self, offsets: np.ndarray, indices: Sequence[int] | None = None
-    ) -> np.ndarray:
-        """Return points that are fixed to placements, in the world.
-
-        Args:
-            offsets: Points in the frames of the placements [m], shape (k, 3).
-            indices: Placement of each point; one point on every placement if omitted.
-
-        Returns:
-            Points [m], shape (k, 3).
-        """
-        chosen = range(len(self._poses)) if indices is None else indices
-        rotations = np.array([self._rotations[i] for i in chosen]).reshape(-1, 3, 3)
-        origins = np.array([self._translations[i] for i in chosen]).reshape(-1, 3)
-        return np.matmul(rotations, offsets[:, :, None])[:, :, 0] + origins
-
-
 def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
     """Return 1 for every velocity coordinate that moves a joint's frame.
 
@@ -113,8 +76,11 @@ class Configuration:
         self._q = pin.neutral(model)
         self.q = self._q.view()
         self.q.setflags(write=False)
-        self._placed_points = Placements(self.data.oMf, _FIRST_POINT)
-        self._points = self._placed_points.translations
+        # Pinocchio's arrays follow every placing, so they are fetched once.
+        self._translations = [
+            self.data.oMf[i].translation for i in range(_FIRST_POINT, model.nframes)
+        ]
+        self._points = np.zeros((len(self._translations), 3))
         self.points = self._points.view()
         self.points.setflags(write=False)
         self.wrist = self.data.oMf[_WRIST]
@@ -129,11 +95,6 @@ class Configuration:
         model, expansion, q = state
         Configuration.__init__(self, model, expansion=expansion)
         self.place(q)
-
-    @cached_property
-    def joints(self) -> Placements:
-        """Placements of the model's joints in the world, which follow every placement."""
-        return Placements(self.data.oMi)
 
     @cached_property
     def support(self) -> np.ndarray:
@@ -170,7 +131,8 @@ class Configuration:
             ) from error
         pin.updateFramePlacements(self.model, self.data)
         self._q[:] = q
-        self._points[:] = self._placed_points.translations
+        for point, translation in zip(self._points, self._translations, strict=True):
+            point[:] = translation
 
     def frame_pose(self, frame: pin.Frame) -> np.ndarray:
         """Return the pose of any frame on the joints in the world, shape (4, 4); a new array."""

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from handmap_qp.errors import HandError, InvalidInputError, expect
+from handmap_qp.errors import HandError, expect
 from handmap_qp.hands.urdf import (
     child_of,
     get_numbers,
@@ -112,7 +112,6 @@ class HumanLengths:
         is_right = self.bases[1, 0] < self.bases[4, 0]
         roll = np.abs(self.rolls).max()
         right = "a right hand, with the index finger at the -x side of the little one"
-        bent = f"{roll:.3g} rad"
         for name, is_valid, expected, got in (
             (
                 "segments",
@@ -127,13 +126,14 @@ class HumanLengths:
                 f"y = {knuckles:.6g} m",
             ),
             ("bases", is_right, right, "a left one: mirror it"),
-            ("rolls", roll <= LARGEST_ROLL, "angles within 45 degrees of 0", bent),
+            (
+                "rolls",
+                roll <= LARGEST_ROLL,
+                "angles within 45 degrees of 0",
+                f"{roll:.3g} rad",
+            ),
         ):
-            if not is_valid:
-                value = getattr(self, name)
-                raise InvalidInputError(
-                    argument=name, expected=expected, value=value, got=got
-                )
+            expect(is_valid, name, expected, value=getattr(self, name), got=got)
 
     def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray | float, ...]]:
         values = (self.bases, self.segments, self.rolls, self.contact_gap)

@@ -173,13 +173,9 @@ def landmarks_at_rest(human: Hand) -> np.ndarray:
     """
     # Hands that differ in their reference points only have one model.
     if human.model not in _AT_REST:
-        hand = human.with_points("landmarks")
-        data = hand.model.createData()
-        pin.forwardKinematics(hand.model, data, hand.configuration_vector(hand.rest))
-        placed = [
-            data.oMi[f.parentJoint] * f.placement.translation for f in hand.point_frames
-        ]
-        _AT_REST[human.model] = frozen(np.array(placed))
+        _AT_REST[human.model] = frozen(
+            human.with_points("landmarks").points(human.rest)
+        )
     return _AT_REST[human.model]
 
 

@@ -110,10 +110,11 @@ class PairBounds(Compiled):
         self.first = np.array([pair.first for pair in pairs], dtype=int)
         self.second = np.array([pair.second for pair in pairs], dtype=int)
         shapes = geometry.geometryObjects
-        self.centres = [shape.geometry.aabb_center for shape in shapes]
-        self.radii = np.array([shape.geometry.aabb_radius for shape in shapes])
         levers = np.array([_levers(model, shape) for shape in shapes])
         levers = levers.reshape(-1, model.nv)
+        # Known from here on, because levers are bounded by boxes and balls around the shapes.
+        self.centres = [shape.geometry.aabb_center for shape in shapes]
+        self.radii = np.array([shape.geometry.aabb_radius for shape in shapes])
         moved = moved_by(model, [shape.parentJoint for shape in shapes])
         self.signs = moved[self.first] - moved[self.second]
         is_between = self.signs != 0.0

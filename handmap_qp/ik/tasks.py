@@ -134,7 +134,9 @@ class AttachedPoints:
 
     def positions(self, hand: Configuration) -> np.ndarray:
         """Return the points in the world [m], shape (n, 3)."""
-        return hand.joints.points(self.offsets, self.joints)
+        placed = zip(self.joints, self.offsets, strict=True)
+        points = [hand.data.oMi[joint].act(offset) for joint, offset in placed]
+        return np.reshape(points, (-1, 3))
 
     def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""

@@ -199,7 +199,8 @@ class HandPair:
             task = _gap_task(self.robot, thumb, pads, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
-        knuckles = self._measured.knuckles
+        places = [self.chains[finger].knuckle for finger in self.fingers]
+        knuckles = points_in_palm(self._measured.hand, robot.rest, places)
         in_palm = np.empty((len(robot.reference_points), 3))
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
@@ -209,7 +210,8 @@ class HandPair:
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
-        targets = transform_points(self._measured.palm, in_palm)
+        palm = self._measured.hand.frame_pose("palm", robot.rest)
+        targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
 
@@ -264,17 +266,6 @@ class _RobotFingers:
         used = {finger: self.chains[finger] for finger in self.names}
         weight = _JAW_WEIGHT if self.has_jaws else 1.0
         return self.hand.with_points(tuple(_finger_points(self.hand, used, weight)))
-
-    @cached_property
-    def knuckles(self) -> np.ndarray:
-        """Knuckles of `names` at rest, in palm axes [m], shape (f, 3)."""
-        places = [self.chains[finger].knuckle for finger in self.names]
-        return points_in_palm(self.hand, self.hand.rest, places)
-
-    @cached_property
-    def palm(self) -> np.ndarray:
-        """The palm at rest, shape (4, 4)."""
-        return self.hand.frame_pose("palm", self.hand.rest)
 
     @cached_property
     def pinching_thumb(self) -> np.ndarray:
