@@ -20,7 +20,6 @@ from handmap_qp.hands.fingers import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
-from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
@@ -217,10 +216,10 @@ class HandPair:
 
     def _first_guess(self) -> np.ndarray:
         """Return the posture that matches the package's own person, near which all others' are."""
-        human = self.human
-        if human.name not in HUMAN_HANDS or human is _standard_human(human.name):
+        standard = self.human.unscaled
+        if standard is None:
             return self.robot.rest
-        return hand_pair(_standard_human(human.name), self._measured.hand).matched
+        return hand_pair(standard, self._measured.hand).matched
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
         """Place the thumb between where it pinches and where it is above the knuckles."""
@@ -279,11 +278,6 @@ class _RobotFingers:
 
 
 _robot_fingers = lru_cache(maxsize=32)(_RobotFingers)
-
-
-@lru_cache(maxsize=2)
-def _standard_human(name: str) -> Hand:
-    return load_hand(name, points="landmarks")
 
 
 def require_partners(
