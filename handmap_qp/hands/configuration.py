@@ -7,14 +7,12 @@ reads from a configuration (`model.nv`, `nv`, `q`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.se3 import frozen
 
 
 def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
@@ -39,9 +37,6 @@ CROSS[1, [2, 6]] = -1.0, 1.0
 CROSS[2, [1, 3]] = 1.0, -1.0
 _WRIST = 1
 _FIRST_POINT = 2
-
-
-_UNIT = frozen(np.eye(3))
 
 
 class Configuration:
@@ -95,17 +90,6 @@ class Configuration:
         model, expansion, q = state
         Configuration.__init__(self, model, expansion=expansion)
         self.place(q)
-
-    @cached_property
-    def support(self) -> np.ndarray:
-        """Where a velocity coordinate of the model moves a row: 1, else 0; read-only.
-
-        Shape (3 m + 6, model.nv): rows of the points, and those of the wrist.
-        """
-        frames = (*range(_FIRST_POINT, len(self.model.frames)), _WRIST)
-        joints = [self.model.frames[frame].parentJoint for frame in frames]
-        counts = [3] * len(self.points) + [6]
-        return frozen(np.repeat(moved_by(self.model, joints), counts, axis=0))
 
     @property
     def nv(self) -> int:
@@ -173,7 +157,12 @@ class Configuration:
         Returns:
             Jacobian, rows x, y, z of each point in turn, shape (3 m, model.nv); a new array.
         """
-        return (self.stacked_jacobian(np.eye(6)) * self.support)[:-6]
+        frames = range(_FIRST_POINT, self.model.nframes)
+        axes = pin.LOCAL_WORLD_ALIGNED
+        rows = [
+            pin.getFrameJacobian(self.model, self.data, i, axes)[:3] for i in frames
+        ]
+        return np.vstack(rows)
 
     def wrist_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
         """Body Jacobian of the wrist in the active coordinates.
@@ -184,9 +173,8 @@ class Configuration:
         Returns:
             `error_jacobian @ J_wrist`, shape (6, k); a new array.
         """
-        return self.contracted(
-            (self.stacked_jacobian(error_jacobian) * self.support)[-6:]
-        )
+        wrist = pin.getFrameJacobian(self.model, self.data, _WRIST, pin.LOCAL)
+        return self.contracted(error_jacobian @ wrist)
 
     def contracted(self, jacobian: np.ndarray) -> np.ndarray:
         """Take a Jacobian over the model's tangent space to the active coordinates.
@@ -198,21 +186,3 @@ class Configuration:
             Jacobian, shape (r, k); the same array if all coordinates are active.
         """
         return jacobian if self.expansion is None else jacobian.dot(self.expansion)
-
-    def stacked_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
-        """Rows of all points and of the wrist as one product, to be masked by `support`.
-
-        Args:
-            error_jacobian: Derivative of the wrist task's error with respect to the wrist's body
-                displacement, shape (6, 6).
-
-        Returns:
-            Unmasked Jacobian, shape (3 m + 6, model.nv).
-        """
-        # The joint Jacobian is at the world's origin: [I, -[p]x] takes it to the point p.
-        rows = np.empty((3 * len(self.points) + 6, 6))
-        at_points = rows[:-6].reshape(-1, 3, 6)
-        at_points[:, :, :3] = _UNIT
-        at_points[:, :, 3:] = self.points.dot(CROSS).reshape(-1, 3, 3)
-        rows[-6:] = error_jacobian @ self.wrist.toActionMatrixInverse()
-        return rows @ self.joint_jacobian()

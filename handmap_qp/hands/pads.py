@@ -5,6 +5,7 @@ A description names them, or they are found in the collision shapes.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
 from functools import lru_cache
 from itertools import product
@@ -64,39 +65,15 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
     return {finger: _pad(hand, c, given.get(finger)) for finger, c in chains.items()}
 
 
-class _Surface(NamedTuple):
-    """A shape as the hull of balls around k points.
-
-    Attributes:
-        joint: Joint that carries it.
-        points: The points in the joint's frame [m], shape (k, 3).
-        radius: Radius of the balls [m].
-    """
-
-    joint: int
-    points: np.ndarray
-    radius: float
-
-    def supports(self, stretch: np.ndarray) -> np.ndarray:
-        """Return the largest `n p` for every direction n.
-
-        Args:
-            stretch: Factors along the joint's axes, shape (3,); the last is that of the radius.
-        """
-        points = stretch * self.points
-        return (points @ _DIRECTIONS.T).max(axis=0) + stretch[2] * self.radius
-
-
 @lru_cache(maxsize=32)
-def _surfaces(hand: Hand) -> tuple[_Surface, ...]:
-    """Return all shapes of a hand, in the order of `read_collision_shapes`."""
-    surfaces = []
+def _surfaces(hand: Hand) -> dict[int, list[tuple[np.ndarray, float]]]:
+    """Return points (k, 3) and a radius of the shapes of each joint [m]: hulls of balls."""
+    surfaces = defaultdict(list)
     for shape in read_collision_shapes(hand).geometryObjects:
         points, radius = _corners(shape.geometry)
-        place = shape.placement
-        placed = points @ place.rotation.T + place.translation
-        surfaces.append(_Surface(shape.parentJoint, placed, radius))
-    return tuple(surfaces)
+        placed = points @ shape.placement.rotation.T + shape.placement.translation
+        surfaces[shape.parentJoint].append((placed, radius))
+    return surfaces
 
 
 def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
@@ -106,16 +83,21 @@ def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
         middle_point = msgspec.structs.replace(point, xyz=point.pad.xyz)
         joint, middle = place_of(hand, middle_point)
     stretch = hand.stretches.get(joint, np.ones(3))
+    shapes = _surfaces(hand.unscaled or hand) if joint in chain.joints else {}
     supports = [
-        surface.supports(stretch)
-        for surface in _surfaces(hand.unscaled or hand)
-        if surface.joint == joint in chain.joints
+        _supports(stretch * points, stretch[2] * radius)
+        for points, radius in shapes.get(joint, ())
     ]
     if point is not None and point.pad is not None:
         radius = point.pad.radius
         depth = float(_depths(supports, middle)) if supports else radius
         return Pad(joint, middle, radius, max(0.0, radius - max(0.0, depth)))
     return Pad(joint, *(_ball(supports, middle) if supports else (middle, _RADIUS)))
+
+
+def _supports(points: np.ndarray, radius: float) -> np.ndarray:
+    """Return the largest `n p` of balls around points (k, 3) for every direction n."""
+    return (points @ _DIRECTIONS.T).max(axis=0) + radius
 
 
 def _depths(supports: list[np.ndarray], points: np.ndarray) -> np.ndarray:
@@ -139,7 +121,7 @@ def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
     Returns:
         Centre [m], shape (3,), and radius [m].
     """
-    return _ball([(_DIRECTIONS @ points.T).max(axis=1)], tip)
+    return _ball([_supports(points, 0.0)], tip)
 
 
 def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, float]:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.configuration import CROSS
+from handmap_qp.hands.configuration import CROSS, moved_by
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -86,7 +86,8 @@ class LandmarkFitter:
         weights = np.array([1.0, 1.0, _TIP_WEIGHT]) / LENGTH_UNIT
         self._weights = np.repeat(weights, 3)
         # A joint moves the landmarks beyond it.
-        support = self._configuration.support[3 : 3 * LANDMARK_COUNT : 3]
+        joints = [frame.parentJoint for frame in human.point_frames[1:]]
+        support = moved_by(human.model, joints)
         moves = support[:, human.joint_columns].reshape(len(FINGERS), -1, *_SHAPE)
         self._scale = weights[:, None, None] * moves[_EACH, 1:, _EACH][:, :, None]
         self._vector = human.configuration_vector(human.rest, np.eye(4))

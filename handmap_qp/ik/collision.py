@@ -143,13 +143,11 @@ class ShapeDistances:
 
     Attributes:
         bounds: How far changes of coordinates move the pairs.
-        levers: Those of `bounds`.
     """
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
         self._model = model
         self.bounds = pair_bounds(model, geometry)
-        self.levers = self.bounds.levers
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build copies with data of their own."""
@@ -174,7 +172,7 @@ class ShapeDistances:
             horizon: Largest distance [m], of each pair or one for all.
         """
         self._place(q)
-        horizons = np.full(len(self.levers), horizon)
+        horizons = np.full(len(self.bounds.levers), horizon)
         pairs = np.flatnonzero(self._ball_gaps() <= horizons)
         found = self._found_at(q, pairs)
         is_near = found[:, 0] <= horizons[pairs]
@@ -213,7 +211,7 @@ class ShapeDistances:
             step: The path in the model's tangent space [rad or m], shape (nv,).
         """
         turns = np.abs(step)
-        travel = self.levers.dot(turns)
+        travel = self.bounds.levers.dot(turns)
         pairs, before = self.measure(q, KEPT + travel)
         after = self._found_at(pin.integrate(self._model, q, step), pairs)
         # On a path from a to b, the distance is never below (a + b - travel) / 2.
@@ -359,7 +357,7 @@ class CollisionLimit:
         self.horizon = horizon
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
         self.shape_distances = ShapeDistances(hand.model, pairs.geometry)
-        levers = self.shape_distances.levers
+        levers = self.shape_distances.bounds.levers
         if self._expansion is not None:
             levers = levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
@@ -391,7 +389,9 @@ class CollisionLimit:
         reach = np.inf if self.horizon == np.inf else _NEAR + _APPROACH * dt
         reach = max(min(reach, self.horizon), KEPT)
         if last is not None and reach < np.inf:
-            travel = self.shape_distances.levers.dot(np.abs(self._expanded(last)))
+            travel = self.shape_distances.bounds.levers.dot(
+                np.abs(self._expanded(last))
+            )
             reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
         kept = self.margin if margins is None else margins
         return self.shape_distances.measure(q, kept + reach)

@@ -7,12 +7,10 @@ rounding: they are its readable reference. It has kinematics, distances and a QP
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, get_args
-from weakref import WeakKeyDictionary
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
@@ -149,21 +147,13 @@ class CompiledIk:
         )
 
 
-_TREES: WeakKeyDictionary[pin.Model, Any] = WeakKeyDictionary()
-
-
+@lru_cache(maxsize=16)
 def core_tree(hand: Hand) -> Any | None:
-    """Return the core's kinematics of a hand; None without a core, or if it lacks a joint.
-
-    Hands that differ in their reference points only share it.
-    """
-    model = hand.model
-    if model not in _TREES:
-        try:
-            _TREES[model] = core and core.Tree(hand)
-        except ValueError:
-            _TREES[model] = None
-    return _TREES[model]
+    """Return the core's kinematics of a hand; None without a core, or if it lacks a joint."""
+    try:
+        return core and core.Tree(hand)
+    except ValueError:
+        return None
 
 
 def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> CompiledIk | None:

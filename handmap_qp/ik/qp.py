@@ -143,12 +143,8 @@ def weighted_task(
         twist = pin.log6(offset).vector
         derivative = pin.Jlog6(offset)
     error = np.concatenate([(configuration.points - points).ravel(), twist])
-    jacobian = (
-        costs[:, None]
-        * configuration.support
-        * configuration.stacked_jacobian(derivative)
-    )
-    return configuration.contracted(jacobian), costs * error
+    rows = configuration.point_jacobian(), configuration.wrist_jacobian(derivative)
+    return costs[:, None] * np.vstack(rows), costs * error
 
 
 def direct_cost(

@@ -106,10 +106,8 @@ class _Distance:
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
         self._vector = hand.configuration_vector(hand.rest)
-        moves_wrist = self._placed.contracted(self._placed.support[-1:])[
-            0, hand.joint_columns
-        ]
-        self.free = np.flatnonzero(moves_wrist == 0.0)
+        moves_wrist = self._placed.wrist_jacobian(np.eye(6)).any(axis=0)
+        self.free = np.flatnonzero(~moves_wrist[hand.joint_columns])
         # From the free joints to the model's tangent space.
         active = (
             np.eye(self._placed.nv) if hand.expansion is None else hand.expansion.matrix
