@@ -75,7 +75,7 @@ class Configuration:
         self._translations = [
             self.data.oMf[i].translation for i in range(_FIRST_POINT, model.nframes)
         ]
-        self._points = np.zeros((len(self._translations), 3))
+        self._points = np.array(self._translations)
         self.points = self._points.view()
         self.points.setflags(write=False)
         self.wrist = self.data.oMf[_WRIST]
@@ -115,8 +115,7 @@ class Configuration:
             ) from error
         pin.updateFramePlacements(self.model, self.data)
         self._q[:] = q
-        for point, translation in zip(self._points, self._translations, strict=True):
-            point[:] = translation
+        self._points[:] = self._translations
 
     def frame_pose(self, frame: pin.Frame) -> np.ndarray:
         """Return the pose of any frame on the joints in the world, shape (4, 4); a new array."""

@@ -36,12 +36,8 @@ def measure_hand(recording: Recording) -> HumanLengths:
     Raises:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
-    is_recording = isinstance(recording, Recording)
     expect(
-        is_recording,
-        "recording",
-        "a Recording",
-        value=recording,
+        isinstance(recording, Recording), "recording", "a Recording", value=recording
     )
     return _measured_hand(recording)
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands.configuration import CROSS, moved_by
+from handmap_qp.hands.configuration import moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import solve_by_daqp
@@ -105,13 +105,10 @@ class _Distance:
         self._row_costs = np.repeat(costs, 3)[:, None]
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
-        self._vector = hand.configuration_vector(hand.rest)
         moves_wrist = self._placed.wrist_jacobian(np.eye(6)).any(axis=0)
         self.free = np.flatnonzero(~moves_wrist[hand.joint_columns])
         # From the free joints to the model's tangent space.
-        active = (
-            np.eye(self._placed.nv) if hand.expansion is None else hand.expansion.matrix
-        )
+        active = self._placed.contracted(np.eye(hand.model.nv))
         self._spread = active[:, hand.joint_columns[self.free]]
         self._rest = hand.rest[self.free]
         self._q = hand.rest.copy()
@@ -129,17 +126,15 @@ class _Distance:
         """Return f and its derivatives at positions of the free joints, shape (k,)."""
         placed = self._placed
         away = x - self._rest
-        self._hand.write_configuration(self._vector, self.whole(x))
-        placed.place(self._vector)
+        placed.place(self._hand.configuration_vector(self.whole(x)))
         errors = placed.points - self._targets
         forces = self._costs * errors
         rows = placed.full_point_jacobian()
         weighted = self._row_costs * rows
         # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
-        turning = forces.dot(CROSS).reshape(-1, 3, 3).transpose(1, 0, 2).reshape(3, -1)
-        curvature = (
-            placed.joint_jacobian()[3:].T.dot(turning.dot(rows)) * self._is_ancestor
-        )
+        levers = rows.reshape(len(forces), 3, -1)
+        turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
+        curvature = placed.joint_jacobian()[3:].T.dot(turning) * self._is_ancestor
         full = weighted.T.dot(weighted) + curvature + curvature.T
         full.reshape(-1)[:: len(full) + 1] -= curvature.diagonal()
         hessian = self._spread.T.dot(full).dot(self._spread)

@@ -135,5 +135,5 @@ class GapMeter:
             bounds = pair_bounds(hand.model, geometry).core
             found = tree.smallest_distances(bounds, vectors, starts, most)
             return found.reshape(len(q), len(starts))
-        distances = pair_distances(hand, geometry, q)
-        return np.minimum(np.minimum.reduceat(distances, starts, axis=1), most)
+        groups = np.split(pair_distances(hand, geometry, q), starts[1:], axis=1)
+        return np.array([group.min(axis=1, initial=most) for group in groups]).T

@@ -210,12 +210,7 @@ class RobomimicFormat(RecordingFormat):
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
         """Write each recording as a demonstration."""
-        expect(
-            recordings,
-            "recordings",
-            "at least one",
-            got="none",
-        )
+        expect(recordings, "recordings", "at least one", got="none")
         with created(path) as file:
             data = file.create_group("data")
             data.attrs["total"] = sum(len(recording) for recording in recordings)
