@@ -30,11 +30,6 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
     return np.array(moved, dtype=float).reshape(-1, model.nv)
 
 
-CROSS = np.zeros((3, 9))
-"""Rows of -[p]x, flattened, are linear in p: `p @ CROSS == (-skew(p)).ravel()`."""
-CROSS[0, [5, 7]] = 1.0, -1.0
-CROSS[1, [2, 6]] = -1.0, 1.0
-CROSS[2, [1, 3]] = 1.0, -1.0
 _WRIST = 1
 _FIRST_POINT = 2
 

@@ -212,14 +212,11 @@ class HandPair:
         palm = self._measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
-        return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
-
-    def _first_guess(self) -> np.ndarray:
-        """Return the posture that matches the package's own person, near which all others' are."""
-        standard = self.human.unscaled
-        if standard is None:
-            return self.robot.rest
-        return hand_pair(standard, self._measured.hand).matched
+        start = robot.rest
+        if (standard := self.human.unscaled) is not None:
+            # Near the posture that matches the package's own person, all others' are.
+            start = hand_pair(standard, self._measured.hand).matched
+        return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
         """Place the thumb between where it pinches and where it is above the knuckles."""

@@ -102,23 +102,21 @@ class _Distance:
         self._hand = hand
         self._targets = targets
         self._costs = costs[:, None] ** 2
-        self._row_costs = np.repeat(costs, 3)[:, None]
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
-        moves_wrist = self._placed.wrist_jacobian(np.eye(6)).any(axis=0)
+        moves_wrist = np.any(self._placed.wrist_jacobian(np.eye(6)), axis=0)
         self.free = np.flatnonzero(~moves_wrist[hand.joint_columns])
         # From the free joints to the model's tangent space.
         active = self._placed.contracted(np.eye(hand.model.nv))
         self._spread = active[:, hand.joint_columns[self.free]]
         self._rest = hand.rest[self.free]
-        self._q = hand.rest.copy()
         model = hand.model
         carriers = np.repeat(np.arange(model.njoints), model.nvs)
         self._is_ancestor = moved_by(model, carriers.tolist()).T
 
     def whole(self, x: np.ndarray) -> np.ndarray:
         """Return the positions of all joints, given those of the free ones."""
-        q = self._q.copy()
+        q = self._hand.rest.copy()
         q[self.free] = x
         return q
 
@@ -130,12 +128,12 @@ class _Distance:
         errors = placed.points - self._targets
         forces = self._costs * errors
         rows = placed.full_point_jacobian()
-        weighted = self._row_costs * rows
         # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
         levers = rows.reshape(len(forces), 3, -1)
         turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
         curvature = placed.joint_jacobian()[3:].T.dot(turning) * self._is_ancestor
-        full = weighted.T.dot(weighted) + curvature + curvature.T
+        full = rows.T.dot(np.repeat(self._costs, 3, axis=0) * rows)
+        full += curvature + curvature.T
         full.reshape(-1)[:: len(full) + 1] -= curvature.diagonal()
         hessian = self._spread.T.dot(full).dot(self._spread)
         hessian.reshape(-1)[:: len(hessian) + 1] += self._rest_cost

@@ -83,11 +83,10 @@ class GapMeter:
         }
         thumb = shapes.pop(THUMB, [])
         for finger, others in shapes.items():
-            first = len(self._geometry.collisionPairs)
+            if thumb and others:
+                self._groups[finger] = len(self._geometry.collisionPairs)
             for pair in product(thumb, others):
                 self._geometry.addCollisionPair(pin.CollisionPair(*pair))
-            if thumb and others:
-                self._groups[finger] = first
 
     def pinches(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """Measure the gaps between the thumb and the other fingers; see `SurfaceGaps.pinches`.
