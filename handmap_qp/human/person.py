@@ -110,7 +110,12 @@ def read_person(path: Path | str) -> Person:
             or a number cannot be a hand's. `argument` is the key.
     """
     is_path = isinstance(path, str | os.PathLike)
-    expect(is_path, "path", "the path of a file", value=path)
+    expect(
+        is_path,
+        "path",
+        "the path of a file",
+        value=path,
+    )
     file = Path(path)
     try:
         found: Any = msgspec.yaml.decode(file.read_bytes(), type=_PERSON_FILE)

@@ -210,7 +210,12 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
     """
     if name is not None:
         names = f"one of {', '.join(FORMATS)}"
-        expect(name in FORMATS, "--format", names, value=name)
+        expect(
+            name in FORMATS,
+            "--format",
+            names,
+            value=name,
+        )
         return FORMATS[name]
     for form in FORMATS.values():
         if path.suffix.lower() in (form.suffixes or ("",)):
