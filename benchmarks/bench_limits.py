@@ -21,6 +21,7 @@ from pseudoinverse import PseudoinverseIk
 
 from handmap_qp import HandMapper, IkOptions, MappingOptions
 from handmap_qp.apps.offline.trajectory import Trajectory
+from handmap_qp.hands.configuration import moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.qp import PointIk
 
@@ -92,12 +93,8 @@ def split_by_saturation(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]
         Errors of the saturated fingers and of the others [m].
     """
     robot = trajectory.robot
-    moves = (
-        robot.configuration().support[
-            : 3 * len(robot.reference_points) : 3, robot.v_indices
-        ]
-        > 0.0
-    )
+    joints = [frame.parentJoint for frame in robot.point_frames]
+    moves = moved_by(robot.model, joints)[:, robot.v_indices] > 0.0
     is_saturated = (trajectory.at_limit @ moves.T) & trajectory.valid[:, None]
     is_mixed = is_saturated.any(axis=1) & ~is_saturated.all(axis=1)
     errors, held = trajectory.point_error[is_mixed], is_saturated[is_mixed]

@@ -148,7 +148,7 @@ def measure_parts(mapper: HandMapper, motion: HumanMotion) -> dict[str, float]:
         (counted, "targets", "targets"),
         (ik.gate, "bounds", "limits"),
         (ik.gate, "admit", "gate"),
-        (ik.configuration, "stacked_jacobian", "Jacobians"),
+        (ik.configuration, "point_jacobian", "Jacobians"),
         (handmap_qp.ik.qp, "direct_cost", "assembly"),
         (ik, "_solver", "solve"),
         (ik.configuration, "place", "integrate and place"),

@@ -5,6 +5,7 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
@@ -36,7 +37,8 @@ inline std::vector<Attached> attached_of(const Indices& joints, const Array& off
   expect_size(offsets, 3 * joints.size(), "offsets");
   const std::vector<Vec3> at = points_of(offsets);
   std::vector<Attached> points(joints.size());
-  for (size_t k = 0; k < points.size(); ++k) points[k] = {joints[k], at[k]};
+  // Pinocchio counts the world as joint 0.
+  for (size_t k = 0; k < points.size(); ++k) points[k] = {joints[k] - 1, at[k]};
   return points;
 }
 
@@ -130,14 +132,22 @@ inline Tree make_tree(const Fields& hand) {
   const Fields wrist(item(model.object("frames"), hand.get<size_t>("wrist_frame_id")));
   tree.wrist_origin = {wrist.get<int>("parentJoint") - 1, {}};
   tree.wrist = wrist.pose("placement.homogeneous");
-  for (const nb::handle& each : hand.object("point_frames")) {
-    const Fields frame(nb::borrow(each));
-    tree.points.push_back({frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});
-  }
+  const Fields palm(item(model.object("frames"), hand.get<size_t>("palm_frame_id")));
+  tree.palm_origin = {palm.get<int>("parentJoint") - 1, {}};
+  tree.palm = palm.pose("placement.homogeneous");
   tree.q_indices = hand.indices("q_indices");
   tree.joint_columns = hand.indices("joint_columns");
   tree.finish();
   return tree;
+}
+
+inline std::vector<Attached> reference_points(const Fields& hand) {
+  std::vector<Attached> points;
+  for (const nb::handle& each : hand.object("point_frames")) {
+    const Fields frame(nb::borrow(each));
+    points.push_back({frame.get<int>("parentJoint") - 1, frame.point("placement.translation")});
+  }
+  return points;
 }
 
 inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
@@ -196,36 +206,43 @@ inline Sparse sparse_of(const Array& matrix, size_t row) {
   return sparse;
 }
 
-// `from` is a CollisionLimit.
-inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
-  auto pairs = std::make_unique<Pairs>(tree);
-  pairs->margin = from.get<double>("margin");
-  pairs->horizon = from.get<double>("horizon");
-  const Fields distances(from.object("shape_distances"));
-  for (const nb::handle& each : distances.object("geometry.geometryObjects")) {
+inline void make_bounds(PairBounds* self, const nb::object& owner) {
+  const Fields from(owner);
+  PairBounds& bounds = *new (self) PairBounds();
+  for (const nb::handle& each : from.object("geometry.geometryObjects")) {
     const Fields body(nb::borrow(each));
     const Pose placement = body.pose("placement.homogeneous");
-    pairs->bodies.push_back({body.get<int>("parentJoint") - 1, placement,
+    bounds.bodies.push_back({body.get<int>("parentJoint") - 1, placement,
                              make_shape(Fields(body.object("geometry"))),
-                             placement * body.point("geometry.aabb_center")});
+                             placement * body.point("geometry.aabb_center"),
+                             body.get<double>("geometry.aabb_radius")});
   }
-  const Array levers = distances.get<Array>("levers"), turns = distances.get<Array>("turns"),
-              signs = distances.get<Array>("signs");
+  const Array levers = from.get<Array>("levers"), turns = from.get<Array>("turns"),
+              signs = from.get<Array>("signs");
   size_t k = 0;
-  for (const nb::handle& each : distances.object("geometry.collisionPairs")) {
+  for (const nb::handle& each : from.object("geometry.collisionPairs")) {
     const Fields pair(nb::borrow(each));
-    pairs->pairs.push_back({pair.get<int>("first"), pair.get<int>("second"), sparse_of(levers, k),
-                            sparse_of(turns, k), sparse_of(signs, k), k});
+    bounds.pairs.push_back({pair.get<int>("first"), pair.get<int>("second"), sparse_of(levers, k),
+                            sparse_of(turns, k), sparse_of(signs, k)});
     ++k;
   }
-  pairs->finish();
+  bounds.finish();
+}
+
+// `from` is a CollisionLimit.
+inline std::unique_ptr<Pairs> make_pairs(const Tree& tree, const Fields& from) {
+  auto pairs = std::make_unique<Pairs>(
+      tree, from.get<std::shared_ptr<PairBounds>>("shape_distances.bounds.core"));
+  pairs->margin = from.get<double>("margin");
+  pairs->horizon = from.get<double>("horizon");
   return pairs;
 }
 
-// Of a hand, `IkOptions` and a `Gate`.
-inline void make_ik(Ik* self, const nb::object& hand, const nb::object& options,
+// Of a hand and its tree, `IkOptions` and a `Gate`.
+inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb::object& options,
                     const nb::object& gate) {
-  Ik& ik = *new (self) Ik(make_tree(Fields(hand)));
+  Ik& ik = *new (self) Ik(tree);
+  ik.tree.points = reference_points(Fields(hand));
   set_weights(ik, Fields(hand), Fields(options));
   set_limits(ik, Fields(nb::getattr(gate, "limits")));
   const nb::object collisions = nb::getattr(gate, "collisions");
@@ -314,8 +331,7 @@ inline void make_homogeneous(HomogeneousMap* self, const nb::object& owner) {
 
 inline void make_distances(DistanceTask* self, const nb::object& owner) {
   const Fields from(owner);
-  Indices joints = from.get<Indices>("points.joints");
-  for (int& joint : joints) --joint;  // Pinocchio counts the world
+  const Indices joints = from.get<Indices>("points.joints");
   new (self) DistanceTask{attached_of(joints, from.get<Array>("points.offsets")),
                           from.indices("first"), from.indices("second"), from.numbers("damping")};
 }
@@ -329,7 +345,9 @@ inline void make_joint_reader(JointReader* self, const nb::object& owner) {
   const Fields from(owner), human(from.object("human"));
   if (!human.object("expansion").is_none())
     throw std::domain_error("a human hand with joints that follow others");
-  JointReader& reader = *new (self) JointReader(make_tree(human), from.numbers("vector"));
+  Tree tree = make_tree(human);
+  tree.points = reference_points(human);
+  JointReader& reader = *new (self) JointReader(std::move(tree), from.numbers("vector"));
   reader.lower = human.numbers("lower_limits");
   reader.upper = human.numbers("upper_limits");
 }

@@ -7,7 +7,7 @@
 #include <map>
 #include <optional>
 
-#include "build.hpp"
+#include "arrays.hpp"
 #include "guard.hpp"
 
 namespace handmap {
@@ -169,17 +169,6 @@ const Rules& once(std::unique_ptr<Rules> (*read)()) {
   return *known;
 }
 
-// An array of Python, a copy.
-inline nb::object numbers_of(const double* from, std::initializer_list<size_t> shape) {
-  size_t size = 1;
-  for (const size_t n : shape) size *= n;
-  double* to = new double[size];
-  std::copy(from, from + size, to);
-  nb::capsule owner(to, [](void* p) noexcept { delete[] static_cast<double*>(p); });
-  return nb::cast(
-      nb::ndarray<nb::numpy, double>(to, shape.size(), shape.begin(), owner));
-}
-
 // Examines batches by an `InputCheck` of Python, which gets the state of before and gives that after.
 class PythonExplainer : public Explainer {
  public:
@@ -225,7 +214,7 @@ class PythonExplainer : public Explainer {
   int explain_times(const double* times, int n) override {
     const nb::gil_scoped_acquire gil;
     const Fields module = module_of("handmap_qp.trackers.plausibility");
-    return add(module.object("_find_time_unit")(numbers_of(times, {size_t(n)})));
+    return add(module.object("_find_time_unit")(nb::cast(array_of({size_t(n)}, times))));
   }
 
   int explain_rate(double rate) override {
@@ -243,7 +232,7 @@ class PythonExplainer : public Explainer {
         for (int i = 0; i < 3; ++i)
           rows.insert(rows.end(), {wrists[t].R(i, 0), wrists[t].R(i, 1), wrists[t].R(i, 2),
                                    wrists[t].p[i]});
-      poses = numbers_of(rows.data(), {size_t(n), 3, 4});
+      poses = nb::cast(array_of({size_t(n), 3, 4}, rows.data()));
     }
     const int number = add(check.attr("_examine")(array_of_hands(hands, n), poses));
     take(seen);
@@ -254,7 +243,7 @@ class PythonExplainer : public Explainer {
   std::vector<int> kinds_;
 
   static nb::object array_of_hands(const Landmarks* hands, int n) {
-    return numbers_of(&hands[0][0].x, {size_t(n), kLandmarks, 3});
+    return nb::cast(array_of({size_t(n), kLandmarks, 3}, &hands[0][0].x));
   }
 
   void give(const Examined& seen) const {
@@ -271,8 +260,8 @@ class PythonExplainer : public Explainer {
     wrist.attr("is_proven") = seen.is_proven;
     wrist.attr("_start") = nb::none();
     if (seen.has_start)
-      wrist.attr("_start") = nb::make_tuple(numbers_of(seen.start_palm.m, {3, 3}),
-                                            numbers_of(seen.start_mean.m, {3, 3}));
+      wrist.attr("_start") = nb::make_tuple(nb::cast(array_of({3, 3}, seen.start_palm.m)),
+                                            nb::cast(array_of({3, 3}, seen.start_mean.m)));
   }
 
   void take(Examined& seen) const {

@@ -8,6 +8,8 @@
 
 #include "arrays.hpp"
 #include "build_guard.hpp"
+#include "person.hpp"
+#include "posture.hpp"
 #include "run.hpp"
 
 using namespace nb::literals;
@@ -153,7 +155,7 @@ Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrist, doubl
   Vector kept;
   if (margins) {
     kept = vector_of(*margins);
-    if (!ik.pairs || kept.size() != ik.pairs->pairs.size())
+    if (!ik.pairs || kept.size() != ik.pairs->size())
       throw std::invalid_argument("wrong size of margins");
   }
   Step step;
@@ -227,12 +229,97 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
+// Of a `PointIk` and a `PointDistances`; see hand_pair.approach.
+nb::object approach_from(Ik& ik, const nb::object& solver, const nb::object& task, double dt,
+                         int samples, double tolerance) {
+  const nb::object hand = nb::getattr(solver, "hand");
+  const nb::object start = nb::getattr(hand, "configuration_vector")(nb::getattr(hand, "rest"));
+  Goal goal;
+  goal.postures =
+      postures_of(ik, nb::cast<Postures>(nb::getattr(solver, "postures")(dt, nb::none())));
+  goal.distances = Fields(task).get<DistanceTask*>("core");
+  goal.aims = Fields(task).numbers("distances");
+  goal.aim_weights = Fields(task).numbers("weights");
+  approach(ik, goal, vector_of(nb::cast<Array>(start)), dt, samples, tolerance);
+  return nb::cast(array_of(ik.motion.q));
+}
+
+// See measure.measure_shape, whose constants and arguments these are.
+nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
+  const Fields constants(nb::module_::import_("handmap_qp.human.measure"));
+  const PersonMeter meter{constants.get<double>("_BENT"), constants.get<size_t>("_FEWEST_BENT"),
+                          constants.get<double>("LARGEST_ROLL")};
+  expect_size(palm, 15, "palm");
+  if (landmarks.size() == 0 || landmarks.size() % (3 * kLandmarks))
+    throw std::invalid_argument("wrong size of landmarks");
+  const PersonShape shape = meter.measure(points_of(landmarks), points_of(palm));
+  return nb::make_tuple(array_of({5, 3}, &shape.bases[0].x), array_of({5}, shape.rolls.data()));
+}
+
+// See matched_posture.nearest_posture, whose constants and arguments these are.
+nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array& targets,
+                           const Array& costs, double rest_cost, const Array& start) {
+  const Fields constants(nb::module_::import_("handmap_qp.mapping.matched_posture"));
+  const Fields of(hand);
+  NearestPosture problem(tree);
+  problem.settings = {constants.get<int>("_MOST_STEPS"), constants.get<double>("_SMALLEST_STEP"),
+                      constants.get<double>("_LEAST_DECREASE"),
+                      constants.get<double>("_SMALLEST_SHARE"), constants.get<double>("_ROUNDING"),
+                      constants.get<double>("_LEAST_CURVATURE")};
+  problem.points = reference_points(of);
+  const size_t n = tree.joint_columns.size(), m = problem.points.size();
+  problem.configuration =
+      vector_of(nb::cast<Array>(of.object("configuration_vector")(of.object("rest"))));
+  problem.rest = vector_of(of.array("rest", n));
+  problem.lower = vector_of(of.array("lower_limits", n));
+  problem.upper = vector_of(of.array("upper_limits", n));
+  expect_size(targets, 3 * m, "targets");
+  expect_size(costs, m, "costs");
+  expect_size(start, n, "start");
+  problem.targets = points_of(targets);
+  problem.costs = vector_of(costs);
+  for (double& cost : problem.costs) cost *= cost;
+  problem.rest_cost = rest_cost * rest_cost;
+  return nb::cast(array_of(problem.solve(vector_of(start))));
+}
+
+nb::object points_of_tree(const Tree& tree, const Array& configuration, const Indices& joints,
+                          const Array& offsets, bool is_in_palm) {
+  expect_size(configuration, tree.nq, "configuration");
+  Placed placed(tree);
+  placed.place(configuration.data());
+  const Pose from =
+      is_in_palm ? inverse(placed.pose(tree.palm_origin.joint) * tree.palm) : Pose{};
+  std::vector<Vec3> found;
+  for (const Attached& point : attached_of(joints, offsets))
+    found.push_back(from * placed.point(point));
+  return nb::cast(array_of(found));
+}
+
+// See surface_gaps: of configurations (T, nq), a column for the pairs from each of `starts` on.
+nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
+                              const Array& configurations, const Indices& starts, double most) {
+  const size_t rows = configurations.size() / tree.nq, columns = starts.size();
+  Vector found;
+  Placed placed(tree);
+  for (size_t t = 0; t < rows; ++t) {
+    placed.place(configurations.data() + t * tree.nq);
+    for (size_t g = 0; g < columns; ++g) {
+      const size_t to = g + 1 < columns ? starts[g + 1] : bounds.pairs.size();
+      found.push_back(smallest_distance(bounds, placed, starts[g], to, most));
+    }
+  }
+  return nb::cast(array_of({rows, columns}, found.data()));
+}
+
 }  // namespace
 }  // namespace handmap
 
 NB_MODULE(_core, m) {
   using namespace handmap;
   m.attr("SOURCES") = HANDMAP_SOURCES;
+  // Caches of Python modules may outlive this one when the interpreter ends.
+  nb::set_leak_warnings(false);
   nb::class_<DistanceTask>(m, "PointDistances").def("__init__", &make_distances);
   nb::class_<Ik>(m, "Ik")
       .def("__init__", &make_ik)
@@ -241,6 +328,7 @@ NB_MODULE(_core, m) {
            "postures"_a, "distances"_a.none(), "aims"_a.none(), "aim_weights"_a.none(),
            "linearise"_a.none())
       .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
+      .def("approach", &approach_from)
       .def("hold", &hold_still, "dt"_a)
       .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
            "rows"_a);
@@ -272,6 +360,14 @@ NB_MODULE(_core, m) {
   nb::class_<JointReader>(m, "JointReader")
       .def("__init__", &make_joint_reader)
       .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
+  nb::class_<Tree>(m, "Tree")
+      .def("__init__",
+           [](Tree* self, const nb::object& hand) { new (self) Tree(make_tree(Fields(hand))); })
+      .def("points", &points_of_tree)
+      .def("nearest_posture", &nearest_posture)
+      .def("smallest_distances", &smallest_distances);
+  nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
+  m.def("measure_shape", &measure_shape);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());
   m.def("measure_shapes", &measure_shapes);

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <limits>
+#include <memory>
 #include <vector>
 
 #include "limits.hpp"
@@ -27,63 +28,108 @@ struct Sparse {
   }
 };
 
+struct Body {
+  int joint;
+  Pose placement;
+  Shape shape;
+  Vec3 centre;  // of its bounding ball, in the joint's frame
+  double radius = 0.0;
+};
+
+struct Pair {
+  int first, second;
+  Sparse levers, turns;
+  Sparse signs;  // 1 where a coordinate moves the first shape, -1 where it moves the second
+};
+
+// How far a body reaches along a direction in its joint's axes, from the joint.
+inline double reach_of(const Body& body, const Vec3& d, int& index) {
+  return dot(d, body.placement.p) + reach(body.shape, tmul(body.placement.R, d), index);
+}
+
+// What never changes of the pairs of a hand.
+struct PairBounds {
+  std::vector<Body> bodies;
+  std::vector<Pair> pairs;
+  std::vector<size_t> order;  // of the pairs, by their joints
+  std::vector<Body> boxes;    // around all shapes of each joint, that of the world first
+
+  std::pair<int, int> joints(size_t k) const {
+    return {bodies[pairs[k].first].joint, bodies[pairs[k].second].joint};
+  }
+
+  void finish() {
+    int last = -1;
+    for (const Body& body : bodies) last = std::max(last, body.joint);
+    for (int j = -1; j <= last; ++j) boxes.push_back(box(j));
+    for (size_t k = 0; k < pairs.size(); ++k) order.push_back(k);
+    std::stable_sort(order.begin(), order.end(),
+                     [this](size_t a, size_t b) { return joints(a) < joints(b); });
+  }
+
+ private:
+  Body box(int joint) const {
+    Vec3 least, most;
+    for (int i = 0; i < 3; ++i) {
+      Vec3 d;
+      d[i] = 1.0;
+      double low = kInfinity, high = -kInfinity;
+      for (const Body& body : bodies)
+        if (body.joint == joint) {
+          int index = -1;
+          high = std::max(high, reach_of(body, d, index));
+          low = std::min(low, -reach_of(body, -d, index));
+        }
+      least[i] = low;
+      most[i] = high;
+    }
+    const Vec3 centre = 0.5 * (least + most);
+    return {joint, {{}, centre}, make_box(0.5 * (most - least)), centre};
+  }
+};
+
 // Most pairs are far apart, so few are measured. Three lower bounds of a distance come first:
 //
 // - what was last known of it, less what the joints have turned since times levers;
 // - how far the shapes are apart along the direction that parted them last;
 // - both of these for the boxes around all shapes of two joints, for all their pairs at once.
+//
+// Inside, pairs are counted in the order of their joints, and in rows and margins as they came.
 class Pairs {
- public:
-  struct Body {
-    int joint;
-    Pose placement;
-    Shape shape;
-    Vec3 centre;  // of its bounding ball, in the joint's frame
-  };
-  struct Pair {
-    int first, second;
-    Sparse levers, turns;
-    Sparse signs;  // 1 where a coordinate moves the first shape, -1 where it moves the second
-    size_t row;    // its index in Python, as of margins
-  };
+ private:
+  const std::shared_ptr<const PairBounds> bounds_;
 
-  std::vector<Body> bodies;
-  std::vector<Pair> pairs;
+ public:
+  const std::vector<Body>& bodies;
   double margin = 0.0, horizon = kInfinity;
 
-  explicit Pairs(const Tree& tree) : tree_(tree), middle_(tree) {}
-  Pairs(const Pairs&) = delete;
-
-  // Sort the pairs by their joints, and group them.
-  void finish() {
-    const auto joints = [this](const Pair& pair) {
-      return std::make_pair(bodies[pair.first].joint, bodies[pair.second].joint);
-    };
-    const int joint_count = static_cast<int>(tree_.joints.size());
-    for (int j = -1; j < joint_count; ++j) boxes_.push_back(box(j));
-    std::stable_sort(pairs.begin(), pairs.end(),
-                     [&](const Pair& a, const Pair& b) { return joints(a) < joints(b); });
-    known_.resize(pairs.size());
-    warm_.resize(pairs.size());
-    keys_.assign(pairs.size(), -kInfinity);
-    for (size_t k = 0; k < pairs.size(); ++k) {
-      const auto [a, b] = joints(pairs[k]);
-      if (k == 0 || joints(pairs[k]) != joints(pairs[k - 1]))
-        groups_.push_back({k, k, {&boxes_[a + 1], &boxes_[b + 1], groups_.size(), {}}});
+  Pairs(const Tree& tree, std::shared_ptr<const PairBounds> bounds)
+      : bounds_(std::move(bounds)), bodies(bounds_->bodies), tree_(tree), middle_(tree) {
+    const PairBounds& all = *bounds_;
+    known_.resize(size());
+    warm_.resize(size());
+    keys_.assign(size(), -kInfinity);
+    for (size_t k = 0; k < size(); ++k) {
+      const auto [a, b] = all.joints(all.order[k]);
+      if (k == 0 || all.joints(all.order[k - 1]) != std::make_pair(a, b))
+        groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}});
       ++groups_.back().end;
-      const Body &first = bodies[pairs[k].first], &second = bodies[pairs[k].second];
-      partings_.push_back({&first, &second, groups_.size() - 1, {}});
+      partings_.push_back(
+          {&bodies[pair(k).first], &bodies[pair(k).second], groups_.size() - 1, {}});
     }
     const size_t count = groups_.size();
     group_keys_.assign(count, -kInfinity);
     so_far_.assign(count, 0.0);
     levers_.assign(tree_.nv * count, 0.0);
-    for (size_t k = 0; k < pairs.size(); ++k)
-      for (size_t i = 0; i < pairs[k].levers.columns.size(); ++i) {
-        double& most = levers_[pairs[k].levers.columns[i] * count + partings_[k].group];
-        most = std::max(most, pairs[k].levers.values[i]);
+    for (size_t k = 0; k < size(); ++k)
+      for (size_t i = 0; i < pair(k).levers.columns.size(); ++i) {
+        double& most = levers_[pair(k).levers.columns[i] * count + partings_[k].group];
+        most = std::max(most, pair(k).levers.values[i]);
       }
   }
+  Pairs(const Pairs&) = delete;
+
+  size_t size() const { return bounds_->pairs.size(); }
 
   // Rows of the pairs that may come to their margin in the next displacement, where the robot is.
   void rows(const Placed& at, double dt, const Vector& margins, const Vector& last, Rows& rows) {
@@ -107,10 +153,10 @@ class Pairs {
     visit(within, most_kept, is_far, [&](size_t k, double most) {
       const bool is_known = known_[k].stamp == stamp_;
       if (!is_known && raised(at, partings_[k], keys_[k]) > most_kept + most) return;
-      const double kept = margins.empty() ? margin : margins[pairs[k].row];
-      const double farthest = kept + within(pairs[k].levers.dot(turned_.data()));
+      const double kept = margins.empty() ? margin : margins[bounds_->order[k]];
+      const double farthest = kept + within(pair(k).levers.dot(turned_.data()));
       if (!is_known && keys_[k] - so_far_[partings_[k].group] > farthest) return;
-      if (found(at, k).distance <= farthest) near_.push_back({pairs[k].row, k});
+      if (found(at, k).distance <= farthest) near_.push_back({bounds_->order[k], k});
     });
     std::sort(near_.begin(), near_.end());
     rows.count = static_cast<int>(near_.size());
@@ -137,13 +183,13 @@ class Pairs {
     const auto within = [](double travel) { return kKept + travel; };
     const auto is_far = [&](size_t g) {
       Group& group = groups_[g];
-      const Sparse& turns = pairs[group.begin].turns;
+      const Sparse& turns = pair(group.begin).turns;
       return stays_apart(at, end, group.parting, group_keys_[g], travels_[g], turns);
     };
     visit(within, 0.0, is_far, [&](size_t k, double) {
       const double most = travels_[partings_[k].group];
-      if (stays_apart(at, end, partings_[k], keys_[k], most, pairs[k].turns)) return;
-      const double travel = pairs[k].levers.dot(turned_.data());
+      if (stays_apart(at, end, partings_[k], keys_[k], most, pair(k).turns)) return;
+      const double travel = pair(k).levers.dot(turned_.data());
       const Found &before = found(at, k), after = found_at(end, k);
       if (before.distance > kKept + travel) return;
       ends_.push_back({k, after});
@@ -168,6 +214,8 @@ class Pairs {
   }
 
  private:
+  const Pair& pair(size_t k) const { return bounds_->pairs[bounds_->order[k]]; }
+
   // Two bodies and a unit direction: their distance is at least that along the direction.
   struct Parting {
     const Body *a, *b;
@@ -270,31 +318,6 @@ class Pairs {
     }
   }
 
-  // The box around all shapes of a joint, in its axes.
-  Body box(int joint) const {
-    Vec3 least, most;
-    for (int i = 0; i < 3; ++i) {
-      Vec3 d;
-      d[i] = 1.0;
-      double low = kInfinity, high = -kInfinity;
-      for (const Body& body : bodies)
-        if (body.joint == joint) {
-          int index = -1;
-          high = std::max(high, reach_of(body, d, index));
-          low = std::min(low, -reach_of(body, -d, index));
-        }
-      least[i] = low;
-      most[i] = high;
-    }
-    const Vec3 centre = 0.5 * (least + most);
-    return {joint, {{}, centre}, make_box(0.5 * (most - least)), centre};
-  }
-
-  // How far a body reaches along a direction in its joint's axes, from the joint.
-  static double reach_of(const Body& body, const Vec3& d, int& index) {
-    return dot(d, body.placement.p) + reach(body.shape, tmul(body.placement.R, d), index);
-  }
-
   // The distance of two bodies along their axis; at first, the axis is the line of their centres.
   double gap(const Placed& at, Parting& parting) const {
     const Body &a = *parting.a, &b = *parting.b;
@@ -357,7 +380,7 @@ class Pairs {
     Known& known = known_[k];
     known.stamp = stamp_;
     known.found = found;
-    partings_[k].set(tmul(at.pose(bodies[pairs[k].first].joint).R, found.normal));
+    partings_[k].set(tmul(at.pose(bodies[pair(k).first].joint).R, found.normal));
     keys_[k] = found.distance + so_far_[partings_[k].group];
   }
 
@@ -368,7 +391,7 @@ class Pairs {
   }
 
   Found found_at(const Placed& at, size_t k) {
-    const Body &a = bodies[pairs[k].first], &b = bodies[pairs[k].second];
+    const Body &a = bodies[pair(k).first], &b = bodies[pair(k).second];
     return measure(a.shape, at.pose(a.joint) * a.placement, b.shape,
                    at.pose(b.joint) * b.placement, warm_[k]);
   }
@@ -376,7 +399,7 @@ class Pairs {
   void linearise(const Placed& at, size_t k, double* row) const {
     const Found& found = known_[k].found;
     const Vec3 moment = cross(found.point, found.normal);
-    const Sparse& signs = pairs[k].signs;
+    const Sparse& signs = pair(k).signs;
     for (size_t i = 0; i < signs.columns.size(); ++i) {
       const int c = signs.columns[i];
       const Twist& twist = at.columns[c];
@@ -395,8 +418,8 @@ class Pairs {
       double at_low = -1.0;
       for (const Part& part : parts_) {
         const double length = part.high - part.low;
-        const double travel = pairs[part.pair].levers.dot(turned_.data());
-        const double bend = pairs[part.pair].turns.dot(turned_.data());
+        const double travel = pair(part.pair).levers.dot(turned_.data());
+        const double bend = pair(part.pair).turns.dot(turned_.data());
         const double nearest = std::min(part.before.distance, part.after.distance);
         const Vec3 change = part.after.normal - part.before.normal;
         if (!(nearest - dip(change, length, travel, bend) < 0.5 * part.kept)) continue;
@@ -432,7 +455,6 @@ class Pairs {
   Vector group_keys_, so_far_, travels_;
   Vector levers_;  // (nv, groups)
   std::vector<Parting> partings_;
-  std::vector<Body> boxes_;  // of the world and the joints
   std::vector<std::pair<size_t, size_t>> near_;
   std::vector<Warm> warm_;
   std::vector<Low> lows_;

@@ -120,7 +120,7 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double d
   Asked& asked = step.asked;
   map.targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, asked);
   if (asked.points.size() != ik.tree.points.size() ||
-      (!asked.margins.empty() && (!ik.pairs || asked.margins.size() != ik.pairs->pairs.size())))
+      (!asked.margins.empty() && (!ik.pairs || asked.margins.size() != ik.pairs->size())))
     throw std::invalid_argument("the map is of another hand");
   Goal goal;
   goal.points = asked.points;

@@ -39,6 +39,8 @@ struct Tree {
   bool is_floating = false;
   Attached wrist_origin{-1, {}};
   Pose wrist;                       // in the frame of its joint
+  Attached palm_origin{-1, {}};
+  Pose palm;                        // likewise
   std::vector<Attached> points;     // reference points
   std::vector<int> q_indices;       // of the joints, in the user's order
   std::vector<int> joint_columns;   // of the same in the active coordinates

@@ -7,51 +7,12 @@ reads from a configuration (`model.nv`, `nv`, `q`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.se3 import frozen
-
-
-class Placements:
-    """Placements of a Pinocchio vector, read as arrays.
-
-    Args:
-        poses: `data.oMi`, `data.oMf` or `geometry_data.oMg`, which every placing overwrites.
-        first: Index of the first placement.
-    """
-
-    def __init__(self, poses: Sequence[pin.SE3], first: int = 0) -> None:
-        self._poses = [poses[i] for i in range(first, len(poses))]
-        # Pinocchio's arrays follow every placing, so they are fetched once.
-        self._rotations = [pose.rotation for pose in self._poses]
-        self._translations = [pose.translation for pose in self._poses]
-
-    @property
-    def translations(self) -> np.ndarray:
-        """Origins of the placements [m], shape (n, 3); a new array."""
-        return np.array(self._translations).reshape(-1, 3)
-
-    def points(
-        self, offsets: np.ndarray, indices: Sequence[int] | None = None
-    ) -> np.ndarray:
-        """Return points that are fixed to placements, in the world.
-
-        Args:
-            offsets: Points in the frames of the placements [m], shape (k, 3).
-            indices: Placement of each point; one point on every placement if omitted.
-
-        Returns:
-            Points [m], shape (k, 3).
-        """
-        chosen = range(len(self._poses)) if indices is None else indices
-        rotations = np.array([self._rotations[i] for i in chosen]).reshape(-1, 3, 3)
-        origins = np.array([self._translations[i] for i in chosen]).reshape(-1, 3)
-        return np.matmul(rotations, offsets[:, :, None])[:, :, 0] + origins
 
 
 def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
@@ -69,16 +30,8 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
     return np.array(moved, dtype=float).reshape(-1, model.nv)
 
 
-CROSS = np.zeros((3, 9))
-"""Rows of -[p]x, flattened, are linear in p: `p @ CROSS == (-skew(p)).ravel()`."""
-CROSS[0, [5, 7]] = 1.0, -1.0
-CROSS[1, [2, 6]] = -1.0, 1.0
-CROSS[2, [1, 3]] = 1.0, -1.0
 _WRIST = 1
 _FIRST_POINT = 2
-
-
-_UNIT = frozen(np.eye(3))
 
 
 class Configuration:
@@ -113,8 +66,11 @@ class Configuration:
         self._q = pin.neutral(model)
         self.q = self._q.view()
         self.q.setflags(write=False)
-        self._placed_points = Placements(self.data.oMf, _FIRST_POINT)
-        self._points = self._placed_points.translations
+        # Pinocchio's arrays follow every placing, so they are fetched once.
+        self._translations = [
+            self.data.oMf[i].translation for i in range(_FIRST_POINT, model.nframes)
+        ]
+        self._points = np.array(self._translations)
         self.points = self._points.view()
         self.points.setflags(write=False)
         self.wrist = self.data.oMf[_WRIST]
@@ -129,22 +85,6 @@ class Configuration:
         model, expansion, q = state
         Configuration.__init__(self, model, expansion=expansion)
         self.place(q)
-
-    @cached_property
-    def joints(self) -> Placements:
-        """Placements of the model's joints in the world, which follow every placement."""
-        return Placements(self.data.oMi)
-
-    @cached_property
-    def support(self) -> np.ndarray:
-        """Where a velocity coordinate of the model moves a row: 1, else 0; read-only.
-
-        Shape (3 m + 6, model.nv): rows of the points, and those of the wrist.
-        """
-        frames = (*range(_FIRST_POINT, len(self.model.frames)), _WRIST)
-        joints = [self.model.frames[frame].parentJoint for frame in frames]
-        counts = [3] * len(self.points) + [6]
-        return frozen(np.repeat(moved_by(self.model, joints), counts, axis=0))
 
     @property
     def nv(self) -> int:
@@ -170,7 +110,7 @@ class Configuration:
             ) from error
         pin.updateFramePlacements(self.model, self.data)
         self._q[:] = q
-        self._points[:] = self._placed_points.translations
+        self._points[:] = self._translations
 
     def frame_pose(self, frame: pin.Frame) -> np.ndarray:
         """Return the pose of any frame on the joints in the world, shape (4, 4); a new array."""
@@ -211,7 +151,12 @@ class Configuration:
         Returns:
             Jacobian, rows x, y, z of each point in turn, shape (3 m, model.nv); a new array.
         """
-        return (self.stacked_jacobian(np.eye(6)) * self.support)[:-6]
+        frames = range(_FIRST_POINT, self.model.nframes)
+        axes = pin.LOCAL_WORLD_ALIGNED
+        rows = [
+            pin.getFrameJacobian(self.model, self.data, i, axes)[:3] for i in frames
+        ]
+        return np.vstack(rows)
 
     def wrist_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
         """Body Jacobian of the wrist in the active coordinates.
@@ -222,9 +167,8 @@ class Configuration:
         Returns:
             `error_jacobian @ J_wrist`, shape (6, k); a new array.
         """
-        return self.contracted(
-            (self.stacked_jacobian(error_jacobian) * self.support)[-6:]
-        )
+        wrist = pin.getFrameJacobian(self.model, self.data, _WRIST, pin.LOCAL)
+        return self.contracted(error_jacobian @ wrist)
 
     def contracted(self, jacobian: np.ndarray) -> np.ndarray:
         """Take a Jacobian over the model's tangent space to the active coordinates.
@@ -236,21 +180,3 @@ class Configuration:
             Jacobian, shape (r, k); the same array if all coordinates are active.
         """
         return jacobian if self.expansion is None else jacobian.dot(self.expansion)
-
-    def stacked_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
-        """Rows of all points and of the wrist as one product, to be masked by `support`.
-
-        Args:
-            error_jacobian: Derivative of the wrist task's error with respect to the wrist's body
-                displacement, shape (6, 6).
-
-        Returns:
-            Unmasked Jacobian, shape (3 m + 6, model.nv).
-        """
-        # The joint Jacobian is at the world's origin: [I, -[p]x] takes it to the point p.
-        rows = np.empty((3 * len(self.points) + 6, 6))
-        at_points = rows[:-6].reshape(-1, 3, 6)
-        at_points[:, :, :3] = _UNIT
-        at_points[:, :, 3:] = self.points.dot(CROSS).reshape(-1, 3, 3)
-        rows[-6:] = error_jacobian @ self.wrist.toActionMatrixInverse()
-        return rows @ self.joint_jacobian()

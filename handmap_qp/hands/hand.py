@@ -105,6 +105,9 @@ class Hand:
         point_frames: Pinocchio frames of the reference points, which the model does not have.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
+        unscaled: Of a hand scaled to a person, the one that was scaled; else None.
+        stretches: Factors from its shapes to this hand's along the axes of their joint, shape (3,),
+            by the joint; for those of the fingers.
 
     Raises:
         HandError: If spec and URDF do not fit together, naming file, key and value.
@@ -124,6 +127,8 @@ class Hand:
         _check_type("urdf_text", urdf_text, str | None, "the text of a URDF")
         self.spec = spec
         self.contact_gap = CONTACT_GAP
+        self.unscaled: Hand | None = None
+        self.stretches: dict[int, np.ndarray] = {}
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
@@ -219,20 +224,26 @@ class Hand:
         return hand
 
     def with_joints(
-        self, moves: Mapping[str, tuple[np.ndarray, float]], compose: Callable[[], str]
+        self,
+        moves: Mapping[str, tuple[np.ndarray, float]],
+        stretches: Mapping[str, np.ndarray],
+        compose: Callable[[], str],
     ) -> Hand:
         """Return the same hand with joints in other places, without reading a URDF.
 
         Args:
             moves: By joint name, fixed ones too, its position on its parent link [m], shape (3,),
                 and a turn about its own x axis [rad]. None may lie between wrist and palm.
+            stretches: By joint name, factors on the shapes that it carries, along its axes, (3,).
             compose: Composes the URDF of that hand; called when `urdf_text` is first read.
         """
         hand = copy(self)
         hand._compose = compose
+        hand.unscaled = self
         hand.model = model = pin.Model(self.model)
         for name, (origin, roll) in moves.items():
             move_joint(model, name, origin, roll)
+        hand.stretches = {model.getJointId(name): by for name, by in stretches.items()}
         hand._take_points(self.reference_points)
         return hand
 
@@ -279,16 +290,16 @@ class Hand:
         """Write a configuration into an array of the caller's, for use sample by sample.
 
         Args:
-            vector: Where to write, shape (model.nq,).
-            q: Joint angles [rad or m], shape (n,); values are not checked.
-            wrist_pose: Wrist in the world, shape (4, 4), not checked; ignored by a fixed hand. The
-                wrist stays as the array has it if omitted.
+            vector: Where to write, shape (..., model.nq).
+            q: Joint angles [rad or m], shape (..., n); values are not checked.
+            wrist_pose: Wrist in the world of one configuration, shape (4, 4), not checked; ignored
+                by a fixed hand. The wrist stays as the array has it if omitted.
 
         Raises:
             InvalidInputError: On a wrong shape or type; the array may be written in part.
         """
         try:
-            vector[self._moving_q] = self._moving.all_joints(q)
+            vector[..., self._moving_q] = self._moving.all_joints(q)
             if wrist_pose is not None and self.is_floating:
                 vector[:7] = pin.SE3ToXYZQUAT(pin.SE3(wrist_pose) * self._wrist_to_root)
         except (TypeError, ValueError, IndexError) as error:

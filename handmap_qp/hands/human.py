@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from handmap_qp.errors import HandError, InvalidInputError, expect
+from handmap_qp.errors import HandError, expect
 from handmap_qp.hands.urdf import (
     child_of,
     get_numbers,
@@ -112,7 +112,6 @@ class HumanLengths:
         is_right = self.bases[1, 0] < self.bases[4, 0]
         roll = np.abs(self.rolls).max()
         right = "a right hand, with the index finger at the -x side of the little one"
-        bent = f"{roll:.3g} rad"
         for name, is_valid, expected, got in (
             (
                 "segments",
@@ -127,13 +126,14 @@ class HumanLengths:
                 f"y = {knuckles:.6g} m",
             ),
             ("bases", is_right, right, "a left one: mirror it"),
-            ("rolls", roll <= LARGEST_ROLL, "angles within 45 degrees of 0", bent),
+            (
+                "rolls",
+                roll <= LARGEST_ROLL,
+                "angles within 45 degrees of 0",
+                f"{roll:.3g} rad",
+            ),
         ):
-            if not is_valid:
-                value = getattr(self, name)
-                raise InvalidInputError(
-                    argument=name, expected=expected, value=value, got=got
-                )
+            expect(is_valid, name, expected, value=getattr(self, name), got=got)
 
     def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray | float, ...]]:
         values = (self.bases, self.segments, self.rolls, self.contact_gap)
@@ -227,6 +227,25 @@ def joint_moves(
     return moves
 
 
+def shape_stretches(old: HumanLengths, new: HumanLengths) -> dict[str, np.ndarray]:
+    """Return factors on the shapes of the fingers' bones when a hand is scaled to a person.
+
+    Args:
+        old: Lengths of the hand.
+        new: Lengths of the person.
+
+    Returns:
+        Factors along the axes of the joint that carries a bone, x along the bone, shape (3,), by
+        the joint's name.
+    """
+    size = new.hand_length / old.hand_length
+    return {
+        name: np.array([bone, size, size])
+        for finger, bones in zip(FINGERS, new.segments / old.segments, strict=True)
+        for name, bone in zip(_chain(finger)[1:], bones, strict=False)
+    }
+
+
 def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
     """Scale a right human hand's URDF to the lengths of a person.
 
@@ -260,12 +279,10 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
         roll, pitch, yaw = get_numbers(origin, "rpy", 3, "0 0 0")
         # Fingers point along their x axes, about which the first of the three turns is.
         set_numbers(origin, xyz=position, rpy=[roll + turn, pitch, yaw])
-    for finger, bones in zip(FINGERS, lengths.segments / old.segments, strict=True):
-        for name, bone in zip(_chain(finger)[1:], bones, strict=False):
-            link = child_of(joints[name], "child").get("link")
-            stretch = partial(np.multiply, [bone, size, size])
-            for shape in shapes.get(link, ()):
-                _scale_shape(shape, stretch, size)
+    for name, stretch in shape_stretches(old, lengths).items():
+        link = child_of(joints[name], "child").get("link")
+        for shape in shapes.get(link, ()):
+            _scale_shape(shape, partial(np.multiply, stretch), size)
     for shape in shapes["palm"]:
         _scale_shape(shape, _palm_map(old, lengths, shape.get("name", "")), size)
     return ET.tostring(robot, encoding="unicode")

@@ -12,6 +12,8 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from handmap_qp.errors import (
     HandError,
     InvalidInputError,
@@ -22,7 +24,12 @@ from handmap_qp.errors import (
     expect,
 )
 from handmap_qp.hands.hand import LONGEST_STOP, Hand, Points
-from handmap_qp.hands.human import HumanLengths, joint_moves, scaled_human_urdf
+from handmap_qp.hands.human import (
+    HumanLengths,
+    joint_moves,
+    scaled_human_urdf,
+    shape_stretches,
+)
 from handmap_qp.hands.model import compose_urdf
 from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
 from handmap_qp.hands.spec import HandSpec, Mount, is_named_source, read_hand_spec
@@ -107,8 +114,6 @@ def load_hand(
     )
     if lengths is None and hand_length is None:
         return Hand(_spec_of(hand), points=points, mount=mount)
-    is_standard = isinstance(hand, str) and hand in HUMAN_HANDS
-    standard, own = (_standard_human if is_standard else _load_human)(hand, mount)
     if None not in (lengths, hand_length):
         raise InvalidInputError(
             "cannot be combined with hand_length: give one of them",
@@ -121,9 +126,10 @@ def load_hand(
         raise InvalidInputError(
             argument="lengths", expected="HumanLengths", value=lengths
         )
-    moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
-    compose = partial(_person_urdf, standard.spec, lengths)
-    scaled = standard.with_joints(moves, compose).with_points(points)
+    is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
+    load = _standard_human if is_standard else _load_human
+    numbers = np.column_stack([lengths.bases, lengths.segments, lengths.rolls])
+    scaled = _scaled(*load(hand, mount, points), numbers.tobytes())
     return scaled.with_contact_gap(lengths.contact_gap)
 
 
@@ -132,7 +138,7 @@ def _spec_of(hand: str | Path | HandSpec) -> HandSpec:
 
 
 def _load_human(
-    hand: str | Path | HandSpec, mount: Mount | None
+    hand: str | Path | HandSpec, mount: Mount | None, points: Points | None
 ) -> tuple[Hand, HumanLengths]:
     """Load a human hand with its own lengths.
 
@@ -146,11 +152,23 @@ def _load_human(
             argument="lengths",
             value=spec.name,
         )
-    return Hand(spec, mount=mount), HumanLengths.from_urdf(read_urdf(spec))
+    human = Hand(spec, points=points, mount=mount)
+    return human, HumanLengths.from_urdf(read_urdf(spec))
 
 
 # Every recording has its own person; hands are read-only.
 _standard_human = lru_cache(maxsize=8)(_load_human)
+
+
+# The guard and the mapper have the same person.
+@lru_cache(maxsize=4)
+def _scaled(standard: Hand, own: HumanLengths, numbers: bytes) -> Hand:
+    """Scale a human hand to a person's bases, segments and rolls, shape (5, 7) together."""
+    columns = np.frombuffer(numbers).reshape(5, 7)
+    lengths = HumanLengths(columns[:, :3], columns[:, 3:6], columns[:, 6])
+    moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
+    compose = partial(_person_urdf, standard.spec, lengths)
+    return standard.with_joints(moves, shape_stretches(own, lengths), compose)
 
 
 def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:

@@ -5,19 +5,19 @@ A description names them, or they are found in the collision shapes.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping
+from functools import lru_cache
 from itertools import product
 from typing import NamedTuple
 
 import coal
 import msgspec
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, place_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.shape_pairs import distal_shapes
 from handmap_qp.hands.spec import PointSpec
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
@@ -61,31 +61,54 @@ def find_pads(hand: Hand, chains: Mapping[str, Finger]) -> dict[str, Pad]:
     Raises:
         HandError: If a shape cannot be read.
     """
-    geometry = read_collision_shapes(hand)
     given = {point.finger: point for point in hand.spec.points if point.pad is not None}
-    return {f: _pad(hand, chain, given.get(f), geometry) for f, chain in chains.items()}
+    return {finger: _pad(hand, c, given.get(finger)) for finger, c in chains.items()}
 
 
-def _pad(
-    hand: Hand, chain: Finger, point: PointSpec | None, geometry: pin.GeometryModel
-) -> Pad:
+@lru_cache(maxsize=32)
+def _surfaces(hand: Hand) -> dict[int, list[tuple[np.ndarray, float]]]:
+    """Return points (k, 3) and a radius of the shapes of each joint [m]: hulls of balls."""
+    surfaces = defaultdict(list)
+    for shape in read_collision_shapes(hand).geometryObjects:
+        points, radius = _corners(shape.geometry)
+        placed = points @ shape.placement.rotation.T + shape.placement.translation
+        surfaces[shape.parentJoint].append((placed, radius))
+    return surfaces
+
+
+def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
     """Return the pad of a finger, which its point gives or its shapes have."""
     joint, middle = chain.tip
     if point is not None and point.pad is not None:
         middle_point = msgspec.structs.replace(point, xyz=point.pad.xyz)
         joint, middle = place_of(hand, middle_point)
-    shapes = [geometry.geometryObjects[i] for i in distal_shapes(chain, geometry)]
-    supports = [_supports(shape) for shape in shapes if shape.parentJoint == joint]
+    stretch = hand.stretches.get(joint, np.ones(3))
+    shapes = _surfaces(hand.unscaled or hand) if joint in chain.joints else {}
+    supports = [
+        _supports(stretch * points, stretch[2] * radius)
+        for points, radius in shapes.get(joint, ())
+    ]
     if point is not None and point.pad is not None:
         radius = point.pad.radius
-        depth = max((_depth(one, middle) for one in supports), default=radius)
+        depth = float(_depths(supports, middle)) if supports else radius
         return Pad(joint, middle, radius, max(0.0, radius - max(0.0, depth)))
     return Pad(joint, *(_ball(supports, middle) if supports else (middle, _RADIUS)))
 
 
-def _depth(support: np.ndarray, point: np.ndarray) -> float:
-    """Return how deep a point is under a convex surface [m]; negative outside."""
-    return float((support - _DIRECTIONS @ point).min())
+def _supports(points: np.ndarray, radius: float) -> np.ndarray:
+    """Return the largest `n p` of balls around points (k, 3) for every direction n."""
+    return (points @ _DIRECTIONS.T).max(axis=0) + radius
+
+
+def _depths(supports: list[np.ndarray], points: np.ndarray) -> np.ndarray:
+    """Return how deep points (..., 3) are under convex surfaces [m], shape (...); negative outside.
+
+    Args:
+        supports: The largest `n p` of each surface for every direction n.
+        points: The points [m].
+    """
+    ahead = points @ _DIRECTIONS.T
+    return np.max([(support - ahead).min(axis=-1) for support in supports], axis=0)
 
 
 def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
@@ -98,31 +121,21 @@ def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
     Returns:
         Centre [m], shape (3,), and radius [m].
     """
-    return _ball([(_DIRECTIONS @ points.T).max(axis=1)], tip)
+    return _ball([_supports(points, 0.0)], tip)
 
 
 def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, float]:
     """Return centre and radius of the ball inside convex shapes, given by their supports."""
-
-    def depth(point: np.ndarray) -> float:
-        return max(_depth(support, point) for support in supports)
-
-    if depth(tip) > _DEEP:
-        return tip, depth(tip)
+    depth = float(_depths(supports, tip))
+    if depth > _DEEP:
+        return tip, depth
     length = np.linalg.norm(tip)
     inwards = -tip / length if length > 1e-6 else np.zeros(3)
     steps = np.arange(0.0, _LONGEST + _STEP, _STEP)
     points = tip + steps[:, None] * inwards
-    depths = np.array([*map(depth, points)])
+    depths = _depths(supports, points)
     chosen = int(np.argmax(depths >= _SHARE * depths.max()))
     return points[chosen], max(float(depths.max()), _SMALLEST)
-
-
-def _supports(shape: pin.GeometryObject) -> np.ndarray:
-    """Return a convex shape's largest `n p` for every direction n, in the joint's frame."""
-    points, radius = _corners(shape.geometry)
-    placed = points @ shape.placement.rotation.T + shape.placement.translation
-    return (_DIRECTIONS @ placed.T).max(axis=1) + radius
 
 
 def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import TIPS
+from handmap_qp.se3 import lengths
 
 CONTACT_GAPS = (0.012, 0.020)
 """Least and largest contact gap that is measured [m]."""
@@ -41,8 +42,7 @@ def tip_gaps(landmarks: np.ndarray) -> np.ndarray:
     Args:
         landmarks: Landmarks [m], shape (..., 21, 3).
     """
-    spans = landmarks[..., TIPS[1:], :] - landmarks[..., TIPS[:1], :]
-    return np.sqrt(np.einsum("...ij,...ij->...i", spans, spans))
+    return lengths(landmarks[..., TIPS[1:], :] - landmarks[..., TIPS[:1], :])
 
 
 def smallest_gap(time: np.ndarray, landmarks: np.ndarray) -> float:

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from handmap_qp.errors import expect
-from handmap_qp.hands.configuration import CROSS
+from handmap_qp.hands.configuration import moved_by
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -86,7 +86,8 @@ class LandmarkFitter:
         weights = np.array([1.0, 1.0, _TIP_WEIGHT]) / LENGTH_UNIT
         self._weights = np.repeat(weights, 3)
         # A joint moves the landmarks beyond it.
-        support = self._configuration.support[3 : 3 * LANDMARK_COUNT : 3]
+        joints = [frame.parentJoint for frame in human.point_frames[1:]]
+        support = moved_by(human.model, joints)
         moves = support[:, human.joint_columns].reshape(len(FINGERS), -1, *_SHAPE)
         self._scale = weights[:, None, None] * moves[_EACH, 1:, _EACH][:, :, None]
         self._vector = human.configuration_vector(human.rest, np.eye(4))
@@ -211,21 +212,18 @@ class LandmarkFitter:
         is_newton: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return H, shape (5, 4, 4), and the gradient, shape (5, 4), where the hand is placed."""
-        # Spatial velocities of each finger's joints at the origin; -[p]x takes them to the points.
+        # Spatial velocities of each finger's joints at the origin; w x p takes them to the points.
         joints = self._configuration.joint_jacobian()[:, self.human.joint_columns]
         joints = joints.reshape(2, 3, *_SHAPE).transpose(0, 2, 1, 3)
         linear, angular = joints[:, :, None]
         points = _beyond_base(self._configuration.points)
-        moved = (
-            points.dot(CROSS).reshape(*points.shape, 3) @ angular + linear
-        ) * self._scale
+        turning = np.cross(angular, points[..., None], axis=2)
+        moved = (turning + linear) * self._scale
         jacobian = moved.reshape(len(FINGERS), -1, _JOINTS)
         H = jacobian.transpose(0, 2, 1) @ jacobian
         H[:, _DIAGONAL, _DIAGONAL] += _REST_WEIGHT**2
         # Second derivatives: joint i before joint j turns the column of j, w_i x J_j.
-        pulls = (
-            residual.reshape(points.shape).dot(CROSS).reshape(*points.shape, 3) @ moved
-        )
+        pulls = np.cross(moved, residual.reshape(*points.shape, 1), axis=2)
         bend = angular[:, 0].transpose(0, 2, 1) @ pulls.sum(axis=1)
         bend *= is_newton[:, None, None]
         H += np.where(_UPPER, bend, bend.transpose(0, 2, 1))

@@ -13,6 +13,7 @@ from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import FIRST_JOINTS, PALM, check_length, human_name
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import frozen, lengths, rigid_fit, transform_points
 
 _BENT = math.sin(math.radians(15.0))
@@ -35,12 +36,8 @@ def measure_hand(recording: Recording) -> HumanLengths:
     Raises:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
-    is_recording = isinstance(recording, Recording)
     expect(
-        is_recording,
-        "recording",
-        "a Recording",
-        value=recording,
+        isinstance(recording, Recording), "recording", "a Recording", value=recording
     )
     return _measured_hand(recording)
 
@@ -52,7 +49,24 @@ def _measured_hand(recording: Recording) -> HumanLengths:
     segments = check_length(landmarks)
     if recording.side == "left":
         landmarks = landmarks * (-1.0, 1.0, 1.0)
-    palm = _standard_palm()
+    bases, rolls = measure_shape(landmarks, _standard_palm())
+    return HumanLengths(bases, segments, rolls)
+
+
+def measure_shape(
+    landmarks: np.ndarray, palm: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Measure the palm and the rolls of a right hand.
+
+    Args:
+        landmarks: Samples [m], shape (T, 21, 3).
+        palm: The palm's landmarks of the standard hand [m], shape (5, 3).
+
+    Returns:
+        `HumanLengths.bases` and `rolls`.
+    """
+    if core is not None:
+        return core.measure_shape(landmarks, palm)
     palms = landmarks[:, PALM]
     # Generalised Procrustes: lay every sample on the median shape, then take the median again.
     # Three rounds are enough to converge.
@@ -60,28 +74,10 @@ def _measured_hand(recording: Recording) -> HumanLengths:
         palm = np.median(transform_points(rigid_fit(palms, palm), palms), axis=0)
         palm = palm - palm[0]
     laid = transform_points(rigid_fit(palms, palm), landmarks)
-    bases = np.median(laid[:, FIRST_JOINTS], axis=0)
-    return HumanLengths(
-        bases=bases,
-        segments=segments,
-        rolls=_rolls(laid),
-    )
-
-
-def _rolls(landmarks: np.ndarray) -> np.ndarray:
-    """Measure how far the flexion axes of the fingers are turned about the palm's y axis [rad].
-
-    The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
-    about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
-
-    Args:
-        landmarks: Samples in the palm frame of a right hand [m], shape (T, 21, 3).
-
-    Returns:
-        Medians over the samples that bend the finger, shape (5,); 0 for the thumb, whose bones
-        bend about two axes, and for a finger that hardly bends.
-    """
-    joints = landmarks[:, 1:].reshape(-1, len(FINGERS), 4, 3)
+    # The bones of a bent finger span a plane whose normal is its flexion axis. Abduction turns it
+    # about the axis that rolls with it, so that the ratio of its x and z parts is that of the roll.
+    # The thumb's bones bend about two axes.
+    joints = laid[:, 1:].reshape(-1, len(FINGERS), 4, 3)
     proximal = joints[:, :, 1] - joints[:, :, 0]
     beyond = joints[:, :, 3] - joints[:, :, 1]
     normals = np.cross(proximal, beyond)
@@ -91,7 +87,8 @@ def _rolls(landmarks: np.ndarray) -> np.ndarray:
     for i in range(1, len(FINGERS)):
         if is_bent[:, i].sum() >= _FEWEST_BENT:
             rolls[i] = np.median(angles[is_bent[:, i], i])
-    return np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
+    bases = np.median(laid[:, FIRST_JOINTS], axis=0)
+    return bases, np.clip(rolls, -LARGEST_ROLL, LARGEST_ROLL)
 
 
 def scaled_human(

@@ -56,12 +56,7 @@ class Recording:
         """Check the arrays, and replace them by read-only copies."""
         time = as_floats(self.time, "time", shape=("T",), is_finite=True)
         count = len(time)
-        expect(
-            count > 0,
-            "time",
-            "at least one instant",
-            got="none",
-        )
+        expect(count > 0, "time", "at least one instant", got="none")
         increases = np.diff(time, prepend=-np.inf) > 0.0
         increasing = "strictly increasing instants"
         _expect_each(increases, "time", increasing, time, "{} at sample {}")
@@ -226,12 +221,7 @@ def as_flags(
     """
     flags = as_floats(values, name, shape=(count,))
     is_flag = np.isin(flags, (0.0, 1.0)).all()
-    expect(
-        is_flag,
-        name,
-        "truth values, or 0 and 1",
-        value=values,
-    )
+    expect(is_flag, name, "truth values, or 0 and 1", value=values)
     return flags.astype(bool)
 
 
@@ -250,10 +240,4 @@ def _expect_each(
     """Reject an array if one of its samples is wrong; `got` tells its value and its index."""
     sample = int(np.argmin(is_right))
     text = got.format(values[sample], sample)
-    expect(
-        is_right[sample],
-        argument,
-        expected,
-        value=values,
-        got=text,
-    )
+    expect(is_right[sample], argument, expected, value=values, got=text)

@@ -40,16 +40,17 @@ Where that does not suffice, the path is halved, until it does or a point of it 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration, Placements, moved_by
+from handmap_qp.hands.configuration import Configuration, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
+from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.limits import Rows
 from handmap_qp.se3 import lengths
 
@@ -82,8 +83,8 @@ class NearPairs(NamedTuple):
     found: np.ndarray
 
 
-class ShapeDistances:
-    """Measures signed distances of pairs of shapes.
+class PairBounds(Compiled):
+    """What never changes of pairs of shapes: how far a change of each coordinate moves them.
 
     Args:
         model: The hand's model.
@@ -91,6 +92,10 @@ class ShapeDistances:
 
     Attributes:
         geometry: As given.
+        first: Index of the first shape of each pair, shape (k,).
+        second: Index of the second one.
+        centres: Centres of the shapes' bounding balls in their axes [m].
+        radii: Radii of the balls [m], shape (s,).
         levers: Bound of the change of each pair's distance per change of each velocity coordinate
             [m/rad, or 1 for sliding joints], shape (k, nv); 0 for coordinates that move both shapes
             of a pair or neither.
@@ -100,46 +105,64 @@ class ShapeDistances:
     """
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
-        self._model = model
         self.geometry = geometry
-        self._data = model.createData()
-        self._shapes = geometry.createData()
-        for request in self._shapes.distanceRequests:
-            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
         pairs = geometry.collisionPairs
-        self._first = np.array([pair.first for pair in pairs], dtype=int)
-        self._second = np.array([pair.second for pair in pairs], dtype=int)
+        self.first = np.array([pair.first for pair in pairs], dtype=int)
+        self.second = np.array([pair.second for pair in pairs], dtype=int)
         shapes = geometry.geometryObjects
-        self._bound_motions(model, shapes)
-        self._placed = Placements(self._shapes.oMg)
-        balls = [
-            (*shape.geometry.aabb_center, shape.geometry.aabb_radius)
-            for shape in shapes
-        ]
-        self._balls = np.array(balls).reshape(-1, 4)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Build copies with data of their own."""
-        return ShapeDistances, (self._model, self.geometry)
-
-    def _bound_motions(
-        self, model: pin.Model, shapes: Sequence[pin.GeometryObject]
-    ) -> None:
         levers = np.array([_levers(model, shape) for shape in shapes])
         levers = levers.reshape(-1, model.nv)
+        # Known from here on, because levers are bounded by boxes and balls around the shapes.
+        self.centres = [shape.geometry.aabb_center for shape in shapes]
+        self.radii = np.array([shape.geometry.aabb_radius for shape in shapes])
         moved = moved_by(model, [shape.parentJoint for shape in shapes])
-        self.signs = moved[self._first] - moved[self._second]
+        self.signs = moved[self.first] - moved[self.second]
         is_between = self.signs != 0.0
         # A coordinate that moves both shapes carries them together.
-        self.levers = (levers[self._first] + levers[self._second]) * is_between
+        self.levers = (levers[self.first] + levers[self.second]) * is_between
         turning = np.concatenate(
             [_motions(joint)[3:].any(axis=0) for joint in list(model.joints)[1:]]
         )
         has_sliding = (is_between & ~turning).any(axis=1)
         # Sliding between the shapes doubles the acceleration that turns give their points.
         relative = is_between * turning * (1.0 + has_sliding)[:, None]
-        common = moved[self._first] * moved[self._second] * turning
+        common = moved[self.first] * moved[self.second] * turning
         self.turns = relative + 2.0 * common
+
+
+pair_bounds = lru_cache(maxsize=32)(PairBounds)
+"""The bounds of a model's pairs, computed once."""
+
+
+class ShapeDistances:
+    """Measures signed distances of pairs of shapes.
+
+    Args:
+        model: The hand's model.
+        geometry: Its collision shapes and pairs.
+
+    Attributes:
+        bounds: How far changes of coordinates move the pairs.
+    """
+
+    def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
+        self._model = model
+        self.bounds = pair_bounds(model, geometry)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build copies with data of their own."""
+        return ShapeDistances, (self._model, self.bounds.geometry)
+
+    @cached_property
+    def _data(self) -> pin.Data:
+        return self._model.createData()
+
+    @cached_property
+    def _shapes(self) -> pin.GeometryData:
+        shapes = self.bounds.geometry.createData()
+        for request in shapes.distanceRequests:
+            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
+        return shapes
 
     def measure(self, q: np.ndarray, horizon: np.ndarray | float = np.inf) -> NearPairs:
         """Measure the pairs within a horizon.
@@ -149,7 +172,7 @@ class ShapeDistances:
             horizon: Largest distance [m], of each pair or one for all.
         """
         self._place(q)
-        horizons = np.full(len(self.levers), horizon)
+        horizons = np.full(len(self.bounds.levers), horizon)
         pairs = np.flatnonzero(self._ball_gaps() <= horizons)
         found = self._found_at(q, pairs)
         is_near = found[:, 0] <= horizons[pairs]
@@ -160,7 +183,7 @@ class ShapeDistances:
         self._place(q)
         found = np.empty((len(pairs), 7))
         for row, k in zip(found, pairs.tolist(), strict=True):
-            result = pin.computeDistance(self.geometry, self._shapes, k)
+            result = pin.computeDistance(self.bounds.geometry, self._shapes, k)
             row[0] = result.min_distance
             row[1:4] = result.normal
             row[4:] = result.getNearestPoint1()
@@ -168,15 +191,15 @@ class ShapeDistances:
 
     def _place(self, q: np.ndarray) -> None:
         pin.updateGeometryPlacements(
-            self._model, self._data, self.geometry, self._shapes, q
+            self._model, self._data, self.bounds.geometry, self._shapes, q
         )
 
     def _ball_gaps(self) -> np.ndarray:
         """Return the distances of the bounding balls of all placed pairs [m], shape (k,)."""
-        centres = self._placed.points(self._balls[:, :3])
-        radii = self._balls[:, 3]
-        apart = centres[self._first] - centres[self._second]
-        return lengths(apart) - radii[self._first] - radii[self._second]
+        bounds = self.bounds
+        centres = np.array([*map(pin.SE3.act, self._shapes.oMg, bounds.centres)])
+        apart = centres[bounds.first] - centres[bounds.second]
+        return lengths(apart) - bounds.radii[bounds.first] - bounds.radii[bounds.second]
 
     def is_clear(self, q: np.ndarray, step: np.ndarray) -> bool:
         """Return whether no pair of shapes touches on a straight path.
@@ -188,7 +211,7 @@ class ShapeDistances:
             step: The path in the model's tangent space [rad or m], shape (nv,).
         """
         turns = np.abs(step)
-        travel = self.levers.dot(turns)
+        travel = self.bounds.levers.dot(turns)
         pairs, before = self.measure(q, KEPT + travel)
         after = self._found_at(pin.integrate(self._model, q, step), pairs)
         # On a path from a to b, the distance is never below (a + b - travel) / 2.
@@ -201,7 +224,7 @@ class ShapeDistances:
         if (after[:, 0] < kept).any():
             return False
         travel = travel[pairs]
-        bend = self.turns[pairs].dot(turns)
+        bend = self.bounds.turns[pairs].dot(turns)
         # Parts of the path that are not shown to be clear: ends, pairs, and what was found there.
         parts = [(0.0, 1.0, np.arange(len(pairs)), before, after)]
         taken = 0
@@ -334,7 +357,7 @@ class CollisionLimit:
         self.horizon = horizon
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
         self.shape_distances = ShapeDistances(hand.model, pairs.geometry)
-        levers = self.shape_distances.levers
+        levers = self.shape_distances.bounds.levers
         if self._expansion is not None:
             levers = levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
@@ -366,7 +389,9 @@ class CollisionLimit:
         reach = np.inf if self.horizon == np.inf else _NEAR + _APPROACH * dt
         reach = max(min(reach, self.horizon), KEPT)
         if last is not None and reach < np.inf:
-            travel = self.shape_distances.levers.dot(np.abs(self._expanded(last)))
+            travel = self.shape_distances.bounds.levers.dot(
+                np.abs(self._expanded(last))
+            )
             reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
         kept = self.margin if margins is None else margins
         return self.shape_distances.measure(q, kept + reach)
@@ -407,7 +432,7 @@ class CollisionLimit:
         pairs, found = near
         normals = found[:, 1:4]
         wrenches = np.hstack([normals, np.cross(found[:, 4:], normals)])
-        G = self.shape_distances.signs[pairs] * wrenches.dot(
+        G = self.shape_distances.bounds.signs[pairs] * wrenches.dot(
             configuration.joint_jacobian()
         )
         kept = self.margin if margins is None else margins[pairs]

@@ -7,7 +7,7 @@ rounding: they are its readable reference. It has kinematics, distances and a QP
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import Any, get_args
 
 import numpy as np
@@ -17,7 +17,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import Parts, core
 from handmap_qp.ik.limits import Gate, Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, Status
+from handmap_qp.ik.qp import IkResult, PointIk, Status
 from handmap_qp.ik.tasks import Goal, PointDistances, Task
 from handmap_qp.se3 import frozen
 
@@ -126,6 +126,13 @@ class CompiledIk:
             step.last_step,
         )
 
+    def approach(
+        self, ik: PointIk, task: PointDistances, dt: float, samples: int, near: float
+    ) -> np.ndarray:
+        """Move the hand from rest for a task; see `hand_pair.approach`."""
+        self._gate.was_set = True
+        return self._core.approach(ik, task, dt, samples, near)
+
     def _linearise(
         self, tasks: Sequence[Task], q: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -147,6 +154,15 @@ class CompiledIk:
         return self._hand.configuration()
 
 
+@lru_cache(maxsize=16)
+def core_tree(hand: Hand) -> Any | None:
+    """Return the core's kinematics of a hand; None without a core, or if it lacks a joint."""
+    try:
+        return core and core.Tree(hand)
+    except ValueError:
+        return None
+
+
 def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> CompiledIk | None:
     """Return the core of a hand; None where it is not built, not asked for, or not able.
 
@@ -156,10 +172,11 @@ def compile_ik(hand: Hand, options: IkOptions, gate: Gate) -> CompiledIk | None:
         gate: Its limits and pairs.
     """
     is_asked = options.formulation == "compiled" and options.solver == "daqp"
-    if core is None or not is_asked:
+    tree = core_tree(hand)
+    if core is None or tree is None or not is_asked:
         return None
     try:
-        return CompiledIk(hand, core.Ik(hand, options, gate), gate)
+        return CompiledIk(hand, core.Ik(tree, hand, options, gate), gate)
     except ValueError:
-        # A kind of joint or of shape that the core does not have.
+        # A kind of shape that the core does not have.
         return None

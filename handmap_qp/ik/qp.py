@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Sequence
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 import daqp
@@ -143,12 +143,8 @@ def weighted_task(
         twist = pin.log6(offset).vector
         derivative = pin.Jlog6(offset)
     error = np.concatenate([(configuration.points - points).ravel(), twist])
-    jacobian = (
-        costs[:, None]
-        * configuration.support
-        * configuration.stacked_jacobian(derivative)
-    )
-    return configuration.contracted(jacobian), costs * error
+    rows = configuration.point_jacobian(), configuration.wrist_jacobian(derivative)
+    return costs[:, None] * np.vstack(rows), costs * error
 
 
 def direct_cost(
@@ -322,7 +318,6 @@ class PointIk:
         for name in ("rest_weight", "damping", "speed_weight", "acceleration_weight"):
             # A square that overflows is refused here, not at a sample.
             math.pow(getattr(options, name), 2.0)
-        self._configuration = hand.configuration()
         if contacts is None:
             collisions = None
             if options.avoids_self_collision:
@@ -338,7 +333,7 @@ class PointIk:
         self._solver = make_solver(options.solver)
         self.gate = Gate(
             hand,
-            motion or Motion.at_rest(self._configuration.q, self._configuration.nv),
+            motion or Motion.at_rest(pin.neutral(hand.model), len(hand.active_columns)),
             has_velocity_limits=options.has_velocity_limits,
             max_acceleration=options.max_acceleration,
             collisions=collisions,
@@ -353,6 +348,10 @@ class PointIk:
         """Build a solver with a workspace of its own that continues the same motion."""
         *arguments, contacts = state
         PointIk.__init__(self, *arguments, contacts=contacts)
+
+    @cached_property
+    def _configuration(self) -> Configuration:
+        return self.hand.configuration()
 
     @property
     def configuration(self) -> Configuration:

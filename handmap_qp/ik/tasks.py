@@ -18,18 +18,19 @@ function from a hand to a task; `IkOptions.tasks` takes them by name.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import NamedTuple, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import InvalidOptionsError, expect
-from handmap_qp.hands.configuration import CROSS, Configuration, moved_by
+from handmap_qp.hands.configuration import Configuration, moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.options import LENGTH_UNIT
 from handmap_qp.plugins import Plugins
-from handmap_qp.se3 import as_floats
+from handmap_qp.se3 import as_floats, lengths
 
 _SHORTEST = 1e-9
 """Distance below which two points have no direction from one to the other [m]."""
@@ -116,7 +117,11 @@ class AttachedPoints:
         self.offsets = np.array([offset for _, offset in places], dtype=float).reshape(
             -1, 3
         )
-        self._moved = moved_by(hand.model, self.joints)[:, None]
+        self._model = hand.model
+
+    @cached_property
+    def _moved(self) -> np.ndarray:
+        return moved_by(self._model, self.joints)[:, None]
 
     @classmethod
     def reference_points(cls, hand: Hand) -> Self:
@@ -129,15 +134,15 @@ class AttachedPoints:
 
     def positions(self, hand: Configuration) -> np.ndarray:
         """Return the points in the world [m], shape (n, 3)."""
-        return hand.joints.points(self.offsets, self.joints)
+        placed = zip(self.joints, self.offsets, strict=True)
+        points = [hand.data.oMi[joint].act(offset) for joint, offset in placed]
+        return np.reshape(points, (-1, 3))
 
     def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
         linear, angular = hand.joint_jacobian().reshape(2, 3, -1)
-        # [I, -[p]x] takes the spatial velocity at the world's origin to the point p.
-        turning = (
-            positions.dot(CROSS).reshape(-1, 3).dot(angular).reshape(len(self), 3, -1)
-        )
+        # The velocity at the world's origin plus w x p is that of the point p.
+        turning = np.cross(angular[None], positions[:, :, None], axis=1)
         return hand.contracted((linear + turning) * self._moved)
 
 
@@ -194,7 +199,7 @@ class PointDistances(Compiled):
         """Return a row a pair; see `Task.linearise`."""
         positions = self.points.positions(hand)
         offsets = positions[self.first] - positions[self.second]
-        apart = np.sqrt(np.einsum("ij,ij->i", offsets, offsets))
+        apart = lengths(offsets)
         # Points in one place have no direction: any will do to part them.
         offsets[apart <= _SHORTEST] = 0.0, 0.0, _SHORTEST
         jacobians = self.points.jacobians(hand, positions)
@@ -204,7 +209,7 @@ class PointDistances(Compiled):
         rows = np.matmul(directions[:, None], levers)[:, 0]
         residual = weights * (apart - self.distances)
         # Per column the norm of the whole lever: the row, and what is across it.
-        columns = np.sqrt(np.einsum("ijk,ijk->ik", levers, levers))
+        columns = np.linalg.norm(levers, axis=1)
         return TaskRows(
             residual, rows, (self.damping * weights * np.abs(residual)).dot(columns)
         )

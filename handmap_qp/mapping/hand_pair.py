@@ -6,14 +6,12 @@ All of it is measured on the two models, once for each pair of hands.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from copy import copy
 from functools import cached_property, lru_cache
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.fingers import (
     Finger,
     Place,
@@ -22,20 +20,20 @@ from handmap_qp.hands.fingers import (
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
-from handmap_qp.hands.library import HUMAN_HANDS, load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.human.sample import landmarks_at_rest
+from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
 from handmap_qp.mapping.palm import (
-    chain_landmarks,
     point_indices,
     require_points,
 )
-from handmap_qp.se3 import as_floats, frozen, inverse_pose, lengths, transform_points
+from handmap_qp.se3 import as_floats, frozen, lengths, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
 """Landmark at the base of each finger, by the finger's name."""
@@ -76,6 +74,7 @@ _PINCHING = _OPENING.replaced(
     wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
 )
 _PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
+_GAP_WEIGHT, _UNHURRIED = 3.0, 1e3  # s
 
 
 def finger_landmarks(fingers: Iterable[str]) -> list[str]:
@@ -141,7 +140,7 @@ class HandPair:
         self.chains = self._measured.chains
         self.pads = self._measured.pads
         self.contacts: ShapePairs = self._measured.contacts
-        self.robot = copy(self._measured.with_points)
+        self.robot = self._measured.with_points
         names = point_indices(human)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
@@ -195,9 +194,9 @@ class HandPair:
         if self.has_jaws:
             at_rest = self.human_rest[self.tips]
             gaps = np.linalg.norm(at_rest[1:] - at_rest[0], axis=1)
-            pads = [self.pads[finger] for finger in self.fingers]
-            placed = _with_gaps(self.robot, _OPENING, pads, gaps)
-            return placed.q[self.robot.q_indices]
+            thumb, *pads = (self.pads[finger] for finger in self.fingers)
+            task = _gap_task(self.robot, thumb, pads, gaps)
+            return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
         places = [self.chains[finger].knuckle for finger in self.fingers]
         knuckles = points_in_palm(self._measured.hand, robot.rest, places)
@@ -213,14 +212,11 @@ class HandPair:
         palm = self._measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
-        return nearest_posture(robot, targets, costs, _REST_WEIGHT, self._first_guess())
-
-    def _first_guess(self) -> np.ndarray:
-        """Return the posture that matches the package's own person, near which all others' are."""
-        human = self.human
-        if human.name not in HUMAN_HANDS or human is _standard_human(human.name):
-            return self.robot.rest
-        return hand_pair(_standard_human(human.name), self._measured.hand).matched
+        start = robot.rest
+        if (standard := self.human.unscaled) is not None:
+            # Near the posture that matches the package's own person, all others' are.
+            start = hand_pair(standard, self._measured.hand).matched
+        return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
         """Place the thumb between where it pinches and where it is above the knuckles."""
@@ -279,11 +275,6 @@ class _RobotFingers:
 
 
 _robot_fingers = lru_cache(maxsize=32)(_RobotFingers)
-
-
-@lru_cache(maxsize=2)
-def _standard_human(name: str) -> Hand:
-    return load_hand(name, points="landmarks")
 
 
 def require_partners(
@@ -370,14 +361,20 @@ def points_in_palm(
         q: Its joint positions [rad or m], shape (n,).
         places: Points on joints; the hand's reference points if omitted.
     """
-    # A workspace for once: one that stays is a megabyte a hand.
-    placed = hand.configuration()
-    placed.place(hand.configuration_vector(q))
-    points = placed.points
-    if places is not None:
-        points = AttachedPoints(hand, places).positions(placed)
-    palm = placed.frame_pose(hand.model.frames[hand.palm_frame_id])
-    return transform_points(inverse_pose(palm), points)
+    if places is None:
+        points = AttachedPoints.reference_points(hand)
+    else:
+        points = AttachedPoints(hand, places)
+    vector = hand.configuration_vector(q)
+    if (tree := core_tree(hand)) is not None:
+        return tree.points(vector, points.joints, points.offsets, True)
+    model = hand.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, vector)
+    palm = model.frames[hand.palm_frame_id]
+    to_palm = (data.oMi[palm.parentJoint] * palm.placement).inverse()
+    placed = zip(points.joints, points.offsets, strict=True)
+    return np.array([to_palm * data.oMi[joint] * offset for joint, offset in placed])
 
 
 def resting_posture(human: Hand) -> np.ndarray:
@@ -391,61 +388,59 @@ def resting_posture(human: Hand) -> np.ndarray:
 
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     """Return the sum of the bones of human fingers, which is their reach [m], shape (f,)."""
-    described = human.with_points(human.spec.points)
-    index = point_indices(described)
-    chosen = [index[name] for finger in fingers for name in chain_landmarks(finger)]
-    joints = described.points(human.rest)[chosen].reshape(-1, 4, 3)
-    return np.linalg.norm(np.diff(joints, axis=1), axis=2).sum(axis=1)
+    joints = landmarks_at_rest(human)[1:].reshape(len(FINGERS), 4, 3)
+    reaches = lengths(np.diff(joints, axis=1)).sum(axis=1)
+    return reaches[[FINGERS.index(finger) for finger in fingers]]
 
 
 def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
-    # Reference points have no weight here, and one of them takes the least time.
-    hand = hand.with_points(hand.reference_points[:1])
-    tip = AttachedPoints(hand, [chains[THUMB].tip])
+    pads = {finger: pads[finger] for finger in chains}
+    ik = PointIk(hand, _PINCHING)
+    task = _gap_task(hand, pads.pop(THUMB), list(pads.values()), 0.0)
     tips = []
-    for finger in chains:
-        if finger != THUMB:
-            used = [pads[THUMB], pads[finger]]
-            placed = _with_gaps(hand, _PINCHING, used, [0.0], _PINCH_STEPS)
-            palm = placed.wrist.homogeneous @ hand.wrist_to_palm
-            tips.append(transform_points(inverse_pose(palm), tip.positions(placed))[0])
+    for is_used in np.eye(len(pads)):
+        own = task.aimed_at(task.distances, is_used * task.weights)
+        q = approach(ik, own, _PINCH_STEPS)
+        tips.append(points_in_palm(hand, q, [chains[THUMB].tip])[0])
     return np.mean(tips, axis=0)
 
 
-def _with_gaps(
-    hand: Hand,
-    options: IkOptions,
-    pads: Sequence[Pad],
-    gaps: Iterable[float],
-    steps: int = 1,
-) -> Configuration:
-    """Move a hand from rest so that the first pad has gaps to the others.
+def _gap_task(
+    hand: Hand, thumb: Pad, pads: Sequence[Pad], gaps: np.ndarray | float
+) -> PointDistances:
+    """Return the task of giving the thumb's pad gaps to other pads [m], shape (p,)."""
+    points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in (thumb, *pads)])
+    pairs = [(0, k) for k in range(1, len(points))]
+    touching = np.array([thumb.radius + pad.radius for pad in pads])
+    return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
+
+
+def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:
+    """Move a hand from rest for a task.
 
     Args:
-        hand: The hand.
-        options: Weights of the QP.
-        pads: The thumb's pad first.
-        gaps: To each other pad [m], shape (p,).
-        steps: Most QP solutions; fewer if the gaps are reached before.
+        ik: The hand and weights of the QP.
+        task: The task.
+        steps: Most QP solutions; fewer if the distances that have a weight are reached before.
 
     Returns:
-        The hand there.
+        Joint positions there [rad or m], shape (n,).
     """
-    points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
-    pairs = [(0, k) for k in range(1, len(pads))]
-    wanted = np.array([pads[0].radius + pad.radius for pad in pads[1:]]) + gaps
-    task = PointDistances(points, pairs, wanted, [3.0] * len(pairs))
-    ik = PointIk(hand, options)
+    hand = ik.hand
+    if ik.core is not None:
+        q = ik.core.approach(ik, task, _UNHURRIED, steps, _TOUCHING)
+        return q[hand.q_indices]
     ik.place(hand.configuration_vector(hand.rest))
     placed = ik.configuration
     targets = placed.points.copy()
     wrist = placed.wrist.homogeneous
     for _ in range(steps):
-        ik.solve(targets, wrist, 1e3, tasks=[task])
-        places = points.positions(ik.configuration)
-        if np.abs(lengths(places[1:] - places[0]) - wanted).max() < _TOUCHING:
+        ik.solve(targets, wrist, _UNHURRIED, tasks=[task])
+        places = task.points.positions(ik.configuration)
+        errors = np.abs(lengths(places[1:] - places[0]) - task.distances)
+        if errors[task.weights > 0.0].max() < _TOUCHING:
             break
-    return ik.configuration
+    return ik.gate.motion.q[hand.q_indices]

@@ -14,13 +14,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands.configuration import CROSS, moved_by
+from handmap_qp.hands.configuration import moved_by
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import solve_by_daqp
 
-_MOST_STEPS, _SMALLEST_STEP = 50, 1e-6  # rad or m
+_MOST_STEPS, _SMALLEST_STEP = 50, 1e-8  # rad or m
 _LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4
 """Share of the decrease that the slope foretells (Armijo), and least share of a step to try."""
+_ROUNDING = 1.0 + 1e-14
+"""Near the minimum, values differ by less than their rounding."""
 _LEAST_CURVATURE = 1e-6
 """Least eigenvalue of the Hessian over its largest; smaller ones are turned or lifted."""
 
@@ -47,6 +50,8 @@ def nearest_posture(
     Returns:
         Joint positions inside their limits [rad or m], shape (n,).
     """
+    if (tree := core_tree(hand)) is not None:
+        return tree.nearest_posture(hand, targets, costs, rest_cost, start)
     distance = _Distance(hand, targets, costs, rest_cost)
     free = distance.free
     lower = hand.lower_limits[free]
@@ -62,7 +67,8 @@ def nearest_posture(
         while True:
             ahead = np.clip(x + share * step, lower, upper)
             there = distance.at(ahead)
-            if there.value <= here.value + _LEAST_DECREASE * share * slope:
+            most = _ROUNDING * here.value + _LEAST_DECREASE * share * slope
+            if there.value <= most:
                 break
             share *= 0.5
             if share < _SMALLEST_SHARE:
@@ -96,28 +102,21 @@ class _Distance:
         self._hand = hand
         self._targets = targets
         self._costs = costs[:, None] ** 2
-        self._row_costs = np.repeat(costs, 3)[:, None]
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
-        self._vector = hand.configuration_vector(hand.rest)
-        moves_wrist = self._placed.contracted(self._placed.support[-1:])[
-            0, hand.joint_columns
-        ]
-        self.free = np.flatnonzero(moves_wrist == 0.0)
+        moves_wrist = np.any(self._placed.wrist_jacobian(np.eye(6)), axis=0)
+        self.free = np.flatnonzero(~moves_wrist[hand.joint_columns])
         # From the free joints to the model's tangent space.
-        active = (
-            np.eye(self._placed.nv) if hand.expansion is None else hand.expansion.matrix
-        )
+        active = self._placed.contracted(np.eye(hand.model.nv))
         self._spread = active[:, hand.joint_columns[self.free]]
         self._rest = hand.rest[self.free]
-        self._q = hand.rest.copy()
         model = hand.model
         carriers = np.repeat(np.arange(model.njoints), model.nvs)
         self._is_ancestor = moved_by(model, carriers.tolist()).T
 
     def whole(self, x: np.ndarray) -> np.ndarray:
         """Return the positions of all joints, given those of the free ones."""
-        q = self._q.copy()
+        q = self._hand.rest.copy()
         q[self.free] = x
         return q
 
@@ -125,18 +124,16 @@ class _Distance:
         """Return f and its derivatives at positions of the free joints, shape (k,)."""
         placed = self._placed
         away = x - self._rest
-        self._hand.write_configuration(self._vector, self.whole(x))
-        placed.place(self._vector)
+        placed.place(self._hand.configuration_vector(self.whole(x)))
         errors = placed.points - self._targets
         forces = self._costs * errors
         rows = placed.full_point_jacobian()
-        weighted = self._row_costs * rows
         # S_ij = axis_i . sum_k (J_kj x force_k), for i an ancestor of j or j itself.
-        turning = forces.dot(CROSS).reshape(-1, 3, 3).transpose(1, 0, 2).reshape(3, -1)
-        curvature = (
-            placed.joint_jacobian()[3:].T.dot(turning.dot(rows)) * self._is_ancestor
-        )
-        full = weighted.T.dot(weighted) + curvature + curvature.T
+        levers = rows.reshape(len(forces), 3, -1)
+        turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
+        curvature = placed.joint_jacobian()[3:].T.dot(turning) * self._is_ancestor
+        full = rows.T.dot(np.repeat(self._costs, 3, axis=0) * rows)
+        full += curvature + curvature.T
         full.reshape(-1)[:: len(full) + 1] -= curvature.diagonal()
         hessian = self._spread.T.dot(full).dot(self._spread)
         hessian.reshape(-1)[:: len(hessian) + 1] += self._rest_cost

@@ -43,7 +43,7 @@ def without_faults(recording: Recording) -> Recording:
     Raises:
         InvalidInputError: If the landmarks are not a plausible hand in metres.
     """
-    human = scaled_human(recording, points="landmarks")
+    human = scaled_human(recording)
     valid = recording.valid & ~StreamGuard(human).holds(recording)
     if 2 * valid.sum() < recording.valid.sum() or (valid == recording.valid).all():
         return recording

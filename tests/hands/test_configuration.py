@@ -19,7 +19,6 @@ JACOBIANS: dict[str, Callable[[Configuration], np.ndarray]] = {
     "joints": lambda workspace: workspace.joint_jacobian(),
     "points": lambda workspace: workspace.point_jacobian(),
     "wrist": lambda workspace: workspace.wrist_jacobian(np.eye(6)),
-    "stacked": lambda workspace: workspace.stacked_jacobian(np.eye(6)),
 }
 every_jacobian = pytest.mark.parametrize("jacobian", JACOBIANS.values(), ids=JACOBIANS)
 

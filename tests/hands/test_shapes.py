@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 
 from handmap_qp import HandSpec, PointSpec, hand_names, load_hand
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.configuration import Placements, moved_by
+from handmap_qp.hands.configuration import moved_by
 from handmap_qp.hands.fingers import (
     THUMB,
     PalmKinematics,
@@ -261,26 +261,6 @@ def test_named_pairs_are_those_of_the_description() -> None:
     assert robot.spec.collision is not None
     pairs = robot.spec.collision.pairs
     assert set(named_pairs(robot, pairs).links) == set(pairs)
-
-
-def test_placements_follow_every_placing() -> None:
-    robot, rng = hand("hey5"), np.random.default_rng(1)
-    data = robot.model.createData()
-    placements = Placements(data.oMi)
-    offsets = rng.normal(size=(robot.model.njoints, 3))
-    for _ in range(3):
-        q = rng.uniform(robot.lower_limits, robot.upper_limits)
-        pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
-        origins = [pose.translation for pose in data.oMi]
-        np.testing.assert_array_equal(placements.translations, origins)
-        placed = [
-            pose.act(offset) for pose, offset in zip(data.oMi, offsets, strict=True)
-        ]
-        np.testing.assert_allclose(placements.points(offsets), placed, atol=1e-15)
-        expected = [data.oMi[5].act(offsets[0]), data.oMi[0].act(offsets[1])]
-        np.testing.assert_allclose(
-            placements.points(offsets[:2], [5, 0]), expected, atol=1e-15
-        )
 
 
 def test_moved_by_marks_the_columns_that_change_a_placement() -> None:

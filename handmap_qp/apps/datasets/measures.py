@@ -9,8 +9,8 @@ import numpy as np
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import TIPS
 from handmap_qp.se3 import lengths
 
 MOST_SURFACES = 60
@@ -146,9 +146,8 @@ def _surfaces(
     recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
 ) -> dict[str, float]:
     """Measure pinches and self-penetration in some of the samples."""
-    tips = recording.landmarks[:, TIPS]
     count = len(recording)
-    pinching = lengths(tips[:, 1:] - tips[:, :1]) < contact_gap + _PINCHING
+    pinching = tip_gaps(recording.landmarks) < contact_gap + _PINCHING
     pinching &= trajectory.valid[:, None]
     pinches = np.flatnonzero(pinching.any(axis=1))
     chosen = pinches[:: max(1, -(-len(pinches) // MOST_SURFACES))]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 from itertools import product
 from typing import NamedTuple
@@ -14,8 +13,9 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
-from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes
-from handmap_qp.se3 import lengths
+from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, pair_distances
+from handmap_qp.ik.collision import pair_bounds
+from handmap_qp.ik.compiled import core_tree
 
 FAR = 0.01
 """Distances between links that do not pinch are measured up to here [m]."""
@@ -75,19 +75,18 @@ class GapMeter:
         self._hand = hand
         self._chains = chains or find_fingers(hand)
         self._geometry = read_collision_shapes(hand)
-        self._groups: dict[str, slice] = {}
+        # First pair of each finger that pinches.
+        self._groups: dict[str, int] = {}
         shapes = {
             finger: distal_shapes(chain, self._geometry)
             for finger, chain in self._chains.items()
         }
         thumb = shapes.pop(THUMB, [])
         for finger, others in shapes.items():
-            first = len(self._geometry.collisionPairs)
+            if thumb and others:
+                self._groups[finger] = len(self._geometry.collisionPairs)
             for pair in product(thumb, others):
                 self._geometry.addCollisionPair(pin.CollisionPair(*pair))
-            if thumb and others:
-                last = len(self._geometry.collisionPairs)
-                self._groups[finger] = slice(first, last)
 
     def pinches(self, q: np.ndarray) -> dict[str, np.ndarray]:
         """Measure the gaps between the thumb and the other fingers; see `SurfaceGaps.pinches`.
@@ -95,11 +94,10 @@ class GapMeter:
         Args:
             q: Joint angles [rad], shape (T, n).
         """
-        smallest = _smallest_distance(self._hand, self._geometry)
-        rows = [
-            [smallest(a, pairs, np.inf) for pairs in self._groups.values()] for a in q
-        ]
-        columns = np.array(rows).reshape(len(q), len(self._groups)).T
+        starts = list(self._groups.values())
+        if not starts:
+            return {}
+        columns = self._smallest(self._geometry, q, starts, np.inf).T
         return dict(zip(self._groups, columns, strict=True))
 
     def nearest(self, q: np.ndarray, most: float = FAR) -> np.ndarray:
@@ -109,48 +107,32 @@ class GapMeter:
             q: Joint angles [rad], shape (T, n).
             most: Distance up to which it is measured, and that stands for larger ones [m].
         """
-        smallest = _smallest_distance(self._hand, self._colliding)
-        pairs = slice(None)
-        return np.array([smallest(angles, pairs, most) for angles in q])
+        return self._smallest(self._colliding, q, [0], most)[:, 0]
 
     @cached_property
     def _colliding(self) -> pin.GeometryModel:
         return all_pairs(self._hand, self._chains).geometry
 
+    def _smallest(
+        self, geometry: pin.GeometryModel, q: np.ndarray, starts: list[int], most: float
+    ) -> np.ndarray:
+        """Measure the smallest distance within each group of pairs, at most `most` [m].
 
-def _smallest_distance(
-    hand: Hand, geometry: pin.GeometryModel
-) -> Callable[[np.ndarray, slice, float], float]:
-    """Return a function of posture, pairs and the largest distance that is told [m].
+        Args:
+            geometry: Shapes and pairs.
+            q: Joint angles [rad], shape (T, n).
+            starts: First pair of each of g groups.
+            most: As of `nearest`.
 
-    Pairs are measured in the order of their bounding spheres' distances, up to the first that
-    cannot be nearer. GJK starts from the last result of a pair, so each motion needs its own
-    function.
-    """
-    shapes = [shape.geometry for shape in geometry.geometryObjects]
-    for shape in shapes:
-        shape.computeLocalAABB()
-    centres = [shape.aabb_center for shape in shapes]
-    radii = np.array([shape.aabb_radius for shape in shapes])
-    pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
-    first, second = np.array(pairs, dtype=int).reshape(-1, 2).T
-    touching = radii[first] + radii[second]
-    data = hand.model.createData()
-    geometry_data = geometry.createData()
-    vector = hand.configuration_vector(hand.rest)
-
-    def smallest(q: np.ndarray, chosen: slice, most: float) -> float:
-        hand.write_configuration(vector, q)
-        pin.updateGeometryPlacements(hand.model, data, geometry, geometry_data, vector)
-        placed = map(pin.SE3.act, geometry_data.oMg, centres)
-        places = np.array(list(placed))
-        bounds = lengths(places[first] - places[second]) - touching
-        for i in np.arange(len(bounds))[chosen][bounds[chosen].argsort()].tolist():
-            if bounds[i] >= most:
-                break
-            most = min(
-                most, pin.computeDistance(geometry, geometry_data, i).min_distance
-            )
-        return most
-
-    return smallest
+        Returns:
+            Shape (T, g).
+        """
+        hand = self._hand
+        if (tree := core_tree(hand)) is not None:
+            vectors = np.tile(hand.configuration_vector(hand.rest), (len(q), 1))
+            hand.write_configuration(vectors, q)
+            bounds = pair_bounds(hand.model, geometry).core
+            found = tree.smallest_distances(bounds, vectors, starts, most)
+            return found.reshape(len(q), len(starts))
+        groups = np.split(pair_distances(hand, geometry, q), starts[1:], axis=1)
+        return np.array([group.min(axis=1, initial=most) for group in groups]).T

@@ -1,0 +1,156 @@
+// What is measured of a person's hand in many samples: see handmap_qp/human/measure.py.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include "targets.hpp"
+
+namespace handmap {
+
+// The median; an even count has the mean of the two in the middle. Changes the order of `values`.
+inline double median(Vector& values) {
+  const auto middle = values.begin() + values.size() / 2;
+  std::nth_element(values.begin(), middle, values.end());
+  if (values.size() % 2) return *middle;
+  return (*std::max_element(values.begin(), middle) + *middle) / 2.0;
+}
+
+// `samples` of `count` points each; medians of each coordinate.
+inline std::vector<Vec3> medians(const std::vector<Vec3>& samples, size_t count) {
+  std::vector<Vec3> found(count);
+  Vector column(samples.size() / count);
+  for (size_t i = 0; i < count; ++i)
+    for (int axis = 0; axis < 3; ++axis) {
+      for (size_t t = 0; t < column.size(); ++t) column[t] = samples[t * count + i][axis];
+      found[i][axis] = median(column);
+    }
+  return found;
+}
+
+// Lays points onto others like `rigid_fit`. The axes in which the shape of `onto` is spread hardly
+// differ from sample to sample, so the turns that find them begin at the last ones.
+class Layer {
+ public:
+  Pose fit(const Vec3* points, const std::vector<Vec3>& onto) {
+    const double share = 1.0 / static_cast<double>(onto.size());
+    Vec3 centre, centre_onto;
+    for (size_t k = 0; k < onto.size(); ++k) {
+      centre += share * points[k];
+      centre_onto += share * onto[k];
+    }
+    Mat3 covariance = 0.0 * Mat3{};
+    for (size_t k = 0; k < onto.size(); ++k)
+      covariance = covariance + outer(share * (onto[k] - centre_onto), points[k] - centre);
+    const Mat3 R = rotation(covariance);
+    return {R, centre_onto - R * centre};
+  }
+
+ private:
+  Mat3 rotation(const Mat3& A) {
+    axes_[0] *= 1.0 / norm(axes_[0]);
+    axes_[2] = cross(axes_[0], axes_[1]);
+    axes_[2] *= 1.0 / norm(axes_[2]);
+    axes_[1] = cross(axes_[2], axes_[0]);
+    Vec3 a[3];
+    for (int i = 0; i < 3; ++i) a[i] = tmul(A, axes_[i]);
+    for (int sweep = 0; sweep < 30; ++sweep) {
+      bool turned = false;
+      for (int p = 0; p < 2; ++p)
+        for (int q = p + 1; q < 3; ++q) turned |= turn(a[p], a[q], axes_[p], axes_[q]);
+      if (!turned) break;
+    }
+    int first = 0, least = 0;
+    for (int i = 1; i < 3; ++i) {
+      if (dot(a[i], a[i]) > dot(a[first], a[first])) first = i;
+      if (dot(a[i], a[i]) <= dot(a[least], a[least])) least = i;
+    }
+    const int second = 3 - first - least;
+    const double s0 = norm(a[first]), s1 = norm(a[second]);
+    if (first == least || !(s1 > 1e-9 * s0)) return nearest_rotation(A);
+    const Vec3 u[2] = {axes_[first], axes_[second]};
+    const Vec3 v[2] = {(1.0 / s0) * a[first], (1.0 / s1) * a[second]};
+    return outer(u[0], v[0]) + outer(u[1], v[1]) + outer(cross(u[0], u[1]), cross(v[0], v[1]));
+  }
+
+  // Turn two columns until they are orthogonal, and their axes along.
+  static bool turn(Vec3& a, Vec3& b, Vec3& axis_a, Vec3& axis_b) {
+    const double aa = dot(a, a), bb = dot(b, b), ab = dot(a, b);
+    if (!(ab * ab > 1e-32 * aa * bb)) return false;
+    const double zeta = (bb - aa) / (2.0 * ab);
+    const double t = std::copysign(1.0, zeta) / (std::abs(zeta) + std::sqrt(1.0 + zeta * zeta));
+    const double c = 1.0 / std::sqrt(1.0 + t * t), s = c * t;
+    const Vec3 x = a, y = axis_a;
+    a = c * x - s * b;
+    b = s * x + c * b;
+    axis_a = c * y - s * axis_b;
+    axis_b = s * y + c * axis_b;
+    return true;
+  }
+
+  Vec3 axes_[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
+};
+
+struct PersonShape {
+  std::vector<Vec3> bases;
+  std::array<double, 5> rolls{};
+};
+
+class PersonMeter {
+ public:
+  double bent;        // see measure._BENT
+  size_t fewest_bent;
+  double largest_roll;
+
+  // Of landmarks of a right hand, 21 a sample; `palm` is the standard one.
+  PersonShape measure(const std::vector<Vec3>& landmarks, std::vector<Vec3> palm) const {
+    const size_t count = landmarks.size() / 21;
+    std::vector<Vec3> palms, laid(palms.size());
+    for (size_t t = 0; t < count; ++t)
+      for (const int i : kPalm) palms.push_back(landmarks[21 * t + i]);
+    laid.resize(palms.size());
+    for (int round = 0; round < 3; ++round) {
+      lay(palms, palm, palms, laid);
+      palm = medians(laid, palm.size());
+      const Vec3 wrist = palm[0];
+      for (Vec3& point : palm) point -= wrist;
+    }
+    laid.resize(landmarks.size());
+    lay(palms, palm, landmarks, laid);
+    std::vector<Vec3> first;
+    for (size_t t = 0; t < count; ++t)
+      for (int finger = 0; finger < 5; ++finger) first.push_back(laid[21 * t + 1 + 4 * finger]);
+    PersonShape shape{medians(first, 5), {}};
+    for (int finger = 1; finger < 5; ++finger) shape.rolls[finger] = roll(laid, finger);
+    return shape;
+  }
+
+ private:
+  // Take the points of each sample along as its palm is laid onto another one.
+  static void lay(const std::vector<Vec3>& palms, const std::vector<Vec3>& onto,
+                  const std::vector<Vec3>& points, std::vector<Vec3>& laid) {
+    const size_t n = onto.size(), count = palms.size() / n, each = points.size() / count;
+    Layer layer;
+    for (size_t t = 0; t < count; ++t) {
+      const Pose pose = layer.fit(palms.data() + n * t, onto);
+      for (size_t i = each * t; i < each * (t + 1); ++i) laid[i] = pose * points[i];
+    }
+  }
+
+  double roll(const std::vector<Vec3>& laid, int finger) const {
+    Vector angles;
+    for (size_t t = 0; t < laid.size(); t += 21) {
+      const Vec3* joints = laid.data() + t + 1 + 4 * finger;
+      const Vec3 proximal = joints[1] - joints[0], beyond = joints[3] - joints[1];
+      const Vec3 normal = cross(proximal, beyond);
+      if (norm(normal) > bent * norm(proximal) * norm(beyond))
+        angles.push_back(std::atan2(normal.z, -normal.x));
+    }
+    if (angles.size() < fewest_bent) return 0.0;
+    return std::clamp(median(angles), -largest_roll, largest_roll);
+  }
+};
+
+}  // namespace handmap

@@ -1,0 +1,263 @@
+// Postures and gaps of a hand that are solved or measured outside a stream: see
+// handmap_qp/mapping/matched_posture.py and apps/offline/surface_gaps.py.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <vector>
+
+#include "ik.hpp"
+
+namespace handmap {
+
+// The posture in which a hand's points are nearest to their targets, by Newton's method.
+class NearestPosture {
+ public:
+  std::vector<Attached> points;
+  std::vector<Vec3> targets;
+  Vector costs;                  // of each point's error, squared
+  double rest_cost;              // squared
+  Vector configuration, rest;    // where the hand is at rest: all coordinates, joints
+  Vector lower, upper;
+  struct Settings {  // see matched_posture, in its order
+    int most_steps;
+    double smallest_step, least_decrease, smallest_share, rounding, least_curvature;
+  } settings;
+
+  explicit NearestPosture(const Tree& tree) : tree_(tree), placed_(tree) {}
+
+  // `start` and the result are joint positions in the user's order.
+  Vector solve(const Vector& start) {
+    find_free();
+    const size_t n = free_.size();
+    Vector x(n), low(n), high(n), step, ahead(n);
+    for (size_t i = 0; i < n; ++i)
+      x[i] = std::clamp(start[free_[i]], lower[free_[i]], upper[free_[i]]);
+    Terms here = at(x);
+    for (int round = 0; round < settings.most_steps; ++round) {
+      for (size_t i = 0; i < n; ++i) {
+        low[i] = lower[free_[i]] - x[i];
+        high[i] = upper[free_[i]] - x[i];
+      }
+      make_convex(here.hessian, n);
+      if (!qp_.solve(static_cast<int>(n), here.hessian.data(), here.gradient.data(), low.data(),
+                     high.data(), 0, nullptr, nullptr))
+        break;
+      step = qp_.x;
+      const double slope = std::inner_product(step.begin(), step.end(), here.gradient.begin(), 0.0);
+      Terms there;
+      for (double share = 1.0;;) {
+        for (size_t i = 0; i < n; ++i)
+          ahead[i] = std::clamp(x[i] + share * step[i], lower[free_[i]], upper[free_[i]]);
+        there = at(ahead);
+        if (there.value <= settings.rounding * here.value + settings.least_decrease * share * slope) break;
+        share *= 0.5;
+        if (share < settings.smallest_share) return whole(x);
+      }
+      double length = 0.0;
+      for (size_t i = 0; i < n; ++i) length = std::max(length, std::abs(ahead[i] - x[i]));
+      x = ahead;
+      here = std::move(there);
+      if (length < settings.smallest_step) break;
+    }
+    return whole(x);
+  }
+
+ private:
+  struct Terms {
+    double value = 0.0;
+    Vector gradient, hessian;
+  };
+
+  // Joints that do not move the wrist, and the tangent coordinates that they move.
+  void find_free() {
+    std::vector<char> is_fixed(tree_.size, 0);
+    if (tree_.wrist_origin.joint >= 0)
+      for (const int c : tree_.supports[tree_.wrist_origin.joint]) is_fixed[tree_.leader[c]] = 1;
+    place_of_.assign(tree_.size, -1);
+    for (size_t i = 0; i < tree_.joint_columns.size(); ++i) {
+      const int column = tree_.joint_columns[i];
+      if (is_fixed[column]) continue;
+      place_of_[column] = static_cast<int>(free_.size());
+      free_.push_back(static_cast<int>(i));
+    }
+  }
+
+  Vector whole(const Vector& x) const {
+    Vector q = rest;
+    for (size_t i = 0; i < free_.size(); ++i) q[free_[i]] = x[i];
+    return q;
+  }
+
+  int place_of(int coordinate) const { return place_of_[tree_.leader[coordinate]]; }
+
+  Terms at(const Vector& x) {
+    const size_t n = free_.size();
+    displacement_.assign(tree_.size, 0.0);
+    for (size_t i = 0; i < n; ++i)
+      displacement_[tree_.joint_columns[free_[i]]] = x[i] - rest[free_[i]];
+    placed_.displace(configuration.data(), displacement_.data());
+    Terms terms;
+    terms.gradient.resize(n);
+    terms.hessian.assign(n * n, 0.0);
+    turning_.assign(tree_.nv, Vec3{});
+    double cost = 0.0, moved = 0.0;
+    std::vector<Vec3> levers(n);
+    for (size_t k = 0; k < points.size(); ++k) {
+      const Vec3 point = placed_.point(points[k]), error = point - targets[k];
+      const Vec3 force = costs[k] * error;
+      cost += dot(force, error);
+      std::fill(levers.begin(), levers.end(), Vec3{});
+      if (points[k].joint < 0) continue;
+      for (const int c : tree_.supports[points[k].joint]) {
+        if (place_of(c) < 0) continue;
+        const Vec3 velocity = placed_.velocity(c, point);
+        levers[place_of(c)] += tree_.factor[c] * velocity;
+        turning_[c] += cross(velocity, force);
+      }
+      for (size_t i = 0; i < n; ++i) {
+        terms.gradient[i] += dot(force, levers[i]);
+        for (size_t j = 0; j < n; ++j)
+          terms.hessian[i * n + j] += costs[k] * dot(levers[i], levers[j]);
+      }
+    }
+    // Of coordinates c and d of which c moves d, the axis of c times what d turns.
+    for (const Joint& joint : tree_.joints) {
+      const int d = joint.v;
+      if (joint.kind == JointKind::floating || place_of(d) < 0) continue;
+      for (const int c : tree_.supports[&joint - tree_.joints.data()]) {
+        if (place_of(c) < 0) continue;
+        const double bend =
+            tree_.factor[c] * tree_.factor[d] * dot(placed_.columns[c].w, turning_[d]);
+        terms.hessian[place_of(c) * n + place_of(d)] += bend;
+        if (c != d) terms.hessian[place_of(d) * n + place_of(c)] += bend;
+      }
+    }
+    for (size_t i = 0; i < n; ++i) {
+      const double away = x[i] - rest[free_[i]];
+      moved += away * away;
+      terms.gradient[i] += rest_cost * away;
+      terms.hessian[i * n + i] += rest_cost;
+    }
+    terms.value = 0.5 * (cost + rest_cost * moved);
+    return terms;
+  }
+
+  static bool is_convex(Vector a, size_t n) {
+    for (size_t j = 0; j < n; ++j) {
+      double pivot = a[j * n + j];
+      for (size_t k = 0; k < j; ++k) pivot -= a[j * n + k] * a[j * n + k];
+      if (!(pivot > 0.0)) return false;
+      a[j * n + j] = std::sqrt(pivot);
+      for (size_t i = j + 1; i < n; ++i) {
+        for (size_t k = 0; k < j; ++k) a[i * n + j] -= a[i * n + k] * a[j * n + k];
+        a[i * n + j] /= a[j * n + j];
+      }
+    }
+    return true;
+  }
+
+  // Turn or lift the eigenvalues of a symmetric matrix that are not positive (Jacobi's method).
+  void make_convex(Vector& a, size_t n) const {
+    if (is_convex(a, n)) return;
+    Vector vectors(n * n, 0.0);
+    for (size_t i = 0; i < n; ++i) vectors[i * n + i] = 1.0;
+    for (int sweep = 0; sweep < 50; ++sweep) {
+      bool turned = false;
+      for (size_t p = 0; p + 1 < n; ++p)
+        for (size_t q = p + 1; q < n; ++q) {
+          const double pq = a[p * n + q], pp = a[p * n + p], qq = a[q * n + q];
+          if (!(std::abs(pq) > 1e-17 * (std::abs(pp) + std::abs(qq)))) continue;
+          turned = true;
+          const double zeta = (qq - pp) / (2.0 * pq);
+          const double t =
+              std::copysign(1.0, zeta) / (std::abs(zeta) + std::sqrt(1.0 + zeta * zeta));
+          const double c = 1.0 / std::sqrt(1.0 + t * t), s = c * t;
+          for (size_t i = 0; i < n; ++i) turn(a[i * n + p], a[i * n + q], c, s);
+          for (size_t i = 0; i < n; ++i) turn(a[p * n + i], a[q * n + i], c, s);
+          for (size_t i = 0; i < n; ++i) turn(vectors[i * n + p], vectors[i * n + q], c, s);
+        }
+      if (!turned) break;
+    }
+    Vector values(n);
+    double largest = 0.0;
+    for (size_t i = 0; i < n; ++i) {
+      values[i] = std::abs(a[i * n + i]);
+      largest = std::max(largest, values[i]);
+    }
+    for (size_t i = 0; i < n; ++i)
+      for (size_t j = 0; j < n; ++j) {
+        double sum = 0.0;
+        for (size_t k = 0; k < n; ++k)
+          sum += vectors[i * n + k] * std::max(values[k], settings.least_curvature * largest) *
+                 vectors[j * n + k];
+        a[i * n + j] = sum;
+      }
+  }
+
+  static void turn(double& x, double& y, double c, double s) {
+    const double before = x;
+    x = c * x - s * y;
+    y = s * before + c * y;
+  }
+
+  const Tree& tree_;
+  Placed placed_;
+  Qp qp_;
+  std::vector<int> free_, place_of_;
+  Vector displacement_;
+  std::vector<Vec3> turning_;
+};
+
+// Move a hand from rest, where its points and wrist should stay, until a task's distances are within
+// a tolerance of their aims, or for so many samples; see hand_pair._approach.
+inline void approach(Ik& ik, Goal& goal, const Vector& start, double dt, int samples,
+                     double tolerance) {
+  const DistanceTask& task = *goal.distances;
+  ik.motion = {start, Vector(ik.tree.size, 0.0), 1.0, Vector(ik.tree.size, 0.0)};
+  Placed placed(ik.tree);
+  placed.place(start.data());
+  goal.has_wrist = true;
+  goal.wrist = placed.wrist();
+  for (const Attached& point : ik.tree.points) goal.points.push_back(placed.point(point));
+  Result result;
+  for (bool is_near = false; samples > 0 && !is_near; --samples) {
+    ik.solve(goal, dt, {}, 1.0, result);
+    placed.place(ik.motion.q.data());
+    is_near = true;
+    for (size_t k = 0; k < goal.aims.size(); ++k) {
+      const Vec3 apart = placed.point(task.points[task.first[k]]) -
+                         placed.point(task.points[task.second[k]]);
+      is_near &= goal.aim_weights[k] == 0.0 || std::abs(norm(apart) - goal.aims[k]) < tolerance;
+    }
+  }
+}
+
+// The smallest distance of the pairs `from` to `to` in one posture, or `most` if none is nearer.
+// Pairs are measured in the order of their balls' distances, up to the first that cannot be nearer.
+inline double smallest_distance(const PairBounds& bounds, const Placed& at, size_t from, size_t to,
+                                double most) {
+  std::vector<Vec3> centres;
+  for (const Body& body : bounds.bodies) centres.push_back(at.pose(body.joint) * body.centre);
+  std::vector<std::pair<double, size_t>> order;
+  for (size_t k = from; k < to; ++k) {
+    const int a = bounds.pairs[k].first, b = bounds.pairs[k].second;
+    const double gap =
+        norm(centres[a] - centres[b]) - bounds.bodies[a].radius - bounds.bodies[b].radius;
+    if (gap < most) order.push_back({gap, k});
+  }
+  std::sort(order.begin(), order.end());
+  for (const auto& [gap, k] : order) {
+    if (gap >= most) break;
+    const Body &a = bounds.bodies[bounds.pairs[k].first], &b = bounds.bodies[bounds.pairs[k].second];
+    Warm warm{};
+    const Found found = measure(a.shape, at.pose(a.joint) * a.placement, b.shape,
+                                at.pose(b.joint) * b.placement, warm);
+    most = std::min(most, found.distance);
+  }
+  return most;
+}
+
+}  // namespace handmap

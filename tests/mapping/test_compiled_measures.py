@@ -1,0 +1,174 @@
+"""What the core measures of people and hands is what the Python that says the same measures."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from handmap_qp import HumanLengths, load_hand
+from handmap_qp.apps.offline import surface_gaps
+from handmap_qp.apps.offline.surface_gaps import GapMeter, measure_gaps
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.pads import find_pads
+from handmap_qp.ik import core as core_module
+from handmap_qp.mapping import hand_pair, matched_posture
+from handmap_qp.mapping.hand_pair import HandPair
+
+core: Any = core_module.core
+if core is None:
+    pytest.skip(core_module.description, allow_module_level=True)
+
+HANDS = ("allegro_right", "three_finger", "hey5", "g1_right", "ur5_allegro")
+
+
+@pytest.fixture
+def in_python(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Take the core away from what is called afterwards."""
+
+    def take() -> None:
+        for module in (hand_pair, matched_posture, surface_gaps):
+            monkeypatch.setattr(module, "core_tree", lambda _: None)
+        for name in ("_OPENING", "_PINCHING"):
+            options = getattr(hand_pair, name).replaced(formulation="direct")
+            monkeypatch.setattr(hand_pair, name, options)
+        hand_pair._robot_fingers.cache_clear()
+        hand_pair.hand_pair.cache_clear()
+
+    return take
+
+
+def people(count: int) -> list[HumanLengths]:
+    rng = np.random.default_rng(3)
+    usual = HumanLengths.from_hand_length(0.19)
+    return [
+        HumanLengths(
+            usual.bases * rng.uniform(0.85, 1.15, (5, 1)),
+            usual.segments * rng.uniform(0.8, 1.2, (5, 3)),
+            rng.uniform(-0.3, 0.3, 5),
+        )
+        for _ in range(count)
+    ]
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_the_robot_is_matched_to_people_as_in_python(
+    name: str, in_python: Callable[[], None]
+) -> None:
+    robot = load_hand(name)
+    side = "human" if robot.side == "right" else "human_left"
+    humans = [load_hand(side, points="landmarks", lengths=each) for each in people(3)]
+    fast = [HandPair(human, robot) for human in humans]
+    in_python()
+    for human, one in zip(humans, fast, strict=True):
+        other = HandPair(human, robot)
+        for key in ("human_rest", "human_reach", "robot_rest", "robot_extension"):
+            np.testing.assert_allclose(
+                getattr(one, key), getattr(other, key), atol=1e-8
+            )
+        np.testing.assert_allclose(one.matched, other.matched, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_a_posture_is_the_nearest_one_to_hostile_targets_too(
+    name: str, in_python: Callable[[], None]
+) -> None:
+    hand = load_hand(name)
+    rng = np.random.default_rng(1)
+    cases = []
+    for _ in range(20):
+        scale = 10.0 ** rng.uniform(-3, 0)
+        targets = hand.points(hand.rest)
+        targets = targets + rng.normal(scale=scale, size=targets.shape)
+        costs = rng.uniform(0.0, 100.0, len(targets))
+        start = rng.uniform(hand.lower_limits, hand.upper_limits)
+        arguments = hand, targets, costs, 0.05, start
+        cases.append((arguments, matched_posture.nearest_posture(*arguments)))
+    in_python()
+    apart = []
+    for arguments, q in cases:
+        assert (q >= hand.lower_limits).all()
+        assert (q <= hand.upper_limits).all()
+        other = matched_posture.nearest_posture(*arguments)
+        distance = matched_posture._Distance(*arguments[:4])
+        free = distance.free
+        values = [distance.at(x[free]).value for x in (q, other)]
+        # Of several minima nearby, rounding may choose.
+        apart.append(abs(values[0] - values[1]) / values[1])
+    assert np.median(apart) < 1e-12
+    assert (np.array(apart) < 1e-9).mean() >= 0.9
+
+
+PEOPLE = """
+import sys
+import numpy as np
+from handmap_qp import read_recording
+from handmap_qp.human.measure import _standard_palm, measure_shape
+
+rng = np.random.default_rng(2)
+palm = _standard_palm()
+recording = read_recording("demo", "right")
+seen = recording.landmarks[recording.valid]
+seen = np.concatenate([seen, seen + rng.normal(0.0, 0.004, seen.shape)])
+flat = 0.1 * rng.normal(size=(60, 21, 3))
+flat[:20, :, 2] = 0.0
+flat[20:40, [0, 5, 9, 13, 17]] = palm * (1.0, 1.0, -1.0)
+found = [measure_shape(part, palm) for part in (*np.split(seen, [1, 3, 34]), flat)]
+found = [*found, (measure_shape(np.zeros((5, 21, 3)), palm)[1],)]
+np.savetxt(sys.stdout, np.concatenate([np.ravel(a) for each in found for a in each]))
+"""
+
+
+def test_people_are_measured_as_in_python() -> None:
+    """Recorded, noisy, flat and mirrored hands, and an odd and an even count of samples."""
+    found = []
+    for value in ("", "1"):
+        printed = subprocess.run(
+            [sys.executable, "-c", PEOPLE],
+            env=os.environ | {"HANDMAP_PURE": value},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        found.append(np.array(printed.split(), dtype=float))
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+    assert len(found[0]) == 5 * 20 + 5
+
+
+@pytest.mark.parametrize("name", HANDS)
+def test_gaps_are_measured_as_by_coal(name: str, in_python: Callable[[], None]) -> None:
+    robot = load_hand(name)
+    rng = np.random.default_rng(5)
+    q = rng.uniform(
+        robot.lower_limits, robot.upper_limits, (40, len(robot.joint_names))
+    )
+    meter = GapMeter(robot)
+    near, pinches = meter.nearest(q, most=-0.001), meter.pinches(q)
+    gaps = measure_gaps(robot, q[:1])
+    assert gaps.nearest == meter.nearest(q[:1])
+    in_python()
+    # coal's search ends at 1e-6, and overlaps of curved shapes are less exact.
+    expected = meter.pinches(q)
+    assert pinches.keys() == expected.keys()
+    for finger, gap in expected.items():
+        np.testing.assert_allclose(pinches[finger], gap, atol=2e-5)
+    np.testing.assert_allclose(near, meter.nearest(q, most=-0.001), atol=2e-5)
+
+
+@pytest.mark.parametrize("name", ["human", "human_left"])
+def test_pads_of_a_scaled_hand_are_those_of_its_urdf(name: str) -> None:
+    for lengths in people(2):
+        scaled = load_hand(name, points="landmarks", lengths=lengths)
+        plain = msgspec.structs.replace(scaled.spec, mirror=False)
+        read = Hand(plain, points="landmarks", urdf_text=scaled.urdf_text)
+        found = find_pads(scaled, find_fingers(scaled))
+        for finger, pad in find_pads(read, find_fingers(read)).items():
+            np.testing.assert_allclose(pad.offset, found[finger].offset, atol=1e-12)
+            assert pad.radius == pytest.approx(found[finger].radius, abs=1e-12)
