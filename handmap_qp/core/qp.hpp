@@ -31,13 +31,18 @@ class Qp {
     c_ = c;
     if (!start()) return false;
     const int most = 50 + 10 * (n + rows);
+    int corrections = 0;
     for (iterations = 0; iterations < most; ++iterations) {
       int violated = most_violated();
-      if (violated < 0) {
+      if (is_small(violated)) {
         // Rounding of the way is gone then, and what it hid may show.
         polish();
         violated = most_violated();
-        if (violated < 0) return true;
+        // What is left after so many times is rounding of active constraints that nearly depend on
+        // each other.
+        const bool is_right = violated < 0 && (!is_far_ || is_rounded_ || !drop_negative());
+        if (is_right || (is_small(violated) && corrections++ > n + rows)) return true;
+        if (violated < 0) continue;
       }
       if (!take(violated)) return false;
     }
@@ -47,11 +52,15 @@ class Qp {
  private:
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
   // A constraint whose normal has less than this share outside the active ones depends on them.
-  static constexpr double kDependent = 1e-26;
+  static constexpr double kDependent = 1e-18;
   // Violations below this are rounding, relative to the solution or 1.
   static constexpr double kTolerance = 1e-12;
   // Pivots are at least this share of the diagonal.
   static constexpr double kLeastPivot = 1e-15;
+  // From a free minimum that is farther away than this, rounding may leave wrong constraints active.
+  static constexpr double kFar = 1e3;
+  // A negative multiplier counts as zero up to this, relative to the steepest slope.
+  static constexpr double kNegative = 1e-10;
   // A constraint that depends on the active ones may be violated by this much.
   static constexpr double kLoose = 1e-8;
 
@@ -116,6 +125,8 @@ class Qp {
       if (!(std::abs(along) < kInfinity)) return false;
       add(-along, J(i), x.data(), i + 1);
     }
+    is_far_ = false;
+    for (const double each : x) is_far_ |= std::abs(each) > kFar;
     return true;
   }
 
@@ -125,6 +136,9 @@ class Qp {
     if (k < 2 * n_) return upper_[k - n_] - x[k - n_];
     return h_[k - 2 * n_] - dot(G_ + (k - 2 * n_) * n_, x.data(), n_);
   }
+
+  // Whether a constraint, or none, is violated by so little that it may be rounding.
+  bool is_small(int violated) const { return violated < 0 || slack(violated) > -kLoose; }
 
   int most_violated() const {
     double scale = 1.0;
@@ -188,11 +202,12 @@ class Qp {
       const double t = std::min(drop_at, full);
       if (t == kInfinity) {
         // It follows from the active ones: what is left is rounding, or a contradiction.
+        restore();
         const double length = k < 2 * n ? 1.0 : row_norms_[k - 2 * n];
         double scale = 1.0;
         for (int i = 0; i < n; ++i) scale = std::max(scale, std::abs(x[i]));
         is_active_[k] = 2;
-        return s > -kLoose * scale * length;
+        return slack(k) > -kLoose * scale * length;
       }
       for (int i = 0; i < count; ++i) multipliers_[i] = std::max(multipliers_[i] - t * r_[i], 0.0);
       own += t;
@@ -264,16 +279,52 @@ class Qp {
       if (flag == 2) flag = 0;
   }
 
-  // Take out the rounding of the way from a free minimum that may be far away.
-  void polish() {
-    const int n = n_, count = static_cast<int>(active_.size());
-    // Back onto the active constraints: x += J_1 R^-T (b - N^T x).
+  // Compute the multipliers again, and drop the constraints that hold x from the wrong side. Rounding
+  // of the way may leave such. Return whether there were any.
+  bool drop_negative() {
+    const int n = n_;
+    for (bool has_dropped = false;; has_dropped = true) {
+      const int count = static_cast<int>(active_.size());
+      double steepest = 0.0;
+      for (int i = 0; i < n; ++i) {
+        z_[i] = c_[i] + dot(H_ + i * n, x.data(), n);
+        steepest = std::max(steepest, std::abs(z_[i]));
+      }
+      int worst = -1;
+      double least = -kNegative * steepest;
+      for (int i = count - 1; i >= 0; --i) {  // R^-1 J_1^T (H x + c)
+        double sum = dot(J(i), z_.data(), n);
+        for (int j = i + 1; j < count; ++j) sum -= R(i, j) * r_[j];
+        r_[i] = sum / R(i, i);
+        const int k = active_[i];
+        const double slope = r_[i] * (k < 2 * n ? 1.0 : row_norms_[k - 2 * n]);
+        if (slope < least) {
+          least = slope;
+          worst = i;
+        }
+      }
+      for (int i = 0; i < count; ++i) multipliers_[i] = std::max(r_[i], 0.0);
+      if (worst < 0) return has_dropped;
+      remove(worst);
+      polish();
+    }
+  }
+
+  // Back onto the active constraints: x += J_1 R^-T (b - N^T x).
+  void restore() {
+    const int count = static_cast<int>(active_.size());
     for (int i = 0; i < count; ++i) {
       double sum = -slack(active_[i]);
       for (int j = 0; j < i; ++j) sum -= R(j, i) * r_[j];
       r_[i] = sum / R(i, i);
     }
-    for (int j = 0; j < count; ++j) add(r_[j], J(j), x.data(), n);
+    for (int j = 0; j < count; ++j) add(r_[j], J(j), x.data(), n_);
+  }
+
+  // Take out the rounding of the way from a free minimum that may be far away.
+  void polish() {
+    const int n = n_, count = static_cast<int>(active_.size());
+    restore();
     if (is_rounded_) return;
     // And to the minimum along them: x -= J_2 J_2^T (H x + c).
     for (int i = 0; i < n; ++i) z_[i] = c_[i] + dot(H_ + i * n, x.data(), n);
@@ -287,7 +338,7 @@ class Qp {
   std::vector<double> J_, U_, R_, d_, z_, r_, multipliers_, row_norms_;
   std::vector<int> active_;
   std::vector<char> is_active_;
-  bool is_rounded_ = false;
+  bool is_rounded_ = false, is_far_ = false;
 };
 
 }  // namespace handmap

@@ -15,6 +15,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import nnls
 
 from handmap_qp import (
     AttachedPoints,
@@ -200,6 +201,34 @@ def test_the_solver_is_never_worse_than_daqp() -> None:
             other = np.clip(other, lower, upper)
             ours, theirs = (0.5 * v @ H @ v + c @ v for v in (x, other))
             assert ours <= theirs + 1e-7 * abs(theirs) + 1e-9
+
+
+def test_the_solver_finds_a_corner_from_a_minimum_that_is_far_away() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(400):
+        n = int(rng.integers(4, 16))
+        half = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(0, 3, size=n)
+        H = half.T @ half + np.eye(n)
+        c = 10.0 ** rng.uniform(8, 13) * rng.normal(size=n)
+        half_width = 10.0 ** rng.uniform(-5, 0) * np.ones(n)
+        half_width[rng.random(n) < 0.1] = 0.0
+        lower, upper = -half_width, half_width
+        # Rows of few directions, some of them parallel up to rounding.
+        G = rng.normal(size=(4, n)) * (rng.random((4, n)) < 0.4)
+        G = (10.0 ** rng.uniform(-6, 0, (16, 1))) * np.repeat(G, 4, axis=0)
+        G *= 1.0 + 1e-15 * rng.normal(size=G.shape)
+        h = np.abs(G) @ half_width * rng.uniform(0, 0.5, 16) * (rng.random(16) < 0.7)
+        is_found, x, _ = core.solve_qp(H, c, lower, upper, G, h)
+        assert is_found
+        lengths = np.maximum(np.linalg.norm(G, axis=1), 1e-300)
+        normals = np.vstack([-np.eye(n), np.eye(n), G / lengths[:, None]])
+        slack = np.concatenate([x - lower, upper - x, (h - G @ x) / lengths])
+        assert (slack >= -1e-12).all()
+        # What is active can hold the slope: the answer is optimal.
+        slope = H @ x + c
+        is_active = slack <= 1e-9 * half_width.max()
+        _, left = nnls(normals[is_active].T, -slope / np.abs(slope).max())
+        assert left < 1e-8
 
 
 def test_the_solver_says_that_bounds_cannot_hold() -> None:
