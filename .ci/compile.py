@@ -19,7 +19,8 @@ from scikit_build_core.errors import FailedLiveProcessError
 from scikit_build_core.hatch.plugin import ScikitBuildHook
 
 _ADVICE = (
-    "install a compiler (on Debian and Ubuntu: the package g++), then install again"
+    "install a C++17 compiler and Python's headers (on Debian and Ubuntu: the packages g++ and "
+    "python3-dev), then install again"
 )
 
 
@@ -51,7 +52,7 @@ class Compile(ScikitBuildHook):
             build_data.clear()
             build_data.update(before)
             self._say(
-                f"handmap_qp runs on its Python path: compiling failed ({error})."
+                f"handmap_qp runs on its Python path: compiling failed ({error}); {_ADVICE}."
             )
             return
         self._say(f"Compiled the core in {time.perf_counter() - started:.0f} s.")

@@ -1,14 +1,19 @@
 """Compare QP solvers on the same problems.
 
-Measured: time, failures, distance to the exact solution and violation. `core` is the solver of the
-compiled core. There are two sets of box-constrained problems. *Recorded*: the problems of a headset
-recording mapped to the Allegro hand. *Hard*: random problems with targets out of reach, joints at
-and outside their limits, singular (stretched) postures, and short and long time steps.
+`core` is the solver of the compiled core. The proof: on 100,000 problems its answer equals those
+of DAQP, ProxQP and OSQP, or has the better objective. There are four sets. *Recorded*: the problems
+of mapping recordings to four hands by the paper's method. *Contacts*: those of teleoperation, with
+rows that keep links apart. *Hard*: random problems with targets out of reach, joints at and outside
+their limits, singular (stretched) postures, and short and long time steps. *Hostile*: those of
+random targets up to 1e9 m away, options, times and margins (`hostile.py`).
 
-Two more sets have rows too, and no exact solutions: *contacts*, those of mapping the recording with
-contacts to four hands, and *hostile*, those of random targets up to 1e6 m away, options and times
-(`hostile.py`). There the best answer of all solvers counts that violates nothing by more than 1e-12
-of the largest step. A solver fails if it has no answer, or one that violates something by 1e-7.
+An answer that violates a bound or row by more than 1e-9 of the largest step fails. Two that do not
+are equal if they, or their objectives, differ by at most 1e-9; else the lower objective is better.
+The core's answer is certified too: multipliers of its active constraints, found by non-negative
+least squares, bound the optimum from below.
+
+Measured besides, for each installed solver on recorded and hard problems: time, failures, distance
+to the exact solution and violation.
 
     python benchmarks/bench_solvers.py --picture solvers.png --json solvers.json
 """
@@ -17,17 +22,23 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections import Counter
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from itertools import cycle, product
+from operator import itemgetter
+from typing import Any, NamedTuple, TypeGuard
 
 import common
 import hostile
 import numpy as np
 import pinocchio as pin
 import synthetic
+from scipy.optimize import nnls
 
-from handmap_qp import HandMapper, IkOptions, MappingOptions, load_hand
+from handmap_qp import HandMapper, IkOptions, load_hand
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.qp import (
@@ -42,9 +53,14 @@ from handmap_qp.ik.tasks import Goal
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import affine
 
-_HARD = 5000
 COMPILED: Any = core_module.core
-_COMPARED = ("core", "daqp", "proxqp", "osqp")
+_COMPARED = ("daqp", "proxqp", "osqp")
+_VERDICTS = ("equal", "core better", "core worse", "core failed", "other failed")
+_EQUAL = 1e-9
+_ACTIVE = (1e-9, 1e-12, 1e-15)
+_TIMED = 5000
+_MAPPED = ("allegro_right", "three_finger", "g1_right", "ur5_allegro")
+_HOSTILE = ("allegro_right", "three_finger", "shadow_right", "ability_right", "g1_left")
 _ROBOTS = ("allegro_right", "three_finger")
 
 
@@ -59,10 +75,20 @@ class Problem(NamedTuple):
 
 
 class Recorder:
-    """A solver that records its problems."""
+    """A solver that records its problems.
 
-    def __init__(self) -> None:
+    Args:
+        count: Number of problems after which it is full.
+    """
+
+    def __init__(self, count: int) -> None:
         self.problems: list[Problem] = []
+        self._count = count
+
+    @property
+    def is_full(self) -> bool:
+        """Whether it has all problems that it wants."""
+        return len(self.problems) >= self._count
 
     def __call__(
         self,
@@ -74,23 +100,37 @@ class Recorder:
     ) -> np.ndarray | None:
         """As `QpSolver`."""
         taken = Problem(H.copy(), c.copy(), lower.copy(), upper.copy(), rows)
-        self.problems.append(taken)
+        if not self.is_full:
+            self.problems.append(taken)
         return solve_by_daqp(H, c, lower, upper, rows)
 
 
-def recorded_problems(motion: HumanMotion) -> list[Problem]:
-    """Record the problems of mapping a motion to the Allegro hand, in order."""
-    mapper = HandMapper(
-        motion.human,
-        load_hand("allegro_right"),
-        MappingOptions(),
-        ik=IkOptions(formulation="direct"),
-    )
-    recorder = Recorder()
-    mapper.point_ik._solver = recorder
-    for i in range(len(motion.time)):
-        mapper.map_step(motion.q[i], motion.wrist[i], dt=motion.dt[i])
-    return recorder.problems
+def mapped_problems(
+    motions: Sequence[HumanMotion], robots: Sequence[str], preset: str, count: int
+) -> list[Problem]:
+    """Record the problems of mapping motions to robots, in order; the same number of each.
+
+    Args:
+        motions: The motions, repeated as often as it takes.
+        robots: Names of the robots.
+        preset: Name of the preset.
+        count: Number of problems.
+    """
+    ik = get_preset(preset).ik.replaced(formulation="direct")
+    pairs = list(product(motions, robots))
+    problems: list[Problem] = []
+    for k, (motion, name) in enumerate(pairs):
+        recorder = Recorder(-(-(count - len(problems)) // (len(pairs) - k)))
+        human = motion.human.with_points("landmarks")
+        mapper = HandMapper(human, load_hand(name), preset, ik=ik)
+        mapper.point_ik._solver = recorder
+        for i in cycle(range(len(motion.time))):
+            if recorder.is_full:
+                break
+            landmarks = human.points(motion.q[i], motion.wrist[i])
+            mapper.map_landmarks(landmarks, dt=motion.dt[i])
+        problems += recorder.problems
+    return problems
 
 
 def hard_problems(count: int, seed: int = 0) -> list[Problem]:
@@ -198,89 +238,135 @@ def measure(
     }
 
 
-def contact_problems(motion: HumanMotion) -> list[Problem]:
-    """Record the problems of mapping landmarks with contacts, on four hands."""
-    recorder = Recorder()
-    human = motion.human.with_points("landmarks")
-    ik = get_preset("teleoperation").ik.replaced(formulation="direct")
-    for name in ("allegro_right", "three_finger", "g1_right", "ur5_allegro"):
-        mapper = HandMapper(human, load_hand(name), "teleoperation", ik=ik)
-        mapper.point_ik._solver = recorder
-        for i in range(len(motion.time)):
-            landmarks = human.points(motion.q[i], motion.wrist[i])
-            mapper.map_landmarks(landmarks, dt=motion.dt[i])
-    return recorder.problems
-
-
-def hostile_problems(steps: int, seed: int = 0) -> list[Problem]:
-    """Record the problems of hostile targets, times and limits on four hands."""
-    recorder = Recorder()
-    for k, name in enumerate(("allegro_right", "three_finger", "human", "g1_left")):
-        for limit in (None, 40.0):
-            hand = load_hand(name)
-            options = IkOptions(
-                formulation="direct",
-                max_acceleration=limit,
-                avoids_self_collision=hand.spec.collision is not None,
+def hostile_problems(count: int, seed: int = 0) -> list[Problem]:
+    """Record the problems of hostile targets, times, limits and margins on six hands."""
+    problems: list[Problem] = []
+    kinds = list(product(_HOSTILE, (False, True)))
+    for k, (name, has_contacts) in enumerate(kinds):
+        recorder = Recorder(-(-(count - len(problems)) // (len(kinds) - k)))
+        hand, rng = load_hand(name), np.random.default_rng(seed + k)
+        shapes = all_pairs(hand, find_fingers(hand)) if has_contacts else None
+        while not recorder.is_full:
+            options = hostile.wild_options(rng).replaced(
+                formulation="direct", max_acceleration=rng.choice([None, 40.0])
             )
-            run, tally = hostile.IkRun(hand, options, seed + k), hostile.Tally()
-            run._ik._solver = recorder
-            for _ in range(steps // 8):
-                run.step(tally)
-    return recorder.problems
+            run = hostile.IkRun(hand, options, seed + k, shapes)
+            run.ik._solver = recorder
+            run.checker.meter = None
+            run.advance(500, hostile.Tally())
+        problems += recorder.problems
+    return problems
 
 
-def compare_objectives(problems: Sequence[Problem]) -> list[dict[str, Any]]:
-    """Hold each solver's objective against the best feasible one of all.
+class Certificate(NamedTuple):
+    """By how much at most an objective is above the optimum, and the multipliers that show it."""
+
+    excess: float
+    multipliers: np.ndarray
+
+
+def certify(problem: Problem, x: np.ndarray) -> Certificate:
+    """Bound by how much an answer is above the optimum, by weak duality.
+
+    For multipliers l >= 0 of A x <= b and r = H x + c + A' l, no feasible point has an objective
+    below f(x) - r' H^-1 r / 2 - l' (b - A x). The multipliers are those of the constraints that are
+    active at x, up to the tolerance that gives the best bound, that make the second term smallest.
+
+    Args:
+        problem: The problem.
+        x: An answer, shape (n,).
+    """
+    A, slack = constraints(problem, x)
+    root = np.linalg.cholesky(problem.H)
+    slope = np.linalg.solve(root, problem.H @ x + problem.c)
+    normals = np.linalg.solve(root, A.T)
+    steepest = max(np.abs(slope).max(), 1e-300)
+    best = Certificate(np.inf, np.zeros(len(A)))
+    for tolerance in _ACTIVE:
+        is_active = slack <= tolerance * max(1.0, np.abs(x).max())
+        multipliers, left = np.zeros(len(A)), float(np.linalg.norm(slope))
+        if is_active.any():
+            # Scaled, because the method stops at an absolute tolerance.
+            try:
+                found, rest = nnls(normals[:, is_active], -slope / steepest, 1000)
+            except RuntimeError:
+                continue  # it cycles; another tolerance may do
+            multipliers[is_active], left = steepest * found, steepest * rest
+        excess = 0.5 * left**2 + multipliers[is_active] @ slack[is_active]
+        best = min(best, Certificate(float(excess), multipliers), key=itemgetter(0))
+    return best
+
+
+def constraints(problem: Problem, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normals of all constraints, shape (2 n + r, n), and their slacks at x."""
+    eye = np.eye(len(x))
+    G, h = problem.rows or (eye[:0], x[:0])
+    slack = (x - problem.lower, problem.upper - x, h - G @ x)
+    return np.vstack([-eye, eye, G]), np.concatenate(slack)
+
+
+def objective(problem: Problem, x: np.ndarray) -> float:
+    """Return the objective at x."""
+    return float(0.5 * x @ problem.H @ x + problem.c @ x)
+
+
+def verdict(problem: Problem, ours: np.ndarray | None, x: np.ndarray | None) -> str:
+    """Say which of two answers is better; see the top of this file.
+
+    Args:
+        problem: The problem.
+        ours: The core's answer; None for none.
+        x: Another solver's.
+    """
+    if not is_answer(ours, problem):
+        return "core failed"
+    if not is_answer(x, problem):
+        return "other failed"
+    if np.abs(ours - x).max() <= _EQUAL * max(1.0, np.abs(ours).max()):
+        return "equal"
+    own, other = objective(problem, ours), objective(problem, x)
+    if abs(own - other) <= _EQUAL * abs(own):
+        return "equal"
+    # An answer outside the bounds may be below the optimum by multipliers times violations.
+    _, multipliers = certify(problem, ours)
+    _, slack = constraints(problem, x)
+    paid = multipliers @ np.maximum(-slack, 0.0)
+    return "core worse" if other + paid < own - _EQUAL * abs(own) else "core better"
+
+
+def prove(problems: Sequence[Problem]) -> list[dict[str, Any]]:
+    """Hold the core's answers against those of other solvers, and certify them.
 
     Returns:
-        For each solver its time [us], failures, how often its objective is above the best by more
-        than 1e-9 of it, by how much at most, and the largest violation of an answer, over the
-        largest step or 1.
+        A row of each other solver: on how many problems both answers are equal, the core's is
+        better or worse, or one of them fails. And the core's largest relative excess above the
+        certified optimum, and its largest violation.
     """
-    chosen = {name: solve for name, solve in solvers().items() if name in _COMPARED}
-    tallies = {name: _Objectives([], [], []) for name in chosen}
-    for problem in problems:
-        values = {}
-        best = np.inf
-        for name, solve in chosen.items():
-            started = time.thread_time_ns()
-            x = solve(*problem)
-            tally = tallies[name]
-            tally.times.append(1e-3 * (time.thread_time_ns() - started))
-            violation = np.inf if x is None else violation_of(problem, x)
-            tally.violations.append(violation)
-            values[name] = np.inf
-            if x is not None and violation <= 1e-7:
-                values[name] = 0.5 * x @ problem.H @ x + problem.c @ x
-            if violation <= 1e-12:
-                best = min(best, values[name])
-        scale = max(abs(best), 1e-300)
-        for name, value in values.items():
-            tallies[name].excess.append((value - best) / scale)
+    others = {name: solve for name, solve in solvers().items() if name in _COMPARED}
+    counts = {name: Counter[str]() for name in others}
+    gaps, violations = [], []
+    with common.progress("proof", len(problems)) as advance:
+        for problem in problems:
+            ours = solve_by_core(*problem)
+            for name, solve in others.items():
+                counts[name][verdict(problem, ours, solve(*problem))] += 1
+            if ours is not None:
+                excess = certify(problem, ours).excess
+                # A step of 1e-12 against the slope is rounding.
+                slope = 1e-12 * np.abs(problem.c).sum()
+                gaps.append(excess / max(abs(objective(problem, ours)), slope))
+                violations.append(violation_of(problem, ours))
+            advance()
     return [
-        {
-            "solver": name,
-            "median_us": float(np.median(tally.times)),
-            "failures": int(np.sum(np.array(tally.violations) > 1e-7)),
-            "worse": int(
-                np.sum(np.isfinite(tally.excess) & (np.array(tally.excess) > 1e-9))
-            ),
-            "worst": float(
-                np.max(tally.excess, where=np.isfinite(tally.excess), initial=0.0)
-            ),
-            "violation_max": float(np.max(tally.violations)),
-        }
-        for name, tally in tallies.items()
+        {"solver": name, **{what: count[what] for what in _VERDICTS}}
+        | {"gap_max": float(np.max(gaps)), "violation_max": float(np.max(violations))}
+        for name, count in counts.items()
     ]
 
 
-class _Objectives(NamedTuple):
-    """Times [us], violations and excess of the objective of one solver."""
-
-    times: list[float]
-    violations: list[float]
-    excess: list[float]
+def is_answer(x: np.ndarray | None, problem: Problem) -> TypeGuard[np.ndarray]:
+    """Whether a solver has an answer that holds all constraints."""
+    return x is not None and violation_of(problem, x) <= _EQUAL
 
 
 def violation_of(problem: Problem, x: np.ndarray) -> float:
@@ -288,8 +374,10 @@ def violation_of(problem: Problem, x: np.ndarray) -> float:
     worst = max(0.0, (problem.lower - x).max(), (x - problem.upper).max())
     if problem.rows is not None:
         G, h = problem.rows
-        lengths = np.maximum(np.linalg.norm(G, axis=1), 1e-12)
-        worst = max(worst, ((G @ x - h) / lengths).max(initial=0.0))
+        lengths = np.linalg.norm(G, axis=1)
+        # Shorter ones hold no coordinate: their numbers are rounding.
+        excess, is_row = G @ x - h, lengths >= 1e-12
+        worst = max(worst, (excess[is_row] / lengths[is_row]).max(initial=0.0))
     worst = worst if np.isfinite(x).all() else np.inf
     return float(worst / max(1.0, np.abs(x).max()))
 
@@ -358,49 +446,51 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     parser = common.make_parser("Compare QP solvers on recorded and on hard problems.")
     parser.add_argument(
-        "--hard", type=int, default=_HARD, help="number of hard problems"
+        "--problems",
+        type=int,
+        default=100_000,
+        help="number of problems of the proof (default: %(default)s)",
     )
     arguments = common.parse_arguments(parser, words)
-    motion = synthetic.motion_or_synergies(arguments.recordings, "quest3_webxr_right")
-    if arguments.quick:
-        motion, arguments.hard = synthetic.shortened(motion, 20), 20
+    count = (200 if arguments.quick else arguments.problems) // 4
+    timed = min(_TIMED, count)
+    names = [file.stem for file in sorted(arguments.recordings.glob("*.npz"))]
+    motions = [
+        synthetic.motion_or_synergies(arguments.recordings, name)
+        for name in (names or ["none"])
+    ]
     sets = {
-        "recorded": recorded_problems(motion),
-        "hard": hard_problems(arguments.hard),
+        "recorded": mapped_problems(motions, _MAPPED, "paper", count),
+        "hard": hard_problems(count),
+        "contacts": mapped_problems(motions, _MAPPED, "teleoperation", count),
+        "hostile": hostile_problems(count),
     }
+    to_stderr = arguments.json == "-"
     results: dict[str, list[dict[str, Any]]] = {}
-    for name, problems in sets.items():
-        answers = [exact_answer(problem) for problem in problems]
-        rows = []
-        with (
-            common.progress(f"{name} problems", len(solvers())) as advance,
-            warnings.catch_warnings(),
-        ):
-            # Warnings of solvers show as failures or distances.
-            warnings.simplefilter("ignore")
-            for which, solver in solvers().items():
-                rows.append({"solver": which, **measure(solver, problems, answers)})
-                advance()
-        results[name] = rows
-        common.print_table(
-            f"{len(problems)} {name} problems", rows, to_stderr=arguments.json == "-"
-        )
-    drawn = dict(results)
-    with_rows = {
-        "contacts": contact_problems(motion),
-        "hostile": hostile_problems(80 if arguments.quick else 4 * arguments.hard),
-    }
-    for name, problems in with_rows.items():
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            results[name] = compare_objectives(problems)
-        common.print_table(
-            f"{len(problems)} {name} problems",
-            results[name],
-            to_stderr=arguments.json == "-",
-        )
+    with warnings.catch_warnings():
+        # Warnings of solvers show as failures or distances.
+        warnings.simplefilter("ignore")
+        for name in ("recorded", "hard"):
+            problems = sets[name][:timed]
+            answers = [exact_answer(problem) for problem in problems]
+            results[name] = [
+                {"solver": which, **measure(solver, problems, answers)}
+                for which, solver in solvers().items()
+            ]
+            title = f"Times on {len(problems)} {name} problems"
+            common.print_table(title, results[name], to_stderr=to_stderr)
+        drawn = dict(results)
+        if COMPILED is not None:
+            for name, problems in sets.items():
+                rows = prove(problems)
+                results[f"proof: {name}"] = rows
+                title = f"Proof: {len(problems)} {name} problems"
+                common.print_table(title, rows, to_stderr=to_stderr)
     common.write_json(arguments.json, "bench_solvers", results)
     common.save_picture(arguments.picture, lambda: draw(drawn))
+    proofs = [row for name in results.keys() - drawn.keys() for row in results[name]]
+    if any(row["core worse"] or row["core failed"] for row in proofs):
+        raise SystemExit(1)
 
 
 if __name__ == "__main__":

@@ -1,9 +1,11 @@
-"""An independent judge of a stream of commands: it shares no code with the QP, limits or gate.
+"""An independent judge of streams of commands: no code of the QP, limits, gate or core is in it.
 
 Positions are judged exactly; a robot that starts outside its limits must not go farther out.
 Velocities are finite differences of configurations, and accelerations those of velocities. Both
 have the tolerance that rounding of the configurations gives them. The acceleration limit in force
 is the largest one since the robot last stood still. Samples shorter than 1 us count as 1 us.
+Overlaps are looked for by coal, and those that it finds are measured by `overlap.py`; for every
+2000th command that measures all pairs, whatever coal says.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 from overlap import OverlapMeter
 
@@ -21,6 +24,8 @@ OVERLAP = 1e-4
 """Largest overlap that counts as none [m]."""
 _JOINT, _POSE, _SHARE = 1e-12, 1e-9, 1e-6
 _STEP = 0.04
+_SURE = 2000
+_SMALL = 1e-4
 
 
 class Checker:
@@ -29,20 +34,28 @@ class Checker:
     Args:
         hand: The robot.
         shapes: Pairs of shapes that must not overlap, at or between commands; none if omitted.
+        paths: Overlaps between commands are looked for before every command of this many; with 1,
+            before each.
 
     Attributes:
         commands: Number of commands judged.
         violations: Number of commands by what they violate.
         worst: Position beyond its limit [rad]; speed and acceleration over their limits; overlap
             [m].
+        first: Number of the first command that violates something, by what.
+        postures: Number of postures that were examined for overlaps.
+        meter: Measures the overlaps; None without shapes.
     """
 
-    def __init__(self, hand: Hand, shapes: ShapePairs | None = None) -> None:
-        self._hand, self.commands = hand, 0
-        self._meter = None if shapes is None else OverlapMeter(hand, shapes)
+    def __init__(
+        self, hand: Hand, shapes: ShapePairs | None = None, paths: int = 1
+    ) -> None:
+        self._hand, self.commands, self.postures = hand, 0, 0
+        self.meter = None if shapes is None else OverlapMeter(hand, shapes)
         self.violations, self.worst = Counter[str](), dict[str, float]()
+        self.first, self._paths = dict[str, int](), paths
         wrist = hand.spec.wrist
-        free = 6 if hand.is_floating else 0
+        self._free = free = 6 if hand.is_floating else 0
         twist = np.repeat([wrist.max_linear_speed, wrist.max_angular_speed], 3)[:free]
         self._turn = wrist.max_angular_speed * np.sqrt(3.0) if free else 0.0
         self._speed = np.concatenate([twist, hand.velocity_limits])
@@ -54,40 +67,119 @@ class Checker:
         self._last = np.zeros(len(self._speed))
         self._dt, self._force = 1.0, 0.0
 
-    def take(self, q: np.ndarray, dt: float, limit: float | None = None) -> None:
-        """Judge the command of a configuration, its time [s], and the limit configured [rad/s^2].
+    def take(
+        self, q: np.ndarray, dt: npt.ArrayLike, limit: float | None = None
+    ) -> None:
+        """Judge one command, or many in their order.
 
-        None stands for no limit of acceleration.
+        Args:
+            q: Configuration of each command, shape (nq,) or (T, nq).
+            dt: Time of each [s], one number or shape (T,).
+            limit: The limit of acceleration configured [rad/s^2]; None for none.
         """
-        hand, before, dt = self._hand, self._q, max(dt, 1e-6)
-        joints, start = q[hand.q_indices], before[hand.q_indices]
+        hand, q = self._hand, np.atleast_2d(q)
+        dt = np.maximum(np.broadcast_to(dt, len(q)), 1e-6)
+        before = np.vstack([self._q, q[:-1]])
+        joints, start = q[:, hand.q_indices], before[:, hand.q_indices]
         low = np.minimum(hand.lower_limits, start)
         high = np.maximum(hand.upper_limits, start)
         beyond = np.maximum(low - joints, joints - high)
-        self._note("position", float(beyond.max()), 0.0)
+        self._note("position", beyond.max(axis=1), 0.0)
         moved = joints - start
-        if hand.is_floating:
-            poses = [pin.XYZQUATToSE3(each[:7]) for each in (before, q)]
-            moved = np.concatenate([pin.log6(poses[0].actInv(poses[1])).vector, moved])
         is_ambiguous = self._turn * dt >= np.pi  # half a turn or more
-        moved[:6] *= not (hand.is_floating and is_ambiguous)
-        speed = (np.abs(moved) - self._rounding) / (self._speed * dt)
-        self._note("speed", float(speed.max()), 1.0 + _SHARE)
-        self._force = max(self._force, np.inf if limit is None else limit)
-        velocity, noise = moved / dt, self._rounding * (1.0 / dt + 1.0 / self._dt)
-        velocity[:6] = np.where(is_ambiguous, np.nan, velocity[:6])
-        change = (np.abs(velocity - self._last) - noise) / (self._force * dt)
-        self._note("acceleration", float(np.fmax.reduce(change)), 1.0 + _SHARE)
-        if self._meter is not None and moved.any():
-            count = int(np.abs(moved).max() / _STEP) + 2
-            shares = np.arange(1, count) / count
-            parts = [pin.interpolate(hand.model, before, q, share) for share in shares]
-            self._note("overlap", max(map(self._meter.depth, (*parts, q))), OVERLAP)
-        if (np.abs(moved) <= self._rounding).all():
-            self._force = 0.0
-        self._q, self._last, self._dt = q.copy(), velocity, dt
-        self.commands += 1
+        if self._free:
+            moved = np.hstack([twists(before[:, :7], q[:, :7]), moved])
+            moved[is_ambiguous, :6] = 0.0
+        speed = (np.abs(moved) - self._rounding) / (self._speed * dt[:, None])
+        self._note("speed", speed.max(axis=1), 1.0 + _SHARE)
+        self._judge_acceleration(moved, is_ambiguous, dt, limit)
+        if self.meter is not None:
+            self._judge_overlaps(self.meter, before, q, np.abs(moved).max(axis=1))
+        self._q = q[-1].copy()
+        self.commands += len(q)
 
-    def _note(self, what: str, value: float, most: float) -> None:
-        self.worst[what] = max(self.worst.get(what, -np.inf), value)
-        self.violations[what] += not value <= most
+    def _judge_acceleration(
+        self,
+        moved: np.ndarray,
+        is_ambiguous: np.ndarray,
+        dt: np.ndarray,
+        limit: float | None,
+    ) -> None:
+        limit = np.inf if limit is None else limit
+        is_still = np.all(np.abs(moved) <= self._rounding, axis=1)
+        has_stood = np.logical_or.accumulate(np.concatenate([[False], is_still]))
+        force = np.where(has_stood[:-1], limit, max(self._force, limit))
+        velocity = moved / dt[:, None]
+        velocity[is_ambiguous, : self._free] = np.nan
+        last = np.vstack([self._last, velocity[:-1]])
+        last_dt = np.concatenate([[self._dt], dt[:-1]])
+        noise = self._rounding * (1.0 / dt + 1.0 / last_dt)[:, None]
+        change = (np.abs(velocity - last) - noise) / (force * dt)[:, None]
+        self._note("acceleration", np.fmax.reduce(change, axis=1), 1.0 + _SHARE)
+        self._last, self._dt = velocity[-1], float(dt[-1])
+        self._force = 0.0 if is_still[-1] else float(force[-1])
+
+    def _judge_overlaps(
+        self,
+        meter: OverlapMeter,
+        before: np.ndarray,
+        q: np.ndarray,
+        moved: np.ndarray,
+    ) -> None:
+        depths = np.zeros(len(q))
+        for i in np.flatnonzero(moved):
+            number = self.commands + int(i)
+            depths[i] = meter.depth(q[i], checks_all=number % _SURE == 0)
+            postures = []
+            if number % self._paths == 0:
+                count = int(moved[i] / _STEP) + 2
+                postures = [
+                    pin.interpolate(self._hand.model, before[i], q[i], share)
+                    for share in np.arange(1, count) / count
+                ]
+            depths[i] = max(depths[i], *map(meter.depth, postures), 0.0)
+            self.postures += 1 + len(postures)
+        self._note("overlap", depths, OVERLAP)
+
+    def _note(self, what: str, values: np.ndarray, most: float) -> None:
+        self.worst[what] = max(self.worst.get(what, -np.inf), float(values.max()))
+        wrong = np.flatnonzero(~(values <= most))
+        self.violations[what] += len(wrong)
+        if len(wrong):
+            self.first.setdefault(what, self.commands + int(wrong[0]))
+
+
+def twists(before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Return the twists of poses, linear first, in the frame before: the logarithm of SE(3).
+
+    Args:
+        before: Positions [m] and quaternions (xyzw), shape (T, 7).
+        after: Likewise.
+
+    Returns:
+        Shape (T, 6) [m, rad]; turns are at most half a turn.
+    """
+    a, b = (
+        each[:, 3:] / np.linalg.norm(each[:, 3:], axis=1)[:, None]
+        for each in (before, after)
+    )
+    u, w = a[:, :3], a[:, 3:]
+    # The product of the first's conjugate and the second, with a real part that is not negative.
+    vector = w * b[:, :3] - b[:, 3:] * u - np.cross(u, b[:, :3])
+    real = w[:, 0] * b[:, 3] + np.einsum("ij,ij->i", u, b[:, :3])
+    vector *= np.where(real < 0.0, -1.0, 1.0)[:, None]
+    sine = np.linalg.norm(vector, axis=1)
+    angle = 2.0 * np.arctan2(sine, np.abs(real))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = vector * np.where(sine > 0.0, angle / sine, 2.0)[:, None]
+        half = 0.5 * angle
+        bend = np.where(
+            angle > _SMALL, (1.0 - half / np.tan(half)) / angle**2, 1.0 / 12.0
+        )
+    # The translation, turned back by the first pose.
+    moved = after[:, :3] - before[:, :3]
+    across = np.cross(u, moved)
+    moved = moved - 2.0 * w * across + 2.0 * np.cross(u, across)
+    across = np.cross(turn, moved)
+    moved = moved - 0.5 * across + bend[:, None] * np.cross(turn, across)
+    return np.hstack([moved, turn])

@@ -9,10 +9,10 @@ infinities and undocumented exceptions are counted here.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -29,9 +29,11 @@ from handmap_qp import (
     load_hand,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.spec import Mount
-from handmap_qp.ik.limits import Motion
-from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik import core as core_module
+from handmap_qp.ik.limits import SHORTEST_DT, Motion
+from handmap_qp.ik.qp import PointIk, Status
 from handmap_qp.se3 import nearest_rotation
 
 MOST_OUTSIDE = 0.5
@@ -58,6 +60,11 @@ IKS: tuple[IkOptions, ...] = (
 
 LIMITS = (None, 1.0, 10.0, 100.0)
 """Acceleration limits that a mapper changes between [rad/s^2]."""
+COMPILED: Any = core_module.core
+MARGINS = (-0.001, 0.006)
+"""Least and largest margin of a pair of shapes [m]."""
+_BATCH, _STRETCH, _TRIES = 200, 20, 30
+_STATUSES = get_args(Status)
 
 
 @dataclass(slots=True)
@@ -73,6 +80,8 @@ class Tally:
         refused: Number of documented errors by class.
         undocumented: Other exceptions, and rejections that moved the hand: the first few, with
             their runs.
+        found: Runs that violate something, what, and where first.
+        postures: Number of postures that were examined for overlaps.
     """
 
     steps: int = 0
@@ -82,6 +91,8 @@ class Tally:
     statuses: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     undocumented: list[str] = field(default_factory=list)
+    found: list[str] = field(default_factory=list)
+    postures: int = 0
 
     @property
     def is_exact(self) -> bool:
@@ -93,56 +104,173 @@ class Tally:
         """Count a result whose arrays are not all finite."""
         self.not_finite += not all(np.isfinite(array).all() for array in arrays)
 
-    def add(self, checker: Checker) -> None:
-        """Add what the judge of a run found."""
-        self.violations += checker.violations
-        for what, value in checker.worst.items():
+    def add(self, checker: Checker, name: str = "") -> None:
+        """Add what the judge of a run found, under the name of the run."""
+        self._count(checker)
+        self.found += [
+            f"{name}: {what} at command {first}, {checker.violations[what]} in all, "
+            f"worst {checker.worst[what]:.9g}"
+            for what, first in checker.first.items()
+        ]
+
+    def merge(self, other: Tally) -> None:
+        """Add the results of other steps."""
+        self._count(other)
+        self.steps += other.steps
+        self.not_finite += other.not_finite
+        self.statuses += other.statuses
+        self.refused += other.refused
+        self.found += other.found
+        self.undocumented += other.undocumented
+
+    def _count(self, other: Checker | Tally) -> None:
+        self.postures += other.postures
+        self.violations += other.violations
+        for what, value in other.worst.items():
             self.worst[what] = max(self.worst.get(what, -np.inf), value)
 
 
 class IkRun:
-    """Steps of the inverse kinematics on one hand.
+    """Steps of the inverse kinematics on one hand, many a call.
+
+    Stretches of steps go to one place each: to a random posture, to one point of all fingers,
+    turned inside out, or far away, with noise of every size. Between batches the acceleration limit
+    changes, the hand brakes without targets, or is placed somewhere else.
 
     Args:
         hand: The hand.
         options: Options of the inverse kinematics.
         seed: Seed of the random numbers.
+        shapes: Pairs of shapes to keep apart and to judge; none if omitted.
+        paths: As of `Checker`.
+        limits: Acceleration limits that it changes between [rad/s^2]; that of the options if
+            omitted.
     """
 
-    def __init__(self, hand: Hand, options: IkOptions, seed: int) -> None:
+    def __init__(
+        self,
+        hand: Hand,
+        options: IkOptions,
+        seed: int,
+        shapes: ShapePairs | None = None,
+        *,
+        paths: int = 1,
+        limits: Sequence[float | None] = (),
+    ) -> None:
         self.name = f"ik on {hand.name}, {hand.mount}, seed {seed}"
-        self._hand = hand
-        self._rng = np.random.default_rng(seed)
+        self._hand, self._rng = hand, np.random.default_rng(seed)
         if hand.spec.collision is None:
             options = options.replaced(avoids_self_collision=False)
-        self._ik, self.checker = PointIk(hand, options), Checker(hand)
+        self.ik = PointIk(hand, options, contacts=shapes)
+        self.checker, self._shapes = Checker(hand, shapes, paths), shapes
+        self._limits = limits or (options.max_acceleration,)
+        self._iks = {options.max_acceleration: (self.ik, self._compile(self.ik))}
         self._place()
 
-    def step(self, tally: Tally) -> None:
-        """One step into the tally."""
-        ik, rng = self._ik, self._rng
-        if rng.random() < 0.05:
-            self._place()
-        dt = _time(rng)
+    def advance(self, count: int, tally: Tally) -> None:
+        """Take steps into the tally."""
+        while count > 0:
+            self._interrupt()
+            size = min(count, _BATCH)
+            self._batch(size, tally)
+            count -= size
+
+    def _batch(self, count: int, tally: Tally) -> None:
+        rng, ik = self._rng, self.ik
+        points, wrists, speed = self._targets(count)
+        dt = _times(rng, count)
+        margins = None
+        if self._shapes is not None and rng.random() < 0.7:
+            margins = rng.uniform(*MARGINS, len(self._shapes.fingers))
         try:
-            result = ik.solve(self._targets(), self._wrist_target(), dt)
+            q, statuses = self._solve(points, wrists, dt, speed, margins)
         except Exception as error:
             _note(tally, self.name, error)
             self._place()
             return
-        tally.statuses[result.status] += 1
-        tally.check_finite(
-            ik.configuration.q,
-            ik.configuration.wrist.homogeneous,
-            result.points,
-            result.errors,
+        tally.statuses.update(statuses)
+        tally.not_finite += int((~np.isfinite(q).all(axis=1)).sum())
+        self.checker.take(q, dt, ik.options.max_acceleration)
+
+    def _solve(
+        self,
+        points: np.ndarray,
+        wrists: np.ndarray | None,
+        dt: np.ndarray,
+        speed: np.ndarray,
+        margins: np.ndarray | None,
+    ) -> tuple[np.ndarray, list[str]]:
+        """Return configurations, shape (T, nq), and statuses of many samples."""
+        ik, core = self._iks[self.ik.options.max_acceleration]
+        if core is None:
+            found = [
+                ik.solve(
+                    points[i],
+                    None if wrists is None else wrists[i],
+                    dt[i],
+                    margins=margins,
+                    speed=speed[i],
+                )
+                for i in range(len(dt))
+            ]
+            return np.array([each.q for each in found]), [each.status for each in found]
+        core.set_motion(*ik.gate.motion)
+        postures = ik.postures(1.0, None)
+        numbers = core.solve_many(points, wrists, dt, speed, margins, postures)
+        n = ik.gate.limits.size
+        q, displacements, times, statuses = np.split(
+            numbers.reshape(len(dt), -1), np.cumsum([self._hand.model.nq, n, n]), axis=1
         )
-        self.checker.take(ik.configuration.q, dt, ik.options.max_acceleration)
+        ik.gate.motion = Motion(
+            q[-1].copy(),
+            displacements[-1].copy(),
+            max(float(dt[-1]), SHORTEST_DT),
+            times[-1].copy(),
+        )
+        return q, [_STATUSES[int(status)] for status in statuses[:, 0]]
+
+    def _compile(self, ik: PointIk) -> Any:
+        # The core of its own that `PointIk` has takes one sample a call.
+        if ik.core is None:
+            return None
+        return COMPILED.Ik(self._hand, ik.options, ik.gate)
+
+    def _interrupt(self) -> None:
+        rng = self._rng
+        if rng.random() < 0.1:
+            self._place()
+        if rng.random() < 0.3:
+            self._change_limit(self._limits[int(rng.integers(len(self._limits)))])
+        if rng.random() < 0.1:
+            for dt in _times(rng, int(rng.integers(1, 8))):
+                self.ik.hold(dt)
+                self.checker.take(
+                    self.ik.gate.motion.q, dt, self.ik.options.max_acceleration
+                )
+
+    def _change_limit(self, limit: float | None) -> None:
+        before = self.ik.gate.motion
+        if limit not in self._iks:
+            ik = self.ik.with_options(self.ik.options.replaced(max_acceleration=limit))
+            self._iks[limit] = ik, self._compile(ik)
+        self.ik = self._iks[limit][0]
+        self.ik.gate.motion = before
 
     def _place(self) -> None:
+        for _ in range(_TRIES):
+            q = self._posture()
+            meter = self.checker.meter
+            if meter is None or meter.depth(q) == 0.0:
+                break
+        else:
+            q = self._hand.configuration_vector(self._hand.rest)
+        self.ik.place(q)
+        self.checker.start(q)
+
+    def _posture(self) -> np.ndarray:
         hand, rng = self._hand, self._rng
         q = rng.uniform(hand.lower_limits, hand.upper_limits)
-        kind = rng.integers(4)
+        kind = rng.integers(5)
         if kind == 1:
             q = np.where(rng.random(len(q)) < 0.5, hand.lower_limits, hand.upper_limits)
         elif kind == 2:
@@ -151,43 +279,67 @@ class IkRun:
             q = rng.uniform(
                 hand.lower_limits - MOST_OUTSIDE, hand.upper_limits + MOST_OUTSIDE
             )
-        self._ik.place(
-            hand.configuration_vector(
-                q, _pose(rng, 10.0 ** rng.uniform(-2, 3)) if hand.is_floating else None
+        elif kind == 4:
+            q = hand.rest + rng.uniform(-MOST_OUTSIDE, MOST_OUTSIDE, len(q))
+        return hand.configuration_vector(
+            q, _pose(rng, 10.0 ** rng.uniform(-2, 3)) if hand.is_floating else None
+        )
+
+    def _targets(self, count: int) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+        """Return points, shape (T, m, 3), wrists, shape (T, 4, 4), and speeds, shape (T,)."""
+        rng, wrist = self._rng, self.ik.configuration.wrist.homogeneous
+        points = np.empty((count, len(self._hand.reference_points), 3))
+        wrists, speed = np.empty((count, 4, 4)), np.ones(count)
+        start = 0
+        while start < count:
+            stretch = slice(start, start + int(rng.geometric(1.0 / _STRETCH)))
+            size = len(speed[stretch])
+            base = (
+                wrist
+                @ pin.exp6(10.0 ** rng.uniform(-4, 0) * rng.normal(size=6)).homogeneous
             )
-        )
-        self.checker.start(self._ik.configuration.q)
+            points[stretch] = self._point_targets(base, size)
+            wrists[stretch] = self._wrist_targets(base, size)
+            if rng.random() < 0.5:
+                speed[stretch] = rng.uniform(0.01, 1.0)
+            start = stretch.stop
+        return points, None if rng.random() < 0.2 else wrists, speed
 
-    def _targets(self) -> np.ndarray:
-        rng, points = self._rng, self._ik.configuration.points.copy()
-        kind = rng.integers(8)
+    def _point_targets(self, wrist: np.ndarray, count: int) -> np.ndarray:
+        hand, rng = self._hand, self._rng
+        kind = rng.integers(9)
         if kind == 0:
-            return points
-        if kind == 1:
-            return np.tile(points.mean(axis=0), (len(points), 1))
-        if kind == 2:
-            return 2.0 * points.mean(axis=0) - points
-        size = 10.0 ** (
-            rng.uniform(1, np.log10(FARTHEST)) if kind == 3 else rng.uniform(-4, 0)
-        )
-        return points + size * rng.normal(size=points.shape)
+            points = self.ik.configuration.points
+        else:
+            q = rng.uniform(hand.lower_limits, hand.upper_limits)
+            if rng.random() < 0.3:
+                q = np.where(rng.random(len(q)) < 0.5, hand.lower_limits, q)
+            points = hand.points(q, wrist if hand.is_floating else None)
+        middle = points.mean(axis=0)
+        if kind in (1, 2):
+            points = np.tile(middle, (len(points), 1))
+        elif kind == 3:
+            points = 2.0 * middle - points
+        elif kind == 4:
+            size = 10.0 ** rng.uniform(1, np.log10(FARTHEST))
+            points = points + size * rng.normal(size=points.shape)
+        noise = 10.0 ** rng.uniform(-9, -1 if kind < 8 else 1)
+        return points + noise * rng.normal(size=(count, *points.shape))
 
-    def _wrist_target(self) -> np.ndarray | None:
-        rng, wrist = self._rng, self._ik.configuration.wrist.homogeneous
+    def _wrist_targets(self, base: np.ndarray, count: int) -> np.ndarray:
+        rng = self._rng
         kind = rng.integers(6)
-        if kind == 0:
-            return None
         if kind == 1:
-            return wrist
-        if kind == 2:
-            # Half a turn: the logarithm has two values.
-            return wrist @ np.diag([*rng.permutation([1.0, -1.0, -1.0]), 1.0])
-        if kind == 3:
-            return _pose(rng, 10.0 ** rng.uniform(0, 6))
-        return (
-            wrist
-            @ pin.exp6(10.0 ** rng.uniform(-9, 0) * rng.normal(size=6)).homogeneous
+            # Half a turn from where the hand is: the logarithm has two values.
+            turn = np.diag([*rng.permutation([1.0, -1.0, -1.0]), 1.0])
+            base = self.ik.configuration.wrist.homogeneous @ turn
+        elif kind == 2:
+            base = _pose(rng, 10.0 ** rng.uniform(0, 6))
+        noise = 10.0 ** rng.uniform(-9, 0) if kind > 2 else 0.0
+        quaternions = np.array([0.0, 0.0, 0.0, 1.0]) + noise * rng.normal(
+            size=(count, 4)
         )
+        return base @ _poses(quaternions, noise * rng.normal(size=(count, 3)))
 
 
 class MapperRun:
@@ -196,26 +348,39 @@ class MapperRun:
     Args:
         human: The human hand.
         robot: The robot hand.
-        mapping: Options of the mapping that differ from `MappingOptions()`.
+        mapping: Options of the mapping that differ from `MappingOptions()`, or name of a preset.
         seed: Seed of the random numbers.
+        shapes: Pairs of shapes that the preset keeps apart, to judge; none if omitted.
+        paths: As of `Checker`.
     """
 
     def __init__(
-        self, human: Hand, robot: Hand, mapping: dict[str, Any], seed: int
+        self,
+        human: Hand,
+        robot: Hand,
+        mapping: dict[str, Any] | str,
+        seed: int,
+        shapes: ShapePairs | None = None,
+        paths: int = 1,
     ) -> None:
         self.name = (
             f"{human.name} to {robot.name}, {robot.mount}, {mapping}, seed {seed}"
         )
         self._rng = np.random.default_rng(seed)
-        self._mapper = HandMapper(human, robot, MappingOptions(**mapping))
-        self.checker = Checker(robot)
+        method = mapping if isinstance(mapping, str) else MappingOptions(**mapping)
+        self._mapper = HandMapper(human, robot, method)
+        self.checker = Checker(robot, shapes, paths)
         self._q, self._wrist = human.rest.copy(), np.eye(4)
         self._last: np.ndarray | None = None
 
-    def step(self, tally: Tally) -> None:
-        """One step into the tally."""
+    def advance(self, count: int, tally: Tally) -> None:
+        """Take steps into the tally."""
+        for _ in range(count):
+            self._step(tally)
+
+    def _step(self, tally: Tally) -> None:
         mapper, rng = self._mapper, self._rng
-        before, dt = mapper.point_ik.configuration.q.copy(), _time(rng)
+        before, dt = mapper.point_ik.configuration.q.copy(), float(_times(rng, 1)[0])
         try:
             if rng.random() < 0.03:
                 self._interrupt()
@@ -272,14 +437,18 @@ class MapperRun:
             mapper.configure(ik=mapper.ik.replaced(max_acceleration=limit))
         elif kind == 2:
             self._last = None
-            mapper.reset(
-                robot_q=rng.uniform(
-                    mapper.robot.lower_limits, mapper.robot.upper_limits
-                )
-            )
+            mapper.reset(robot_q=self._robot_posture())
         else:
             self._last = None
             mapper.reset(self._q, self._wrist)
+
+    def _robot_posture(self) -> np.ndarray:
+        robot, meter = self._mapper.robot, self.checker.meter
+        for _ in range(_TRIES):
+            q = self._rng.uniform(robot.lower_limits, robot.upper_limits)
+            if meter is None or meter.depth(robot.configuration_vector(q)) == 0.0:
+                return q
+        return robot.rest
 
     def _map_random(self, dt: float) -> MapStep:
         mapper, rng = self._mapper, self._rng
@@ -358,6 +527,18 @@ class MapperRun:
         return mapper.map_points(points, None if kind == 3 else self._wrist, dt=dt)
 
 
+def wild_options(rng: np.random.Generator) -> IkOptions:
+    """Draw options of the inverse kinematics; every combination is valid."""
+    return IkOptions(
+        point_weight=float(10.0 ** rng.uniform(-1, 2)),
+        rest_weight=float(rng.choice([0.0, 0.2, 10.0, 1e3])),
+        damping=float(10.0 ** rng.uniform(-3, 0)),
+        error_damping=float(rng.choice([0.0, 0.7])),
+        max_iterations=int(rng.integers(1, 6)),
+        step_tolerance=float(rng.choice([0.0, 0.1])),
+    )
+
+
 def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
     """Yield runs over all hands of the package without end, with floating and fixed wrists.
 
@@ -367,14 +548,26 @@ def hostile_runs(seed: int = 0) -> Iterator[IkRun | MapperRun]:
         for i, (name, mount) in enumerate(_available_hands()):
             robot = _hand(name, mount, (None, "fingertips_middle")[(seed + i) % 2])
             yield IkRun(robot, IKS[seed % len(IKS)], seed)
-            mapping = dict(MAPPINGS[seed % len(MAPPINGS)])
-            if not robot.is_floating:
-                mapping["rigid_from"] = "none"
-            human = _hand(
-                "human_left" if robot.side == "left" else "human", "floating", "joints"
-            )
-            yield MapperRun(human, robot, mapping, seed)
+            yield mapper_run(robot, MAPPINGS[seed % len(MAPPINGS)], seed)
             seed += 1
+
+
+def mapper_run(
+    robot: Hand,
+    mapping: dict[str, Any] | str,
+    seed: int,
+    shapes: ShapePairs | None = None,
+    paths: int = 1,
+) -> MapperRun:
+    """Return a run of the mapping from the human hand of the robot's side; see `MapperRun`."""
+    if not isinstance(mapping, str) and not robot.is_floating:
+        mapping = mapping | {"rigid_from": "none"}
+    human = _hand(
+        "human_left" if robot.side == "left" else "human",
+        "floating",
+        "landmarks" if isinstance(mapping, str) else "joints",
+    )
+    return MapperRun(human, robot, mapping, seed, shapes, paths)
 
 
 def drive(
@@ -392,12 +585,15 @@ def drive(
     """
     tally = Tally()
     while tally.steps < steps:
-        run = next(runs)
-        for _ in range(min(steps_per_run, steps - tally.steps)):
-            run.step(tally)
-            tally.steps += 1
-        tally.add(run.checker)
+        take(next(runs), min(steps_per_run, steps - tally.steps), tally)
         yield tally
+
+
+def take(run: IkRun | MapperRun, steps: int, tally: Tally) -> None:
+    """Take steps of one run into a tally, with what its checker found."""
+    run.advance(steps, tally)
+    tally.steps += steps
+    tally.add(run.checker, run.name)
 
 
 @cache
@@ -429,15 +625,31 @@ def _note(tally: Tally, name: str, error: Exception) -> None:
         tally.undocumented.append(f"{name}: {type(error).__name__}: {error}")
 
 
-def _time(rng: np.random.Generator) -> float:
-    """Random time between samples [s]: mostly 1 to 100 ms, sometimes absurd."""
-    return float(
-        10.0 ** (rng.uniform(-9, 2) if rng.random() < 0.05 else rng.uniform(-3, -1))
-    )
+def _times(rng: np.random.Generator, count: int) -> np.ndarray:
+    """Draw times between samples [s]: even, jittering, wild or absurd ones."""
+    kind = rng.integers(8)
+    if kind == 0:
+        return 10.0 ** rng.uniform(-9, 2, count)
+    if kind < 3:
+        return 10.0 ** rng.uniform(-4, 0, count)
+    times = np.full(count, 10.0 ** rng.uniform(-3, -1))
+    return times if kind < 5 else times * rng.uniform(0.1, 2.0, count)
 
 
 def _pose(rng: np.random.Generator, distance: float) -> np.ndarray:
-    quat = rng.normal(size=4)
-    return pin.SE3(
-        pin.Quaternion(quat / np.linalg.norm(quat)), distance * rng.normal(size=3)
-    ).homogeneous
+    return _poses(rng.normal(size=4), distance * rng.normal(size=3))
+
+
+def _poses(quaternions: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """Return poses, shape (..., 4, 4), of quaternions (xyzw) of any length, and positions [m]."""
+    lengths = np.linalg.norm(quaternions, axis=-1, keepdims=True)
+    *vector, w = np.moveaxis(quaternions / lengths, -1, 0)
+    u = np.stack(vector, axis=-1)
+    cross = np.cross(u[..., None, :], np.eye(3))
+    poses = np.zeros((*w.shape, 4, 4))
+    # Rows of `cross` are u x e_i, columns of its transpose.
+    skew = np.swapaxes(cross, -1, -2)
+    poses[..., :3, :3] = np.eye(3) + 2.0 * (w[..., None, None] * skew + skew @ skew)
+    poses[..., :3, 3] = positions
+    poses[..., 3, 3] = 1.0
+    return poses

@@ -39,6 +39,8 @@ class OverlapMeter:
         self._data, self._placed = hand.model.createData(), shapes.geometry.createData()
         for request in self._placed.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = 1e-9
+        for request in self._placed.collisionRequests:
+            request.security_margin = NEAR
         self._shapes = [
             _Support(shape.geometry) for shape in self._geometry.geometryObjects
         ]
@@ -54,18 +56,25 @@ class OverlapMeter:
         pin.updateGeometryPlacements(
             self._model, self._data, self._geometry, self._placed, q
         )
-        pin.computeDistances(self._geometry, self._placed)
-        worst = 0.0
-        for k, result in enumerate(self._placed.distanceResults):
-            if result.min_distance < NEAR or checks_all:
-                gap = float(self._gap(k, np.array(result.normal)))
-                if result.min_distance > max(gap, 0.0) + 1e-5:
-                    gap = self._searched(k)
-                    self.disputed += result.min_distance > max(gap, 0.0) + 1e-4
-                elif gap < 0.0:
-                    gap = self._searched(k)
-                worst = max(worst, -gap)
-        return worst
+        if checks_all:
+            pairs = range(len(self._geometry.collisionPairs))
+        elif pin.computeCollisions(self._geometry, self._placed, False):
+            results = enumerate(self._placed.collisionResults)
+            pairs = [k for k, result in results if result.isCollision()]
+        else:
+            return 0.0
+        return max(0.0, *map(self._depth, pairs))
+
+    def _depth(self, k: int) -> float:
+        """Return the overlap of a pair, where the shapes are placed [m]."""
+        result = pin.computeDistance(self._geometry, self._placed, k)
+        gap = float(self._gap(k, np.array(result.normal)))
+        if result.min_distance > max(gap, 0.0) + 1e-5:
+            gap = self._searched(k)
+            self.disputed += result.min_distance > max(gap, 0.0) + 1e-4
+        elif gap < 0.0:
+            gap = self._searched(k)
+        return -gap
 
     def _gap(self, k: int, normals: np.ndarray) -> np.ndarray:
         """Return s(n) of a pair for directions of shape (..., 3) [m]."""

@@ -133,6 +133,13 @@ std::vector<Posture> postures_of(const Ik& ik, const Postures& given) {
   return postures;
 }
 
+Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
+  if (!margins) return {};
+  if (!ik.pairs || margins->size() != ik.pairs->size())
+    throw std::invalid_argument("wrong size of margins");
+  return vector_of(*margins);
+}
+
 Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrist, double dt,
                 double speed, const std::optional<Array>& margins, const Postures& postures,
                 const DistanceTask* distances, const std::optional<Array>& aims,
@@ -152,16 +159,42 @@ Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrist, doubl
     goal.aim_weights = vector_of(*aim_weights);
   }
   goal.further = rows_of(linearise, ik.tree.size);
-  Vector kept;
-  if (margins) {
-    kept = vector_of(*margins);
-    if (!ik.pairs || kept.size() != ik.pairs->size())
-      throw std::invalid_argument("wrong size of margins");
-  }
   Step step;
-  ik.solve(goal, dt, kept, speed, step.result);
+  ik.solve(goal, dt, margins_of(ik, margins), speed, step.result);
   finish(ik, step);
   return step;
+}
+
+// Many samples of one goal each, one after the other and without the GIL, from where the hand is.
+// Returns for each sample its configuration, displacement, stop times and status, one after the other.
+NumpyArray solve_many(Ik& ik, const Array& points,
+                                          const std::optional<Array>& wrists, const Array& dt,
+                                          const Array& speed, const std::optional<Array>& margins,
+                                          const Postures& postures) {
+  const size_t count = dt.size(), m = 3 * ik.tree.points.size();
+  expect_size(points, count * m, "points");
+  expect_size(speed, count, "speed");
+  if (wrists) expect_size(*wrists, 16 * count, "wrists");
+  Goal goal;
+  goal.points.resize(ik.tree.points.size());
+  goal.has_wrist = wrists.has_value();
+  goal.postures = postures_of(ik, postures);
+  const Vector kept = margins_of(ik, margins);
+  double* to;
+  NumpyArray numbers = array_of({count * (ik.tree.nq + 2 * ik.tree.size + 1)}, to);
+  nb::gil_scoped_release released;
+  Result result;
+  for (size_t i = 0; i < count; ++i) {
+    const double* from = points.data() + i * m;
+    for (size_t k = 0; k < goal.points.size(); ++k)
+      goal.points[k] = {from[3 * k], from[3 * k + 1], from[3 * k + 2]};
+    if (wrists) goal.wrist = pose_of(wrists->data() + 16 * i);
+    ik.solve(goal, dt.data()[i], kept, speed.data()[i], result);
+    for (const Vector* part : {&ik.motion.q, &ik.motion.displacement, &ik.motion.stop_times})
+      to = std::copy(part->begin(), part->end(), to);
+    *to++ = static_cast<double>(result.status);
+  }
+  return numbers;
 }
 
 void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose) {
@@ -327,6 +360,8 @@ NB_MODULE(_core, m) {
       .def("solve", &solve, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a, "margins"_a.none(),
            "postures"_a, "distances"_a.none(), "aims"_a.none(), "aim_weights"_a.none(),
            "linearise"_a.none())
+      .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
+           "margins"_a.none(), "postures"_a)
       .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
       .def("approach", &approach_from)
       .def("hold", &hold_still, "dt"_a)

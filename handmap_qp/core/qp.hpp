@@ -33,13 +33,18 @@ class Qp {
     c_ = c;
     if (!start()) return false;
     const int most = 50 + 10 * (n + rows);
+    int corrections = 0;
     for (iterations = 0; iterations < most; ++iterations) {
       int violated = most_violated();
-      if (violated < 0) {
+      if (is_small(violated)) {
         // Rounding of the way is gone then, and what it hid may show.
         polish();
         violated = most_violated();
-        if (violated < 0) return true;
+        // What is left after so many times is rounding of active constraints that nearly depend on
+        // each other.
+        const bool is_right = violated < 0 && (!is_far_ || is_rounded_ || !drop_negative());
+        if (is_right || (is_small(violated) && corrections++ > n + rows)) return true;
+        if (violated < 0) continue;
       }
       if (!take(violated)) return false;
     }
@@ -49,11 +54,15 @@ class Qp {
  private:
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
   // A constraint whose normal has less than this share outside the active ones depends on them.
-  static constexpr double kDependent = 1e-26;
+  static constexpr double kDependent = 1e-18;
   // Violations below this are rounding, relative to the solution or 1.
   static constexpr double kTolerance = 1e-12;
   // Pivots are at least this share of the diagonal.
   static constexpr double kLeastPivot = 1e-15;
+  // From a free minimum that is farther away than this, rounding may leave wrong constraints active.
+  static constexpr double kFar = 1e3;
+  // A negative multiplier counts as zero up to this, relative to the steepest slope.
+  static constexpr double kNegative = 1e-10;
   // A constraint that depends on the active ones may be violated by this much.
   static constexpr double kLoose = 1e-8;
 
@@ -108,6 +117,8 @@ class Qp {
       if (!(std::abs(w_[i]) < kInfinity)) return false;
     solve_lower(w_.data());
     std::copy(w_.begin(), w_.end(), x.begin());
+    is_far_ = false;
+    for (const double each : x) is_far_ |= std::abs(each) > kFar;
     return true;
   }
 
@@ -143,6 +154,9 @@ class Qp {
     if (k < 2 * n_) return upper_[k - n_] - x[k - n_];
     return h_[k - 2 * n_] - dot(G_ + (k - 2 * n_) * n_, x.data(), n_);
   }
+
+  // Whether a constraint, or none, is violated by so little that it may be rounding.
+  bool is_small(int violated) const { return violated < 0 || slack(violated) > -kLoose; }
 
   int most_violated() const {
     double scale = 1.0;
@@ -207,11 +221,12 @@ class Qp {
       const double t = std::min(drop_at, full);
       if (t == kInfinity) {
         // It follows from the active ones: what is left is rounding, or a contradiction.
+        restore();
         const double length = k < 2 * n ? 1.0 : row_norms_[k - 2 * n];
         double scale = 1.0;
         for (int i = 0; i < n; ++i) scale = std::max(scale, std::abs(x[i]));
         is_active_[k] = 2;
-        return s > -kLoose * scale * length;
+        return slack(k) > -kLoose * scale * length;
       }
       for (int i = 0; i < count; ++i) multipliers_[i] = std::max(multipliers_[i] - t * r_[i], 0.0);
       own += t;
@@ -281,10 +296,48 @@ class Qp {
       if (flag == 2) flag = 0;
   }
 
-  // Take out the rounding of the way from a free minimum that may be far away.
-  void polish() {
+  // Compute the multipliers again, and drop the constraints that hold x from the wrong side. Rounding
+  // of the way may leave such. Return whether there were any.
+  bool drop_negative() {
+    const int n = n_;
+    for (bool has_dropped = false;; has_dropped = true) {
+      const int count = static_cast<int>(active_.size());
+      find_slope();
+      double steepest = 0.0;
+      for (const double each : v_) steepest = std::max(steepest, std::abs(each));
+      solve_transposed(v_.data());
+      int worst = -1;
+      double least = -kNegative * steepest;
+      for (int i = count - 1; i >= 0; --i) {  // R^-1 Q^T L^-T (H x + c)
+        double sum = dot(Q(i), v_.data(), n);
+        for (int j = i + 1; j < count; ++j) sum -= R(i, j) * r_[j];
+        r_[i] = sum / R(i, i);
+        const int k = active_[i];
+        const double slope = r_[i] * (k < 2 * n ? 1.0 : row_norms_[k - 2 * n]);
+        if (slope < least) {
+          least = slope;
+          worst = i;
+        }
+      }
+      for (int i = 0; i < count; ++i) multipliers_[i] = std::max(r_[i], 0.0);
+      if (worst < 0) return has_dropped;
+      remove(worst);
+      polish();
+    }
+  }
+
+  // v = H x + c
+  void find_slope() {
+    std::copy(c_, c_ + n_, v_.begin());
+    for (int i = 0; i < n_; ++i) {
+      v_[i] += dot(H_ + i * n_, x.data(), i + 1);
+      add(x[i], H_ + i * n_, v_.data(), i);
+    }
+  }
+
+  // Back onto the active constraints: x += L^-1 Q R^-T (b - N^T x).
+  void restore() {
     const int n = n_, count = static_cast<int>(active_.size());
-    // Back onto the active constraints: x += L^-1 Q R^-T (b - N^T x).
     std::fill(v_.begin(), v_.end(), 0.0);
     for (int i = 0; i < count; ++i) {
       double sum = -slack(active_[i]);
@@ -296,17 +349,18 @@ class Qp {
       solve_lower(v_.data());
       add(1.0, v_.data(), x.data(), n);
     }
+  }
+
+  // Take out the rounding of the way from a free minimum that may be far away.
+  void polish() {
+    restore();
     if (is_rounded_) return;
     // And to the minimum along them: x -= L^-1 (I - Q Q^T) L^-T (H x + c).
-    std::copy(c_, c_ + n, v_.begin());
-    for (int i = 0; i < n; ++i) {
-      v_[i] += dot(H_ + i * n, x.data(), i + 1);
-      add(x[i], H_ + i * n, v_.data(), i);
-    }
+    find_slope();
     solve_transposed(v_.data());
     leave_active(v_.data());
     solve_lower(v_.data());
-    add(-1.0, v_.data(), x.data(), n);
+    add(-1.0, v_.data(), x.data(), n_);
   }
 
   int n_ = 0, rows_ = 0;
@@ -315,7 +369,7 @@ class Qp {
   std::vector<double> L_, inverse_, Q_, R_, d_, w_, v_, r_, multipliers_, row_norms_;
   std::vector<int> active_;
   std::vector<char> is_active_;
-  bool is_rounded_ = false;
+  bool is_rounded_ = false, is_far_ = false;
 };
 
 }  // namespace handmap

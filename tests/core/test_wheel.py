@@ -121,7 +121,8 @@ def test_wheel_holds_the_package_and_the_hands(wheel: Path) -> None:
             name.startswith(f"handmap_qp/urdf/{hand}/") and name.endswith(".urdf")
             for name in names
         )
-    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
+    for licence in ("LICENSE", "handmap_qp/core/LICENSES.txt"):
+        assert any(name.endswith(f".dist-info/licenses/{licence}") for name in names)
 
 
 @pytest.mark.skipif(not any(map(shutil.which, ("c++", "g++"))), reason="no compiler")
@@ -151,6 +152,19 @@ def test_without_a_compiler_the_wheel_is_pure_and_says_so(tmp_path: Path) -> Non
     assert not [n for n in zipfile.ZipFile(pure).namelist() if "_core." in n]
     (line,) = (line for line in printed.splitlines() if "Python path" in line)
     assert "no C++ compiler was found" in line
+    assert "g++" in line
+
+
+def test_where_compiling_fails_the_wheel_is_pure_and_says_so(tmp_path: Path) -> None:
+    # In a folder of its own: CMake remembers a compiler that worked.
+    broken = {
+        "CXX": shutil.which("false") or "",
+        "SKBUILD_BUILD_DIR": f"{tmp_path}/core",
+    }
+    pure, printed = build(tmp_path, HANDMAP_PURE="", **broken)
+    assert pure.name.endswith("py3-none-any.whl")
+    (line,) = (line for line in printed.splitlines() if "Python path" in line)
+    assert "compiling failed" in line
     assert "g++" in line
 
 

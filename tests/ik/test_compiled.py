@@ -14,6 +14,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import nnls
 
 from handmap_qp import (
     AttachedPoints,
@@ -24,6 +25,8 @@ from handmap_qp import (
     load_hand,
     read_recording,
 )
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.mapping.presets import get_preset
@@ -115,6 +118,34 @@ def test_hostile_targets_times_and_speeds_have_one_answer(
     assert np.median(apart) < 1e-12
 
 
+@pytest.mark.parametrize("has_wrist", [True, False], ids=["wrist", "free"])
+def test_many_samples_in_one_call_are_those_one_by_one(has_wrist: bool) -> None:
+    hand = load_hand("allegro_right")
+    shapes = all_pairs(hand, find_fingers(hand))
+    ik = PointIk(hand, IkOptions(max_acceleration=25.0), contacts=shapes)
+    rng = np.random.default_rng(2)
+    count = 150
+    points = ik.configuration.points + rng.normal(scale=0.05, size=(count, 4, 3))
+    wrists = np.tile(ik.configuration.wrist.homogeneous, (count, 1, 1))
+    wrists[:, :3, 3] += rng.normal(scale=0.1, size=(count, 3))
+    dt = 10.0 ** rng.uniform(-3, -1, count)
+    speed = rng.uniform(0.1, 1.0, count)
+    margins = rng.uniform(0.0, 0.004, len(shapes.fingers))
+    many = core.Ik(hand, ik.options, ik.gate)
+    many.set_motion(*ik.gate.motion)
+    numbers = many.solve_many(
+        points, wrists if has_wrist else None, dt, speed, margins, ik.postures(1, None)
+    ).reshape(count, -1)
+    for i, row in enumerate(numbers):
+        wrist = wrists[i] if has_wrist else None
+        ik.solve(points[i], wrist, dt[i], margins=margins, speed=speed[i])
+        motion = ik.gate.motion
+        expected = np.concatenate([motion.q, motion.displacement, motion.stop_times])
+        np.testing.assert_array_equal(row[:-1], expected)
+    with pytest.raises(ValueError, match="wrong size of speed"):
+        many.solve_many(points, None, dt, speed[1:], None, [])
+
+
 def test_a_stop_without_targets_goes_on_in_the_core() -> None:
     hand = load_hand("allegro_right")
     ik = PointIk(hand, IkOptions(max_acceleration=30.0))
@@ -199,6 +230,34 @@ def test_the_solver_is_never_worse_than_daqp() -> None:
             other = np.clip(other, lower, upper)
             ours, theirs = (0.5 * v @ H @ v + c @ v for v in (x, other))
             assert ours <= theirs + 1e-7 * abs(theirs) + 1e-9
+
+
+def test_the_solver_finds_a_corner_from_a_minimum_that_is_far_away() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(400):
+        n = int(rng.integers(4, 16))
+        half = rng.normal(size=(n, n)) * 10.0 ** rng.uniform(0, 3, size=n)
+        H = half.T @ half + np.eye(n)
+        c = 10.0 ** rng.uniform(8, 13) * rng.normal(size=n)
+        half_width = 10.0 ** rng.uniform(-5, 0) * np.ones(n)
+        half_width[rng.random(n) < 0.1] = 0.0
+        lower, upper = -half_width, half_width
+        # Rows of few directions, some of them parallel up to rounding.
+        G = rng.normal(size=(4, n)) * (rng.random((4, n)) < 0.4)
+        G = (10.0 ** rng.uniform(-6, 0, (16, 1))) * np.repeat(G, 4, axis=0)
+        G *= 1.0 + 1e-15 * rng.normal(size=G.shape)
+        h = np.abs(G) @ half_width * rng.uniform(0, 0.5, 16) * (rng.random(16) < 0.7)
+        is_found, x, _ = core.solve_qp(H, c, lower, upper, G, h)
+        assert is_found
+        lengths = np.maximum(np.linalg.norm(G, axis=1), 1e-300)
+        normals = np.vstack([-np.eye(n), np.eye(n), G / lengths[:, None]])
+        slack = np.concatenate([x - lower, upper - x, (h - G @ x) / lengths])
+        assert (slack >= -1e-12).all()
+        # What is active can hold the slope: the answer is optimal.
+        slope = H @ x + c
+        is_active = slack <= 1e-9 * half_width.max()
+        _, left = nnls(normals[is_active].T, -slope / np.abs(slope).max())
+        assert left < 1e-8
 
 
 def test_the_solver_says_that_bounds_cannot_hold() -> None:

@@ -152,7 +152,7 @@ def test_the_judge_counts_by_the_largest_limit_since_the_robot_stood(
 def test_the_judge_finds_overlaps_between_commands_too(planted: Any) -> None:
     checker, hand, _ = planted
     rng = np.random.default_rng(0)
-    meter = checker._meter
+    meter = checker.meter
     while True:
         ends = [rng.uniform(hand.lower_limits, hand.upper_limits) for _ in range(2)]
         middle = 0.5 * (ends[0] + ends[1])
@@ -165,7 +165,7 @@ def test_the_judge_finds_overlaps_between_commands_too(planted: Any) -> None:
 
 def test_the_judge_finds_a_number_that_is_none(planted: Any) -> None:
     checker, _, q = planted
-    checker._meter = None
+    checker.meter = None
     checker.take(q * np.nan, 0.01)
     assert {"position", "speed"} <= found(checker)
 
