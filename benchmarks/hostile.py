@@ -32,6 +32,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.spec import Mount
 from handmap_qp.ik import core as core_module
+from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.limits import SHORTEST_DT, Motion
 from handmap_qp.ik.qp import PointIk, Status
 from handmap_qp.se3 import nearest_rotation
@@ -233,7 +234,7 @@ class IkRun:
         # The core of its own that `PointIk` has takes one sample a call.
         if ik.core is None:
             return None
-        return COMPILED.Ik(self._hand, ik.options, ik.gate)
+        return COMPILED.Ik(core_tree(self._hand), self._hand, ik.options, ik.gate)
 
     def _interrupt(self) -> None:
         rng = self._rng

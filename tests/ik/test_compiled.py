@@ -28,6 +28,7 @@ from handmap_qp import (
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik import core as core_module
+from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.mapping.presets import get_preset
 
@@ -131,7 +132,7 @@ def test_many_samples_in_one_call_are_those_one_by_one(has_wrist: bool) -> None:
     dt = 10.0 ** rng.uniform(-3, -1, count)
     speed = rng.uniform(0.1, 1.0, count)
     margins = rng.uniform(0.0, 0.004, len(shapes.fingers))
-    many = core.Ik(hand, ik.options, ik.gate)
+    many = core.Ik(core_tree(hand), hand, ik.options, ik.gate)
     many.set_motion(*ik.gate.motion)
     numbers = many.solve_many(
         points, wrists if has_wrist else None, dt, speed, margins, ik.postures(1, None)
