@@ -132,11 +132,15 @@ def measure(folder: Path, options: JobOptions, frames: int) -> dict[str, Any]:
         found[count] = stage_times(plan.jobs)
     long, short = found[frames], found[_SHORT]
     slope = {name: (long[name] - short[name]) / (frames - _SHORT) for name in long}
+    frame = sum(slope.values())
+    recording = sum(long.values()) - frames * frame
+    seconds = 2.0 * (HOURS * 3600.0 * RATE * frame + EPISODES * recording)
     return {
         "frames": frames,
         "stages": long,
-        "frame": sum(slope.values()),
-        "recording": sum(long.values()) - frames * sum(slope.values()),
+        "frame": frame,
+        "recording": recording,
+        "egodex_hours": seconds / 3600.0,
     }
 
 
@@ -205,12 +209,11 @@ def row_of(name: str, result: dict[str, Any]) -> dict[str, Any]:
     """Return a row of the table, with EgoDex by extrapolation."""
     frames = 2.0 * HOURS * 3600.0 * RATE
     recordings = 2.0 * EPISODES
-    hours = (frames * result["frame"] + recordings * result["recording"]) / 3600.0
     return {
         "mapping": name,
         "recording [ms]": 1e3 * result["recording"],
         "frame [ms]": 1e3 * result["frame"],
-        "EgoDex [core-hours]": hours,
+        "EgoDex [core-hours]": result["egodex_hours"],
         "terms": f"{frames / 1e6:.0f} M frames, {recordings / 1e3:.0f} k recordings",
     }
 

@@ -75,6 +75,7 @@ def measure(
     *,
     other: Path | None,
     has_peers: bool,
+    only: Sequence[str] | None = None,
 ) -> list[dict[str, Any]]:
     """Time all programs on one robot.
 
@@ -85,6 +86,7 @@ def measure(
         rounds: How often all samples are mapped.
         other: Another checkout to compare with.
         has_peers: Whether to run the peers.
+        only: Names of the programs to run; all if omitted.
 
     Returns:
         A row a program.
@@ -103,6 +105,8 @@ def measure(
     for peer, method in PEERS if has_peers else ():
         command = interleaved.peer_command(file, peer, method, ROBOTS[robot])
         commands[f"{peer} {method}"] = (command, None)
+    if only:
+        commands = {name: one for name, one in commands.items() if name in only}
     with (
         interleaved.workers(commands) as working,
         common.progress(robot, interleaved.turns(samples, rounds)) as advance,
@@ -194,6 +198,12 @@ def main(words: Sequence[str] | None = None) -> None:
     )
     parser.add_argument("--no-peers", action="store_true", help="run no peers")
     parser.add_argument(
+        "--only",
+        nargs="+",
+        metavar="PROGRAM",
+        help="run these presets and peers alone, such as 'dexi-rs vector'",
+    )
+    parser.add_argument(
         "--robots", nargs="+", choices=list(ROBOTS), default=list(ROBOTS)
     )
     parser.add_argument(
@@ -232,6 +242,7 @@ def main(words: Sequence[str] | None = None) -> None:
                 2 if arguments.quick else 5,
                 other=other,
                 has_peers=not (arguments.no_peers or missing),
+                only=arguments.only,
             )
             results[f"{robot}, {name}"] = rows
             caption = f"{samples} samples of {name}, load {os.getloadavg()[0]:.1f}"
