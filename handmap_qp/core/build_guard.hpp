@@ -214,7 +214,7 @@ class PythonExplainer : public Explainer {
   int explain_times(const double* times, int n) override {
     const nb::gil_scoped_acquire gil;
     const Fields module = module_of("handmap_qp.trackers.plausibility");
-    return add(module.object("_find_time_unit")(nb::cast(array_of({size_t(n)}, times))));
+    return add(module.object("_find_time_unit")(array_of({size_t(n)}, times)));
   }
 
   int explain_rate(double rate) override {
@@ -232,7 +232,7 @@ class PythonExplainer : public Explainer {
         for (int i = 0; i < 3; ++i)
           rows.insert(rows.end(), {wrists[t].R(i, 0), wrists[t].R(i, 1), wrists[t].R(i, 2),
                                    wrists[t].p[i]});
-      poses = nb::cast(array_of({size_t(n), 3, 4}, rows.data()));
+      poses = array_of({size_t(n), 3, 4}, rows.data());
     }
     const int number = add(check.attr("_examine")(array_of_hands(hands, n), poses));
     take(seen);
@@ -243,7 +243,7 @@ class PythonExplainer : public Explainer {
   std::vector<int> kinds_;
 
   static nb::object array_of_hands(const Landmarks* hands, int n) {
-    return nb::cast(array_of({size_t(n), kLandmarks, 3}, &hands[0][0].x));
+    return array_of({size_t(n), kLandmarks, 3}, &hands[0][0].x);
   }
 
   void give(const Examined& seen) const {
@@ -260,8 +260,8 @@ class PythonExplainer : public Explainer {
     wrist.attr("is_proven") = seen.is_proven;
     wrist.attr("_start") = nb::none();
     if (seen.has_start)
-      wrist.attr("_start") = nb::make_tuple(nb::cast(array_of({3, 3}, seen.start_palm.m)),
-                                            nb::cast(array_of({3, 3}, seen.start_mean.m)));
+      wrist.attr("_start") = nb::make_tuple(array_of({3, 3}, seen.start_palm.m),
+                                            array_of({3, 3}, seen.start_mean.m));
   }
 
   void take(Examined& seen) const {

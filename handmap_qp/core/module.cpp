@@ -61,7 +61,7 @@ void make_pose(HumanPose* self, const Array& points, const std::optional<Array>&
 }
 
 nb::object wrist_of(const HumanPose& pose) {
-  return pose.has_wrist ? nb::cast(array_of(pose.wrist)) : nb::none();
+  return pose.has_wrist ? array_of(pose.wrist) : nb::none();
 }
 
 // A copy of a pose, by copy or pickle, is one of Python.
@@ -274,7 +274,7 @@ nb::object approach_from(Ik& ik, const nb::object& solver, const nb::object& tas
   goal.aims = Fields(task).numbers("distances");
   goal.aim_weights = Fields(task).numbers("weights");
   approach(ik, goal, vector_of(nb::cast<Array>(start)), dt, samples, tolerance);
-  return nb::cast(array_of(ik.motion.q));
+  return array_of(ik.motion.q);
 }
 
 // See measure.measure_shape, whose constants and arguments these are.
@@ -326,7 +326,7 @@ nb::object points_of_tree(const Tree& tree, const Array& configuration, const In
   std::vector<Vec3> found;
   for (const Attached& point : attached_of(joints, offsets))
     found.push_back(from * placed.point(point));
-  return nb::cast(array_of(found));
+  return array_of(found);
 }
 
 // See surface_gaps: of configurations (T, nq), a column for the pairs from each of `starts` on.
@@ -342,7 +342,7 @@ nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
       found.push_back(smallest_distance(bounds, placed, starts[g], to, most));
     }
   }
-  return nb::cast(array_of({rows, columns}, found.data()));
+  return array_of({rows, columns}, found.data());
 }
 
 }  // namespace
@@ -367,13 +367,12 @@ NB_MODULE(_core, m) {
       .def("hold", &hold_still, "dt"_a)
       .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
            "rows"_a);
-  constexpr auto kOwned = nb::rv_policy::move;
   nb::class_<Step>(m, "Step")
-      .def_prop_ro("q", [](const Step& step) { return array_of(step.q); }, kOwned)
-      .def_prop_ro("wrist", [](const Step& step) { return array_of(step.result.wrist); }, kOwned)
-      .def_prop_ro("asked", &asked_of, kOwned)
+      .def_prop_ro("q", [](const Step& step) { return array_of(step.q); })
+      .def_prop_ro("wrist", [](const Step& step) { return array_of(step.result.wrist); })
+      .def_prop_ro("asked", &asked_of)
       .def_prop_ro("is_clamped", [](const Step& step) { return step.asked.is_clamped; })
-      .def_prop_ro("result", &result_of, kOwned)
+      .def_prop_ro("result", &result_of)
       .def_prop_ro("dt", [](const Step& step) { return step.motion.dt; })
       .def_prop_ro("status", [](const Step& step) { return static_cast<int>(step.result.status); })
       .def_prop_ro("iterations", [](const Step& step) { return step.result.iterations; })
@@ -381,10 +380,10 @@ NB_MODULE(_core, m) {
   nb::class_<HumanPose>(m, "HumanPose")
       .def("__init__", &make_pose, "points"_a, "wrist"_a.none())
       .def("__reduce__", &reduced)
-      .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); }, kOwned)
-      .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); }, kOwned)
+      .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })
+      .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); })
       .def_ro("has_wrist", &HumanPose::has_wrist)
-      .def_prop_ro("wrist", &wrist_of, kOwned);
+      .def_prop_ro("wrist", &wrist_of);
   nb::class_<TargetMap>(m, "TargetMap");
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
       .def("__init__", &make_teleoperation);

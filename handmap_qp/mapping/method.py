@@ -318,6 +318,7 @@ class CompiledStages:
         self._step = step
         self._robot = robot
         self._asked = asked
+        self._command: RobotCommand | None = None
         self.pose = pose
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -335,11 +336,15 @@ class CompiledStages:
         """Result of the inverse kinematics."""
         return self._ik.result(self._step, self.asked.points)
 
-    @cached_property
+    @property
     def command(self) -> RobotCommand:
         """The robot's next joint angles and wrist pose."""
-        step = self._step
-        return RobotCommand(self._robot.joint_names, step.q, step.wrist)
+        # Every step is asked for it, and `cached_property` of Python 3.11 takes a lock.
+        if self._command is None:
+            step = self._step
+            names = self._robot.joint_names
+            self._command = RobotCommand(names, step.q, step.wrist)
+        return self._command
 
 
 class MapStep(msgspec.Struct, frozen=True, eq=False):
