@@ -16,6 +16,7 @@ import tempfile
 from argparse import Namespace
 from collections import defaultdict
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter, process_time, thread_time
@@ -36,11 +37,14 @@ from common import (
 
 import handmap_qp.apps.datasets.episodes as job_module
 import handmap_qp.apps.offline.look_ahead as mapping_module
+from handmap_qp import Follower, HandMapper, load_hand
 from handmap_qp.apps.datasets.batch import plan_batch, run_batch
 from handmap_qp.apps.datasets.engines import PoolEngine
 from handmap_qp.apps.datasets.episodes import Job, JobOptions, run_job
 from handmap_qp.apps.offline.look_ahead import LookAhead
-from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.human.measure import scaled_human
+from handmap_qp.human.recording import Recording, mirrored, sample_columns
+from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import Source, read_recording, write_recordings
 from handmap_qp.trackers.formats.hdf5 import EgoDexFormat
 
@@ -81,13 +85,17 @@ def main() -> None:
             results[name] = result
             rows.append(row_of(name, result))
         pool = pool_run(folder / "long", folder / "pool", given)
+        threads = thread_run(sources, 1 if given.quick else 20)
     print_table(
         "CPU time of a recording of one hand, by stage [ms]", stage_rows(results)
     )
     print_table("Cost, and EgoDex's two hands by extrapolation", rows)
     print_table("Two workers", [pool])
+    print_table("Threads of one process, guard and mapping alone", threads)
     write_json(
-        given.json, "batch", {"results": results, "pool": pool, "facts": facts()}
+        given.json,
+        "batch",
+        {"results": results, "pool": pool, "threads": threads, "facts": facts()},
     )
     save_picture(given.picture, lambda: draw(results))
 
@@ -252,6 +260,33 @@ def pool_run(inputs: Path, out: Path, given: Namespace) -> dict[str, Any]:
         "efficiency": tally.useful_cpu / tally.all_cpu,
         "largest process [MB]": usage.ru_maxrss / 1024.0,
     }
+
+
+def thread_run(sources: list[Path], copies: int) -> list[dict[str, Any]]:
+    """Map recordings in one thread and in two of one process; the core runs without the GIL."""
+    whole = [read_recording(file) for file in sources]
+    cases = []
+    for recording in (each for each in whole if each.side == "right"):
+        person = measure_person(recording)
+        human = scaled_human(recording, points="landmarks", lengths=person.lengths)
+        cases += [(human, sample_columns(recording))] * copies
+    robot = load_hand("allegro_right")
+    rows = []
+    for threads in (1, 2):
+        followers = [Follower(HandMapper(human, robot)) for human, _ in cases]
+        started, cpu = perf_counter(), process_time()
+        with ThreadPoolExecutor(threads) as pool:
+            jobs = [
+                pool.submit(follower.map_samples, columns)
+                for follower, (_, columns) in zip(followers, cases, strict=True)
+            ]
+            frames = sum(len(job.result().rows) for job in jobs)
+        wall, spent = perf_counter() - started, process_time() - cpu
+        rows.append(
+            {"threads": threads, "recordings": len(cases), "frames": frames}
+            | {"us a frame": 1e6 * wall / frames, "CPU over wall": spent / wall}
+        )
+    return rows
 
 
 def draw(results: dict[str, dict[str, Any]]) -> Any:
