@@ -90,6 +90,7 @@ class ConnectionGate:
         metrics: Counters.
         evicts: Whether a connection beyond `most` ends one without a message, or else the one that
             was silent for longest. Otherwise it is refused.
+        clients: The connections.
     """
 
     name: str
@@ -103,7 +104,7 @@ class ConnectionGate:
     def __post_init__(self) -> None:
         """Give the socket behind the gate a name that others do not know."""
         self.inner = f"handmap-{secrets.token_hex(16)}"
-        self._clients: set[_Client] = set()
+        self.clients: set[_Client] = set()
         self._known: dict[bytes, _Client] = {}
         self._refusals = Throttle()
 
@@ -129,22 +130,22 @@ class ConnectionGate:
         # The last messages of sessions that end are still on their way.
         await asyncio.sleep(0.05)
         self._server.close()
-        for client in list(self._clients):
+        for client in list(self.clients):
             client.end()
 
     def admit(self, client: _Client) -> None:
         """Count a connection in, and end one if there are too many."""
-        if len(self._clients) >= self.most:
+        if len(self.clients) >= self.most:
             least = min(
-                self._clients, key=lambda each: (bool(each.identity), each.heard)
+                self.clients, key=lambda each: (bool(each.identity), each.heard)
             )
             (least if self.evicts else client).end("too many connections")
         if not client.transport.is_closing():
-            self._clients.add(client)
+            self.clients.add(client)
 
     def release(self, client: _Client, reason: str) -> None:
         """Count a connection out; if the gate ended it, count and log the reason."""
-        self._clients.discard(client)
+        self.clients.discard(client)
         self._known.pop(client.identity, None)
         if reason:
             self.metrics.refusals[self.name] += 1
@@ -161,7 +162,7 @@ class ConnectionGate:
                     descriptor, socket.AF_UNIX, socket.SOCK_STREAM
                 ) as end:
                     name = end.getpeername()
-                client = next(each for each in self._clients if each.name == name)
+                client = next(each for each in self.clients if each.name == name)
                 client.identity = identity
                 self._known[identity] = client
         return client

@@ -263,9 +263,14 @@ class Dispatcher:
             if isinstance(reply, Error):
                 send(reply)
 
-    def tick(self) -> None:
-        """Let time pass: run the watchdogs, and close idle sessions."""
+    def tick(self) -> float:
+        """Let time pass: run the watchdogs, and close idle sessions.
+
+        Returns:
+            Time until a watchdog is due, at most 0 for at once [s].
+        """
         now = self.clock()
+        due = math.inf
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
             is_idle = now - session.last_request > self.settings.idle
@@ -278,6 +283,8 @@ class Dispatcher:
             except Exception as error:
                 # The watchdogs of the other sessions must continue.
                 self._failure(0, error)
+            due = min(due, session.due)
+        return due - now
 
     async def close(self) -> None:
         """Close all sessions."""

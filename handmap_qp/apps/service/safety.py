@@ -27,6 +27,7 @@ from handmap_qp.ik.limits import (
     feasible,
 )
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.mapping.method import RobotCommand
 
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
 _SCALE = 0.05
@@ -164,6 +165,7 @@ class Watchdog:
     ) -> None:
         self._timeout = timeout
         self._gap = gap
+        self._patience = min(timeout, gap)
         self._return_after = math.inf if return_after is None else return_after
         self._held_since = self._last_command = self.last_sample = now
 
@@ -174,6 +176,11 @@ class Watchdog:
     def restart(self, now: float) -> None:
         """Count silence from now on, as after a reset."""
         self.last_sample = now
+
+    def due(self, state: SessionState) -> float:
+        """Return when time may matter next, if no sample arrives [s]; in the past for at once."""
+        is_led = state is SessionState.FOLLOWING
+        return self.last_sample + self._patience if is_led else -math.inf
 
     def event(
         self, state: SessionState, now: float, *, is_at_rest: bool
@@ -242,7 +249,7 @@ class MapperState(Enum):
 class CommandedRobot(Gate):
     """A robot as last commanded.
 
-    Set its `motion` to what the gate of a mapper with the same limits admitted.
+    Set its `motion` to what the gate of a mapper with the same limits admitted, or `follow` it.
 
     Args:
         robot: The robot hand.
@@ -270,9 +277,21 @@ class CommandedRobot(Gate):
             ik.hand, self.motion, max_acceleration=limit, collisions=ik.gate.collisions
         )
 
+    def follow(self, gate: Gate, command: RobotCommand) -> None:
+        """Take over the motion of a mapper's gate, which is read when asked, and its command."""
+        self._motion = gate._motion
+        self._read = gate._read
+        self._command = command
+
+    def is_led_by(self, gate: Gate) -> bool:
+        """Return whether the robot still moves as a gate that it follows."""
+        return self._read is not None and self._read is gate._read
+
     @property
     def q(self) -> np.ndarray:
         """Joint angles last commanded [rad], shape (n,)."""
+        if self._read is not None:
+            return self._command.q
         return self.motion.q[self.hand.q_indices]
 
     @property
@@ -280,6 +299,8 @@ class CommandedRobot(Gate):
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
         if not self.is_placed:
             return None
+        if self._read is not None:
+            return self._command.wrist
         self._placed.place(self.motion.q)
         return self._placed.wrist.homogeneous
 

@@ -58,10 +58,11 @@ from handmap_qp.client.messages import TOPIC_END
 from handmap_qp.errors import InvalidOptionsError, expect
 
 TICK = 0.005
-"""Time between checks of the watchdogs [s]."""
+_LONGEST_TICK = 0.02
+"""Least and longest time between checks of the watchdogs [s]."""
 _TICKS = 200
 _LATE = 0.1
-"""Checks in a second, and the delay of one that is logged [s]."""
+"""Checks that delays are measured over, and the delay of one that is logged [s]."""
 _BATCH = 128
 """Parts of messages read before other tasks get their turn; a message has two or three."""
 _MOST_PARTS = 3
@@ -169,6 +170,7 @@ class Server:
         )
         self._gate.bind(self._router)
         stream.bind(self._stream)
+        self._readers = stream.clients
         self.ports["requests"] = await self._closing.enter_async_context(self._gate)
         self.dispatcher.stream_port = await self._closing.enter_async_context(stream)
         self.ports["stream"] = self.dispatcher.stream_port
@@ -310,6 +312,9 @@ class Server:
             self._loop.call_soon(self._drain)
 
     def _publish(self, name: str, payload: bytes) -> None:
+        if not self._readers:
+            # A call of a socket that is seldom used takes 40 us.
+            return
         with contextlib.suppress(zmq.Again):
             self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
 
@@ -317,9 +322,11 @@ class Server:
         """Drive the watchdogs, and measure the delay of the event loop."""
         spent = time.process_time()
         late = Throttle()
+        pause = TICK
         while True:
-            wanted = time.monotonic() + TICK
-            await asyncio.sleep(TICK)
+            wanted = time.monotonic() + pause
+            await asyncio.sleep(pause)
+            pause = TICK
             lag = time.monotonic() - wanted
             before = spent
             spent = time.process_time()
@@ -329,7 +336,7 @@ class Server:
                 late.report(WARNING, "late", seconds=round(lag, 4))
             try:
                 self._drain()
-                self.dispatcher.tick()
+                pause = min(max(TICK, self.dispatcher.tick()), _LONGEST_TICK)
             except Exception as error:
                 self._bugs.report(ERROR, "failed", failure=error)
 

@@ -15,6 +15,7 @@ import math
 import time
 from collections import Counter
 from dataclasses import replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -248,6 +249,11 @@ class Session:
         return Record(self.name, self.robot.name, to_row(q), pose, *control)
 
     @property
+    def due(self) -> float:
+        """When `tick` may have an effect next, if nothing else happens [s]."""
+        return self._watchdog.due(self._state)
+
+    @property
     def will_move(self) -> bool:
         """Whether silence makes the robot move yet, to its rest posture."""
         return self._watchdog.will_return(self._state) and not self._is_at_rest
@@ -348,6 +354,8 @@ class Session:
         Returns:
             A command of the watchdog to send out, with the flag `watchdog`; None if none is due.
         """
+        if now < self.due:
+            return None
         while event := self._watchdog.event(
             self._state, now, is_at_rest=self._is_at_rest
         ):
@@ -554,9 +562,11 @@ class Session:
         )
         if must_reset and not self._state.is_released:
             self._reset_mapper()
-        if self._mapper_state is MapperState.ALIGNED:
+        mapper = self._hands.mapper
+        is_led = self._commanded.is_led_by(mapper.point_ik.gate)
+        if self._mapper_state is MapperState.ALIGNED and not is_led:
             # It may have braked meanwhile, or a sample was refused half-way.
-            self._hands.mapper.motion = self._commanded.motion
+            mapper.motion = self._commanded.motion
 
     def _accept(self, now: float) -> list[str]:
         """Note a sample that can be used, which ends a hold; return flags for its command."""
@@ -570,7 +580,7 @@ class Session:
         mapper = self._hands.mapper
         target = step.command
         if self._mapper_state is MapperState.ALIGNED and mapper.ik.has_velocity_limits:
-            self._commanded.motion = mapper.motion
+            self._commanded.follow(mapper.point_ik.gate, target)
             return []
         if self._commanded.advance(target.q, target.wrist, self._dt):
             self._mapper_state = MapperState.ALIGNED
@@ -607,8 +617,8 @@ class Session:
             detail = to_detail(step, sample, landmarks)
         return {
             "point_error": to_row(step.point_error),
-            "residual": float(np.sqrt(np.mean(residuals**2))),
-            "at_limit": tuple(np.array(self.robot.joint_names)[step.at_bound].tolist()),
+            "residual": math.sqrt(residuals.dot(residuals) / len(residuals)),
+            "at_limit": tuple(compress(self.robot.joint_names, step.at_bound)),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
             "detail": detail,

@@ -25,7 +25,7 @@ from pathlib import Path
 
 import msgspec
 from websockets.asyncio.server import Server as WebServer
-from websockets.asyncio.server import ServerConnection, serve
+from websockets.asyncio.server import ServerConnection, broadcast, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CTRL_OPCODES, Frame
 from websockets.http11 import Request, Response
@@ -248,7 +248,13 @@ class _Outbox:
             await asyncio.sleep(0.1 * longest)
 
     def answer(self, form: _Form, payload: bytes) -> None:
-        self._answers.append(form(payload))
+        message = form(payload)
+        buffered = self.connection.transport.get_write_buffer_size()
+        if self.is_idle.is_set() and not buffered:
+            # Nothing waits, so it need not take a turn of the event loop.
+            broadcast((self.connection,), message)
+            return
+        self._answers.append(message)
         self.is_idle.clear()
         self._has_work.set()
 
