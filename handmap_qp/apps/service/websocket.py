@@ -16,7 +16,6 @@ import http
 import re
 import ssl
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -134,8 +133,7 @@ class WebSocketTransport:
     async def _handle(self, connection: ServerConnection) -> None:
         """Serve one connection, and release it however it ends.
 
-        Reader and writer end each other: a client that vanished with answers outstanding ends the
-        writer, and the reader would wait for those answers.
+        Reader and writer end each other: a client that vanished may end either.
         """
         outbox = _Outbox(connection, self.dispatcher.sessions)
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self.settings.sessions:
@@ -161,7 +159,7 @@ class WebSocketTransport:
 
     async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
         """Pass messages to the dispatcher until the connection closes."""
-        with contextlib.suppress(ConnectionClosed):
+        with contextlib.suppress(ConnectionClosed, TimeoutError):
             async for message in connection:
                 outbox.heard = time.monotonic()
                 is_json = isinstance(message, str)
@@ -175,9 +173,11 @@ class WebSocketTransport:
                 )
                 # Back-pressure: stop reading from clients that do not drain replies, and throttle
                 # those over the rate limit.
-                await outbox.is_idle.wait()
+                async with asyncio.timeout(_SEND_TIMEOUT):
+                    await connection.drain()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
+        connection.transport.abort()
 
     def _publish(self, name: str, payload: bytes) -> None:
         for outbox in self._connections:
@@ -216,23 +216,19 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
 
 
 class _Outbox:
-    """Messages waiting for one connection: all answers in order, the newest of each stream.
+    """Messages to one connection: answers at once, and the newest of each stream in its turn.
 
     Attributes:
         connection: The connection.
         heard: Time of its last message, at first that of its handshake [s].
-        is_idle: Set while no answer waits.
     """
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
         self.connection = connection
         self._sessions = sessions
-        self._answers: deque[bytes | str] = deque()
         self._streams: dict[str, _Form] = {}
         self._newest: dict[str, bytes] = {}
         self._has_work = asyncio.Event()
-        self.is_idle = asyncio.Event()
-        self.is_idle.set()
         self.heard = self._opened = time.monotonic()
 
     def use(self) -> tuple[bool, bool, float]:
@@ -248,15 +244,8 @@ class _Outbox:
             await asyncio.sleep(0.1 * longest)
 
     def answer(self, form: _Form, payload: bytes) -> None:
-        message = form(payload)
-        buffered = self.connection.transport.get_write_buffer_size()
-        if self.is_idle.is_set() and not buffered:
-            # Nothing waits, so it need not take a turn of the event loop.
-            broadcast((self.connection,), message)
-            return
-        self._answers.append(message)
-        self.is_idle.clear()
-        self._has_work.set()
+        # At once: a task that sends would take a turn of the event loop.
+        broadcast((self.connection,), form(payload))
 
     def subscribe(self, form: _Form, name: str) -> None:
         if len(self._streams) >= MOST_SESSIONS:
@@ -277,17 +266,14 @@ class _Outbox:
             while True:
                 await self._has_work.wait()
                 self._has_work.clear()
-                while self._answers:
-                    await self._send(self._answers.popleft())
-                self.is_idle.set()
                 newest = self._newest
                 self._newest = {}
                 for name, payload in newest.items():
-                    await self._send(self._streams.get(name, bytes)(payload))
+                    async with asyncio.timeout(_SEND_TIMEOUT):
+                        await self.connection.send(
+                            self._streams.get(name, bytes)(payload)
+                        )
         self.connection.transport.abort()
-
-    async def _send(self, message: bytes | str) -> None:
-        await asyncio.wait_for(self.connection.send(message), _SEND_TIMEOUT)
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
