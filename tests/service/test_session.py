@@ -153,7 +153,7 @@ def test_a_robot_slightly_outside_its_limits_comes_back_within_them() -> None:
 
 REFUSED = {
     "too few angles": ({"q": [0.0] * 3}, "q"),
-    "an angle out of range": ({"q": [9.0] * 20}, "q"),
+    "an angle out of range": ({"q": [9.0] * 20}, "q[8]"),
     "no wrist": ({"wrist": None}, "wrist"),
     "another kind": ({"points": ((0.0, 0.0, 0.0),)}, "q"),
 }

@@ -50,26 +50,15 @@ class Target:
         json: Print the summary as one JSON object instead of a table.
     """
 
-    to: Annotated[
-        str | None,
-        hinted("HOST[:PORT]", "(port: 5570)"),
-    ] = None
+    to: Annotated[str | None, hinted("HOST[:PORT]", "(port: 5570)")] = None
     robot: Annotated[str | None, hinted("HAND", "")] = None
-    record: Annotated[
-        Path | None,
-        hinted("FILE", "(default: no file)"),
-    ] = None
-    session: Annotated[
-        str | None,
-        hinted("NAME", "(default: made up)"),
-    ] = None
+    record: Annotated[Path | None, hinted("FILE", "(default: no file)")] = None
+    session: Annotated[str | None, hinted("NAME", "(default: made up)")] = None
     preset: Annotated[
-        str | None,
-        hinted("PRESET", "(default: the service decides)"),
+        str | None, hinted("PRESET", "(default: the service decides)")
     ] = None
     person: Annotated[
-        Path | None,
-        hinted("PERSON.yaml", "(default: measured in the first samples)"),
+        Path | None, hinted("PERSON.yaml", "(default: measured in the first samples)")
     ] = None
     keys: KeyFiles = None
     json: bool = False
@@ -154,10 +143,7 @@ class TrackReplay:
     recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
     speed: float = 1.0
     loop: bool = False
-    faults: Annotated[
-        str | None,
-        hinted("FAULTS"),
-    ] = None
+    faults: Annotated[str | None, hinted("FAULTS")] = None
     seed: int = 0
     target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
 
@@ -198,10 +184,7 @@ class TrackMediapipe:
     """
 
     camera: int = 0
-    video: Annotated[
-        Path | None,
-        hinted("FILE", "(default: the camera)"),
-    ] = None
+    video: Annotated[Path | None, hinted("FILE", "(default: the camera)")] = None
     side: Side = "right"
     mirrored: bool = False
     fov: float = 65.0

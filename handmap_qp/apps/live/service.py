@@ -12,18 +12,29 @@ from typing import Any, Self
 import numpy as np
 
 from handmap_qp.apps.addresses import service_address
-from handmap_qp.errors import InvalidInputError, MissingExtraError, expect
+from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import Person
 from handmap_qp.human.sample import HumanSample
 
 try:
+    import msgspec
     import zmq
 
     from handmap_qp.client import Client, Command, ServiceError, ServiceTimeoutError
 except ModuleNotFoundError as missing:
     raise MissingExtraError(str(missing.name), "service") from missing
 
+FAILURES = (
+    ServiceError,
+    ServiceTimeoutError,
+    zmq.ZMQError,
+    msgspec.MsgspecError,
+    OSError,
+    ValueError,
+    TypeError,
+)
+"""Errors of a client whose service cannot be reached, refuses a request or is another program."""
 TIMEOUT = 3.0
 """Longest wait for an answer of the service [s]."""
 _SILENCE = 1.0
@@ -55,14 +66,13 @@ def connected(
         InvalidInputError: If the service cannot be reached or refuses the request.
     """
     address = service_address(option, host)
-    try:
-        client = Client(address, timeout=TIMEOUT, keys=keys)
-    except (zmq.ZMQError, OSError, ValueError) as error:
-        raise InvalidInputError(argument=option, problem=str(error)) from error
     with ExitStack() as closing:
-        closing.callback(client.close)
         try:
+            client = Client(address, timeout=TIMEOUT, keys=keys)
+            closing.callback(client.close)
             yield client, address
+        except HandmapError:
+            raise
         except ServiceTimeoutError as error:
             raise InvalidInputError(
                 argument=option,
@@ -72,7 +82,25 @@ def connected(
         except ServiceError as error:
             problem = f"the service refused the session: {error}"
             raise InvalidInputError(argument=refused, problem=problem) from error
+        except FAILURES as error:
+            raise InvalidInputError(argument=option, problem=str(error)) from error
         closing.pop_all()
+
+
+def only_session(client: Client, session: str | None) -> str:
+    """Return the name of the session to watch: the given one, or the only open one, or empty.
+
+    Raises:
+        InvalidInputError: If several are open and none was given.
+    """
+    names = (session,) if session else client.status().names
+    if len(names) > 1:
+        raise InvalidInputError(
+            argument="--session",
+            problem=f"several sessions are open: {', '.join(names)}",
+            advice="name one with --session",
+        )
+    return "".join(names)
 
 
 class ServiceSink:
@@ -124,9 +152,8 @@ class ServiceSink:
         self._counts = Counter(
             sent=0, hand_lost=0, commands=0, accepted=0, unanswered=0
         )
-        self._statuses: Counter[str] = Counter()
-        self._flags: Counter[str] = Counter()
-        self._refusals: Counter[str] = Counter()
+        names = "statuses", "flags", "refusals"
+        self._said: dict[str, Counter[str]] = {name: Counter() for name in names}
         self._refusal = ""
         self.command: Command | None = None
         self._heard = self._sent = time.monotonic()
@@ -179,9 +206,7 @@ class ServiceSink:
             "robot": self._robot,
             "session": self.session,
             **self._counts,
-            "statuses": dict(self._statuses),
-            "flags": dict(self._flags),
-            "refusals": dict(self._refusals),
+            **{name: dict(counts) for name, counts in self._said.items()},
             "last_refusal": self._refusal,
             "reopened": self._client.reopened,
         }
@@ -200,14 +225,14 @@ class ServiceSink:
         self.command = command
         if "watchdog" not in command.flags:
             self._counts.update(commands=1, accepted=not command.rule)
-            self._statuses[command.status] += 1
-            self._flags.update(command.flags)
+            self._said["statuses"][command.status] += 1
+            self._said["flags"].update(command.flags)
 
     def _note_refusal(self, error: ServiceError) -> None:
         """Count a refusal by code and field; keep its text."""
         code = error.error.code
         field = error.error.field.partition("[")[0]
-        self._refusals[f"{code} {field}".strip()] += 1
+        self._said["refusals"][f"{code} {field}".strip()] += 1
         self._refusal = str(error)
 
 
@@ -245,20 +270,13 @@ class ServiceSource:
             self._client,
             address,
         ):
-            names = (session,) if session else self._client.status().names
-            if not names:
+            self.name = only_session(self._client, session)
+            if not self.name:
                 raise InvalidInputError(
                     argument="--from",
                     problem=f"no session is open at {address}",
                     advice="start a client that opens one, such as handmap track replay",
                 )
-            if len(names) > 1:
-                raise InvalidInputError(
-                    argument="--session",
-                    problem=f"several sessions are open: {', '.join(names)}",
-                    advice="name one with --session",
-                )
-            self.name: str = names[0]
             about: dict[str, Any] = self._client.watch(self.name).about or {}
             expect(
                 about["input"] == "landmarks",
@@ -267,13 +285,13 @@ class ServiceSource:
                 got=f"one led by {about['input']}",
                 value=self.name,
             )
-            if not about["has_detail"]:
-                raise InvalidInputError(
-                    argument="--session",
-                    problem=f"commands of {self.name} do not carry landmarks",
-                    value=self.name,
-                    advice="its client must open it with has_detail",
-                )
+            expect(
+                about["has_detail"],
+                "--session",
+                "one whose client opened it with has_detail",
+                got="one whose commands do not carry landmarks",
+                value=self.name,
+            )
             self.side: Side = about["side"]
 
     def __iter__(self) -> Iterator[HumanSample]:

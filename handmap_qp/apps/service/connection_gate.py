@@ -82,6 +82,7 @@ class ConnectionGate:
     """Listens in front of a socket: an asynchronous context manager that returns the port.
 
     Attributes:
+        socket: The socket, which then admits connections of this process only.
         name: Name of the port, for counters and log.
         host: Address to listen on.
         port: Port; 0 lets the system choose.
@@ -93,6 +94,7 @@ class ConnectionGate:
         clients: The connections.
     """
 
+    socket: zmq.Socket
     name: str
     host: str
     port: int
@@ -102,16 +104,13 @@ class ConnectionGate:
     evicts: bool = False
 
     def __post_init__(self) -> None:
-        """Give the socket behind the gate a name that others do not know."""
+        """Put the gate in front of the socket, which gets a name that others do not know."""
         self.inner = f"handmap-{secrets.token_hex(16)}"
+        self.socket.setsockopt(zmq.IPC_FILTER_PID, os.getpid())
+        self.socket.bind(f"ipc://@{self.inner}")
         self.clients: set[_Client] = set()
         self._known: dict[bytes, _Client] = {}
         self._refusals = Throttle()
-
-    def bind(self, inner: zmq.Socket) -> None:
-        """Put the gate in front of a socket, which then admits connections of this process only."""
-        inner.setsockopt(zmq.IPC_FILTER_PID, os.getpid())
-        inner.bind(f"ipc://@{self.inner}")
 
     async def __aenter__(self) -> int:
         loop = asyncio.get_running_loop()

@@ -61,6 +61,8 @@ _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
 _MOST_PEERS = 1024
 _ERRORS_PER_SECOND = 10.0
+_LONGEST_TICK = 0.02
+"""Time between checks of the watchdogs while none is due [s]."""
 
 
 class _Head(msgspec.Struct):
@@ -267,10 +269,10 @@ class Dispatcher:
         """Let time pass: run the watchdogs, and close idle sessions.
 
         Returns:
-            Time until a watchdog is due, at most 0 for at once [s].
+            Time until a watchdog is due, or a while; at most 0 for at once [s].
         """
         now = self.clock()
-        due = math.inf
+        due = now + _LONGEST_TICK
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
             is_idle = now - session.last_request > self.settings.idle

@@ -125,9 +125,7 @@ _TRANSITIONS: dict[SessionState, dict[Event, SessionState]] = {
         Event.RELEASE: SessionState.HOLDING_RELEASED,
         Event.ARRIVAL: SessionState.HOLDING,
     },
-    SessionState.STOPPED: {
-        Event.CLEAR: SessionState.RELEASED,
-    },
+    SessionState.STOPPED: {Event.CLEAR: SessionState.RELEASED},
 }
 
 
@@ -389,11 +387,7 @@ class CommandedRobot(Gate):
         return np.copysign(np.minimum(allowed, limit), change)
 
     def _along_links(
-        self,
-        wanted: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        dt: float,
+        self, wanted: np.ndarray, lower: np.ndarray, upper: np.ndarray, dt: float
     ) -> np.ndarray:
         """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
         self._placed.place(self.motion.q)
@@ -507,25 +501,3 @@ def refuse_if(
     """
     if is_wrong:
         raise RefusedError(code, message, field=field)
-
-
-def start_angles(robot: Hand, robot_q: tuple[float, ...]) -> np.ndarray:
-    """Return the joint angles that a client reports [rad], shape (n,).
-
-    Raises:
-        RefusedError: If the robot cannot be there.
-    """
-    count = len(robot.joint_names)
-    message = f"expected {count} angles, got {len(robot_q)}"
-    refuse_if(len(robot_q) != count, message, "robot_q")
-    q = np.array(robot_q)
-    outside = np.maximum(robot.lower_limits - q, q - robot.upper_limits)
-    worst = int(np.argmax(outside))
-    if outside[worst] > START_TOLERANCE:
-        limits = f"[{robot.lower_limits[worst]:.6g}, {robot.upper_limits[worst]:.6g}]"
-        message = (
-            f"{robot.joint_names[worst]} is {q[worst]:.6g} rad, "
-            f"expected within {START_TOLERANCE:g} rad of {limits}"
-        )
-        raise RefusedError("invalid", message, field=f"robot_q[{worst}]")
-    return q

@@ -58,8 +58,7 @@ from handmap_qp.client.messages import TOPIC_END
 from handmap_qp.errors import InvalidOptionsError, expect
 
 TICK = 0.005
-_LONGEST_TICK = 0.02
-"""Least and longest time between checks of the watchdogs [s]."""
+"""Least time between checks of the watchdogs [s]."""
 _TICKS = 200
 _LATE = 0.1
 """Checks that delays are measured over, and the delay of one that is logged [s]."""
@@ -159,17 +158,13 @@ class Server:
         plain = zmq.Context.shadow(context.underlying)
         self._router = self._socket(plain, zmq.ROUTER)
         self._stream = self._socket(plain, zmq.PUB)
-        host = _ip(settings.host)
+        host = "127.0.0.1" if settings.host == "localhost" else settings.host
         most = _CONNECTIONS_PER_SESSION * settings.sessions
         credit = settings.message_size + _ENVELOPE
-        self._gate = ConnectionGate(
-            "requests", host, settings.port, most, credit, self.metrics, evicts=True
-        )
-        stream = ConnectionGate(
-            "stream", host, settings.stream_port, most, _TOPICS, self.metrics
-        )
-        self._gate.bind(self._router)
-        stream.bind(self._stream)
+        port = "requests", host, settings.port, most, credit, self.metrics
+        self._gate = ConnectionGate(self._router, *port, evicts=True)
+        port = "stream", host, settings.stream_port, most, _TOPICS, self.metrics
+        stream = ConnectionGate(self._stream, *port)
         self._readers = stream.clients
         self.ports["requests"] = await self._closing.enter_async_context(self._gate)
         self.dispatcher.stream_port = await self._closing.enter_async_context(stream)
@@ -336,13 +331,9 @@ class Server:
                 late.report(WARNING, "late", seconds=round(lag, 4))
             try:
                 self._drain()
-                pause = min(max(TICK, self.dispatcher.tick()), _LONGEST_TICK)
+                pause = max(TICK, self.dispatcher.tick())
             except Exception as error:
                 self._bugs.report(ERROR, "failed", failure=error)
-
-
-def _ip(host: str) -> str:
-    return "127.0.0.1" if host == "localhost" else host
 
 
 async def _report_handshakes(

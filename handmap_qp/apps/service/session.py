@@ -26,9 +26,11 @@ from handmap_qp.apps.service.opening import (
     read_choice,
     refused,
     with_changes,
+    with_field_errors,
     with_option_errors,
 )
 from handmap_qp.apps.service.safety import (
+    START_TOLERANCE,
     CommandedRobot,
     Event,
     MapperState,
@@ -37,7 +39,6 @@ from handmap_qp.apps.service.safety import (
     Watchdog,
     next_state,
     refuse_if,
-    start_angles,
 )
 from handmap_qp.apps.service.store import Record
 from handmap_qp.client.messages import (
@@ -57,8 +58,9 @@ from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.contact_gap import ContactGapMeter
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.human.sample import UNSEEN, HumanSample
 from handmap_qp.ik.limits import Motion
+from handmap_qp.mapping.mapper import check_joints
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
@@ -66,7 +68,6 @@ from handmap_qp.trackers.layouts.tables import load_layout
 Posture = tuple[np.ndarray, np.ndarray | None]
 """Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
 _FIELDS = ("q", "landmarks", "points", "values")
-_UNSEEN = np.full((LANDMARK_COUNT, 3), np.nan)
 
 
 class SampleForm:
@@ -91,7 +92,7 @@ class SampleForm:
         refuse_if(is_unknown, message, "layout")
         self._layout = None if name is None else load_layout(name)
         self._field = self._kind if name is None else "values"
-        self._wanted = self._kind if name is None else f"values of {name}"
+        self._wanted = self._field if name is None else f"values of {name}"
 
     def check(self, sample: Step) -> None:
         """Reject a sample of another kind than the session was opened for.
@@ -124,7 +125,7 @@ class SampleForm:
         }
         if sample.values is not None and self._layout is not None:
             return self._layout.read(np.array(sample.values), **common)
-        landmarks = _UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
+        landmarks = UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
         return HumanSample(landmarks=landmarks, **common)
 
     def map(
@@ -377,7 +378,7 @@ class Session:
                 self._handle(Event.ARRIVAL)
         else:
             self._commanded.brake(self._dt)
-        flags = ["watchdog", "at_rest"] if self._is_at_rest else ["watchdog"]
+        flags = ["watchdog"] + ["at_rest"] * self._is_at_rest
         return self._command(now, status, flags)
 
     def release(self) -> None:
@@ -463,7 +464,10 @@ class Session:
             RefusedError: If the robot cannot be there, or its wrist is fixed.
         """
         if request.robot_q is not None:
-            q = start_angles(self.robot, request.robot_q)
+            start = request.robot_q, "robot_q", START_TOLERANCE
+            q, _ = with_field_errors(
+                "robot_q", lambda: check_joints(self.robot, *start)
+            )
         is_moved = request.robot_wrist is not None and not self.robot.is_floating
         message = f"{self.robot.name} has a fixed wrist: leave it out"
         refuse_if(is_moved, message, "robot_wrist")
@@ -570,7 +574,7 @@ class Session:
 
     def _accept(self, now: float) -> list[str]:
         """Note a sample that can be used, which ends a hold; return flags for its command."""
-        flags = ["resumed"] if self._state.is_silent else []
+        flags = ["resumed"] * self._state.is_silent
         self._handle(Event.SAMPLE)
         self._watchdog.feed(now)
         return flags
@@ -637,8 +641,8 @@ class Session:
         if sample is not None:
             self._stamp = sample.time
             self._seq = sample.seq
-        released = ["released"] if self._state.is_released else []
-        released += ["stopped"] if self._state.is_stopped else []
+        state = self._state
+        released = ["released"] * state.is_released + ["stopped"] * state.is_stopped
         return Command(
             seq=self._seq,
             name=self.name,

@@ -133,7 +133,7 @@ class WebSocketTransport:
     async def _handle(self, connection: ServerConnection) -> None:
         """Serve one connection, and release it however it ends.
 
-        Reader and writer end each other: a client that vanished may end either.
+        A client that reads no longer ends the writer, which ends the reader.
         """
         outbox = _Outbox(connection, self.dispatcher.sessions)
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self.settings.sessions:
@@ -142,25 +142,24 @@ class WebSocketTransport:
             least.connection.transport.abort()
             self._connections.discard(least)
         self._connections.add(outbox)
-        tasks = {
-            asyncio.create_task(self._read(connection, outbox)),
-            asyncio.create_task(outbox.write()),
-            asyncio.create_task(outbox.idle(self.settings.idle)),
-        }
         try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            async with asyncio.TaskGroup() as tasks:
+                writer = tasks.create_task(outbox.write())
+                await self._read(connection, outbox)
+                writer.cancel()
+        except* Exception as failures:
+            report(ERROR, "failed", failure=failures)
         finally:
             self._connections.discard(outbox)
-            for task in tasks:
-                task.cancel()
-            for result in await asyncio.gather(*tasks, return_exceptions=True):
-                if isinstance(result, Exception):
-                    report(ERROR, "failed", failure=result)
 
     async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
-        """Pass messages to the dispatcher until the connection closes."""
+        """Pass messages to the dispatcher until the connection closes or is silent for too long."""
         with contextlib.suppress(ConnectionClosed, TimeoutError):
-            async for message in connection:
+            while True:
+                # Connections with a stream may be silent.
+                longest = None if outbox.has_streams else self.settings.idle
+                async with asyncio.timeout(longest):
+                    message = await connection.recv()
                 outbox.heard = time.monotonic()
                 is_json = isinstance(message, str)
                 form = _as_json if is_json else bytes
@@ -177,7 +176,6 @@ class WebSocketTransport:
                     await connection.drain()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
-        connection.transport.abort()
 
     def _publish(self, name: str, payload: bytes) -> None:
         for outbox in self._connections:
@@ -231,17 +229,17 @@ class _Outbox:
         self._has_work = asyncio.Event()
         self.heard = self._opened = time.monotonic()
 
+    @property
+    def has_streams(self) -> bool:
+        """Whether the client has subscribed to a stream."""
+        return bool(self._streams)
+
     def use(self) -> tuple[bool, bool, float]:
         """Return the rank of the connection: active ones are highest, then readers of streams."""
         is_active = (
             self.heard > self._opened and time.monotonic() - self.heard < _ACTIVE
         )
-        return is_active, bool(self._streams), self.heard
-
-    async def idle(self, longest: float) -> None:
-        """Wait until nothing was heard of a connection without a stream for some time [s]."""
-        while self._streams or time.monotonic() - self.heard < longest:
-            await asyncio.sleep(0.1 * longest)
+        return is_active, self.has_streams, self.heard
 
     def answer(self, form: _Form, payload: bytes) -> None:
         # At once: a task that sends would take a turn of the event loop.
