@@ -362,7 +362,7 @@ def test_the_page_of_a_service_draws_both_hands_and_releases(
     from handmap_qp.apps.viewer.live import LiveViewer
     from handmap_qp.apps.viewer.remote import ServiceSession
 
-    for name in ("viewer.remote._TIMEOUT", "live.service.TIMEOUT"):
+    for name in ("viewer.remote._TIMEOUT", "connection.TIMEOUT"):
         monkeypatch.setattr(f"handmap_qp.apps.{name}", PATIENCE)
     with (
         service_tools.serving() as service,

@@ -54,7 +54,7 @@ WRIST[:3, 3] = 0.1, 0.2, 0.3
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set a long timeout, because replies take long on a busy machine."""
-    for name in ("viewer.remote._TIMEOUT", "live.service.TIMEOUT"):
+    for name in ("viewer.remote._TIMEOUT", "connection.TIMEOUT"):
         monkeypatch.setattr(f"handmap_qp.apps.{name}", PATIENCE)
 
 
@@ -477,7 +477,7 @@ def test_an_encrypted_service_is_shown_only_with_keys(
             wait_until(
                 lambda: next(samples).status == "released" and session.stop_number == 0
             )
-        for name in ("viewer.remote._TIMEOUT", "live.service.TIMEOUT"):
+        for name in ("viewer.remote._TIMEOUT", "connection.TIMEOUT"):
             monkeypatch.setattr(f"handmap_qp.apps.{name}", 0.1)
         with pytest.raises(InvalidInputError, match="no service answers"):
             ServiceSession(host_of(service))

@@ -92,13 +92,6 @@ class Target:
             InvalidInputError: If the service cannot be reached, refuses the session or every
                 sample, or the file cannot be written.
         """
-        summary = _lead(source, self._sinks(source), is_json=self.json)
-        if summary.get("refusals") and not summary["accepted"]:
-            raise InvalidInputError(
-                problem=f"the service refused every sample: {summary['last_refusal']}"
-            )
-
-    def _sinks(self, source: Source) -> list[Sink]:
         sinks: list[Sink] = []
         if self.record is not None:
             sinks.append(Recorder(self.record, "--record"))
@@ -114,7 +107,11 @@ class Target:
                     keys=self.keys,
                 )
             )
-        return sinks
+        summary = _lead(source, sinks, is_json=self.json)
+        if summary.get("refusals") and not summary["accepted"]:
+            raise InvalidInputError(
+                problem=f"the service refused every sample: {summary['last_refusal']}"
+            )
 
 
 @dataclass(frozen=True)

@@ -220,13 +220,11 @@ class Recorder:
         Raises:
             InvalidInputError: If it is of the other hand than the first one.
         """
-        if self._samples and sample.side != self._samples[0].side:
-            raise InvalidInputError(
-                argument="side",
-                expected=f"samples of the {self._samples[0].side} hand",
-                value=sample.side,
-            )
-        if self._samples and sample.time <= self._samples[-1].time:
+        before = self._samples or [sample]
+        side = before[0].side
+        expected = f"samples of the {side} hand"
+        expect(sample.side == side, "side", expected, value=sample.side)
+        if self._samples and sample.time <= before[-1].time:
             self._disordered += 1
         else:
             self._samples.append(sample)

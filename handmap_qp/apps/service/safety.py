@@ -163,7 +163,6 @@ class Watchdog:
     ) -> None:
         self._timeout = timeout
         self._gap = gap
-        self._patience = min(timeout, gap)
         self._return_after = math.inf if return_after is None else return_after
         self._held_since = self._last_command = self.last_sample = now
 
@@ -177,8 +176,9 @@ class Watchdog:
 
     def due(self, state: SessionState) -> float:
         """Return when time may matter next, if no sample arrives [s]; in the past for at once."""
-        is_led = state is SessionState.FOLLOWING
-        return self.last_sample + self._patience if is_led else -math.inf
+        if state is not SessionState.FOLLOWING:
+            return -math.inf
+        return self.last_sample + min(self._timeout, self._gap)
 
     def event(
         self, state: SessionState, now: float, *, is_at_rest: bool

@@ -87,9 +87,6 @@ _REASONS = {
 _NO_HANDSHAKE = (
     "only one of client and server uses keys, or the client does not speak ZeroMQ"
 )
-# Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
-# default is ten times longer.
-_SWITCH_INTERVAL = 5e-4
 # Idle connections must not use up the descriptors that clients need.
 _MOST_FILES = 65536
 
@@ -307,11 +304,10 @@ class Server:
             self._loop.call_soon(self._drain)
 
     def _publish(self, name: str, payload: bytes) -> None:
-        if not self._readers:
-            # A call of a socket that is seldom used takes 40 us.
-            return
-        with contextlib.suppress(zmq.Again):
-            self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
+        # A call of a socket that is seldom used takes 40 us.
+        if self._readers:
+            with contextlib.suppress(zmq.Again):
+                self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
 
     async def _tick(self) -> None:
         """Drive the watchdogs, and measure the delay of the event loop."""
@@ -370,7 +366,9 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     Raises:
         InvalidInputError: If an address or file cannot be used.
     """
-    sys.setswitchinterval(_SWITCH_INTERVAL)
+    # Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
+    # default is ten times longer.
+    sys.setswitchinterval(5e-4)
     _raise_file_limit()
     with logs_on_stderr(log_level):
         is_preparing = asyncio.run(_serve(settings))

@@ -56,7 +56,6 @@ from handmap_qp.client.messages import (
 )
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import LONGEST_STOP
-from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.contact_gap import ContactGapMeter
 from handmap_qp.human.sample import UNSEEN, HumanSample
 from handmap_qp.ik.limits import Motion
@@ -282,10 +281,17 @@ class Session:
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
         """Answer `status`."""
         choice = self._hands.choice
+        measured = self._hands.lengths
         wanted = {name: getattr(self._wanted, name) for name in About.__struct_fields__}
         about: dict[str, Any] = wanted | {
             "robot": self.robot.name,
-            "lengths": to_lengths(self._hands.lengths),
+            "lengths": measured
+            and Lengths(
+                *(
+                    getattr(measured, name).tolist()
+                    for name in Lengths.__struct_fields__
+                )
+            ),
             "preset": choice.preset,
             "options": choice.method.values,
             "ik": choice.ik.values,
@@ -355,8 +361,6 @@ class Session:
         Returns:
             A command of the watchdog to send out, with the flag `watchdog`; None if none is due.
         """
-        if now < self.due:
-            return None
         while event := self._watchdog.event(
             self._state, now, is_at_rest=self._is_at_rest
         ):
@@ -687,15 +691,6 @@ def to_pose(matrix: np.ndarray | None) -> Pose | None:
 def to_matrix(pose: Pose | None) -> np.ndarray | None:
     """Convert a pose of a message, if there is one, to (4, 4)."""
     return None if pose is None else pose.matrix
-
-
-def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
-    """Convert a measured hand to rows of numbers."""
-    if lengths is None:
-        return None
-    return Lengths(
-        *(getattr(lengths, name).tolist() for name in Lengths.__struct_fields__)
-    )
 
 
 def to_detail(step: MapStep, sample: Step, landmarks: np.ndarray | None) -> Detail:

@@ -45,8 +45,6 @@ _LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:
 _SEND_TIMEOUT = 5.0
 _CLOSE_TIMEOUT = 1.0
 _PENALTY = 0.02
-_NO_MESSAGE = b"\xc1"
-"""The byte that begins no value in msgpack."""
 _CONNECTIONS_PER_SESSION = 2
 _AT_ONCE = 2048
 """Bytes read from a connection in one turn of the event loop."""
@@ -157,7 +155,7 @@ class WebSocketTransport:
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             while True:
                 # Connections with a stream may be silent.
-                longest = None if outbox.has_streams else self.settings.idle
+                longest = None if outbox.streams else self.settings.idle
                 async with asyncio.timeout(longest):
                     message = await connection.recv()
                 outbox.heard = time.monotonic()
@@ -219,42 +217,38 @@ class _Outbox:
     Attributes:
         connection: The connection.
         heard: Time of its last message, at first that of its handshake [s].
+        streams: Form of each stream that it has subscribed to, by name.
     """
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
         self.connection = connection
         self._sessions = sessions
-        self._streams: dict[str, _Form] = {}
+        self.streams: dict[str, _Form] = {}
         self._newest: dict[str, bytes] = {}
         self._has_work = asyncio.Event()
         self.heard = self._opened = time.monotonic()
-
-    @property
-    def has_streams(self) -> bool:
-        """Whether the client has subscribed to a stream."""
-        return bool(self._streams)
 
     def use(self) -> tuple[bool, bool, float]:
         """Return the rank of the connection: active ones are highest, then readers of streams."""
         is_active = (
             self.heard > self._opened and time.monotonic() - self.heard < _ACTIVE
         )
-        return is_active, self.has_streams, self.heard
+        return is_active, bool(self.streams), self.heard
 
     def answer(self, form: _Form, payload: bytes) -> None:
         # At once: a task that sends would take a turn of the event loop.
         broadcast((self.connection,), form(payload))
 
     def subscribe(self, form: _Form, name: str) -> None:
-        if len(self._streams) >= MOST_SESSIONS:
+        if len(self.streams) >= MOST_SESSIONS:
             # Forget ended sessions. They could return under their names, but their number has no
             # bound.
-            for ended in self._streams.keys() - set(self._sessions.names):
-                del self._streams[ended]
-        self._streams[name] = form
+            for ended in self.streams.keys() - set(self._sessions.names):
+                del self.streams[ended]
+        self.streams[name] = form
 
     def offer(self, name: str, payload: bytes) -> None:
-        if name in self._streams:
+        if name in self.streams:
             self._newest[name] = payload
             self._has_work.set()
 
@@ -269,7 +263,7 @@ class _Outbox:
                 for name, payload in newest.items():
                     async with asyncio.timeout(_SEND_TIMEOUT):
                         await self.connection.send(
-                            self._streams.get(name, bytes)(payload)
+                            self.streams.get(name, bytes)(payload)
                         )
         self.connection.transport.abort()
 
@@ -323,7 +317,8 @@ def _from_json(message: str) -> bytes:
     try:
         return msgspec.msgpack.encode(msgspec.json.decode(message))
     except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):
-        return _NO_MESSAGE
+        # The byte that begins no value in msgpack.
+        return b"\xc1"
 
 
 def _as_json(payload: bytes) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.live.service import FAILURES, connected, only_session
+from handmap_qp.apps.connection import FAILURES, connected, only_session
 from handmap_qp.apps.viewer.sample import ViewSample
 from handmap_qp.client import Command, ServiceError
 from handmap_qp.client.messages import Pose
