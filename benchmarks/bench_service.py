@@ -1,8 +1,9 @@
 """Load on the mapping service, beside a bare echo of the same transport in the same run.
 
-The loads are one client at 1 kHz, thirty clients at 60 Hz, and one client over WebSocket, for a
-minute each. A share of the round trips goes to the echo, which neither reads nor maps, from the
-same client and with messages of the same length. So the load of the machine affects both alike.
+The loads are one client that sends landmarks at 90 Hz in process, over ZeroMQ and over WebSocket,
+one client at 1 kHz, thirty clients at 60 Hz, and one client over WebSocket, for a minute each. A
+share of the round trips goes to the echo, which neither reads nor maps, from the same client and
+with messages of the same length. So the load of the machine affects both alike.
 
     python benchmarks/bench_service.py --picture service.png --json service.json
 """
@@ -12,7 +13,9 @@ from __future__ import annotations
 import asyncio
 import multiprocessing
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import common
@@ -23,11 +26,131 @@ import zmq.asyncio
 from service_clients import HumanMotion, pace
 from service_process import ServiceProcess, echoing, serving
 
+from handmap_qp.apps.service.dispatch import Dispatcher
+from handmap_qp.apps.service.logs import Metrics
+from handmap_qp.apps.service.opening import HandCache
+from handmap_qp.apps.service.settings import Settings
 from handmap_qp.client import AsyncClient, Client
 
 # Number of steps per echo.
 _ECHO_EVERY = 20
 _CLIENTS_A_PROCESS = 10
+_TRACKER_RATE = 90.0
+_TRACKED = {"robot": "allegro_right", "input": "landmarks", "hand_length": 0.18}
+Ask = Callable[[bytes], Any]
+
+
+def landmarks_at_90_hz(
+    service: ServiceProcess, echo: dict[str, int], file: Path, duration: float
+) -> list[dict[str, Any]]:
+    """Send the landmarks of a recording in three ways, each beside its echo.
+
+    In process, the dispatcher is called without a transport, and the echo is an empty call.
+    """
+    landmarks = np.load(file)["landmarks"].astype(float)
+    # Forth and back, so that the hand never jumps.
+    rows = [tuple(map(tuple, each.tolist())) for each in (*landmarks, *landmarks[::-1])]
+    answers: list[bytes] = []
+    dispatcher = Dispatcher(Settings(rate=1e6), HandCache(), Metrics())
+
+    def in_process(message: bytes) -> None:
+        dispatcher.receive(message, "benchmark", answers.append)
+
+    async def open_in_process() -> None:
+        in_process(_message("open", 1, **_TRACKED))
+        while not answers:
+            await asyncio.sleep(0.01)
+
+    asyncio.run(open_in_process())
+    found = [
+        _track(
+            "in process",
+            in_process,
+            lambda message: None,
+            time.process_time,
+            rows,
+            duration,
+        )
+    ]
+    for name, connected in (("ZeroMQ", _over_zmq), ("WebSocket", _over_websocket)):
+        with connected(service, echo) as (ask, bare):
+            ask(_message("open", 1, **_TRACKED))
+            found.append(_track(name, ask, bare, service.cpu, rows, duration))
+            ask(_message("close", 2**50))
+    return found
+
+
+def _message(kind: str, seq: int, **fields: Any) -> bytes:
+    head = {"type": kind, "protocol": 2, "seq": seq, "session": "s" * 32}
+    return msgspec.msgpack.encode(head | fields)
+
+
+@contextmanager
+def _over_zmq(
+    service: ServiceProcess, echo: dict[str, int]
+) -> Iterator[tuple[Ask, Ask]]:
+    """Yield functions that send a message to the service, and to its echo, and wait."""
+    with (
+        zmq.Context() as context,
+        context.socket(zmq.DEALER) as socket,
+        context.socket(zmq.DEALER) as bare,
+    ):
+        socket.linger = bare.linger = 0
+        socket.connect(service.address)
+        bare.connect(f"tcp://127.0.0.1:{echo['requests']}")
+        yield (
+            lambda message: (socket.send(message), socket.recv()),
+            lambda message: (bare.send(message), bare.recv()),
+        )
+
+
+@contextmanager
+def _over_websocket(
+    service: ServiceProcess, echo: dict[str, int]
+) -> Iterator[tuple[Ask, Ask]]:
+    """Yield functions that send a message to the service, and to its echo, and wait."""
+    from websockets.sync.client import connect
+
+    with (
+        connect(f"ws://127.0.0.1:{service.ports['web']}", compression=None) as socket,
+        connect(f"ws://127.0.0.1:{echo['web']}", compression=None) as bare,
+    ):
+        yield (
+            lambda message: (socket.send(message), socket.recv()),
+            lambda message: (bare.send(message), bare.recv()),
+        )
+
+
+def _track(
+    name: str,
+    ask: Ask,
+    bare: Ask,
+    clock: Callable[[], float],
+    rows: Sequence[Any],
+    duration: float,
+) -> dict[str, Any]:
+    """Send landmarks at the rate of a tracker, each sample to the service and to its echo."""
+    steps, echoes, late, cpu = [], [], 0.0, 0.0
+    started = time.monotonic()
+    before = clock()
+    for i, now in enumerate(pace(_TRACKER_RATE, duration)):
+        late = max(late, now - i / _TRACKER_RATE)
+        message = _message("step", i + 2, time=now, landmarks=rows[i % len(rows)])
+        begun = clock()
+        steps.append(timed(lambda message=message: ask(message)))
+        cpu += clock() - begun
+        echoes.append(timed(lambda message=message: bare(message)))
+    if name != "in process":
+        # A process that serves works between the steps too.
+        cpu = clock() - before
+    elapsed = time.monotonic() - started
+    rate = len(steps) / elapsed
+    return row(f"landmarks, 90 Hz, {name}", steps, echoes, lost=0, rate=rate) | {
+        "skipped": 0,
+        "late_ms": 1e3 * late,
+        "server_%": 100.0 * cpu / elapsed,
+        "server_us": 1e6 * cpu / len(steps),
+    }
 
 
 def one_client(
@@ -69,6 +192,7 @@ def one_client(
         "skipped": 0,
         "late_ms": 1e3 * late,
         "server_%": 100.0 * cpu / elapsed,
+        "server_us": 1e6 * cpu / len(steps),
     }
 
 
@@ -112,6 +236,7 @@ def many_clients(
         "skipped": skipped,
         "late_ms": 1e3 * max(part["late"] for part in found),
         "server_%": 100.0 * cpu / elapsed,
+        "server_us": 1e6 * cpu / len(steps),
     }
 
 
@@ -216,6 +341,7 @@ def over_websocket(
         "skipped": 0,
         "late_ms": 1e3 * late,
         "server_%": 100.0 * cpu / elapsed,
+        "server_us": 1e6 * cpu / len(steps),
     }
 
 
@@ -329,10 +455,13 @@ def main(words: Sequence[str] | None = None) -> None:
     with (
         serving(web=True, web_port=0) as service,
         echoing() as echo,
-        common.progress("loads", 3) as advance,
+        common.progress("loads", 4) as advance,
     ):
         bare = f"tcp://127.0.0.1:{echo['requests']}"
-        rows = [one_client(service, bare, arguments.robot, 1000.0, duration)]
+        recording = common.find_recordings(arguments.recordings)[0]
+        rows = landmarks_at_90_hz(service, echo, recording, duration)
+        advance()
+        rows.append(one_client(service, bare, arguments.robot, 1000.0, duration))
         advance()
         memory = service.memory()
         rows.append(
@@ -347,7 +476,8 @@ def main(words: Sequence[str] | None = None) -> None:
     caption = (
         "Wall times of a round trip in us. lost: sent and not answered. "
         "skipped: not sent, because the client was late by more than a period.\n"
-        "late_ms: largest delay of a client. "
+        "late_ms: largest delay of a client. server_us: CPU time of the server a step, with what "
+        "it does between steps.\n"
         f"Resident memory grew by {growth:.1f} MB after the first load."
     )
     common.print_table(

@@ -17,8 +17,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
-_TICKS = os.sysconf("SC_CLK_TCK")
-
 
 class ServiceProcess:
     """`handmap serve` in a separate process, on loopback, on ports that it keeps over a restart.
@@ -126,14 +124,9 @@ class ServiceProcess:
         return len(os.listdir(f"/proc/{self.process.pid}/fd"))
 
     def cpu(self) -> float:
-        """CPU time so far [s]."""
-        fields = (
-            Path(f"/proc/{self.process.pid}/stat")
-            .read_text()
-            .rpartition(")")[2]
-            .split()
-        )
-        return (int(fields[11]) + int(fields[12])) / _TICKS
+        """CPU time of all its threads so far [s]."""
+        # The clock of a process by its number, as of clock_getcpuclockid(3).
+        return time.clock_gettime(~self.process.pid << 3 | 2)
 
 
 @contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import re
 import socket
+from contextlib import suppress
 
 from handmap_qp.errors import InvalidInputError, expect
 
@@ -14,10 +15,7 @@ REQUESTS_PORT = 5570
 
 def is_loopback(host: str) -> bool:
     """Return whether only this machine can reach a host, given as name or address."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
+    return host == "localhost" or getattr(_address(host), "is_loopback", False)
 
 
 def names_loopback(asked: str) -> bool:
@@ -43,7 +41,7 @@ def bare_host(name: str, host: str) -> str:
     """
     bare = _unbracketed(host)
     expect(
-        not (not bare or "/" in bare or (":" in bare and not _is_address(bare))),
+        bare and "/" not in bare and (":" not in bare or _address(bare)),
         name,
         "a host alone, such as 127.0.0.1 or ::1, and its port apart",
         value=host,
@@ -55,12 +53,10 @@ def _unbracketed(host: str) -> str:
     return host[1:-1] if host.startswith("[") and host.endswith("]") else host
 
 
-def _is_address(host: str) -> bool:
-    try:
-        ipaddress.ip_address(host)
-    except ValueError:
-        return False
-    return True
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    with suppress(ValueError):
+        return ipaddress.ip_address(host)
+    return None
 
 
 def check_port(name: str, port: int) -> None:

@@ -48,7 +48,6 @@ from .messages import (
     Reply,
 )
 
-OLDEST_PROTOCOL = min(PROTOCOLS)
 ADDRESS = "tcp://127.0.0.1:5570"
 KeyFiles = tuple[Path | str, Path | str]
 Request = dict[str, Any]
@@ -326,7 +325,7 @@ class _Core:
         if not (isinstance(reply, Error) and reply.code == "protocol"):
             return False
         # Servers of version 1 do not say which versions they answer.
-        theirs = reply.protocols or (OLDEST_PROTOCOL,)
+        theirs = reply.protocols or PROTOCOLS[:1]
         common = {
             version for version in PROTOCOLS if version < self._protocol
         }.intersection(theirs)

@@ -22,6 +22,8 @@ from handmap_qp.se3 import as_floats, check_pose, frozen, lengths
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
+UNSEEN = np.full((LANDMARK_COUNT, 3), np.nan)
+"""Landmarks of a hand that was not seen."""
 LANDMARK_NAMES: tuple[str, ...] = (
     "wrist",
     *(f"thumb_{joint}" for joint in ("cmc", "mcp", "ip", "tip")),

@@ -441,7 +441,7 @@ class HandMapper:
         start = _Start(
             self.robot.rest
             if robot_q is None
-            else _check_joints(self.robot, robot_q, "robot_q")[0].copy(),
+            else check_joints(self.robot, robot_q, "robot_q")[0].copy(),
             None if robot_wrist is None else self._check_robot_wrist(robot_wrist),
         )
         reference = None
@@ -652,7 +652,7 @@ class JointReader(Compiled):
             return pose, ()
         human = self.human
         wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        angles, excess = _check_joints(human, q, "human_q", self.tolerance)
+        angles, excess = check_joints(human, q, "human_q", self.tolerance)
         beyond = (excess > 0.0).nonzero()[0].tolist()
         self._placed.place(human.configuration_vector(angles))
         points = transform_points(wrist, self._placed.points)
@@ -737,7 +737,7 @@ def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
     )
 
 
-def _check_joints(
+def check_joints(
     hand: Hand, q: npt.ArrayLike, name: str, tolerance: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return joint positions, and how far each is outside its limits, at most a tolerance."""
@@ -749,7 +749,7 @@ def _check_joints(
     if not (excess <= tolerance).all():
         i = int(np.argmax(excess))
         raise InvalidInputError(
-            argument=name,
+            argument=f"{name}[{i}]",
             problem=f"{hand.joint_names[i]} is {angles[i]:.6g} rad, expected within "
             f"[{lower[i] - tolerance:.6g}, {upper[i] + tolerance:.6g}]",
             value=float(angles[i]),

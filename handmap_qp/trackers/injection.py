@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.human.sample import LANDMARK_COUNT, UNSEEN, HumanSample
 from handmap_qp.se3 import affine, transform_points
 from handmap_qp.trackers.wrist_axes import palm_axes
 
@@ -106,7 +106,7 @@ def _noise(
 
 
 _NOTHING = {
-    "landmarks": np.full((LANDMARK_COUNT, 3), np.nan),
+    "landmarks": UNSEEN,
     "wrist": None,
     "valid": False,
     "confidence": 0.0,

@@ -174,7 +174,7 @@ def test_sessions_that_cannot_be_recorded_are_refused(server: Server) -> None:
 def test_a_service_that_is_not_there_is_one_line(
     server: Server, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("handmap_qp.apps.live.service.TIMEOUT", 0.2)
+    monkeypatch.setattr("handmap_qp.apps.connection.TIMEOUT", 0.2)
     nobody = f"127.0.0.1:{free_port}"
     with pytest.raises(InvalidInputError, match=r"--to: .*handmap serve"):
         ServiceSink(nobody, "three_finger", "right")

@@ -28,7 +28,7 @@ from handmap_qp import HandMapper, IkOptions, MappingOptions, Recording, read_re
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.service.opening import CALIBRATION_SAMPLES
 from handmap_qp.apps.service.server import Server
-from handmap_qp.apps.service.session import Session, to_lengths, to_pose
+from handmap_qp.apps.service.session import Session, to_pose
 from handmap_qp.client.messages import About, Lengths
 from handmap_qp.errors import RefusedError
 from handmap_qp.human.measure import measure_hand
@@ -237,9 +237,13 @@ def recording(recordings: Any) -> Recording:
 
 @pytest.fixture(scope="module")
 def lengths(recording: Recording) -> Lengths:
-    found = to_lengths(measure_hand(recording))
-    assert found is not None
-    return found
+    return lengths_of(recording)
+
+
+def lengths_of(recording: Recording) -> Lengths:
+    measured = measure_hand(recording)
+    names = Lengths.__struct_fields__
+    return Lengths(*(getattr(measured, name).tolist() for name in names))
 
 
 def landmarks_of(
@@ -269,7 +273,7 @@ def test_a_robot_anywhere_closes_to_the_fist_it_is_shown_first(
         robot=robot,
         preset=None,
         input="landmarks",
-        lengths=to_lengths(measure_hand(recording)),
+        lengths=lengths_of(recording),
         robot_q=tuple(begin.tolist()),
     )
     sample, last = Sampler(), begin

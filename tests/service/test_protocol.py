@@ -171,4 +171,4 @@ def test_the_server_says_which_versions_it_answers() -> None:
     with serving() as server, client_of(server) as client:
         assert client.status().protocols == messages.PROTOCOLS
         assert max(messages.PROTOCOLS) == messages.PROTOCOL == present.PROTOCOL
-        assert min(messages.PROTOCOLS) == present.OLDEST_PROTOCOL
+        assert min(messages.PROTOCOLS) == messages.PROTOCOLS[0]

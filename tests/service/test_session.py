@@ -153,7 +153,7 @@ def test_a_robot_slightly_outside_its_limits_comes_back_within_them() -> None:
 
 REFUSED = {
     "too few angles": ({"q": [0.0] * 3}, "q"),
-    "an angle out of range": ({"q": [9.0] * 20}, "q"),
+    "an angle out of range": ({"q": [9.0] * 20}, "q[8]"),
     "no wrist": ({"wrist": None}, "wrist"),
     "another kind": ({"points": ((0.0, 0.0, 0.0),)}, "q"),
 }
@@ -292,3 +292,32 @@ def test_what_cannot_be_opened_is_refused_by_field(
         make_session(**choices)
     assert raised.value.field == field
     assert "/work" not in str(raised.value)
+
+
+@pytest.mark.parametrize("choices", [{}, {"preset": "teleoperation"}], ids=str)
+def test_a_posture_that_is_read_from_the_mapper_is_that_of_its_motion(
+    choices: dict[str, Any],
+) -> None:
+    session = make_session(**choices)
+    sample = Sampler()
+    for i in range(10):
+        follow(session, sample, i * 20 * PERIOD)
+        q, wrist = session.posture
+        placed = session.robot.configuration()
+        placed.place(session.motion.q)
+        np.testing.assert_array_equal(q, session.motion.q[session.robot.q_indices])
+        assert wrist is not None
+        np.testing.assert_allclose(wrist, placed.wrist.homogeneous, atol=1e-12)
+        # Reading the motion changes nothing.
+        np.testing.assert_array_equal(q, session.posture[0])
+
+
+def test_a_robot_that_was_moved_by_nobody_else_is_not_read_from_its_mapper() -> None:
+    session = make_session(preset="teleoperation")
+    follow(session, Sampler(), 0.0)
+    gate = session._hands.mapper.point_ik.gate
+    if gate._read is None:
+        pytest.skip("the Python path has nothing to read")
+    assert session._commanded.is_led_by(gate)
+    session._commanded.brake(PERIOD)
+    assert not session._commanded.is_led_by(gate)

@@ -118,3 +118,23 @@ def test_the_first_command_of_a_hold_is_due_at_once(state: SessionState) -> None
     now = 5.0 + 0.3 * HEARTBEAT
     assert dog.event(state, now, is_at_rest=False) is Event.SILENCE
     assert dog.take_turn(next_state(state, Event.SILENCE), now)
+
+
+@given(
+    state=st.sampled_from(SessionState),
+    timeout=st.floats(0.01, 10.0),
+    share=st.floats(0.0, 0.999),
+    is_braking=st.booleans(),
+)
+def test_nothing_happens_before_the_watchdog_says_that_it_is_due(
+    state: SessionState, timeout: float, share: float, is_braking: bool
+) -> None:
+    dog = Watchdog(timeout, RETURN_AFTER, 0.0)
+    dog.feed(3.0)
+    due = dog.due(state)
+    if state is SessionState.FOLLOWING:
+        now = 3.0 + share * (due - 3.0)
+        assert dog.event(state, now, is_at_rest=False) is None
+        assert not dog.take_turn(state, now, is_braking=is_braking)
+    else:
+        assert due < 0.0

@@ -408,5 +408,5 @@ def test_streams_of_sessions_that_have_ended_are_forgotten_in_time() -> None:
     outbox = _Outbox(None, sessions)  # ty: ignore[invalid-argument-type]
     for name in names:
         outbox.subscribe(bytes, name)
-        assert len(outbox._streams) <= MOST_SESSIONS
-    assert {"lab", names[-1]} <= outbox._streams.keys()
+        assert len(outbox.streams) <= MOST_SESSIONS
+    assert {"lab", names[-1]} <= outbox.streams.keys()

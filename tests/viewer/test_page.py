@@ -362,8 +362,8 @@ def test_the_page_of_a_service_draws_both_hands_and_releases(
     from handmap_qp.apps.viewer.live import LiveViewer
     from handmap_qp.apps.viewer.remote import ServiceSession
 
-    for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
-        monkeypatch.setattr(f"handmap_qp.apps.viewer.remote.{name}", PATIENCE)
+    for name in ("viewer.remote._TIMEOUT", "connection.TIMEOUT"):
+        monkeypatch.setattr(f"handmap_qp.apps.{name}", PATIENCE)
     with (
         service_tools.serving() as service,
         service_tools.connected(service, name="lab", is_shared=True) as client,

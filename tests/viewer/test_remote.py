@@ -54,8 +54,8 @@ WRIST[:3, 3] = 0.1, 0.2, 0.3
 @pytest.fixture(autouse=True)
 def patient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Set a long timeout, because replies take long on a busy machine."""
-    for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
-        monkeypatch.setattr(f"handmap_qp.apps.viewer.remote.{name}", PATIENCE)
+    for name in ("viewer.remote._TIMEOUT", "connection.TIMEOUT"):
+        monkeypatch.setattr(f"handmap_qp.apps.{name}", PATIENCE)
 
 
 @pytest.fixture(scope="module")
@@ -477,9 +477,9 @@ def test_an_encrypted_service_is_shown_only_with_keys(
             wait_until(
                 lambda: next(samples).status == "released" and session.stop_number == 0
             )
-        for name in ("_TIMEOUT", "_FIRST_TIMEOUT"):
-            monkeypatch.setattr(f"handmap_qp.apps.viewer.remote.{name}", 0.1)
-        with pytest.raises(InvalidInputError, match="no answer"):
+        for name in ("viewer.remote._TIMEOUT", "connection.TIMEOUT"):
+            monkeypatch.setattr(f"handmap_qp.apps.{name}", 0.1)
+        with pytest.raises(InvalidInputError, match="no service answers"):
             ServiceSession(host_of(service))
 
 
@@ -498,7 +498,9 @@ def test_sessions_that_cannot_be_shown_are_explained(service: Server) -> None:
             show(session="c")
         with (
             connected(service, name="b"),
-            pytest.raises(InvalidInputError, match="--session: a, b"),
+            pytest.raises(
+                InvalidInputError, match="--session: several sessions are open: a, b"
+            ),
         ):
             show()
     with (

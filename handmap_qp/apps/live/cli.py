@@ -50,26 +50,15 @@ class Target:
         json: Print the summary as one JSON object instead of a table.
     """
 
-    to: Annotated[
-        str | None,
-        hinted("HOST[:PORT]", "(port: 5570)"),
-    ] = None
+    to: Annotated[str | None, hinted("HOST[:PORT]", "(port: 5570)")] = None
     robot: Annotated[str | None, hinted("HAND", "")] = None
-    record: Annotated[
-        Path | None,
-        hinted("FILE", "(default: no file)"),
-    ] = None
-    session: Annotated[
-        str | None,
-        hinted("NAME", "(default: made up)"),
-    ] = None
+    record: Annotated[Path | None, hinted("FILE", "(default: no file)")] = None
+    session: Annotated[str | None, hinted("NAME", "(default: made up)")] = None
     preset: Annotated[
-        str | None,
-        hinted("PRESET", "(default: the service decides)"),
+        str | None, hinted("PRESET", "(default: the service decides)")
     ] = None
     person: Annotated[
-        Path | None,
-        hinted("PERSON.yaml", "(default: measured in the first samples)"),
+        Path | None, hinted("PERSON.yaml", "(default: measured in the first samples)")
     ] = None
     keys: KeyFiles = None
     json: bool = False
@@ -103,13 +92,6 @@ class Target:
             InvalidInputError: If the service cannot be reached, refuses the session or every
                 sample, or the file cannot be written.
         """
-        summary = _lead(source, self._sinks(source), is_json=self.json)
-        if summary.get("refusals") and not summary["accepted"]:
-            raise InvalidInputError(
-                problem=f"the service refused every sample: {summary['last_refusal']}"
-            )
-
-    def _sinks(self, source: Source) -> list[Sink]:
         sinks: list[Sink] = []
         if self.record is not None:
             sinks.append(Recorder(self.record, "--record"))
@@ -125,7 +107,11 @@ class Target:
                     keys=self.keys,
                 )
             )
-        return sinks
+        summary = _lead(source, sinks, is_json=self.json)
+        if summary.get("refusals") and not summary["accepted"]:
+            raise InvalidInputError(
+                problem=f"the service refused every sample: {summary['last_refusal']}"
+            )
 
 
 @dataclass(frozen=True)
@@ -154,10 +140,7 @@ class TrackReplay:
     recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
     speed: float = 1.0
     loop: bool = False
-    faults: Annotated[
-        str | None,
-        hinted("FAULTS"),
-    ] = None
+    faults: Annotated[str | None, hinted("FAULTS")] = None
     seed: int = 0
     target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
 
@@ -198,10 +181,7 @@ class TrackMediapipe:
     """
 
     camera: int = 0
-    video: Annotated[
-        Path | None,
-        hinted("FILE", "(default: the camera)"),
-    ] = None
+    video: Annotated[Path | None, hinted("FILE", "(default: the camera)")] = None
     side: Side = "right"
     mirrored: bool = False
     fov: float = 65.0

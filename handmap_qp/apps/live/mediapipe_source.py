@@ -17,11 +17,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import IO
 
-import numpy as np
-
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.human.sample import UNSEEN, HumanSample
 
 VARIABLE = "HANDMAP_MEDIAPIPE"
 """Environment variable that names another folder."""
@@ -31,9 +29,10 @@ PYTHONS = ((3, 10), (3, 12))
 """First and last Python that MediaPipe 0.10.21 and our program run on."""
 _OTHER_PYTHONS = ("python3.12", "python3.11", "python3.10")
 _PROGRAM = Path(__file__).with_name("mediapipe_process.py")
+_NOT_FOUND = {"landmarks": UNSEEN, "confidence": 0.0}
+"""Fields of a sample that the process leaves out where it does not find the hand."""
 _END = 5.0
 """Longest wait for the process to end [s]."""
-_UNSEEN = np.full((LANDMARK_COUNT, 3), np.nan)
 
 
 def environment_folder() -> Path:
@@ -168,7 +167,8 @@ class MediapipeSource:
         ):
             try:
                 for line in process.stdout or ():
-                    yield self._sample(**json.loads(line))
+                    found = _NOT_FOUND | json.loads(line)
+                    yield HumanSample(side=self.side, **found)
                 code = process.wait()
             finally:
                 # Also where the samples are no longer read.
@@ -188,13 +188,3 @@ class MediapipeSource:
         text = ([line for line in lines if line.startswith(name)] or lines)[-1]
         problem = text.removeprefix(name).strip()
         return InvalidInputError(argument=self._argument, problem=problem)
-
-    def _sample(
-        self,
-        time: float,
-        valid: bool,
-        landmarks: list[list[float]] | None = None,
-        confidence: float = 0.0,
-    ) -> HumanSample:
-        points = _UNSEEN if landmarks is None else np.array(landmarks)
-        return HumanSample(time, self.side, points, valid=valid, confidence=confidence)

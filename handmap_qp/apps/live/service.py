@@ -5,74 +5,24 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
-from handmap_qp.apps.addresses import service_address
-from handmap_qp.errors import InvalidInputError, MissingExtraError, expect
+from handmap_qp.apps.connection import GONE, connected, only_session
+from handmap_qp.client import Command, ServiceError, ServiceTimeoutError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import Person
 from handmap_qp.human.sample import HumanSample
 
-try:
-    import zmq
-
-    from handmap_qp.client import Client, Command, ServiceError, ServiceTimeoutError
-except ModuleNotFoundError as missing:
-    raise MissingExtraError(str(missing.name), "service") from missing
-
-TIMEOUT = 3.0
-"""Longest wait for an answer of the service [s]."""
 _SILENCE = 1.0
 """Time without a command after which the service counts as silent [s]."""
 _LAST_COMMAND = 0.5
 """Longest wait at the end for the command of the last sample [s]."""
 _WAIT = 0.25
 """Time without a command after which the session's state is asked for [s]."""
-
-
-@contextmanager
-def connected(
-    option: str, host: str, keys: tuple[Path, Path] | None, *, refused: str
-) -> Iterator[tuple[Client, str]]:
-    """Connect to the service, and close the connection if the block fails.
-
-    A failure of the service in the block is an error of an option.
-
-    Args:
-        option: The option that names the service.
-        host: `HOST`, `HOST:PORT` or `tcp://HOST:PORT` of the service's requests.
-        keys: Files `NAME.key_secret` and `server.key` of an encrypted service.
-        refused: The option at fault if the service refuses the request.
-
-    Yields:
-        The client, and the address.
-
-    Raises:
-        InvalidInputError: If the service cannot be reached or refuses the request.
-    """
-    address = service_address(option, host)
-    try:
-        client = Client(address, timeout=TIMEOUT, keys=keys)
-    except (zmq.ZMQError, OSError, ValueError) as error:
-        raise InvalidInputError(argument=option, problem=str(error)) from error
-    with ExitStack() as closing:
-        closing.callback(client.close)
-        try:
-            yield client, address
-        except ServiceTimeoutError as error:
-            raise InvalidInputError(
-                argument=option,
-                problem=f"no service answers at {address}",
-                advice="start one with handmap serve",
-            ) from error
-        except ServiceError as error:
-            problem = f"the service refused the session: {error}"
-            raise InvalidInputError(argument=refused, problem=problem) from error
-        closing.pop_all()
 
 
 class ServiceSink:
@@ -124,9 +74,8 @@ class ServiceSink:
         self._counts = Counter(
             sent=0, hand_lost=0, commands=0, accepted=0, unanswered=0
         )
-        self._statuses: Counter[str] = Counter()
-        self._flags: Counter[str] = Counter()
-        self._refusals: Counter[str] = Counter()
+        names = "statuses", "flags", "refusals"
+        self._said: dict[str, Counter[str]] = {name: Counter() for name in names}
         self._refusal = ""
         self.command: Command | None = None
         self._heard = self._sent = time.monotonic()
@@ -158,7 +107,7 @@ class ServiceSink:
             self._sent = time.monotonic()
         except ServiceError as error:
             self._note_refusal(error)
-        except (ServiceTimeoutError, zmq.ZMQError):
+        except GONE:
             # The service is gone; `status` says so, and the next sample tries again.
             self._counts["unanswered"] += 1
         self._read()
@@ -179,9 +128,7 @@ class ServiceSink:
             "robot": self._robot,
             "session": self.session,
             **self._counts,
-            "statuses": dict(self._statuses),
-            "flags": dict(self._flags),
-            "refusals": dict(self._refusals),
+            **{name: dict(counts) for name, counts in self._said.items()},
             "last_refusal": self._refusal,
             "reopened": self._client.reopened,
         }
@@ -200,14 +147,14 @@ class ServiceSink:
         self.command = command
         if "watchdog" not in command.flags:
             self._counts.update(commands=1, accepted=not command.rule)
-            self._statuses[command.status] += 1
-            self._flags.update(command.flags)
+            self._said["statuses"][command.status] += 1
+            self._said["flags"].update(command.flags)
 
     def _note_refusal(self, error: ServiceError) -> None:
         """Count a refusal by code and field; keep its text."""
         code = error.error.code
         field = error.error.field.partition("[")[0]
-        self._refusals[f"{code} {field}".strip()] += 1
+        self._said["refusals"][f"{code} {field}".strip()] += 1
         self._refusal = str(error)
 
 
@@ -245,20 +192,13 @@ class ServiceSource:
             self._client,
             address,
         ):
-            names = (session,) if session else self._client.status().names
-            if not names:
+            self.name = only_session(self._client, session)
+            if not self.name:
                 raise InvalidInputError(
                     argument="--from",
                     problem=f"no session is open at {address}",
                     advice="start a client that opens one, such as handmap track replay",
                 )
-            if len(names) > 1:
-                raise InvalidInputError(
-                    argument="--session",
-                    problem=f"several sessions are open: {', '.join(names)}",
-                    advice="name one with --session",
-                )
-            self.name: str = names[0]
             about: dict[str, Any] = self._client.watch(self.name).about or {}
             expect(
                 about["input"] == "landmarks",
@@ -267,13 +207,13 @@ class ServiceSource:
                 got=f"one led by {about['input']}",
                 value=self.name,
             )
-            if not about["has_detail"]:
-                raise InvalidInputError(
-                    argument="--session",
-                    problem=f"commands of {self.name} do not carry landmarks",
-                    value=self.name,
-                    advice="its client must open it with has_detail",
-                )
+            expect(
+                about["has_detail"],
+                "--session",
+                "one whose client opened it with has_detail",
+                got="one whose commands do not carry landmarks",
+                value=self.name,
+            )
             self.side: Side = about["side"]
 
     def __iter__(self) -> Iterator[HumanSample]:

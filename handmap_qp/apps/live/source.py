@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Protocol, Self
@@ -49,7 +49,7 @@ class Source(Protocol):
         ...
 
 
-class Sink(Protocol):
+class Sink(contextlib.AbstractContextManager[Any, Any], Protocol):
     """Takes samples; a context manager that finishes its work at the end of the block."""
 
     def put(self, sample: HumanSample) -> None:
@@ -62,14 +62,6 @@ class Sink(Protocol):
 
     def summary(self) -> dict[str, Any]:
         """Return what was done, by label."""
-        ...
-
-    def __enter__(self) -> Sink:
-        """Start."""
-        ...
-
-    def __exit__(self, kind: Any, error: Any, traceback: Any, /) -> None:
-        """Finish, also after an exception."""
         ...
 
 
@@ -96,8 +88,8 @@ def run(
             open_sinks.enter_context(sink)
         with contextlib.suppress(KeyboardInterrupt):
             for sample in source:
-                count = count + 1
-                seen = seen + sample.valid
+                count += 1
+                seen += bool(sample.valid)
                 times.append(sample.time)
                 for sink in sinks:
                     sink.put(sample)
@@ -106,7 +98,7 @@ def run(
                 state = f"{source.name}: {count} samples at {rate:.0f}{expected} Hz"
                 state += f", hand seen in {seen / count:.0%}"
                 report(" | ".join([state, *(sink.status() for sink in sinks)]))
-    summary: dict[str, Any] = {"samples": count, "hand_seen": int(seen)}
+    summary: dict[str, Any] = {"samples": count, "hand_seen": seen}
     for sink in sinks:
         summary |= sink.summary()
     return summary
@@ -152,30 +144,23 @@ class Replay:
 
         Time stamps are on this machine's monotonic clock, unless a fault changes them.
         """
-        return inject(_paced(self._timed()), self._faults, self._seed)
+        return inject(self._paced(), self._faults, self._seed)
 
-    def _timed(self) -> Iterator[HumanSample]:
-        """Yield samples with time stamps that start at 0 and keep increasing through all loops."""
+    def _paced(self) -> Iterator[HumanSample]:
+        """Yield each sample at its time, through all loops, stamped by the monotonic clock."""
         recording = self._recording
-        offset = 0.0
+        offset = -float(recording.time[0])
+        start = time.monotonic()
         duration = recording.time[-1] - recording.time[0] + np.median(recording.steps)
         while True:
             for sample in recording_samples(recording):
-                elapsed = sample.time - recording.time[0] + offset
-                yield replace(sample, time=float(elapsed / self._speed))
+                due = start + (sample.time + offset) / self._speed
+                if (wait := due - time.monotonic()) > 0.0:
+                    time.sleep(wait)
+                yield replace(sample, time=due)
             if not self._loop:
                 return
             offset += duration
-
-
-def _paced(samples: Iterable[HumanSample]) -> Iterator[HumanSample]:
-    """Yield each sample at its time after the first one, stamped by the monotonic clock."""
-    start = time.monotonic()
-    for sample in samples:
-        due = start + sample.time
-        if (wait := due - time.monotonic()) > 0.0:
-            time.sleep(wait)
-        yield replace(sample, time=due)
 
 
 class Recorder:
@@ -235,13 +220,11 @@ class Recorder:
         Raises:
             InvalidInputError: If it is of the other hand than the first one.
         """
-        if self._samples and sample.side != self._samples[0].side:
-            raise InvalidInputError(
-                argument="side",
-                expected=f"samples of the {self._samples[0].side} hand",
-                value=sample.side,
-            )
-        if self._samples and sample.time <= self._samples[-1].time:
+        before = self._samples or [sample]
+        side = before[0].side
+        expected = f"samples of the {side} hand"
+        expect(sample.side == side, "side", expected, value=sample.side)
+        if self._samples and sample.time <= before[-1].time:
             self._disordered += 1
         else:
             self._samples.append(sample)

@@ -82,6 +82,7 @@ class ConnectionGate:
     """Listens in front of a socket: an asynchronous context manager that returns the port.
 
     Attributes:
+        socket: The socket, which then admits connections of this process only.
         name: Name of the port, for counters and log.
         host: Address to listen on.
         port: Port; 0 lets the system choose.
@@ -90,8 +91,10 @@ class ConnectionGate:
         metrics: Counters.
         evicts: Whether a connection beyond `most` ends one without a message, or else the one that
             was silent for longest. Otherwise it is refused.
+        clients: The connections.
     """
 
+    socket: zmq.Socket
     name: str
     host: str
     port: int
@@ -101,16 +104,13 @@ class ConnectionGate:
     evicts: bool = False
 
     def __post_init__(self) -> None:
-        """Give the socket behind the gate a name that others do not know."""
+        """Put the gate in front of the socket, which gets a name that others do not know."""
         self.inner = f"handmap-{secrets.token_hex(16)}"
-        self._clients: set[_Client] = set()
+        self.socket.setsockopt(zmq.IPC_FILTER_PID, os.getpid())
+        self.socket.bind(f"ipc://@{self.inner}")
+        self.clients: set[_Client] = set()
         self._known: dict[bytes, _Client] = {}
         self._refusals = Throttle()
-
-    def bind(self, inner: zmq.Socket) -> None:
-        """Put the gate in front of a socket, which then admits connections of this process only."""
-        inner.setsockopt(zmq.IPC_FILTER_PID, os.getpid())
-        inner.bind(f"ipc://@{self.inner}")
 
     async def __aenter__(self) -> int:
         loop = asyncio.get_running_loop()
@@ -129,22 +129,22 @@ class ConnectionGate:
         # The last messages of sessions that end are still on their way.
         await asyncio.sleep(0.05)
         self._server.close()
-        for client in list(self._clients):
+        for client in list(self.clients):
             client.end()
 
     def admit(self, client: _Client) -> None:
         """Count a connection in, and end one if there are too many."""
-        if len(self._clients) >= self.most:
+        if len(self.clients) >= self.most:
             least = min(
-                self._clients, key=lambda each: (bool(each.identity), each.heard)
+                self.clients, key=lambda each: (bool(each.identity), each.heard)
             )
             (least if self.evicts else client).end("too many connections")
         if not client.transport.is_closing():
-            self._clients.add(client)
+            self.clients.add(client)
 
     def release(self, client: _Client, reason: str) -> None:
         """Count a connection out; if the gate ended it, count and log the reason."""
-        self._clients.discard(client)
+        self.clients.discard(client)
         self._known.pop(client.identity, None)
         if reason:
             self.metrics.refusals[self.name] += 1
@@ -161,7 +161,7 @@ class ConnectionGate:
                     descriptor, socket.AF_UNIX, socket.SOCK_STREAM
                 ) as end:
                     name = end.getpeername()
-                client = next(each for each in self._clients if each.name == name)
+                client = next(each for each in self.clients if each.name == name)
                 client.identity = identity
                 self._known[identity] = client
         return client

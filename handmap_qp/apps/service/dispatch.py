@@ -61,6 +61,8 @@ _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
 _MOST_PEERS = 1024
 _ERRORS_PER_SECOND = 10.0
+_LONGEST_TICK = 0.02
+"""Time between checks of the watchdogs while none is due [s]."""
 
 
 class _Head(msgspec.Struct):
@@ -263,9 +265,14 @@ class Dispatcher:
             if isinstance(reply, Error):
                 send(reply)
 
-    def tick(self) -> None:
-        """Let time pass: run the watchdogs, and close idle sessions."""
+    def tick(self) -> float:
+        """Let time pass: run the watchdogs, and close idle sessions.
+
+        Returns:
+            Time until a watchdog is due, or a while; at most 0 for at once [s].
+        """
         now = self.clock()
+        due = now + _LONGEST_TICK
         for secret, entry in list(self.sessions.entries.items()):
             session = entry.session
             is_idle = now - session.last_request > self.settings.idle
@@ -278,6 +285,8 @@ class Dispatcher:
             except Exception as error:
                 # The watchdogs of the other sessions must continue.
                 self._failure(0, error)
+            due = min(due, session.due)
+        return due - now
 
     async def close(self) -> None:
         """Close all sessions."""

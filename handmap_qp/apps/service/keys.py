@@ -98,9 +98,7 @@ def make_keys(folder: Path, clients: Sequence[str]) -> list[Path]:
     """
     for name in clients:
         expect(
-            not (
-                not name.replace("-", "").replace("_", "").isalnum() or name == "server"
-            ),
+            name.replace("-", "").replace("_", "").isalnum() and name != "server",
             "client",
             "a name of letters, digits, - and _ that is not 'server'",
             value=name,
@@ -188,7 +186,7 @@ def _read_private(file: Path) -> str:
 
 def _check_folder(folder: Path) -> None:
     expect(
-        not (folder.exists() and not folder.is_dir()),
+        folder.is_dir() or not folder.exists(),
         str(folder),
         "a folder of keys",
         got="a file",

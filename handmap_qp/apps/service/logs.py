@@ -48,9 +48,8 @@ _COUNTERS = {
 }
 _GAUGES = {
     "sessions": "Open sessions.",
-    "lag_seconds": "Longest delay of the event loop in the last second [s].",
-    "busy_seconds": "Longest CPU time of the process between two turns of its event loop in the "
-    "last second [s].",
+    "lag_seconds": "Longest delay of the event loop in its last 200 turns, 1 to 4 s [s].",
+    "busy_seconds": "Longest CPU time of the process between two of these turns [s].",
     "resident_bytes": "Resident memory of the process.",
     "uptime_seconds": "Time since the start [s].",
 }

@@ -235,9 +235,7 @@ class Hands:
 
 
 def prepare_hands(
-    request: Open,
-    cache: HandCache,
-    lengths: HumanLengths | None = None,
+    request: Open, cache: HandCache, lengths: HumanLengths | None = None
 ) -> Hands:
     """Make the mapper of a session.
 
@@ -294,7 +292,7 @@ def _human_lengths(request: Open) -> HumanLengths | None:
         "lengths",
         "lengths between 0 and 1 m",
     )
-    return HumanLengths(*map(np.array, msgspec.structs.astuple(given)))
+    return HumanLengths(*msgspec.structs.astuple(given))
 
 
 def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:

@@ -27,6 +27,7 @@ from handmap_qp.ik.limits import (
     feasible,
 )
 from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.mapping.method import RobotCommand
 
 # Displacements of a sample are near this size [rad]; the solver is exact near one.
 _SCALE = 0.05
@@ -124,9 +125,7 @@ _TRANSITIONS: dict[SessionState, dict[Event, SessionState]] = {
         Event.RELEASE: SessionState.HOLDING_RELEASED,
         Event.ARRIVAL: SessionState.HOLDING,
     },
-    SessionState.STOPPED: {
-        Event.CLEAR: SessionState.RELEASED,
-    },
+    SessionState.STOPPED: {Event.CLEAR: SessionState.RELEASED},
 }
 
 
@@ -174,6 +173,12 @@ class Watchdog:
     def restart(self, now: float) -> None:
         """Count silence from now on, as after a reset."""
         self.last_sample = now
+
+    def due(self, state: SessionState) -> float:
+        """Return when time may matter next, if no sample arrives [s]; in the past for at once."""
+        if state is not SessionState.FOLLOWING:
+            return -math.inf
+        return self.last_sample + min(self._timeout, self._gap)
 
     def event(
         self, state: SessionState, now: float, *, is_at_rest: bool
@@ -242,7 +247,7 @@ class MapperState(Enum):
 class CommandedRobot(Gate):
     """A robot as last commanded.
 
-    Set its `motion` to what the gate of a mapper with the same limits admitted.
+    Set its `motion` to what the gate of a mapper with the same limits admitted, or `follow` it.
 
     Args:
         robot: The robot hand.
@@ -270,9 +275,21 @@ class CommandedRobot(Gate):
             ik.hand, self.motion, max_acceleration=limit, collisions=ik.gate.collisions
         )
 
+    def follow(self, gate: Gate, command: RobotCommand) -> None:
+        """Take over the motion of a mapper's gate, which is read when asked, and its command."""
+        self._motion = gate._motion
+        self._read = gate._read
+        self._command = command
+
+    def is_led_by(self, gate: Gate) -> bool:
+        """Return whether the robot still moves as a gate that it follows."""
+        return self._read is not None and self._read is gate._read
+
     @property
     def q(self) -> np.ndarray:
         """Joint angles last commanded [rad], shape (n,)."""
+        if self._read is not None:
+            return self._command.q
         return self.motion.q[self.hand.q_indices]
 
     @property
@@ -280,6 +297,8 @@ class CommandedRobot(Gate):
         """Pose of the wrist last commanded, shape (4, 4); None if it is not known yet."""
         if not self.is_placed:
             return None
+        if self._read is not None:
+            return self._command.wrist
         self._placed.place(self.motion.q)
         return self._placed.wrist.homogeneous
 
@@ -368,11 +387,7 @@ class CommandedRobot(Gate):
         return np.copysign(np.minimum(allowed, limit), change)
 
     def _along_links(
-        self,
-        wanted: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        dt: float,
+        self, wanted: np.ndarray, lower: np.ndarray, upper: np.ndarray, dt: float
     ) -> np.ndarray:
         """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
         self._placed.place(self.motion.q)
@@ -486,25 +501,3 @@ def refuse_if(
     """
     if is_wrong:
         raise RefusedError(code, message, field=field)
-
-
-def start_angles(robot: Hand, robot_q: tuple[float, ...]) -> np.ndarray:
-    """Return the joint angles that a client reports [rad], shape (n,).
-
-    Raises:
-        RefusedError: If the robot cannot be there.
-    """
-    count = len(robot.joint_names)
-    message = f"expected {count} angles, got {len(robot_q)}"
-    refuse_if(len(robot_q) != count, message, "robot_q")
-    q = np.array(robot_q)
-    outside = np.maximum(robot.lower_limits - q, q - robot.upper_limits)
-    worst = int(np.argmax(outside))
-    if outside[worst] > START_TOLERANCE:
-        limits = f"[{robot.lower_limits[worst]:.6g}, {robot.upper_limits[worst]:.6g}]"
-        message = (
-            f"{robot.joint_names[worst]} is {q[worst]:.6g} rad, "
-            f"expected within {START_TOLERANCE:g} rad of {limits}"
-        )
-        raise RefusedError("invalid", message, field=f"robot_q[{worst}]")
-    return q

@@ -58,10 +58,10 @@ from handmap_qp.client.messages import TOPIC_END
 from handmap_qp.errors import InvalidOptionsError, expect
 
 TICK = 0.005
-"""Time between checks of the watchdogs [s]."""
+"""Least time between checks of the watchdogs [s]."""
 _TICKS = 200
 _LATE = 0.1
-"""Checks in a second, and the delay of one that is logged [s]."""
+"""Checks that delays are measured over, and the delay of one that is logged [s]."""
 _BATCH = 128
 """Parts of messages read before other tasks get their turn; a message has two or three."""
 _MOST_PARTS = 3
@@ -87,9 +87,6 @@ _REASONS = {
 _NO_HANDSHAKE = (
     "only one of client and server uses keys, or the client does not speak ZeroMQ"
 )
-# Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
-# default is ten times longer.
-_SWITCH_INTERVAL = 5e-4
 # Idle connections must not use up the descriptors that clients need.
 _MOST_FILES = 65536
 
@@ -158,17 +155,14 @@ class Server:
         plain = zmq.Context.shadow(context.underlying)
         self._router = self._socket(plain, zmq.ROUTER)
         self._stream = self._socket(plain, zmq.PUB)
-        host = _ip(settings.host)
+        host = "127.0.0.1" if settings.host == "localhost" else settings.host
         most = _CONNECTIONS_PER_SESSION * settings.sessions
         credit = settings.message_size + _ENVELOPE
-        self._gate = ConnectionGate(
-            "requests", host, settings.port, most, credit, self.metrics, evicts=True
-        )
-        stream = ConnectionGate(
-            "stream", host, settings.stream_port, most, _TOPICS, self.metrics
-        )
-        self._gate.bind(self._router)
-        stream.bind(self._stream)
+        port = "requests", host, settings.port, most, credit, self.metrics
+        self._gate = ConnectionGate(self._router, *port, evicts=True)
+        port = "stream", host, settings.stream_port, most, _TOPICS, self.metrics
+        stream = ConnectionGate(self._stream, *port)
+        self._readers = stream.clients
         self.ports["requests"] = await self._closing.enter_async_context(self._gate)
         self.dispatcher.stream_port = await self._closing.enter_async_context(stream)
         self.ports["stream"] = self.dispatcher.stream_port
@@ -310,16 +304,20 @@ class Server:
             self._loop.call_soon(self._drain)
 
     def _publish(self, name: str, payload: bytes) -> None:
-        with contextlib.suppress(zmq.Again):
-            self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
+        # A call of a socket that is seldom used takes 40 us.
+        if self._readers:
+            with contextlib.suppress(zmq.Again):
+                self._stream.send(name.encode() + TOPIC_END + payload, zmq.NOBLOCK)
 
     async def _tick(self) -> None:
         """Drive the watchdogs, and measure the delay of the event loop."""
         spent = time.process_time()
         late = Throttle()
+        pause = TICK
         while True:
-            wanted = time.monotonic() + TICK
-            await asyncio.sleep(TICK)
+            wanted = time.monotonic() + pause
+            await asyncio.sleep(pause)
+            pause = TICK
             lag = time.monotonic() - wanted
             before = spent
             spent = time.process_time()
@@ -329,13 +327,9 @@ class Server:
                 late.report(WARNING, "late", seconds=round(lag, 4))
             try:
                 self._drain()
-                self.dispatcher.tick()
+                pause = max(TICK, self.dispatcher.tick())
             except Exception as error:
                 self._bugs.report(ERROR, "failed", failure=error)
-
-
-def _ip(host: str) -> str:
-    return "127.0.0.1" if host == "localhost" else host
 
 
 async def _report_handshakes(
@@ -372,7 +366,9 @@ def run_server(settings: Settings, log_level: str = "info") -> None:
     Raises:
         InvalidInputError: If an address or file cannot be used.
     """
-    sys.setswitchinterval(_SWITCH_INTERVAL)
+    # Interval after which a thread that loads a hand yields to the one that answers [s]. Python's
+    # default is ten times longer.
+    sys.setswitchinterval(5e-4)
     _raise_file_limit()
     with logs_on_stderr(log_level):
         is_preparing = asyncio.run(_serve(settings))

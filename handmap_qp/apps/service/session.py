@@ -15,6 +15,7 @@ import math
 import time
 from collections import Counter
 from dataclasses import replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,11 @@ from handmap_qp.apps.service.opening import (
     read_choice,
     refused,
     with_changes,
+    with_field_errors,
     with_option_errors,
 )
 from handmap_qp.apps.service.safety import (
+    START_TOLERANCE,
     CommandedRobot,
     Event,
     MapperState,
@@ -36,7 +39,6 @@ from handmap_qp.apps.service.safety import (
     Watchdog,
     next_state,
     refuse_if,
-    start_angles,
 )
 from handmap_qp.apps.service.store import Record
 from handmap_qp.client.messages import (
@@ -54,10 +56,10 @@ from handmap_qp.client.messages import (
 )
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.hand import LONGEST_STOP
-from handmap_qp.hands.human import HumanLengths
 from handmap_qp.human.contact_gap import ContactGapMeter
-from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
+from handmap_qp.human.sample import UNSEEN, HumanSample
 from handmap_qp.ik.limits import Motion
+from handmap_qp.mapping.mapper import check_joints
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
@@ -65,7 +67,6 @@ from handmap_qp.trackers.layouts.tables import load_layout
 Posture = tuple[np.ndarray, np.ndarray | None]
 """Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
 _FIELDS = ("q", "landmarks", "points", "values")
-_UNSEEN = np.full((LANDMARK_COUNT, 3), np.nan)
 
 
 class SampleForm:
@@ -90,7 +91,7 @@ class SampleForm:
         refuse_if(is_unknown, message, "layout")
         self._layout = None if name is None else load_layout(name)
         self._field = self._kind if name is None else "values"
-        self._wanted = self._kind if name is None else f"values of {name}"
+        self._wanted = self._field if name is None else f"values of {name}"
 
     def check(self, sample: Step) -> None:
         """Reject a sample of another kind than the session was opened for.
@@ -123,7 +124,7 @@ class SampleForm:
         }
         if sample.values is not None and self._layout is not None:
             return self._layout.read(np.array(sample.values), **common)
-        landmarks = _UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
+        landmarks = UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
         return HumanSample(landmarks=landmarks, **common)
 
     def map(
@@ -248,6 +249,11 @@ class Session:
         return Record(self.name, self.robot.name, to_row(q), pose, *control)
 
     @property
+    def due(self) -> float:
+        """When `tick` may have an effect next, if nothing else happens [s]."""
+        return self._watchdog.due(self._state)
+
+    @property
     def will_move(self) -> bool:
         """Whether silence makes the robot move yet, to its rest posture."""
         return self._watchdog.will_return(self._state) and not self._is_at_rest
@@ -275,10 +281,17 @@ class Session:
     def state(self, seq: int, version: str, stream_port: int, now: float) -> State:
         """Answer `status`."""
         choice = self._hands.choice
+        measured = self._hands.lengths
         wanted = {name: getattr(self._wanted, name) for name in About.__struct_fields__}
         about: dict[str, Any] = wanted | {
             "robot": self.robot.name,
-            "lengths": to_lengths(self._hands.lengths),
+            "lengths": measured
+            and Lengths(
+                *(
+                    getattr(measured, name).tolist()
+                    for name in Lengths.__struct_fields__
+                )
+            ),
             "preset": choice.preset,
             "options": choice.method.values,
             "ik": choice.ik.values,
@@ -369,7 +382,7 @@ class Session:
                 self._handle(Event.ARRIVAL)
         else:
             self._commanded.brake(self._dt)
-        flags = ["watchdog", "at_rest"] if self._is_at_rest else ["watchdog"]
+        flags = ["watchdog"] + ["at_rest"] * self._is_at_rest
         return self._command(now, status, flags)
 
     def release(self) -> None:
@@ -455,7 +468,10 @@ class Session:
             RefusedError: If the robot cannot be there, or its wrist is fixed.
         """
         if request.robot_q is not None:
-            q = start_angles(self.robot, request.robot_q)
+            start = request.robot_q, "robot_q", START_TOLERANCE
+            q, _ = with_field_errors(
+                "robot_q", lambda: check_joints(self.robot, *start)
+            )
         is_moved = request.robot_wrist is not None and not self.robot.is_floating
         message = f"{self.robot.name} has a fixed wrist: leave it out"
         refuse_if(is_moved, message, "robot_wrist")
@@ -554,13 +570,15 @@ class Session:
         )
         if must_reset and not self._state.is_released:
             self._reset_mapper()
-        if self._mapper_state is MapperState.ALIGNED:
+        mapper = self._hands.mapper
+        is_led = self._commanded.is_led_by(mapper.point_ik.gate)
+        if self._mapper_state is MapperState.ALIGNED and not is_led:
             # It may have braked meanwhile, or a sample was refused half-way.
-            self._hands.mapper.motion = self._commanded.motion
+            mapper.motion = self._commanded.motion
 
     def _accept(self, now: float) -> list[str]:
         """Note a sample that can be used, which ends a hold; return flags for its command."""
-        flags = ["resumed"] if self._state.is_silent else []
+        flags = ["resumed"] * self._state.is_silent
         self._handle(Event.SAMPLE)
         self._watchdog.feed(now)
         return flags
@@ -570,7 +588,7 @@ class Session:
         mapper = self._hands.mapper
         target = step.command
         if self._mapper_state is MapperState.ALIGNED and mapper.ik.has_velocity_limits:
-            self._commanded.motion = mapper.motion
+            self._commanded.follow(mapper.point_ik.gate, target)
             return []
         if self._commanded.advance(target.q, target.wrist, self._dt):
             self._mapper_state = MapperState.ALIGNED
@@ -607,8 +625,8 @@ class Session:
             detail = to_detail(step, sample, landmarks)
         return {
             "point_error": to_row(step.point_error),
-            "residual": float(np.sqrt(np.mean(residuals**2))),
-            "at_limit": tuple(np.array(self.robot.joint_names)[step.at_bound].tolist()),
+            "residual": math.sqrt(residuals.dot(residuals) / len(residuals)),
+            "at_limit": tuple(compress(self.robot.joint_names, step.at_bound)),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
             "detail": detail,
@@ -627,8 +645,8 @@ class Session:
         if sample is not None:
             self._stamp = sample.time
             self._seq = sample.seq
-        released = ["released"] if self._state.is_released else []
-        released += ["stopped"] if self._state.is_stopped else []
+        state = self._state
+        released = ["released"] * state.is_released + ["stopped"] * state.is_stopped
         return Command(
             seq=self._seq,
             name=self.name,
@@ -673,15 +691,6 @@ def to_pose(matrix: np.ndarray | None) -> Pose | None:
 def to_matrix(pose: Pose | None) -> np.ndarray | None:
     """Convert a pose of a message, if there is one, to (4, 4)."""
     return None if pose is None else pose.matrix
-
-
-def to_lengths(lengths: HumanLengths | None) -> Lengths | None:
-    """Convert a measured hand to rows of numbers."""
-    if lengths is None:
-        return None
-    return Lengths(
-        *(getattr(lengths, name).tolist() for name in Lengths.__struct_fields__)
-    )
 
 
 def to_detail(step: MapStep, sample: Step, landmarks: np.ndarray | None) -> Detail:

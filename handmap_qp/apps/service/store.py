@@ -103,21 +103,17 @@ class PostureStore:
         # Least recently updated first: the one to evict.
         self.records.pop(record.name, None)
         self.records[record.name] = record
-        evicted = (
-            next(iter(self.records)) if len(self.records) > MOST_SESSIONS else None
-        )
-        if evicted is not None:
-            del self.records[evicted]
+        evicted = [*self.records][:-MOST_SESSIONS]
+        for name in evicted:
+            del self.records[name]
         if self._database is None:
             return
         try:
             self._database.execute(
                 _WRITE, (record.name, msgspec.msgpack.encode(record))
             )
-            if evicted is not None:
-                self._database.execute(
-                    "DELETE FROM postures WHERE name = ?", (evicted,)
-                )
+            for name in evicted:
+                self._database.execute("DELETE FROM postures WHERE name = ?", (name,))
         except sqlite3.Error as error:
             self._failures.report(ERROR, "state_unwritten", error=str(error))
 

@@ -16,7 +16,6 @@ import http
 import re
 import ssl
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +24,7 @@ from pathlib import Path
 
 import msgspec
 from websockets.asyncio.server import Server as WebServer
-from websockets.asyncio.server import ServerConnection, serve
+from websockets.asyncio.server import ServerConnection, broadcast, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CTRL_OPCODES, Frame
 from websockets.http11 import Request, Response
@@ -46,8 +45,6 @@ _LOOPBACK_ORIGIN = re.compile(r"https?://(localhost|127(\.\d{1,3}){3}|\[::1\])(:
 _SEND_TIMEOUT = 5.0
 _CLOSE_TIMEOUT = 1.0
 _PENALTY = 0.02
-_NO_MESSAGE = b"\xc1"
-"""The byte that begins no value in msgpack."""
 _CONNECTIONS_PER_SESSION = 2
 _AT_ONCE = 2048
 """Bytes read from a connection in one turn of the event loop."""
@@ -134,8 +131,7 @@ class WebSocketTransport:
     async def _handle(self, connection: ServerConnection) -> None:
         """Serve one connection, and release it however it ends.
 
-        Reader and writer end each other: a client that vanished with answers outstanding ends the
-        writer, and the reader would wait for those answers.
+        A client that reads no longer ends the writer, which ends the reader.
         """
         outbox = _Outbox(connection, self.dispatcher.sessions)
         if len(self._connections) >= _CONNECTIONS_PER_SESSION * self.settings.sessions:
@@ -144,25 +140,24 @@ class WebSocketTransport:
             least.connection.transport.abort()
             self._connections.discard(least)
         self._connections.add(outbox)
-        tasks = {
-            asyncio.create_task(self._read(connection, outbox)),
-            asyncio.create_task(outbox.write()),
-            asyncio.create_task(outbox.idle(self.settings.idle)),
-        }
         try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            async with asyncio.TaskGroup() as tasks:
+                writer = tasks.create_task(outbox.write())
+                await self._read(connection, outbox)
+                writer.cancel()
+        except* Exception as failures:
+            report(ERROR, "failed", failure=failures)
         finally:
             self._connections.discard(outbox)
-            for task in tasks:
-                task.cancel()
-            for result in await asyncio.gather(*tasks, return_exceptions=True):
-                if isinstance(result, Exception):
-                    report(ERROR, "failed", failure=result)
 
     async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
-        """Pass messages to the dispatcher until the connection closes."""
-        with contextlib.suppress(ConnectionClosed):
-            async for message in connection:
+        """Pass messages to the dispatcher until the connection closes or is silent for too long."""
+        with contextlib.suppress(ConnectionClosed, TimeoutError):
+            while True:
+                # Connections with a stream may be silent.
+                longest = None if outbox.streams else self.settings.idle
+                async with asyncio.timeout(longest):
+                    message = await connection.recv()
                 outbox.heard = time.monotonic()
                 is_json = isinstance(message, str)
                 form = _as_json if is_json else bytes
@@ -175,7 +170,8 @@ class WebSocketTransport:
                 )
                 # Back-pressure: stop reading from clients that do not drain replies, and throttle
                 # those over the rate limit.
-                await outbox.is_idle.wait()
+                async with asyncio.timeout(_SEND_TIMEOUT):
+                    await connection.drain()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
 
@@ -216,23 +212,20 @@ class _Connection(ServerConnection, asyncio.BufferedProtocol):
 
 
 class _Outbox:
-    """Messages waiting for one connection: all answers in order, the newest of each stream.
+    """Messages to one connection: answers at once, and the newest of each stream in its turn.
 
     Attributes:
         connection: The connection.
         heard: Time of its last message, at first that of its handshake [s].
-        is_idle: Set while no answer waits.
+        streams: Form of each stream that it has subscribed to, by name.
     """
 
     def __init__(self, connection: ServerConnection, sessions: Sessions) -> None:
         self.connection = connection
         self._sessions = sessions
-        self._answers: deque[bytes | str] = deque()
-        self._streams: dict[str, _Form] = {}
+        self.streams: dict[str, _Form] = {}
         self._newest: dict[str, bytes] = {}
         self._has_work = asyncio.Event()
-        self.is_idle = asyncio.Event()
-        self.is_idle.set()
         self.heard = self._opened = time.monotonic()
 
     def use(self) -> tuple[bool, bool, float]:
@@ -240,28 +233,22 @@ class _Outbox:
         is_active = (
             self.heard > self._opened and time.monotonic() - self.heard < _ACTIVE
         )
-        return is_active, bool(self._streams), self.heard
-
-    async def idle(self, longest: float) -> None:
-        """Wait until nothing was heard of a connection without a stream for some time [s]."""
-        while self._streams or time.monotonic() - self.heard < longest:
-            await asyncio.sleep(0.1 * longest)
+        return is_active, bool(self.streams), self.heard
 
     def answer(self, form: _Form, payload: bytes) -> None:
-        self._answers.append(form(payload))
-        self.is_idle.clear()
-        self._has_work.set()
+        # At once: a task that sends would take a turn of the event loop.
+        broadcast((self.connection,), form(payload))
 
     def subscribe(self, form: _Form, name: str) -> None:
-        if len(self._streams) >= MOST_SESSIONS:
+        if len(self.streams) >= MOST_SESSIONS:
             # Forget ended sessions. They could return under their names, but their number has no
             # bound.
-            for ended in self._streams.keys() - set(self._sessions.names):
-                del self._streams[ended]
-        self._streams[name] = form
+            for ended in self.streams.keys() - set(self._sessions.names):
+                del self.streams[ended]
+        self.streams[name] = form
 
     def offer(self, name: str, payload: bytes) -> None:
-        if name in self._streams:
+        if name in self.streams:
             self._newest[name] = payload
             self._has_work.set()
 
@@ -271,17 +258,14 @@ class _Outbox:
             while True:
                 await self._has_work.wait()
                 self._has_work.clear()
-                while self._answers:
-                    await self._send(self._answers.popleft())
-                self.is_idle.set()
                 newest = self._newest
                 self._newest = {}
                 for name, payload in newest.items():
-                    await self._send(self._streams.get(name, bytes)(payload))
+                    async with asyncio.timeout(_SEND_TIMEOUT):
+                        await self.connection.send(
+                            self.streams.get(name, bytes)(payload)
+                        )
         self.connection.transport.abort()
-
-    async def _send(self, message: bytes | str) -> None:
-        await asyncio.wait_for(self.connection.send(message), _SEND_TIMEOUT)
 
 
 def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
@@ -333,7 +317,8 @@ def _from_json(message: str) -> bytes:
     try:
         return msgspec.msgpack.encode(msgspec.json.decode(message))
     except (msgspec.MsgspecError, ValueError, OverflowError, RecursionError):
-        return _NO_MESSAGE
+        # The byte that begins no value in msgpack.
+        return b"\xc1"
 
 
 def _as_json(payload: bytes) -> str:

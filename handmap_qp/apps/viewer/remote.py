@@ -9,14 +9,16 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 import numpy as np
 
-from handmap_qp.apps.addresses import service_address
+from handmap_qp.apps.connection import FAILURES, connected, only_session
 from handmap_qp.apps.viewer.sample import ViewSample
-from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
+from handmap_qp.client import Command, ServiceError
+from handmap_qp.client.messages import Pose
+from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import hand_files, load_hand
@@ -25,26 +27,8 @@ from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.presets import IK_NAMES, Choice, preset_choice
 from handmap_qp.se3 import rigid_fit
 
-try:
-    import zmq
-
-    from handmap_qp.client import Client, Command, ServiceError, ServiceTimeoutError
-    from handmap_qp.client.messages import Pose
-except ModuleNotFoundError as missing:
-    raise MissingExtraError(str(missing.name), "service") from missing
-
-_FAILURES = (
-    ServiceError,
-    ServiceTimeoutError,
-    zmq.ZMQError,
-    msgspec.MsgspecError,
-    OSError,
-    ValueError,
-    TypeError,
-)
+# Longest wait for an answer once the session is shown [s].
 _TIMEOUT = 1.0
-# Timeout of the first replies, longer because the service may still be starting [s].
-_FIRST_TIMEOUT = 3.0
 # Period of status requests [s].
 _STATUS_PERIOD = 1.0
 # Longest wait for a command, and so the longest delay of a request [s].
@@ -60,7 +44,6 @@ _HANDS = (
     "mount",
     "is_shared",
 )
-_T = TypeVar("_T")
 
 
 class ServiceSession:
@@ -91,6 +74,11 @@ class ServiceSession:
         MissingExtraError: If the service's packages are not installed.
     """
 
+    _start: float | None = None
+    _is_read = is_outdated = is_released = False
+    stop_number = 0
+    last_error: HandmapError | None = None
+
     def __init__(
         self,
         host: str,
@@ -102,17 +90,9 @@ class ServiceSession:
     ) -> None:
         self._host = host
         self._is_closed = threading.Event()
-        self._is_read = False
-        self._start: float | None = None
         self._detail: dict[str, Any] = {}
         self._requests: deque[Callable[[], Any]] = deque()
-        self.is_outdated = False
-        self.is_released = False
-        self.stop_number = 0
-        self.last_error: HandmapError | None = None
-        address = service_address("--live", host)
-        self._client = self._try(Client, address, timeout=_FIRST_TIMEOUT, keys=keys)
-        try:
+        with connected("--live", host, keys, refused="--live") as (self._client, _):
             about = self._find_session(session, time.monotonic() + patience)
             self.is_shared: bool = about["is_shared"]
             if not (about["has_detail"] or self.is_shared):
@@ -122,11 +102,8 @@ class ServiceSession:
                 )
             self._about = {name: about[name] for name in _HANDS}
             self.choice = _choice(about)
-            lengths = None
-            if about["lengths"] is not None:
-                names = ("bases", "segments", "rolls")
-                bases, segments, rolls = (np.array(about["lengths"][k]) for k in names)
-                lengths = HumanLengths(bases, segments, rolls)
+            measured = about["lengths"]
+            lengths = None if measured is None else HumanLengths(**measured)
             self.human = load_hand(
                 human_name(about["side"]), points=about["human_points"], lengths=lengths
             )
@@ -137,9 +114,6 @@ class ServiceSession:
             self._fitter = (
                 LandmarkFitter(about["side"], lengths) if is_tracked else None
             )
-        except BaseException:
-            self._client.close()
-            raise
         self._client.timeout = _TIMEOUT
         self._rest_points = self.human.points(self.human.rest, np.eye(4))
 
@@ -211,11 +185,11 @@ class ServiceSession:
     def _carry_out_requests(self) -> None:
         """Carry out pending requests and record their outcome."""
         while self._requests:
+            self.last_error = None
             try:
-                self._try(self._requests[0])
-                self.last_error = None
-            except InvalidInputError as error:
-                self.last_error = error
+                self._requests[0]()
+            except FAILURES as error:
+                self.last_error = self._error(str(error))
             self._update_status()
             # Remove it only now, so that `is_busy` holds until the outcome is known.
             self._requests.popleft()
@@ -232,7 +206,7 @@ class ServiceSession:
             self.choice = _choice(about)
             if type(before.method) is not type(self.choice.method):
                 self.robot = self._with_method_points()
-        except (*_FAILURES, LookupError):
+        except (*FAILURES, LookupError):
             return
         self.is_released = state.is_released
         self.stop_number = state.stop
@@ -240,17 +214,11 @@ class ServiceSession:
     def _find_session(self, session: str | None, end: float) -> dict[str, Any]:
         """Wait until a session is open and its human hand is measured; return its properties."""
         while True:
-            names = () if session else self._try(self._client.status).names
-            if len(names) > 1:
-                raise self._error(
-                    "several sessions are open",
-                    f"choose one with --session: {', '.join(names)}",
-                )
-            self.name = session or "".join(names)
+            self.name = only_session(self._client, session)
             problem = "no session is open there"
             advice = "start a client that opens one"
             if self.name:
-                state = self._try(self._client.watch, self.name)
+                state = self._client.watch(self.name)
                 self.is_released = state.is_released
                 about = state.about or {}
                 if about["lengths"] is not None or about["input"] != "landmarks":
@@ -340,13 +308,6 @@ class ServiceSession:
         else:
             pose = msgspec.convert(wrist, Pose).matrix
         return None if q is None else np.array(q), pose
-
-    def _try(self, call: Callable[..., _T], *values: Any, **settings: Any) -> _T:
-        """Return the result of a call; a failure of the service is one of `--live`."""
-        try:
-            return call(*values, **settings)
-        except _FAILURES as error:
-            raise self._error(str(error)) from error
 
     def _error(self, problem: str, advice: str = "") -> InvalidInputError:
         return InvalidInputError(

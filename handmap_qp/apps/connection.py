@@ -1,0 +1,83 @@
+"""Connect to the mapping service, and find a session there to watch."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from handmap_qp.apps.addresses import service_address
+from handmap_qp.errors import HandmapError, InvalidInputError, MissingExtraError
+
+try:
+    import msgspec
+    import zmq
+
+    from handmap_qp.client import Client, ServiceError, ServiceTimeoutError
+except ModuleNotFoundError as missing:
+    raise MissingExtraError(str(missing.name), "service") from missing
+
+GONE = ServiceTimeoutError, zmq.ZMQError
+"""Errors of a client whose service has gone."""
+FAILURES = *GONE, ServiceError, msgspec.MsgspecError, OSError, ValueError, TypeError
+"""Errors of a client whose service has gone, refuses a request or is another program."""
+TIMEOUT = 3.0
+"""Longest wait for an answer of the service [s]."""
+
+
+@contextmanager
+def connected(
+    option: str, host: str, keys: tuple[Path, Path] | None, *, refused: str
+) -> Iterator[tuple[Client, str]]:
+    """Connect to the service, and close the connection if the block fails.
+
+    A failure of the service in the block is an error of an option.
+
+    Args:
+        option: The option that names the service.
+        host: `HOST`, `HOST:PORT` or `tcp://HOST:PORT` of the service's requests.
+        keys: Files `NAME.key_secret` and `server.key` of an encrypted service.
+        refused: The option at fault if the service refuses the request.
+
+    Yields:
+        The client, and the address.
+
+    Raises:
+        InvalidInputError: If the service cannot be reached or refuses the request.
+    """
+    address = service_address(option, host)
+    with ExitStack() as closing:
+        try:
+            client = Client(address, timeout=TIMEOUT, keys=keys)
+            closing.callback(client.close)
+            yield client, address
+        except HandmapError:
+            raise
+        except ServiceTimeoutError as error:
+            raise InvalidInputError(
+                argument=option,
+                problem=f"no service answers at {address}",
+                advice="start one with handmap serve",
+            ) from error
+        except ServiceError as error:
+            problem = f"the service refused the session: {error}"
+            raise InvalidInputError(argument=refused, problem=problem) from error
+        except FAILURES as error:
+            raise InvalidInputError(argument=option, problem=str(error)) from error
+        closing.pop_all()
+
+
+def only_session(client: Client, session: str | None) -> str:
+    """Return the name of the session to watch: the given one, or the only open one, or empty.
+
+    Raises:
+        InvalidInputError: If several are open and none was given.
+    """
+    names = (session,) if session else client.status().names
+    if len(names) > 1:
+        raise InvalidInputError(
+            argument="--session",
+            problem=f"several sessions are open: {', '.join(names)}",
+            advice="name one with --session",
+        )
+    return "".join(names)
