@@ -28,20 +28,7 @@ void set_motion(Ik& ik, const Array& q, const Array& displacement, double dt,
   ik.motion.stop_times.assign(stop_times.data(), stop_times.data() + stop_times.size());
 }
 
-// Configuration, displacement, stop times, bounds met, points and wrist, one after the other.
-NumpyArray result_of(const Step& step) {
-  const Result& result = step.result;
-  const Motion& motion = step.motion;
-  Vector numbers = motion.q;
-  append(motion.displacement, numbers);
-  append(motion.stop_times, numbers);
-  numbers.insert(numbers.end(), result.active.begin(), result.active.end());
-  append(result.points, numbers);
-  append(result.wrist, numbers);
-  return array_of(numbers);
-}
-
-// Points, wrist, aims, weights, margins and diagnostics, likewise.
+// Points, wrist, aims, weights, margins and diagnostics, one after the other.
 NumpyArray asked_of(const Step& step) {
   const Asked& asked = step.asked;
   Vector numbers;
@@ -372,7 +359,16 @@ NB_MODULE(_core, m) {
       .def_prop_ro("wrist", [](const Step& step) { return array_of(step.result.wrist); })
       .def_prop_ro("asked", &asked_of)
       .def_prop_ro("is_clamped", [](const Step& step) { return step.asked.is_clamped; })
-      .def_prop_ro("result", &result_of)
+      .def_prop_ro("points", [](const Step& step) { return array_of(step.result.points); })
+      .def_prop_ro("configuration", [](const Step& step) { return array_of(step.motion.q); })
+      .def_prop_ro("displacement",
+                   [](const Step& step) { return array_of(step.result.displacement); })
+      .def_prop_ro("stop_times", [](const Step& step) { return array_of(step.motion.stop_times); })
+      .def_prop_ro("active",
+                   [](const Step& step) {
+                     const auto& active = step.result.active;
+                     return array_of(Vector(active.begin(), active.end()));
+                   })
       .def_prop_ro("dt", [](const Step& step) { return step.motion.dt; })
       .def_prop_ro("status", [](const Step& step) { return static_cast<int>(step.result.status); })
       .def_prop_ro("iterations", [](const Step& step) { return step.result.iterations; })

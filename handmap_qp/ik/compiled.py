@@ -14,7 +14,7 @@ import numpy as np
 
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.core import Parts, core
+from handmap_qp.ik.core import core
 from handmap_qp.ik.limits import Gate, Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, PointIk, Status
@@ -32,9 +32,6 @@ class CompiledIk:
         self._core = core_ik
         self._gate = gate
         self._pose: Any = getattr(core, "HumanPose", None)
-        n = len(hand.active_columns)
-        m = len(hand.reference_points)
-        self._parts = Parts(hand.model.nq, n, n, n, (m, 3), (4, 4))
 
     def solve(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
@@ -91,36 +88,30 @@ class CompiledIk:
         self._push_motion()
         index, verdict, step, seen = self._core.run(*arguments)
         if step is not None:
-            self._gate.leave_to(partial(self._motion, step))
+            self._gate.leave_to(partial(_motion_of, step))
         return index, verdict, seen
 
     def _moved(self, move: Callable[..., Any], *arguments: Any) -> Any:
         """Move from where the gate is, which reads its new motion from the step when asked."""
         self._push_motion()
         step = move(*arguments)
-        self._gate.leave_to(partial(self._motion, step))
+        self._gate.leave_to(partial(_motion_of, step))
         return step
 
     def _push_motion(self) -> None:
         if self._gate.was_set:
             self._core.set_motion(*self._gate.motion)
 
-    def _motion(self, step: Any) -> Motion:
-        q, displacement, stop_times, *_ = self._parts.of(frozen(step.result))
-        return Motion(q, displacement, step.dt, stop_times)
-
     def result(self, step: Any, targets: np.ndarray) -> IkResult:
         """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
-        numbers = self._parts.of(frozen(step.result))
-        q, displacement, _, active, points, wrist = numbers
         return IkResult(
             _STATUSES[step.status],
-            points,
+            step.points,
             targets,
-            q,
-            wrist,
-            displacement,
-            frozen(active.astype(np.int8)),
+            step.configuration,
+            step.wrist,
+            frozen(step.displacement),
+            frozen(step.active.astype(np.int8)),
             self._hand.joint_columns,
             step.iterations,
             step.last_step,
@@ -152,6 +143,12 @@ class CompiledIk:
     @cached_property
     def _placed(self) -> Configuration:
         return self._hand.configuration()
+
+
+def _motion_of(step: Any) -> Motion:
+    arrays = step.configuration, step.displacement, step.stop_times
+    q, displacement, stop_times = map(frozen, arrays)
+    return Motion(q, displacement, step.dt, stop_times)
 
 
 @lru_cache(maxsize=16)
