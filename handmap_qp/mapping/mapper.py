@@ -236,7 +236,9 @@ class HandMapper:
                 determine the motion.
         """
         started = perf_counter()
-        wrist = self._wrist_of(wrist_pose)
+        wrist = None
+        if wrist_pose is not None:
+            wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         if wrist is None and (needs := self._needs_wrist()):
             raise InvalidInputError(
                 argument="wrist_pose", problem=f"needed for {needs}"
@@ -309,8 +311,7 @@ class HandMapper:
         plan = self._plan
         reference = self._reference or self._reference_at(sample)
         target_map: Any = reference.map
-        core = self._core_for(target_map)
-        core = core if core and sample.has_wrist else None
+        core = self._core_for(target_map) if sample.has_wrist else None
         asked: Any = None if core else target_map.targets(sample)
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
@@ -325,12 +326,7 @@ class HandMapper:
             robot = plan.bound.robot
             stages = CompiledStages(core, step, robot, sample, target_map.asked)
         if plan.bound.renews_reference:
-            kept = deepcopy(sample)
-            command = stages.command
-            posture = RobotPosture(
-                command.q.copy(), stages.ik.points.copy(), command.wrist.copy()
-            )
-            self._reference = _Reference(kept, posture, plan.bound.start(kept, posture))
+            self._reference = self._reference_at(sample)
         return MapStep(stages, out_of_range, perf_counter() - started)
 
     def _moved(
@@ -545,13 +541,6 @@ class HandMapper:
         return bound.needs_wrist or needs
 
     # -- checks of what comes in
-
-    def _wrist_of(self, wrist_pose: PoseLike | None) -> np.ndarray | None:
-        return (
-            None
-            if wrist_pose is None
-            else check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        )
 
     def _check_robot_wrist(self, robot_wrist: PoseLike) -> np.ndarray:
         if not self.robot.is_floating:
