@@ -391,19 +391,15 @@ class PointIk:
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
     ) -> np.ndarray | None:
         """Pose the QP of one iteration and solve it; None if the solver fails."""
-        step = self._solution(goal, lower, upper, rows)
-        # Catch NaN too, which solvers return where extreme weights or targets overflow.
-        return step if step is not None and math.isfinite(step.dot(step)) else None
-
-    def _solution(
-        self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
-    ) -> np.ndarray | None:
         problem = self.hand, self.options, self._configuration, goal
         if self.options.formulation == "mink":
             limit = ik.mink_problem.RowsLimit(lower, upper, rows)
             posed = ik.mink_problem.build_problem(*problem, limit)
-            return ik.solvers.solve_problem(posed, self.options.solver)
-        return self._solver(*direct_cost(*problem), lower, upper, rows)
+            step = ik.solvers.solve_problem(posed, self.options.solver)
+        else:
+            step = self._solver(*direct_cost(*problem), lower, upper, rows)
+        # Catch NaN too, which solvers return where extreme weights or targets overflow.
+        return step if step is not None and math.isfinite(step.dot(step)) else None
 
     def _result(
         self,

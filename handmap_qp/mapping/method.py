@@ -39,7 +39,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Task
 from handmap_qp.options import Options
-from handmap_qp.se3 import transform_points
+from handmap_qp.se3 import lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
@@ -467,7 +467,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     @property
     def point_error(self) -> np.ndarray:
         """Distance between targets and points [m], shape (n_r,)."""
-        return np.linalg.norm(self.asked.points - self.ik.points, axis=1)
+        return lengths(self.ik.errors)
 
     @property
     def at_bound(self) -> np.ndarray:

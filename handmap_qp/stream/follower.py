@@ -326,7 +326,7 @@ class Follower:
         self,
         sample: HumanSample,
         verdict: Verdict,
-        dt: float | None = None,
+        dt: float | None,
     ) -> MapStep:
         step = self.mapper.hold(_granted(verdict, dt), self._present_return().seen)
         return structs.replace(step, verdict=verdict, confidence=sample.confidence)

@@ -19,7 +19,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample
-from handmap_qp.se3 import affine, transform_points
+from handmap_qp.se3 import affine, transform_points, unit
 from handmap_qp.trackers.wrist_axes import palm_axes
 
 
@@ -288,6 +288,5 @@ def _onset(
     number: int,
 ) -> Onset:
     random = np.random.default_rng((seed, number))
-    direction = random.normal(size=3)
-    direction /= np.linalg.norm(direction)
+    direction = unit(random.normal(size=3))
     return Onset(before, direction, int(random.integers(LANDMARK_COUNT)), random)

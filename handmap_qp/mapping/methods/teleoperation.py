@@ -245,7 +245,7 @@ class BoundTeleoperation(PalmMethod):
         pair = self.pair
         choices = self.choices
         human = self.pair.human_rest
-        at_rest = np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1)
+        at_rest = lengths(human[pair.tips] - human[pair.knuckles])
         posture = pair.robot_extension - at_rest / pair.human_reach
         # The robot's pads press on each other here.
         touching = np.array(
