@@ -31,7 +31,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
-from handmap_qp.se3 import frozen
+from handmap_qp.se3 import frozen, lengths
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
@@ -417,8 +417,7 @@ class PointIk:
         is_high = upper - displacement <= _AT_BOUND * width
         is_low = displacement - lower <= _AT_BOUND * width
         active = is_high.astype(np.int8) - is_low
-        errors = points - targets
-        farthest = math.sqrt(np.einsum("ij,ij->i", errors, errors).max())
+        farthest = lengths(points - targets).max()
         status: Status = "unreachable" if last_step <= _AT_REST else "unsettled"
         if end != "solved":
             status = end

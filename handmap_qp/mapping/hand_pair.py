@@ -123,9 +123,9 @@ class HandPair:
         self, human: Hand, robot: Hand, matched: np.ndarray | None = None
     ) -> None:
         self.human = human
-        self._measured = _robot_fingers(robot)
-        self.fingers = self._measured.names
-        self.has_jaws = self._measured.has_jaws
+        self._measured = measured = _robot_fingers(robot)
+        self.fingers = measured.names
+        self.has_jaws = measured.has_jaws
         if not self.fingers:
             raise InvalidOptionsError(
                 option="method",
@@ -137,10 +137,10 @@ class HandPair:
         self.tips = points[:, 0]
         self.knuckles = points[:, 2]
         # Shapes are read only for hands that can be a pair: it takes longest.
-        self.chains = self._measured.chains
-        self.pads = self._measured.pads
-        self.contacts: ShapePairs = self._measured.contacts
-        self.robot = self._measured.with_points
+        self.chains = measured.chains
+        self.pads = measured.pads
+        self.contacts: ShapePairs = measured.contacts
+        self.robot = measured.with_points
         names = point_indices(human)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import (
     TYPE_CHECKING,
@@ -295,30 +296,19 @@ class Stages(msgspec.Struct, frozen=True, eq=False):
     command: RobotCommand
 
 
+@dataclass(eq=False)
 class CompiledStages:
     """`Stages` of a step that the compiled core has made, read from it when they are asked for.
 
-    Args:
-        ik: The core that has moved the robot.
-        step: What it says.
-        robot: The robot hand.
-        pose: The human hand.
-        asked: Makes the targets of the core's numbers.
+    It has the core that has moved the robot, what that says, the robot hand, the human hand, and
+    what makes the targets of the core's numbers.
     """
 
-    def __init__(
-        self,
-        ik: CompiledIk,
-        step: Any,
-        robot: Hand,
-        pose: HumanPose,
-        asked: Callable[[np.ndarray, bool], Targets],
-    ) -> None:
-        self._ik = ik
-        self._step = step
-        self._robot = robot
-        self._asked = asked
-        self.pose = pose
+    _ik: CompiledIk
+    _step: Any
+    _robot: Hand
+    pose: HumanPose
+    _asked: Callable[[np.ndarray, bool], Targets]
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Another process may have no core, and this one's moves on.

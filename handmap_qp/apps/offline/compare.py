@@ -144,8 +144,7 @@ class Compare:
 def markdown(comparison: Comparison) -> str:
     """Return all tables as Markdown: overall, then every recording."""
     overall = {method: comparison.overall(method) for method in comparison.methods}
-    short = [metric for metric in METRICS if metric.key in SUMMARY]
-    short.sort(key=lambda metric: SUMMARY.index(metric.key))
+    short = [metric for key in SUMMARY for metric in METRICS if metric.key == key]
     parts = [
         f"# Methods on {comparison.robot.name}",
         _LEGEND,

@@ -253,13 +253,9 @@ class PinchScene:
         last = int(near[0])
         if last == 0:
             return instants[0]
-        before = instants[last - 1]
-        after = instants[last]
         share = (gaps[last - 1] - width) / (gaps[last - 1] - gaps[last])
-        return Meeting(
-            before.time + share * (after.time - before.time),
-            before.places + share * (after.places - before.places),
-        )
+        pairs = zip(instants[last - 1], instants[last], strict=True)
+        return Meeting(*(before + share * (after - before) for before, after in pairs))
 
     @cached_property
     def _closing(self) -> list[Meeting]:
