@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -40,6 +40,7 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 """
 
 
+@runtime_checkable
 class HasHomogeneous(Protocol):
     """What `pinocchio.SE3` offers: the pose as a matrix."""
 
@@ -245,17 +246,18 @@ def check_pose(
         InvalidInputError: On a wrong shape, numbers that are not finite, coordinates beyond
             `FARTHEST`, or a 3x3 part that is not a rotation.
     """
-    pose = as_floats(getattr(value, "homogeneous", value), name)
+    is_matrix = not isinstance(value, HasHomogeneous)
+    pose = as_floats(value if is_matrix else value.homogeneous, name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
     if pose.shape != (4, 4):
-        needs = "7 numbers need quat_order='wxyz' or 'xyzw'"
+        advice = {(7,): "7 numbers need quat_order='wxyz' or 'xyzw'"}
         raise InvalidInputError(
             argument=name,
             expected="shape (4, 4), a pinocchio.SE3 or 7 numbers",
             value=value,
             got=f"shape {pose.shape}",
-            advice=needs if pose.shape == (7,) else "",
+            advice=advice.get(pose.shape, ""),
         )
     turn = pose[:3, :3]
     defect = np.abs(turn.T @ turn - np.eye(3)).max()

@@ -231,9 +231,8 @@ class HandMapper:
             Every stage of the step.
 
         Raises:
-            InvalidInputError: If the sample cannot be used; the mapper is then as it was before.
-            DegeneratePointsError: If the sample becomes the reference and its points do not
-                determine the motion.
+            InvalidInputError: As of `map_step`.
+            DegeneratePointsError: Likewise.
         """
         started = perf_counter()
         wrist = None
@@ -271,10 +270,9 @@ class HandMapper:
             Every stage of the step.
 
         Raises:
-            InvalidInputError: If the sample cannot be used; the mapper is then as it was before.
+            InvalidInputError: As of `map_step`.
+            DegeneratePointsError: Likewise.
             InvalidOptionsError: If a reference point of the human is not a landmark.
-            DegeneratePointsError: If the sample becomes the reference and its points do not
-                determine the motion.
         """
         started = perf_counter()
         sample = self.landmarks.read(landmarks, wrist_pose, self.quat_order)
@@ -302,24 +300,23 @@ class HandMapper:
             Every stage of the step.
 
         Raises:
-            InvalidInputError: If the sample cannot be used; the mapper is then as it was before.
-            DegeneratePointsError: If the sample becomes the reference and its points do not
-                determine the motion.
+            InvalidInputError: As of `map_step`.
+            DegeneratePointsError: Likewise.
         """
         started = perf_counter() if started is None else started
         dt = self.dt if dt is None else check_dt(dt)
         plan = self._plan
         reference = self._reference or self._reference_at(sample)
         target_map: Any = reference.map
-        core = self._core_for(target_map) if sample.has_wrist else None
-        asked: Any = None if core else target_map.targets(sample)
+        core: Any = self._core_for(target_map)
+        asked = None if core and sample.has_wrist else target_map.targets(sample)
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             plan.bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
         stages: Stages | CompiledStages
-        if core is None:
+        if asked is not None:
             stages = self._moved(sample, asked, target_map.rest, dt, speed)
         else:
             step = core.follow(target_map.core, sample, dt, speed)
