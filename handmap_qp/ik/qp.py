@@ -122,7 +122,7 @@ def weighted_task(
         offset = wrist.actInv(configuration.wrist)
         twist = pin.log6(offset).vector
         derivative = pin.Jlog6(offset)
-    error = np.concatenate([(configuration.points - points).ravel(), twist])
+    error = np.append(configuration.points - points, twist)
     rows = configuration.point_jacobian(), configuration.wrist_jacobian(derivative)
     return costs[:, None] * np.vstack(rows), costs * error
 
@@ -175,8 +175,8 @@ def solve_by_daqp(
     if rows is not None:
         # DAQP takes the box first and the rows behind it.
         G, h = rows
-        upper = np.concatenate([upper, h])
-        lower = np.concatenate([lower, np.full(len(h), -np.inf)])
+        upper = np.append(upper, h)
+        lower = np.append(lower, np.full(len(h), -np.inf))
     sense = np.zeros(len(upper), dtype=np.int32)
     x, _, flag, _ = daqp.solve(H, c, G, upper, lower, sense, **_DAQP)
     if flag <= 0:

@@ -319,9 +319,10 @@ def _finger_points(
     robot: Hand, chains: dict[str, Finger], tip_weight: float
 ) -> list[PointSpec]:
     """Make reference points of the fingertips, and of the middle joints except the thumb's."""
-    points = []
-    for finger, chain in chains.items():
-        points.append(_point(robot, finger, TIPS[finger], chain.tip, tip_weight))
+    points = [
+        _point(robot, finger, TIPS[finger], chain.tip, tip_weight)
+        for finger, chain in chains.items()
+    ]
     for finger, chain in chains.items():
         ends = points_in_palm(robot, robot.rest, [chain.middle, chain.knuckle])
         apart = lengths(ends[0] - ends[1])

@@ -154,7 +154,7 @@ def markdown(comparison: Comparison) -> str:
         f"{len(comparison.takes)} recordings.",
         *_tables(overall),
         "## What the columns say",
-        "\n".join(f"- **{m.label}**: {m.about}; {_better(m)}." for m in METRICS),
+        "\n".join(f"- **{m.label}**: {m.about}; {m.hint}." for m in METRICS),
     ]
     if notes := notes_of(comparison):
         parts += ["## Notes", "\n".join(f"- {note}." for note in notes)]
@@ -352,17 +352,6 @@ def _table(
     rows = [f"| {' | '.join(line)} |" for line in lines]
     rows.insert(1, "|---|" + "---:|" * len(metrics))
     return "\n".join(rows)
-
-
-def _better(metric: Metric) -> str:
-    return {
-        "high": "higher is better",
-        "low": f"up to {metric.enough:g} is good"
-        if metric.enough
-        else "lower is better",
-        "zero": "nearer to 0 is better",
-        "one": "nearer to 1 is better",
-    }[metric.better]
 
 
 def _palm(take: Take) -> str:

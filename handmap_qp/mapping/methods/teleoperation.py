@@ -252,14 +252,13 @@ class BoundTeleoperation(PalmMethod):
         )
         # Between jaws, an object is as large as between the human's fingers.
         ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
-        many = np.ones(len(pair.fingers))
-        few = np.ones(len(touching))
-        self.aim_slopes = np.concatenate([pair.reach_ratios, ratio * few])
-        self.aim_offsets = np.concatenate(
-            [pair.robot_reach * posture, touching - ratio * choices.contact_gap]
+        count = len(touching)
+        self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
+        self.aim_offsets = np.append(
+            pair.robot_reach * posture, touching - ratio * choices.contact_gap
         )
-        self.least_aims = np.concatenate([0.0 * many, touching])
-        self.largest_aims = np.concatenate([pair.robot_reach, np.inf * few])
+        self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
+        self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
         weights = {THUMB: choices.thumb_extension_weight}
         self.extension_weights = np.array(
             [weights.get(finger, choices.extension_weight) for finger in pair.fingers]
