@@ -29,7 +29,8 @@ from handmap_qp import load_hand, read_recording
 from handmap_qp.human import fit as fitting
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.measure import measure_hand
-from handmap_qp.human.sample import TIPS
+from handmap_qp.human.sample import PALM, TIPS
+from handmap_qp.se3 import rigid_fit
 
 _FINGERS = {"index": "index", "middle": "middle", "ring": "ring", "little": "pinky"}
 _FURTHER = 200
@@ -113,7 +114,7 @@ def optimum_of(
 
 def local_targets(fitter: LandmarkFitter, landmarks: np.ndarray) -> np.ndarray:
     """Return a sample as the fitter's fingers see it, in wrist axes [m], shape (5, 3, 3)."""
-    wrist = fitter._wrist(landmarks)
+    wrist = rigid_fit(fitter._palm.points, landmarks[PALM])
     local = (landmarks - wrist[:3, 3]) @ wrist[:3, :3]
     return local[1:].reshape(5, 4, 3)[:, 1:]
 

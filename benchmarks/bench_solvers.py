@@ -23,7 +23,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import cycle, product
 from operator import itemgetter
 from typing import Any, NamedTuple, TypeGuard
@@ -41,18 +41,14 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.human.recording import HumanMotion
 from handmap_qp.ik import core as core_module
-from handmap_qp.ik.qp import (
-    PointIk,
-    QpSolver,
-    Rows,
-    direct_cost,
-    make_solver,
-    solve_by_daqp,
-)
+from handmap_qp.ik.limits import Rows
+from handmap_qp.ik.qp import PointIk, direct_cost, solve_by_daqp
+from handmap_qp.ik.solvers import make_solver
 from handmap_qp.ik.tasks import Goal
 from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import affine
 
+QpSolver = Callable[..., np.ndarray | None]
 COMPILED: Any = core_module.core
 _COMPARED = ("daqp", "proxqp", "osqp")
 _VERDICTS = ("equal", "core better", "core worse", "core failed", "other failed")
@@ -98,7 +94,7 @@ class Recorder:
         upper: np.ndarray,
         rows: Rows | None = None,
     ) -> np.ndarray | None:
-        """As `QpSolver`."""
+        """As `solve_by_daqp`."""
         taken = Problem(H.copy(), c.copy(), lower.copy(), upper.copy(), rows)
         if not self.is_full:
             self.problems.append(taken)
@@ -389,7 +385,7 @@ def solve_by_core(
     upper: np.ndarray,
     rows: Rows | None = None,
 ) -> np.ndarray | None:
-    """Solve by the compiled core; see `QpSolver`."""
+    """Solve by the compiled core; see `solve_by_daqp`."""
     is_found, x, _ = COMPILED.solve_qp(H, c, lower, upper, *(rows or (None, None)))
     return x if is_found else None
 
@@ -400,7 +396,7 @@ def solvers() -> dict[str, QpSolver]:
 
     own: dict[str, QpSolver] = {} if COMPILED is None else {"core": solve_by_core}
     return own | {
-        name: make_solver(name)
+        name: solve_by_daqp if name == "daqp" else make_solver(name)
         for name in sorted({"daqp", *qpsolvers.available_solvers})
     }
 

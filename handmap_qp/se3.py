@@ -125,13 +125,11 @@ def rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     Returns:
         Pose that takes `points` to `onto`, shape (..., 4, 4).
     """
-    count = points.shape[-2]
-    share = np.ones(count) / count
-    centre = share @ points
-    centre_onto = share @ onto
-    weighted = share[:, None] * (onto - centre_onto[..., None, :])
+    centre = points.mean(axis=-2)
+    centre_onto = onto.mean(axis=-2)
+    offsets = onto - centre_onto[..., None, :]
     rotation = nearest_rotation(
-        weighted.swapaxes(-1, -2) @ (points - centre[..., None, :])
+        offsets.swapaxes(-1, -2) @ (points - centre[..., None, :])
     )
     return affine(rotation, centre_onto - (rotation @ centre[..., None])[..., 0])
 
@@ -228,17 +226,6 @@ def pose_from_xyz_quat(
     return affine(rotation_from_quat_wxyz(quats, name), seven[..., :3])
 
 
-def poses_from_quats(
-    positions: np.ndarray, quats_wxyz: np.ndarray, name: str
-) -> np.ndarray:
-    """Compose poses (..., 4, 4) from positions (..., 3) [m] and quaternions (..., 4).
-
-    Raises:
-        InvalidInputError: If a quaternion is zero or not finite, with its index.
-    """
-    return affine(rotation_from_quat_wxyz(quats_wxyz, name), positions)
-
-
 def check_pose(
     value: PoseLike, name: str = "pose", quat_order: QuatOrder | None = None
 ) -> np.ndarray:
@@ -259,22 +246,23 @@ def check_pose(
         InvalidInputError: On a wrong shape, numbers that are not finite, coordinates beyond
             `FARTHEST`, or a 3x3 part that is not a rotation.
     """
-    is_plain = isinstance(value, np.ndarray) or not isinstance(value, HasHomogeneous)
-    pose = as_floats(value if is_plain else value.homogeneous, name)
+    is_matrix = not isinstance(value, HasHomogeneous)
+    pose = as_floats(value if is_matrix else value.homogeneous, name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
-    turn = pose[:3, :3] if pose.shape == (4, 4) else np.eye(3)
-    defect = np.abs(turn.T @ turn - np.eye(3)).max()
-    expected = ""
-    got = ""
-    advice = ""
     if pose.shape != (4, 4):
-        expected = "shape (4, 4), a pinocchio.SE3 or 7 numbers"
-        got = f"shape {pose.shape}"
-        if pose.shape == (7,):
-            advice = "7 numbers need quat_order='wxyz' or 'xyzw'"
+        advice = {(7,): "7 numbers need quat_order='wxyz' or 'xyzw'"}
+        raise InvalidInputError(
+            argument=name,
+            expected="shape (4, 4), a pinocchio.SE3 or 7 numbers",
+            value=value,
+            got=f"shape {pose.shape}",
+            advice=advice.get(pose.shape, ""),
+        )
+    turn = pose[:3, :3]
+    defect = np.abs(turn.T @ turn - np.eye(3)).max()
     # `<= FARTHEST` is also false for NaN.
-    elif not (abs(pose) <= FARTHEST).all() or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+    if not (abs(pose) <= FARTHEST).all() or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         expected = (
             f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
         )
@@ -283,13 +271,11 @@ def check_pose(
         volume = np.linalg.det(turn)
         expected = "a rotation as its 3x3 part"
         got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
-    if expected:
-        raise InvalidInputError(
-            argument=name, expected=expected, value=value, got=got, advice=advice
-        )
-    if defect > _ROTATION_EXACT:
-        pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
-    return pose
+    elif defect > _ROTATION_EXACT:
+        return affine(nearest_rotation(turn), pose[:3, 3])
+    else:
+        return pose
+    raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
 
 def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:

@@ -253,6 +253,10 @@ QpFlags = _flags(
 )
 
 
+InputFlags = Annotated[InputArguments, tyro.conf.arg(name="")]
+"""How the recordings of a command are to be read."""
+
+
 @dataclass(frozen=True)
 class MappingArguments:
     """What a command needs to know to map a human hand to a robot hand.
@@ -345,6 +349,10 @@ class MappingArguments:
             if getattr(self, name) != getattr(usual, name):
                 names.append("--" + name.replace("_", "-"))
         return names
+
+
+MappingFlags = Annotated[MappingArguments, tyro.conf.arg(name="")]
+"""Reference points and options of a command."""
 
 
 def _given(flags: Any) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import HumanMotion, Recording
 from handmap_qp.human.sample import LANDMARK_COUNT, PALM, PalmShape, human_name
 from handmap_qp.ik.options import LENGTH_UNIT
-from handmap_qp.se3 import affine, as_floats, nearest_rotation
+from handmap_qp.se3 import as_floats, rigid_fit
 from handmap_qp.se3 import lengths as norms
 
 MOST_ITERATIONS = 12
@@ -77,8 +77,6 @@ class LandmarkFitter:
         )
         self.iterations = 0
         self._palm = PalmShape(human)
-        self._centre = self._palm.points.mean(axis=0)
-        self._shape = self._palm.points - self._centre
         self._configuration = human.configuration()
         # Joints are in the order of `HUMAN_JOINTS`: by finger, from its base outwards.
         limits = human.lower_limits, human.upper_limits, human.rest
@@ -110,7 +108,7 @@ class LandmarkFitter:
         shape = (LANDMARK_COUNT, 3)
         landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
         self._palm.check(landmarks)
-        wrist = self._wrist(landmarks)
+        wrist = rigid_fit(self._palm.points, landmarks[PALM])
         # In wrist axes the fingers alone move.
         local = (landmarks - wrist[:3, 3]).dot(wrist[:3, :3])
         targets = _beyond_base(local)
@@ -119,13 +117,6 @@ class LandmarkFitter:
         self._place(self._q)
         errors = norms(self._configuration.points - local)
         return self._q.flatten(), wrist, errors
-
-    def _wrist(self, landmarks: np.ndarray) -> np.ndarray:
-        """Lay the palm's shape on its landmarks; return the wrist pose, shape (4, 4)."""
-        palm = landmarks[PALM]
-        centre = palm.mean(axis=0)
-        rotation = nearest_rotation((palm - centre).T.dot(self._shape))
-        return affine(rotation, centre - rotation.dot(self._centre))
 
     def _fits(self, targets: np.ndarray) -> list[_Fit]:
         """Fit a first sample from several postures, any other from the one before.

@@ -209,11 +209,7 @@ def recording_samples(
     return [columns.sample(i) for i in range(len(recording))]
 
 
-def as_flags(
-    values: Any,
-    name: str,
-    count: int,
-) -> np.ndarray:
+def as_flags(values: Any, name: str, count: int) -> np.ndarray:
     """Return truth values, shape (count,), of booleans or of zeros and ones.
 
     Raises:

@@ -7,3 +7,6 @@ from . import (
 from . import (
     mink_problem as mink_problem,
 )
+from . import (
+    solvers as solvers,
+)

@@ -274,7 +274,7 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
     longest = 0.0
     points, radius = _extent(shape)
     # Largest distance of a point of the shape from the joint's origin.
-    reach = float(np.linalg.norm(points, axis=1).max()) + radius
+    reach = float(lengths(points).max()) + radius
     while joint > 0:
         found = model.joints[joint]
         axes = _motions(found)[3:].T
@@ -284,9 +284,7 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
             reach += max(abs(float(limit[found.idx_q])) for limit in limits)
         elif found.nv == 1:
             # The part of an offset along an axis does not move when the joint turns.
-            across = (
-                float(np.linalg.norm(np.cross(points, axes), axis=1).max()) + radius
-            )
+            across = float(lengths(np.cross(points, axes)).max()) + radius
             longest = max(longest, min(across, reach))
         else:
             longest = max(longest, reach)
@@ -294,7 +292,7 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
         # From the parent's origin, the shape is within the joint's offset and that reach.
         points = model.jointPlacements[joint].translation[None]
         radius = reach
-        reach += float(np.linalg.norm(points))
+        reach += float(lengths(points[0]))
         joint = model.parents[joint]
     return levers
 
@@ -309,7 +307,7 @@ def _extent(shape: pin.GeometryObject) -> tuple[np.ndarray, float]:
     geometry.computeLocalAABB()
     least = geometry.aabb_local.min_
     most = geometry.aabb_local.max_
-    if np.linalg.norm(most - least) / 2.0 > 1.001 * geometry.aabb_radius:
+    if lengths(most - least) / 2.0 > 1.001 * geometry.aabb_radius:
         points = geometry.aabb_center[None]
         radius = float(geometry.aabb_radius)
     else:

@@ -131,7 +131,7 @@ def task_term(task: Task) -> Term:
     def linearise(hand: Configuration) -> ErrorAndJacobian:
         residual, jacobian, damping = task.linearise(hand)
         roots = np.sqrt(np.broadcast_to(damping, (hand.nv,)))
-        error = np.concatenate([residual, np.zeros(hand.nv)])
+        error = np.append(residual, np.zeros(hand.nv))
         return error, np.vstack([jacobian, np.diag(roots)])
 
     return Term(np.ones(1), linearise)

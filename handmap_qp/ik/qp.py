@@ -10,17 +10,15 @@ never contradicts itself: where `q` starts outside its limits, the joint comes b
 speed limit allows. Lengths are in units of 10 mm and angles of the wrist in units of 0.1 rad, which
 keeps the Hessian near one, where solvers work best.
 
-DAQP, the default, is called by itself. Any other solver is called through `qpsolvers`, which takes
-a second to import.
+DAQP, the default, is called by itself; `handmap_qp.ik.solvers` has any other one.
 """
 
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
-from functools import cached_property, lru_cache, partial
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, Literal
 
 import daqp
 import msgspec
@@ -28,17 +26,14 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp import ik
-from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
-from handmap_qp.se3 import frozen
+from handmap_qp.se3 import frozen, lengths
 
 if TYPE_CHECKING:
-    import qpsolvers
-
     from handmap_qp.hands.shape_pairs import ShapePairs
     from handmap_qp.ik.collision import CollisionLimit
 
@@ -46,21 +41,6 @@ if TYPE_CHECKING:
 # iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000 hostile problems one
 # took 450; with targets at 1e18 m it took its default of 10,000, in 12 ms.
 _DAQP = {"primal_tol": 1e-9, "iter_limit": 1000}
-# Settings for a solution nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6. quadprog
-# needs no setting. With smaller tolerances interior-point methods (clarabel, piqp) report failure,
-# and OSQP often reaches its maximum number of iterations.
-_EXACT: dict[str, dict[str, Any]] = {
-    "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
-    "daqp": {"primal_tol": 1e-12},
-    "osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 50_000, "raise_error": False},
-    "piqp": {
-        "eps_abs": 1e-10,
-        "eps_rel": 0.0,
-        "eps_duality_gap_abs": 1e-10,
-        "eps_duality_gap_rel": 0.0,
-    },
-    "proxqp": {"eps_abs": 1e-9, "eps_rel": 0.0},
-}
 # Count a hand as at rest if its last step is shorter than this [rad or m].
 _AT_REST = 1e-3
 # Count a displacement as at its bound within this tolerance, relative to min(bound width, 1 rad or
@@ -142,7 +122,7 @@ def weighted_task(
         offset = wrist.actInv(configuration.wrist)
         twist = pin.log6(offset).vector
         derivative = pin.Jlog6(offset)
-    error = np.concatenate([(configuration.points - points).ravel(), twist])
+    error = np.append(configuration.points - points, twist)
     rows = configuration.point_jacobian(), configuration.wrist_jacobian(derivative)
     return costs[:, None] * np.vstack(rows), costs * error
 
@@ -183,21 +163,6 @@ def direct_cost(
     return H, c
 
 
-class QpSolver(Protocol):
-    """A solver of box-constrained problems."""
-
-    def __call__(
-        self,
-        H: np.ndarray,
-        c: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        rows: Rows | None = None,
-    ) -> np.ndarray | None:
-        """Return the minimiser, shape (n,), or None if the solver fails."""
-        ...
-
-
 def solve_by_daqp(
     H: np.ndarray,
     c: np.ndarray,
@@ -210,8 +175,8 @@ def solve_by_daqp(
     if rows is not None:
         # DAQP takes the box first and the rows behind it.
         G, h = rows
-        upper = np.concatenate([upper, h])
-        lower = np.concatenate([lower, np.full(len(h), -np.inf)])
+        upper = np.append(upper, h)
+        lower = np.append(lower, np.full(len(h), -np.inf))
     sense = np.zeros(len(upper), dtype=np.int32)
     x, _, flag, _ = daqp.solve(H, c, G, upper, lower, sense, **_DAQP)
     if flag <= 0:
@@ -222,65 +187,6 @@ def solve_by_daqp(
             scale * H, scale * c, G, upper, lower, sense, **_DAQP
         )
     return x if flag > 0 else None
-
-
-def solve_problem(
-    problem: qpsolvers.Problem, solver: str = "daqp"
-) -> np.ndarray | None:
-    """Solve by any solver of qpsolvers, at a high accuracy.
-
-    Args:
-        problem: The QP.
-        solver: Its name in `qpsolvers.available_solvers`.
-
-    Returns:
-        The minimiser, shape (n,); None if the solver fails.
-    """
-    import qpsolvers
-
-    with warnings.catch_warnings():
-        # Some solvers want sparse matrices, and say so. OSQP calls its answers inaccurate where it
-        # has used up its iterations; the box holds all the same, by clipping.
-        warnings.simplefilter("ignore")
-        solution = qpsolvers.solve_problem(
-            problem, solver=solver, **_EXACT.get(solver, {})
-        )
-    return solution.x
-
-
-def _solve_by_qpsolvers(
-    solver: str,
-    H: np.ndarray,
-    c: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    rows: Rows | None = None,
-) -> np.ndarray | None:
-    import qpsolvers
-
-    G, h = (None, None) if rows is None else rows
-    return solve_problem(qpsolvers.Problem(H, c, G, h, lb=lower, ub=upper), solver)
-
-
-def make_solver(name: str) -> QpSolver:
-    """Return a solver by name.
-
-    Args:
-        name: `daqp` (default everywhere), or any other that `qpsolvers` lists as available.
-
-    Raises:
-        InvalidOptionsError: If no such solver is installed.
-    """
-    if name == "daqp":
-        return solve_by_daqp
-    import qpsolvers
-
-    if name not in qpsolvers.available_solvers:
-        known = ", ".join(sorted({"daqp", *qpsolvers.available_solvers}))
-        raise InvalidOptionsError(
-            option="solver", expected=f"one of {known}", value=name
-        )
-    return partial(_solve_by_qpsolvers, name)
 
 
 class PointIk:
@@ -330,7 +236,9 @@ class PointIk:
             )
         self._contacts = None if contacts is None else collisions
         self._tasks = tasks_named(options.tasks, hand)
-        self._solver = make_solver(options.solver)
+        self._solver = solve_by_daqp
+        if options.solver != "daqp":
+            self._solver = ik.solvers.make_solver(options.solver)
         self.gate = Gate(
             hand,
             motion or Motion.at_rest(pin.neutral(hand.model), len(hand.active_columns)),
@@ -483,19 +391,15 @@ class PointIk:
         self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
     ) -> np.ndarray | None:
         """Pose the QP of one iteration and solve it; None if the solver fails."""
-        step = self._solution(goal, lower, upper, rows)
-        # Catch NaN too, which solvers return where extreme weights or targets overflow.
-        return step if step is not None and math.isfinite(step.dot(step)) else None
-
-    def _solution(
-        self, goal: Goal, lower: np.ndarray, upper: np.ndarray, rows: Rows | None
-    ) -> np.ndarray | None:
         problem = self.hand, self.options, self._configuration, goal
         if self.options.formulation == "mink":
             limit = ik.mink_problem.RowsLimit(lower, upper, rows)
             posed = ik.mink_problem.build_problem(*problem, limit)
-            return solve_problem(posed, self.options.solver)
-        return self._solver(*direct_cost(*problem), lower, upper, rows)
+            step = ik.solvers.solve_problem(posed, self.options.solver)
+        else:
+            step = self._solver(*direct_cost(*problem), lower, upper, rows)
+        # Catch NaN too, which solvers return where extreme weights or targets overflow.
+        return step if step is not None and math.isfinite(step.dot(step)) else None
 
     def _result(
         self,
@@ -513,8 +417,7 @@ class PointIk:
         is_high = upper - displacement <= _AT_BOUND * width
         is_low = displacement - lower <= _AT_BOUND * width
         active = is_high.astype(np.int8) - is_low
-        errors = points - targets
-        farthest = math.sqrt(np.einsum("ij,ij->i", errors, errors).max())
+        farthest = lengths(points - targets).max()
         status: Status = "unreachable" if last_step <= _AT_REST else "unsettled"
         if end != "solved":
             status = end

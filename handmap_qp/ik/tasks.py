@@ -173,7 +173,7 @@ class PointDistances(Compiled):
         indices = as_floats(pairs, "pairs").reshape(-1, 2).astype(int)
         is_known = ((indices >= 0) & (indices < len(points))).all()
         expect(
-            not (not is_known or (indices[:, 0] == indices[:, 1]).any()),
+            is_known and (indices[:, 0] != indices[:, 1]).all(),
             "pairs",
             f"two different points below {len(points)}",
             value=pairs,
@@ -218,7 +218,7 @@ class PointDistances(Compiled):
 def _check_numbers(values: npt.ArrayLike, count: int, name: str) -> np.ndarray:
     array = as_floats(values, name, is_finite=True)
     expect(
-        not (array.shape not in ((), (count,)) or (array < 0.0).any()),
+        array.shape in ((), (count,)) and (array >= 0.0).all(),
         name,
         f"{count} finite numbers >= 0, or one for all",
         value=values,

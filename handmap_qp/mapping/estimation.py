@@ -13,7 +13,14 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import DegeneratePointsError, expect
-from handmap_qp.se3 import FARTHEST, affine, as_floats, frozen, nearest_rotation
+from handmap_qp.se3 import (
+    FARTHEST,
+    affine,
+    as_floats,
+    frozen,
+    lengths,
+    nearest_rotation,
+)
 
 # Below this ratio of smallest to largest singular value, rounding hides whether the points span
 # more than a plane (or a line).
@@ -58,7 +65,7 @@ class MotionEstimate(msgspec.Struct, frozen=True, eq=False):
     @property
     def residual_norms(self) -> np.ndarray:
         """Distance of every point from where T takes it [m], shape (..., n)."""
-        return np.linalg.norm(self.residual_vectors, axis=-1)
+        return lengths(self.residual_vectors)
 
     def image(self, point: np.ndarray) -> np.ndarray:
         """Return where T takes a point (3,) [m], shape (..., 3)."""

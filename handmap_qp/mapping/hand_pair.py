@@ -123,9 +123,9 @@ class HandPair:
         self, human: Hand, robot: Hand, matched: np.ndarray | None = None
     ) -> None:
         self.human = human
-        self._measured = _robot_fingers(robot)
-        self.fingers = self._measured.names
-        self.has_jaws = self._measured.has_jaws
+        self._measured = measured = _robot_fingers(robot)
+        self.fingers = measured.names
+        self.has_jaws = measured.has_jaws
         if not self.fingers:
             raise InvalidOptionsError(
                 option="method",
@@ -137,10 +137,10 @@ class HandPair:
         self.tips = points[:, 0]
         self.knuckles = points[:, 2]
         # Shapes are read only for hands that can be a pair: it takes longest.
-        self.chains = self._measured.chains
-        self.pads = self._measured.pads
-        self.contacts: ShapePairs = self._measured.contacts
-        self.robot = self._measured.with_points
+        self.chains = measured.chains
+        self.pads = measured.pads
+        self.contacts: ShapePairs = measured.contacts
+        self.robot = measured.with_points
         names = point_indices(human)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
         self.partners = np.array([names[partner] for partner in wanted])
@@ -176,7 +176,7 @@ class HandPair:
             self.human_rest[self.knuckles[others]].mean(axis=0)
         )
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
-        spans = np.linalg.norm(points[:, 1] - points[:, 0], axis=1)
+        spans = lengths(points[:, 1] - points[:, 0])
         self.robot_extension = frozen(spans / self.robot_reach)
 
     def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
@@ -193,7 +193,7 @@ class HandPair:
         """
         if self.has_jaws:
             at_rest = self.human_rest[self.tips]
-            gaps = np.linalg.norm(at_rest[1:] - at_rest[0], axis=1)
+            gaps = lengths(at_rest[1:] - at_rest[0])
             thumb, *pads = (self.pads[finger] for finger in self.fingers)
             task = _gap_task(self.robot, thumb, pads, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
@@ -319,15 +319,13 @@ def _finger_points(
     robot: Hand, chains: dict[str, Finger], tip_weight: float
 ) -> list[PointSpec]:
     """Make reference points of the fingertips, and of the middle joints except the thumb's."""
-    points = []
+    points = [
+        _point(robot, finger, TIPS[finger], chain.tip, tip_weight)
+        for finger, chain in chains.items()
+    ]
     for finger, chain in chains.items():
-        points.append(_point(robot, finger, TIPS[finger], chain.tip, tip_weight))
-    for finger, chain in chains.items():
-        apart = np.linalg.norm(
-            np.subtract(
-                *points_in_palm(robot, robot.rest, [chain.middle, chain.knuckle])
-            )
-        )
+        ends = points_in_palm(robot, robot.rest, [chain.middle, chain.knuckle])
+        apart = lengths(ends[0] - ends[1])
         is_bending = len(chain.joints) > 1 and not chain.is_jaw
         if finger != THUMB and is_bending and apart > 0.1 * chain.reach:
             # Weights count squared in the cost.

@@ -231,12 +231,13 @@ class HandMapper:
             Every stage of the step.
 
         Raises:
-            InvalidInputError: If the sample cannot be used; the mapper is then as it was before.
-            DegeneratePointsError: If the sample becomes the reference and its points do not
-                determine the motion.
+            InvalidInputError: As of `map_step`.
+            DegeneratePointsError: Likewise.
         """
         started = perf_counter()
-        wrist = self._wrist_of(wrist_pose)
+        wrist = None
+        if wrist_pose is not None:
+            wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         if wrist is None and (needs := self._needs_wrist()):
             raise InvalidInputError(
                 argument="wrist_pose", problem=f"needed for {needs}"
@@ -269,10 +270,9 @@ class HandMapper:
             Every stage of the step.
 
         Raises:
-            InvalidInputError: If the sample cannot be used; the mapper is then as it was before.
+            InvalidInputError: As of `map_step`.
+            DegeneratePointsError: Likewise.
             InvalidOptionsError: If a reference point of the human is not a landmark.
-            DegeneratePointsError: If the sample becomes the reference and its points do not
-                determine the motion.
         """
         started = perf_counter()
         sample = self.landmarks.read(landmarks, wrist_pose, self.quat_order)
@@ -300,37 +300,30 @@ class HandMapper:
             Every stage of the step.
 
         Raises:
-            InvalidInputError: If the sample cannot be used; the mapper is then as it was before.
-            DegeneratePointsError: If the sample becomes the reference and its points do not
-                determine the motion.
+            InvalidInputError: As of `map_step`.
+            DegeneratePointsError: Likewise.
         """
         started = perf_counter() if started is None else started
         dt = self.dt if dt is None else check_dt(dt)
         plan = self._plan
         reference = self._reference or self._reference_at(sample)
         target_map: Any = reference.map
-        core = self._core_for(target_map)
-        core = core if core and sample.has_wrist else None
-        asked: Any = None if core else target_map.targets(sample)
+        core: Any = self._core_for(target_map)
+        asked = None if core and sample.has_wrist else target_map.targets(sample)
         if plan.bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             plan.bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
         stages: Stages | CompiledStages
-        if core is None:
+        if asked is not None:
             stages = self._moved(sample, asked, target_map.rest, dt, speed)
         else:
             step = core.follow(target_map.core, sample, dt, speed)
             robot = plan.bound.robot
             stages = CompiledStages(core, step, robot, sample, target_map.asked)
         if plan.bound.renews_reference:
-            kept = deepcopy(sample)
-            command = stages.command
-            posture = RobotPosture(
-                command.q.copy(), stages.ik.points.copy(), command.wrist.copy()
-            )
-            self._reference = _Reference(kept, posture, plan.bound.start(kept, posture))
+            self._reference = self._reference_at(sample)
         return MapStep(stages, out_of_range, perf_counter() - started)
 
     def _moved(
@@ -545,13 +538,6 @@ class HandMapper:
         return bound.needs_wrist or needs
 
     # -- checks of what comes in
-
-    def _wrist_of(self, wrist_pose: PoseLike | None) -> np.ndarray | None:
-        return (
-            None
-            if wrist_pose is None
-            else check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        )
 
     def _check_robot_wrist(self, robot_wrist: PoseLike) -> np.ndarray:
         if not self.robot.is_floating:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import (
     TYPE_CHECKING,
@@ -39,7 +40,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Task
 from handmap_qp.options import Options
-from handmap_qp.se3 import transform_points
+from handmap_qp.se3 import lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
@@ -295,31 +296,20 @@ class Stages(msgspec.Struct, frozen=True, eq=False):
     command: RobotCommand
 
 
+@dataclass(eq=False)
 class CompiledStages:
     """`Stages` of a step that the compiled core has made, read from it when they are asked for.
 
-    Args:
-        ik: The core that has moved the robot.
-        step: What it says.
-        robot: The robot hand.
-        pose: The human hand.
-        asked: Makes the targets of the core's numbers.
+    It has the core that has moved the robot, what that says, the robot hand, the human hand, and
+    what makes the targets of the core's numbers.
     """
 
-    def __init__(
-        self,
-        ik: CompiledIk,
-        step: Any,
-        robot: Hand,
-        pose: HumanPose,
-        asked: Callable[[np.ndarray, bool], Targets],
-    ) -> None:
-        self._ik = ik
-        self._step = step
-        self._robot = robot
-        self._asked = asked
-        self._command: RobotCommand | None = None
-        self.pose = pose
+    _ik: CompiledIk
+    _step: Any
+    _robot: Hand
+    pose: HumanPose
+    _asked: Callable[[np.ndarray, bool], Targets]
+    _command: RobotCommand | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Another process may have no core, and this one's moves on.
@@ -472,7 +462,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     @property
     def point_error(self) -> np.ndarray:
         """Distance between targets and points [m], shape (n_r,)."""
-        return np.linalg.norm(self.asked.points - self.ik.points, axis=1)
+        return lengths(self.ik.errors)
 
     @property
     def at_bound(self) -> np.ndarray:

@@ -90,8 +90,8 @@ class PalmMap:
         self.robot_points = transform_points(inverse_pose(start), posture.points)
         self.rotation = before[:3, :3].T @ start[:3, :3]
         self.origin = human_anchor - self.rotation.dot(robot_anchor)
-        self.human_start = transform_point(before, human_anchor)
-        self.offset = transform_point(start, robot_anchor) - self.human_start
+        self.human_start = transform_points(before, human_anchor)
+        self.offset = transform_points(start, robot_anchor) - self.human_start
         self.human_anchor = human_anchor
         self.further = scale - 1.0
 
@@ -111,9 +111,9 @@ class PalmMap:
         points = transform_points(inverse_pose(human), sample.points)
         if self.is_still:
             return human, self.start, points
-        origin = transform_point(human, self.origin) + self.offset
+        origin = transform_points(human, self.origin) + self.offset
         if self.further:
-            moved = transform_point(human, self.human_anchor) - self.human_start
+            moved = transform_points(human, self.human_anchor) - self.human_start
             origin += self.further * moved
         return human, affine(human[:3, :3] @ self.rotation, origin), points
 
@@ -138,11 +138,6 @@ def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
     if sample.wrist is None:
         raise _missing_wrist()
     return sample.wrist @ human.wrist_to_palm
-
-
-def transform_point(pose: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Apply a pose (4, 4) to one point (3,)."""
-    return pose[:3, :3] @ point + pose[:3, 3]
 
 
 def _missing_wrist() -> InvalidInputError:

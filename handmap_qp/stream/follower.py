@@ -59,12 +59,7 @@ class _Offset(NamedTuple):
     turn: np.ndarray
     duration: float
 
-    def added(
-        self,
-        pose: HumanPose,
-        fingers: float,
-        palm: float,
-    ) -> HumanPose:
+    def added(self, pose: HumanPose, fingers: float, palm: float) -> HumanPose:
         """Add shares of the offset to a pose."""
         points = pose.in_wrist + fingers * self.points
         wrist = pose.wrist
@@ -176,9 +171,7 @@ class Follower:
         if rejoin not in get_args(RejoinKind):
             kinds = ", ".join(get_args(RejoinKind))
             raise InvalidOptionsError(
-                option="rejoin",
-                expected=f"one of {kinds}",
-                value=rejoin,
+                option="rejoin", expected=f"one of {kinds}", value=rejoin
             )
         self.mapper = mapper
         self.rejoin = rejoin
@@ -263,13 +256,7 @@ class Follower:
                 progress(i)
         return table
 
-    def map(
-        self,
-        pose: HumanPose,
-        dt: float,
-        *,
-        speed: float = 1.0,
-    ) -> MapStep:
+    def map(self, pose: HumanPose, dt: float, *, speed: float = 1.0) -> MapStep:
         """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
         smooth = None
         if self.smoothing is not None:
@@ -322,12 +309,7 @@ class Follower:
             duration=perf_counter() - started,
         )
 
-    def _hold(
-        self,
-        sample: HumanSample,
-        verdict: Verdict,
-        dt: float | None = None,
-    ) -> MapStep:
+    def _hold(self, sample: HumanSample, verdict: Verdict, dt: float | None) -> MapStep:
         step = self.mapper.hold(_granted(verdict, dt), self._present_return().seen)
         return structs.replace(step, verdict=verdict, confidence=sample.confidence)
 

@@ -34,6 +34,7 @@ from handmap_qp.human.sample import (
 )
 from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.se3 import lengths, nearest_rotation
+from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
 from handmap_qp.trackers.plausibility import InputCheck
 
 # -- time
@@ -180,12 +181,7 @@ ZERO_SIZE = 0.001
 MIRROR = 1e-4
 """Smallest part of the squared landmark spread that must speak for a mirror image [m^2]."""
 
-_STARTS = np.array(
-    [0, 1, 2, 3, 0, 5, 6, 7, 0, 9, 10, 11, 0, 13, 14, 15, 0, 17, 18, 19, 5, 9, 13]
-)
-_ENDS = np.array(
-    [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 9, 13, 17]
-)
+_STARTS, _ENDS = np.array(BONES + NEIGHBOURS).T
 """Pairs of landmarks whose distance does not change: bones, and neighbours in the palm."""
 
 BELIEVED = np.array([60.0, 600.0, 150.0, 0.008])
@@ -483,12 +479,7 @@ class StreamGuard(Compiled):
         state = state._replace(good=state.last, cause="")
         return verdict._replace(rule=tick.rule, is_return=is_return), state
 
-    def _has_returned(
-        self,
-        fresh: Track,
-        rule: Rule,
-        state: GuardState,
-    ) -> bool:
+    def _has_returned(self, fresh: Track, rule: Rule, state: GuardState) -> bool:
         """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
         good = state.good
         now = state.now
@@ -517,11 +508,7 @@ def _off_rate(rate: float) -> Finding:
 
 
 def _moved(
-    state: GuardState,
-    last: Track,
-    fresh: Track,
-    *,
-    is_gap: bool,
+    state: GuardState, last: Track, fresh: Track, *, is_gap: bool
 ) -> tuple[Rule, GuardState]:
     """Name what no hand does from one sample to the next, and learn what is usual."""
     since = max(state.now - last.time, state.clock.shortest)
@@ -554,11 +541,7 @@ def _named(change: Change, usual: np.ndarray) -> Rule:
     return "outlier" if change.is_alone or excess[3] else "jump"
 
 
-def _learnt(
-    usual: np.ndarray,
-    change: Change,
-    before: Track,
-) -> np.ndarray:
+def _learnt(usual: np.ndarray, change: Change, before: Track) -> np.ndarray:
     """Move the running medians by a fixed share: a single fault hardly counts."""
     rates = np.where(change.sizes > usual, 1.0 + _RATE, 1.0 - _RATE)
     learnt = np.maximum(BELIEVED / _EXCESS, usual * rates)

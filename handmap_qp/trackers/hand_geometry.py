@@ -16,9 +16,11 @@ import numpy as np
 
 from handmap_qp.se3 import lengths, unit
 
-_BONES = [(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)]
-_ACROSS = [(5, 9), (9, 13), (13, 17), (1, 5), (1, 17), (5, 17)]
-_PAIRS = np.array(_BONES + _ACROSS)
+BONES = [(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)]
+"""Landmarks at both ends of each bone, and from the wrist to each finger's first joint."""
+NEIGHBOURS = [(5, 9), (9, 13), (13, 17)]
+"""Neighbouring MCP joints."""
+_PAIRS = np.array(BONES + NEIGHBOURS + [(1, 5), (1, 17), (5, 17)])
 # Centre and half width of log(distance / median distance) over the hands that were measured: six
 # recordings of four trackers (WebXR headset, two Leap generations, MediaPipe), the human model's
 # own proportions, and those of Buchholz et al. 1992 (`HumanLengths.from_hand_length`). The half

@@ -19,7 +19,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.human.sample import LANDMARK_COUNT, UNSEEN, HumanSample
-from handmap_qp.se3 import affine, transform_points
+from handmap_qp.se3 import affine, transform_points, unit
 from handmap_qp.trackers.wrist_axes import palm_axes
 
 
@@ -32,16 +32,18 @@ class Onset(NamedTuple):
         direction: A unit vector that stays the same during the fault, shape (3,).
         landmark: Index of a landmark that stays the same during the fault.
         random: Random numbers of this fault.
+        size: Its size.
     """
 
     before: HumanSample
     direction: np.ndarray
     landmark: int
     random: np.random.Generator
+    size: float
 
 
-Change = Callable[[HumanSample, float, Onset], HumanSample]
-"""Takes a sample and the size of the fault, returns the changed sample."""
+Change = Callable[[HumanSample, Onset], HumanSample]
+"""Takes a sample, and returns it changed."""
 
 
 def _moved(sample: HumanSample, motion: np.ndarray) -> HumanSample:
@@ -57,51 +59,31 @@ def _about(sample: HumanSample, linear: np.ndarray) -> np.ndarray:
     return affine(linear, wrist - linear @ wrist)
 
 
-def _flip(
-    sample: HumanSample,
-    size: float,
-    onset: Onset,
-) -> HumanSample:
+def _flip(sample: HumanSample, onset: Onset) -> HumanSample:
     axis = sample.landmarks[9] - sample.landmarks[0]
     turn = 2.0 * np.outer(axis, axis) / (axis @ axis) - np.eye(3)
     return _moved(sample, _about(sample, turn))
 
 
-def _mirror(
-    sample: HumanSample,
-    size: float,
-    onset: Onset,
-) -> HumanSample:
+def _mirror(sample: HumanSample, onset: Onset) -> HumanSample:
     normal = palm_axes(sample.landmarks[None], 1.0)[0, :, 2]
     motion = _about(sample, np.eye(3) - 2.0 * np.outer(normal, normal))
     return replace(sample, landmarks=transform_points(motion, sample.landmarks))
 
 
-def _zero(
-    sample: HumanSample,
-    size: float,
-    onset: Onset,
-) -> HumanSample:
+def _zero(sample: HumanSample, onset: Onset) -> HumanSample:
     wrist = None if sample.wrist is None else np.eye(4)
     return replace(sample, landmarks=np.zeros((LANDMARK_COUNT, 3)), wrist=wrist)
 
 
-def _outlier(
-    sample: HumanSample,
-    size: float,
-    onset: Onset,
-) -> HumanSample:
+def _outlier(sample: HumanSample, onset: Onset) -> HumanSample:
     landmarks = sample.landmarks.copy()
-    landmarks[onset.landmark] += size * onset.direction
+    landmarks[onset.landmark] += onset.size * onset.direction
     return replace(sample, landmarks=landmarks)
 
 
-def _noise(
-    sample: HumanSample,
-    size: float,
-    onset: Onset,
-) -> HumanSample:
-    noise = onset.random.normal(scale=abs(size), size=(LANDMARK_COUNT, 3))
+def _noise(sample: HumanSample, onset: Onset) -> HumanSample:
+    noise = onset.random.normal(scale=abs(onset.size), size=(LANDMARK_COUNT, 3))
     return replace(sample, landmarks=sample.landmarks + noise)
 
 
@@ -125,7 +107,7 @@ class FaultKind(NamedTuple):
     """
 
     duration: float
-    change: Change = lambda sample, size, onset: sample
+    change: Change = lambda sample, onset: sample
     size: float = 0.0
     unit: str = ""
     copies: int = 1
@@ -133,18 +115,18 @@ class FaultKind(NamedTuple):
 
 FAULT_KINDS: dict[str, FaultKind] = {
     # The hand is not seen: landmarks NaN, no wrist, confidence 0.
-    "dropout": FaultKind(0.5, lambda sample, size, onset: replace(sample, **_NOTHING)),
+    "dropout": FaultKind(0.5, lambda sample, onset: replace(sample, **_NOTHING)),
     # Nothing is sent.
     "silence": FaultKind(0.5, copies=0),
     # The last valid sample that was sent before the fault, with new time stamps.
     "frozen": FaultKind(
-        0.5, lambda sample, size, onset: replace(onset.before, time=sample.time)
+        0.5, lambda sample, onset: replace(onset.before, time=sample.time)
     ),
     # The whole hand is displaced.
     "jump": FaultKind(
         0.5,
-        lambda sample, size, onset: _moved(
-            sample, affine(np.eye(3), size * onset.direction)
+        lambda sample, onset: _moved(
+            sample, affine(np.eye(3), onset.size * onset.direction)
         ),
         0.2,
         "m",
@@ -162,15 +144,15 @@ FAULT_KINDS: dict[str, FaultKind] = {
     # The size is added to the time stamp: the tracker's clock was set.
     "clock": FaultKind(
         math.inf,
-        lambda sample, size, onset: replace(sample, time=sample.time + size),
+        lambda sample, onset: replace(sample, time=sample.time + onset.size),
         5.0,
         "s",
     ),
     # Gaussian noise is added to the time stamp, its standard deviation the size.
     "jitter": FaultKind(
         math.inf,
-        lambda sample, size, onset: replace(
-            sample, time=sample.time + onset.random.normal(scale=abs(size))
+        lambda sample, onset: replace(
+            sample, time=sample.time + onset.random.normal(scale=abs(onset.size))
         ),
         0.002,
         "s",
@@ -178,8 +160,8 @@ FAULT_KINDS: dict[str, FaultKind] = {
     # One of two time stamps is set back by the size: samples arrive in disorder.
     "late": FaultKind(
         0.5,
-        lambda sample, size, onset: replace(
-            sample, time=sample.time - size * (onset.random.random() < 0.5)
+        lambda sample, onset: replace(
+            sample, time=sample.time - onset.size * (onset.random.random() < 0.5)
         ),
         0.05,
         "s",
@@ -272,22 +254,18 @@ def inject(
             since = sample.time - start - fault.start
             if 0.0 <= since < fault.duration:
                 if number not in onsets:
-                    onsets[number] = _onset(before or sample, seed, number)
+                    onsets[number] = _onset(before or sample, seed, number, fault.size)
                 onset = onsets[number]
                 # A hand that is not seen may lie in one place, without axes.
                 with np.errstate(divide="ignore", invalid="ignore"):
-                    sent = [fault.kind.change(one, fault.size, onset) for one in sent]
+                    sent = [fault.kind.change(one, onset) for one in sent]
                 sent *= fault.kind.copies
         before = next((each for each in reversed(sent) if each.valid), before)
         yield from sent
 
 
-def _onset(
-    before: HumanSample,
-    seed: int,
-    number: int,
-) -> Onset:
+def _onset(before: HumanSample, seed: int, number: int, size: float) -> Onset:
     random = np.random.default_rng((seed, number))
-    direction = random.normal(size=3)
-    direction /= np.linalg.norm(direction)
-    return Onset(before, direction, int(random.integers(LANDMARK_COUNT)), random)
+    direction = unit(random.normal(size=3))
+    landmark = int(random.integers(LANDMARK_COUNT))
+    return Onset(before, direction, landmark, random, size)

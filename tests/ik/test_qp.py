@@ -26,7 +26,8 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.ik.limits import BoxLimits, Gate, Motion
-from handmap_qp.ik.qp import PointIk, make_solver, solve_by_daqp
+from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.ik.solvers import make_solver
 
 ARM = arm_hand()
 HAND = load_hand("three_finger", mount="floating")

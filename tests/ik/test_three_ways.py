@@ -21,7 +21,8 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.mink_problem import RowsLimit, build_problem, damping_term
-from handmap_qp.ik.qp import PointIk, solve_by_daqp, solve_problem
+from handmap_qp.ik.qp import PointIk, solve_by_daqp
+from handmap_qp.ik.solvers import solve_problem
 from handmap_qp.ik.tasks import Goal
 
 ONE_STEP = IkOptions(max_iterations=1)

@@ -125,7 +125,7 @@ def test_a_real_headset_is_read_by_its_table(side: Side, recordings: Path) -> No
     poses = content["joints_pose"][recording.valid][
         :, :, [0, 1, 2, 4, 5, 6, 3]
     ]  # to xyzw
-    hands = load_layout("webxr25").hands(poses, side)
+    hands = load_layout("webxr25").hands(poses, side, None, None)
     np.testing.assert_allclose(
         hands.landmarks, recording.landmarks[recording.valid], atol=1e-9
     )

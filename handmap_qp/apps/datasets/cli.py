@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from handmap_qp.apps.arguments import MappingArguments, hinted
+from handmap_qp.apps.arguments import MappingArguments, MappingFlags, hinted
 from handmap_qp.apps.datasets.assemble import assemble
 from handmap_qp.apps.datasets.batch import (
     Plan,
@@ -167,9 +167,7 @@ class Batch:
         hinted("I/N", "(default: everything)"),
     ] = None
     json: bool = False
-    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
-        default_factory=MappingArguments
-    )
+    arguments: MappingFlags = field(default_factory=MappingArguments)
 
     def run(self) -> None:
         """List, map, and say what was done."""
@@ -224,16 +222,13 @@ class Batch:
 
     def _options(self) -> JobOptions:
         """Check the options, and collect what all jobs have in common."""
-        if not 0.0 < self.fps <= 1000.0:
-            expected = "a rate of at most 1000 per second, and > 0"
-            raise InvalidInputError(argument="--fps", expected=expected, value=self.fps)
+        rate = "a rate of at most 1000 per second, and > 0"
+        expect(0.0 < self.fps <= 1000.0, "--fps", rate, value=self.fps)
         robots: dict[Side, str] = {}
         for name in self.robot:
             side = self.arguments.load_robot(name).spec.side
-            if side in robots:
-                got = f"{robots[side]} and {name}, both {side}"
-                expected = "one robot for each side"
-                raise InvalidInputError(argument="--robot", expected=expected, got=got)
+            got = f"{robots.get(side)} and {name}, both {side}"
+            expect(side not in robots, "--robot", "one robot for each side", got=got)
             robots[side] = name
         if self.look_ahead and self.arguments.smooth:
             problem = "has no effect with --look-ahead, which smooths itself"
@@ -244,11 +239,8 @@ class Batch:
 
     def _engine(self) -> Engine:
         workers = len(os.sched_getaffinity(0)) if self.workers is None else self.workers
-        if not 0 <= workers <= 1024:
-            expected = "a number from 0 to 1024"
-            raise InvalidInputError(
-                argument="--workers", expected=expected, value=workers
-            )
+        number = "a number from 0 to 1024"
+        expect(0 <= workers <= 1024, "--workers", number, value=workers)
         if self.engine == "ray":
             return RayEngine(max(1, workers))
         return PoolEngine(workers) if workers else SerialEngine()
@@ -330,11 +322,7 @@ class Report:
 
     def run(self) -> None:
         """Read the manifest, rank, write, and print."""
-        if self.worst < 1:
-            expected = "a number > 0"
-            raise InvalidInputError(
-                argument="--worst", expected=expected, value=self.worst
-            )
+        expect(self.worst > 0, "--worst", "a number > 0", value=self.worst)
         quality = assess(self.folder, self.keep)
         files = write_report(self.folder, quality, self.worst, draws=self.pictures)
         count = len(quality.lines)
@@ -369,8 +357,6 @@ def _shard(text: str | None) -> tuple[int, int]:
         return (1, 1)
     found = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)
     part, parts = map(int, found.groups()) if found else (0, 0)
-    if 1 <= part <= parts <= 10**6:
-        return (part, parts)
-    raise InvalidInputError(
-        argument="--shard", expected="I/N with 1 <= I <= N", value=text
-    )
+    is_part = 1 <= part <= parts <= 10**6
+    expect(is_part, "--shard", "I/N with 1 <= I <= N", value=text)
+    return (part, parts)

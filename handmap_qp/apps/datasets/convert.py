@@ -7,7 +7,7 @@ from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers.formats import Source, format_to_write, list_sources
@@ -86,12 +86,12 @@ def _write_each(
     target: RecordingFormat,
 ) -> tuple[Path, ...]:
     files = [out / f"{source.name}{target.suffixes[0]}" for source in sources]
-    twice = next((file for file in files if files.count(file) > 1), None)
-    if twice is not None:
-        raise InvalidInputError(
-            argument="IN",
-            expected="recordings of different names",
-            got=f"{twice.stem} twice",
+    for file in files:
+        expect(
+            files.count(file) == 1,
+            "IN",
+            "recordings of different names",
+            got=f"{file.stem} twice",
         )
     make_folder(out, "OUT")
     for recording, file in zip(recordings, files, strict=True):

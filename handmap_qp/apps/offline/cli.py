@@ -11,7 +11,9 @@ import tyro
 
 from handmap_qp.apps.arguments import (
     InputArguments,
+    InputFlags,
     MappingArguments,
+    MappingFlags,
     PersonFile,
     fit_side,
     hinted,
@@ -83,12 +85,8 @@ class Map:
     mirror: bool = False
     person: PersonFile = None
     json: bool = False
-    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
-        default_factory=InputArguments
-    )
-    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
-        default_factory=MappingArguments
-    )
+    inputs: InputFlags = field(default_factory=InputArguments)
+    arguments: MappingFlags = field(default_factory=MappingArguments)
 
     def run(self) -> None:
         """Read, measure and map each hand, write the trajectories, and print summaries."""
@@ -132,13 +130,12 @@ class Map:
             )
         robots = [self.arguments.load_robot(name) for name in self.robots or ()]
         for robot, side in zip(robots, SIDES, strict=True):
-            if robot.spec.side != side:
-                got = f"{robot.name}, a {robot.spec.side} one"
-                raise InvalidInputError(
-                    argument="--robots",
-                    expected="a left hand, then a right hand",
-                    got=got,
-                )
+            expect(
+                robot.spec.side == side,
+                "--robots",
+                "a left hand, then a right hand",
+                got=f"{robot.name}, a {robot.spec.side} one",
+            )
         hands = self.inputs.read_both(self.recordings, self.person)
         return [(hands[robot.spec.side], robot) for robot in robots]
 
@@ -193,9 +190,7 @@ class Calibrate:
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("person.yaml")
     overwrite: bool = False
     json: bool = False
-    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
-        default_factory=InputArguments
-    )
+    inputs: InputFlags = field(default_factory=InputArguments)
 
     def run(self) -> None:
         """Measure the person, write the file, and print the measures."""

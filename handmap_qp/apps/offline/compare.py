@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +13,13 @@ import msgspec
 import tyro
 
 import handmap_qp
-from handmap_qp.apps.arguments import HandName, InputArguments, PersonFile, hinted
+from handmap_qp.apps.arguments import (
+    HandName,
+    InputArguments,
+    InputFlags,
+    PersonFile,
+    hinted,
+)
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline import comparison_pictures
 from handmap_qp.apps.offline.comparison import (
@@ -31,8 +36,9 @@ from handmap_qp.apps.offline.comparison import (
     prepare_take,
 )
 from handmap_qp.apps.offline.metrics import GROUPS, METRICS, SUMMARY, Metric
+from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import progress
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.person import Person, read_person
@@ -40,7 +46,6 @@ from handmap_qp.output_files import make_folder, writing
 
 FILES = ("table.md", "results.json", "metrics.png", "poses.png")
 """Files that are written."""
-_PACKAGES = ("handmap-qp", "pin", "daqp", "numpy")
 _SHOWN = ("key", "title", "unit", "better", "about")
 _LEGEND = (
     "Mean over the recordings in which a question arises; `-` where it arises in none or the "
@@ -103,9 +108,7 @@ class Compare:
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER")] = None
     person: PersonFile = None
     json: bool = False
-    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
-        default_factory=InputArguments
-    )
+    inputs: InputFlags = field(default_factory=InputArguments)
 
     def run(self) -> None:
         """Check everything, measure, print and write.
@@ -141,8 +144,7 @@ class Compare:
 def markdown(comparison: Comparison) -> str:
     """Return all tables as Markdown: overall, then every recording."""
     overall = {method: comparison.overall(method) for method in comparison.methods}
-    short = [metric for metric in METRICS if metric.key in SUMMARY]
-    short.sort(key=lambda metric: SUMMARY.index(metric.key))
+    short = [metric for key in SUMMARY for metric in METRICS if metric.key == key]
     parts = [
         f"# Methods on {comparison.robot.name}",
         _LEGEND,
@@ -152,7 +154,7 @@ def markdown(comparison: Comparison) -> str:
         f"{len(comparison.takes)} recordings.",
         *_tables(overall),
         "## What the columns say",
-        "\n".join(f"- **{m.label}**: {m.about}; {_better(m)}." for m in METRICS),
+        "\n".join(f"- **{m.label}**: {m.about}; {m.hint}." for m in METRICS),
     ]
     if notes := notes_of(comparison):
         parts += ["## Notes", "\n".join(f"- {note}." for note in notes)]
@@ -208,7 +210,7 @@ def results_of(comparison: Comparison) -> dict[str, Any]:
         }
     return {
         "robot": comparison.robot.name,
-        "versions": {package: version(package) for package in _PACKAGES},
+        "versions": dict(map(str.split, package_versions())),
         "metrics": [{key: getattr(m, key) for key in _SHOWN} for m in METRICS],
         "recordings": [
             {
@@ -242,14 +244,14 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
     for name in names:
-        if name not in known:
-            some = ", ".join([*own_methods(), *outside])
-            raise InvalidInputError(
-                argument="--methods",
-                expected=f"some of {some}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
-                got=name,
-                advice="" if request.peers else "peers need --peers",
-            )
+        some = ", ".join([*own_methods(), *outside])
+        expect(
+            name in known,
+            "--methods",
+            f"some of {some}, or one of ours with {SMOOTH} or {LOOK_AHEAD}",
+            got=name,
+            advice="" if request.peers else "peers need --peers",
+        )
     if outside.keys() & set(names):
         outside = {}
     return [*map(known.__getitem__, names), *outside.values()]
@@ -350,17 +352,6 @@ def _table(
     rows = [f"| {' | '.join(line)} |" for line in lines]
     rows.insert(1, "|---|" + "---:|" * len(metrics))
     return "\n".join(rows)
-
-
-def _better(metric: Metric) -> str:
-    return {
-        "high": "higher is better",
-        "low": f"up to {metric.enough:g} is good"
-        if metric.enough
-        else "lower is better",
-        "zero": "nearer to 0 is better",
-        "one": "nearer to 1 is better",
-    }[metric.better]
 
 
 def _palm(take: Take) -> str:

@@ -30,7 +30,6 @@ _OUTSIDE = "#3f6fb5"
 _SAMPLE = "#b8bec6"
 _INK = "#222831"
 _BAND = 6  # Methods side by side on the contact sheet; more are drawn below.
-_HINTS = {"high": "higher is better", "low": "lower is better", "one": "best near 1"}
 _WIDEST = 6.0  # Values beyond this multiple of the median value are drawn at the edge.
 
 
@@ -216,10 +215,14 @@ def _draw_panel(
     panel.set_axisbelow(True)
     panel.tick_params(length=0, labelsize=7)
     panel.spines[["top", "right", "left"]].set_visible(False)
-    hint = _HINTS.get(metric.better, "best near 0")
     panel.set_title(metric.label, fontsize=8.5, fontweight="bold", loc="left", pad=9)
     panel.text(
-        0.0, 1.005, hint, transform=panel.transAxes, fontsize=6.3, color="#6b7280"
+        0.0,
+        1.005,
+        metric.hint,
+        transform=panel.transAxes,
+        fontsize=6.3,
+        color="#6b7280",
     )
 
 

@@ -29,7 +29,7 @@ from handmap_qp.apps.offline.hand_trace import (
 from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
 from handmap_qp.apps.offline.trajectory import rms_derivative
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import expect
 from handmap_qp.hands.fingers import Finger
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
@@ -145,9 +145,7 @@ def assess_fidelity(
 
 def _check(sizes: dict[str, int], count: int, shared: list[str]) -> None:
     for name, size in sizes.items():
-        if size != count:
-            expected = f"{count} samples as in time"
-            raise InvalidInputError(argument=name, expected=expected, got=str(size))
+        expect(size == count, name, f"{count} samples as in time", got=str(size))
     expect(shared, "robot", "a finger that the human has too", got="none")
 
 

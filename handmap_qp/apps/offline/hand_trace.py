@@ -23,6 +23,7 @@ from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import FIRST_JOINTS, PALM, TIPS
 from handmap_qp.se3 import affine, nearest_rotation, rigid_fit
+from handmap_qp.se3 import lengths as norms
 
 MIDDLES = np.array([3, 6, 10, 14, 18])
 """Landmarks of the middle joints: the thumb's IP and the other fingers' PIP."""
@@ -58,10 +59,8 @@ class HandTrace(NamedTuple):
     @property
     def extension(self) -> np.ndarray:
         """Distance from knuckle to tip as a share of the reach, shape (T, k)."""
-        return (
-            np.linalg.norm(self.points[:, :, TIP] - self.points[:, :, KNUCKLE], axis=2)
-            / self.reach
-        )
+        spans = self.points[:, :, TIP] - self.points[:, :, KNUCKLE]
+        return norms(spans) / self.reach
 
     def part(self, samples: np.ndarray, names: Sequence[str]) -> HandTrace:
         """Return some of the samples, by index or mask, and some of the fingers."""
@@ -93,7 +92,7 @@ def trace_human(
     template = np.vstack([np.zeros(3), lengths.bases[1:]])
     if side == "left":
         template = template * (-1.0, 1.0, 1.0)
-    palm = np.linalg.inv(rigid_fit(landmarks[:, PALM], template))
+    palm = rigid_fit(template, landmarks[:, PALM])
     if wrist_poses is not None:
         on_wrist = np.linalg.inv(wrist_poses) @ palm
         rotation = nearest_rotation(on_wrist[:, :3, :3].mean(axis=0))
@@ -102,7 +101,7 @@ def trace_human(
         [landmarks[:, index] for index in (FIRST_JOINTS, MIDDLES, TIPS)], axis=2
     )
     reach = lengths.segments.sum(axis=1)
-    size = float(np.linalg.norm(lengths.bases[1:].mean(axis=0)) + reach[1:].mean())
+    size = float(norms(lengths.bases[1:].mean(axis=0)) + reach[1:].mean())
     return HandTrace(tuple(FINGERS), points, reach, palm, size)
 
 
@@ -147,4 +146,4 @@ def _size(hand: Hand, chains: dict[str, Finger]) -> float:
     places = [one.knuckle for one in others.values()]
     knuckles = PalmKinematics(hand).points(zero_posture(hand), places)
     reach = np.mean([one.reach for one in others.values()])
-    return float(np.linalg.norm(knuckles.mean(axis=0)) + reach)
+    return float(norms(knuckles.mean(axis=0)) + reach)

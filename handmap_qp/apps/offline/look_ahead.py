@@ -28,7 +28,7 @@ from handmap_qp.apps.offline.trajectory import (
     map_recording,
     stretches,
 )
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person
@@ -38,8 +38,8 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.se3 import (
     affine,
     inverse_pose,
-    poses_from_quats,
     rigid_fit,
+    rotation_from_quat_wxyz,
     transform_points,
 )
 from handmap_qp.stream.smoothing import SMOOTH_IK
@@ -65,11 +65,8 @@ class LookAhead:
 
     def __post_init__(self) -> None:
         expect(0.0 < self.cutoff < np.inf, "cutoff", "a rate > 0", value=self.cutoff)
-        if not 0.0 <= self.longest_gap < np.inf:
-            expected = "a time >= 0"
-            raise InvalidInputError(
-                argument="longest_gap", expected=expected, value=self.longest_gap
-            )
+        gap = self.longest_gap
+        expect(0.0 <= gap < np.inf, "longest_gap", "a time >= 0", value=gap)
 
 
 def look_ahead(recording: Recording, options: LookAhead | None = None) -> Recording:
@@ -118,7 +115,7 @@ def smooth_poses(
     seen = poses[valid]
     rows[valid] = np.hstack([continuous_quats(seen[:, :3, :3]), seen[:, :3, 3]])
     smooth = whittaker(time, rows, valid.astype(float), options.cutoff)
-    return poses_from_quats(smooth[:, 4:], smooth[:, :4], "poses")
+    return affine(rotation_from_quat_wxyz(smooth[:, :4], "poses"), smooth[:, 4:])
 
 
 def whittaker(

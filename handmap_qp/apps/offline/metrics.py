@@ -36,6 +36,17 @@ class Metric(NamedTuple):
         """The short name with the unit."""
         return f"{self.title} [{self.unit}]" if self.unit else self.title
 
+    @property
+    def hint(self) -> str:
+        """Which values are better, in words."""
+        low = f"up to {self.enough:g} is good" if self.enough else "lower is better"
+        return {
+            "high": "higher is better",
+            "low": low,
+            "zero": "nearer to 0 is better",
+            "one": "nearer to 1 is better",
+        }[self.better]
+
     def text(self, value: float) -> str:
         """Format a value; `-` for NaN."""
         return "-" if np.isnan(value) else f"{value + 0.0:.{self.digits}f}"

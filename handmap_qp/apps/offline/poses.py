@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import TIPS
-from handmap_qp.se3 import as_floats, lengths
+from handmap_qp.se3 import as_floats
 
 STRAIGHT = 60.0
 """A finger whose bones turn by less than this from wrist to tip is straight [deg]."""
@@ -82,7 +82,7 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
     sine = (np.cross(index, little) * normal).sum(axis=1)
     along = (index * normal).sum(axis=1) * (little * normal).sum(axis=1)
     cosine = (index * little).sum(axis=1) - along
-    gaps = lengths(points[:, TIPS[1:]] - points[:, TIPS[:1]])
+    gaps = tip_gaps(points)
     return Posture(flexion, gaps, np.degrees(np.arctan2(sine, cosine)))
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.apps.offline.trajectory import Trajectory, stretches
+from handmap_qp.se3 import lengths
 
 SLOW_SHARE = 0.2
 """Share of samples held by a speed limit from which `notes` says so."""
@@ -127,7 +128,6 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
     Returns:
         Formatted values, with their units, by label.
     """
-    number = summary
     events = summary["events"]
     holds = [
         f"{event['rule']} at {event['start']:.2f} s for {event['duration']:.2f} s"
@@ -135,24 +135,26 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
     ]
     if len(events) > _NAMED_HOLDS:
         holds.append(f"{len(events) - _NAMED_HOLDS} more")
-    consistency = number["consistency_mm_mean"]
+    consistency = summary["consistency_mm_mean"]
     return {
-        "samples": f"{number['samples']}, {number['held']} not followed (robot held still)",
+        "samples": f"{summary['samples']}, {summary['held']} not followed (robot held still)",
         "holds": "; ".join(holds) or "none",
         "bones and palm off the person's": "not measured"
         if consistency is None
         else f"{consistency:.1f} mm RMS",
         "step, CPU time": (
-            f"{number['step_cpu_us_median']:.0f} us median, {number['step_cpu_us_p99']:.0f} us p99"
+            f"{summary['step_cpu_us_median']:.0f} us median, "
+            f"{summary['step_cpu_us_p99']:.0f} us p99"
         ),
         "point error": (
-            f"{number['point_error_mm_mean']:.2f} mm mean, "
-            f"{number['point_error_mm_p95']:.2f} mm p95, {number['point_error_mm_max']:.2f} mm max"
+            f"{summary['point_error_mm_mean']:.2f} mm mean, "
+            f"{summary['point_error_mm_p95']:.2f} mm p95, "
+            f"{summary['point_error_mm_max']:.2f} mm max"
         ),
-        "wrist error": f"{number['wrist_error_mm_mean']:.2f} mm mean",
-        "samples at a limit": f"{number['samples_at_limit']}",
-        "samples held by a speed limit": f"{100.0 * number['speed_limited_share']:.1f} %",
-        "largest limit violation": f"{number['limit_violation_max']:.1e} rad",
+        "wrist error": f"{summary['wrist_error_mm_mean']:.2f} mm mean",
+        "samples at a limit": f"{summary['samples_at_limit']}",
+        "samples held by a speed limit": f"{100.0 * summary['speed_limited_share']:.1f} %",
+        "largest limit violation": f"{summary['limit_violation_max']:.1e} rad",
     }
 
 
@@ -171,7 +173,7 @@ def _arm(trajectory: Trajectory) -> dict[str, float] | None:
     late = errors > _WRIST_OFF
     if not late.mean() > _LATE_SHARE:
         return None
-    moved = np.linalg.norm(places - places[0], axis=1)
+    moved = lengths(places - places[0])
     wanted = np.maximum(moved + errors, 1e-6)
     scale = float((moved[late] / wanted[late]).min())
     return {

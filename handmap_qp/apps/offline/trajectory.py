@@ -15,11 +15,16 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.recording import Recording, sample_columns
+from handmap_qp.human.recording import (
+    Recording,
+    recording_samples,
+    sample_columns,
+)
 from handmap_qp.human.sample import RULES, Rule
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.output_files import replaced_file
+from handmap_qp.se3 import lengths
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.smoothing import Smoothing
 from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
@@ -90,12 +95,12 @@ class Trajectory:
             "all_q": robot.all_joints(self.q),
             "point_names": np.array([point.name for point in robot.reference_points]),
             "robot": np.array(robot.name),
-            "versions": np.array(_versions()),
+            "versions": np.array(package_versions()),
         }
 
 
 @cache
-def _versions() -> tuple[str, ...]:
+def package_versions() -> tuple[str, ...]:
     """Return the versions of the packages that the motion depends on."""
     packages = ("handmap-qp", "pin", "daqp", "numpy")
     return tuple(f"{package} {version(package)}" for package in packages)
@@ -134,15 +139,12 @@ def map_recording(
         columns = sample_columns(recording, wrist_poses)
         table = follower.map_samples(columns, progress)
         return _trajectory(mapper.robot, recording.time, table)
-    wrists = [None] * len(recording) if wrist_poses is None else wrist_poses
-    rows = zip(
-        recording.landmarks, wrists, recording.steps, recording.valid, strict=True
-    )
+    samples = recording_samples(recording, wrist_poses)
     steps = (
-        follower.map(mapper.landmarks.read(landmarks, wrist), float(dt))
-        if is_valid
+        follower.map(mapper.landmarks.read(sample.landmarks, sample.wrist), float(dt))
+        if sample.valid
         else None
-        for landmarks, wrist, dt, is_valid in rows
+        for sample, dt in zip(samples, recording.steps, strict=True)
     )
     return trajectory_of(mapper.robot, recording.time, steps, progress)
 
@@ -201,8 +203,8 @@ def _trajectory(robot: Hand, time: np.ndarray, table: StepTable) -> Trajectory:
         wrist=wrist,
         targets=targets,
         points=points,
-        point_error=np.linalg.norm(targets - points, axis=2),
-        wrist_error=np.linalg.norm((wrist - wrist_target)[:, :3, 3], axis=1),
+        point_error=lengths(targets - points),
+        wrist_error=lengths((wrist - wrist_target)[:, :3, 3]),
         valid=~is_held,
         at_limit=at_limit,
         at_speed_limit=(at_bound > 0.0) & ~at_limit & ~is_held[:, None],

@@ -19,6 +19,7 @@ from handmap_qp.apps.offline.comparison import (
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import Recording
+from handmap_qp.se3 import lengths
 
 # The human pinches while thumb and index landmarks are nearer than the first, with interruptions
 # below the second [m].
@@ -98,7 +99,7 @@ def find_pinch(recording: Recording) -> PinchWindow:
     """
     time = recording.time
     landmarks = recording.landmarks
-    gap = np.linalg.norm(landmarks[:, 4] - landmarks[:, 8], axis=1)
+    gap = lengths(landmarks[:, 4] - landmarks[:, 8])
     # Samples without landmarks interrupt nothing.
     runs, _ = ndimage.label(~(gap > _OPEN))
     pinches = [(0.0, 0, 0)]

@@ -17,7 +17,7 @@ from handmap_qp.errors import (
 )
 from handmap_qp.hands.spec import Vector
 from handmap_qp.options import Options, number, text
-from handmap_qp.se3 import as_floats
+from handmap_qp.se3 import as_floats, lengths, unit
 
 KINDS = ("box", "sphere", "cylinder")
 """Names of shapes with one size."""
@@ -294,9 +294,9 @@ def turn_up(up: np.ndarray, along: np.ndarray | None = None) -> np.ndarray:
         up: The direction, shape (3,).
         along: Direction that it turns to +x as far as it is horizontal, shape (3,).
     """
-    z = up / np.linalg.norm(up)
+    z = unit(up)
     x = np.cross(np.eye(3)[np.argmin(np.abs(z))], z)
-    if along is not None and np.linalg.norm(level := along - (along @ z) * z) > 1e-6:
+    if along is not None and lengths(level := along - (along @ z) * z) > 1e-6:
         x = level
-    x = x / np.linalg.norm(x)
+    x = unit(x)
     return np.array([x, np.cross(z, x), z])

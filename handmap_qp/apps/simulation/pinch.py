@@ -37,7 +37,7 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.pads import find_pads
-from handmap_qp.se3 import affine, inverse_pose, transform_points
+from handmap_qp.se3 import affine, inverse_pose, lengths, transform_points
 
 CUBE = Box((0.03, 0.03, 0.03))
 """The nominal object."""
@@ -102,12 +102,12 @@ class Pads:
     def gap(self, places: np.ndarray) -> float:
         """Return the distance between the pads' surfaces at such places [m]."""
         radii = sum(pad.radius for pad in self._pads.values())
-        return float(np.linalg.norm(places[1] - places[0])) - radii
+        return float(lengths(places[1] - places[0])) - radii
 
     def middle(self, places: np.ndarray) -> np.ndarray:
         """Return the point midway between the pads' surfaces at such places [m], shape (3,)."""
         thumb, finger = places
-        distance = max(float(np.linalg.norm(finger - thumb)), 1e-6)
+        distance = max(float(lengths(finger - thumb)), 1e-6)
         farther = self._pads[THUMB].radius - self._pads[_INDEX].radius
         share = np.clip(0.5 + 0.5 * farther / distance, 0.0, 1.0)
         return thumb + share * (finger - thumb)
@@ -226,7 +226,7 @@ class PinchScene:
             times.append(time)
             middle = pads.middle(pads.places(simulator))
             off = simulator.object_pose[:3, 3] - middle
-            distances.append(float(np.linalg.norm(off)))
+            distances.append(float(lengths(off)))
         # Pads that never pressed had no object to lose.
         times = times or [0.0]
         distances = distances or [np.inf]
@@ -253,13 +253,9 @@ class PinchScene:
         last = int(near[0])
         if last == 0:
             return instants[0]
-        before = instants[last - 1]
-        after = instants[last]
         share = (gaps[last - 1] - width) / (gaps[last - 1] - gaps[last])
-        return Meeting(
-            before.time + share * (after.time - before.time),
-            before.places + share * (after.places - before.places),
-        )
+        pairs = zip(instants[last - 1], instants[last], strict=True)
+        return Meeting(*(before + share * (after - before) for before, after in pairs))
 
     @cached_property
     def _closing(self) -> list[Meeting]:
@@ -306,7 +302,7 @@ def _outcome(
         is_held=not len(lost) and bool(episode.at.links_touching[-1] >= 2),
         held_time=time[last] - time[0],
         pinch_time=time[-1] - time[0],
-        slip=float(np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max()),
+        slip=float(lengths(poses[:, :3, 3] - poses[0, :3, 3]).max()),
         rotation=float(turn),
         force=float(kept.normal_force.mean()),
         episode=episode,

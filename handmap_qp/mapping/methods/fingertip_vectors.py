@@ -39,6 +39,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod, require_points
 from handmap_qp.options import number, text
+from handmap_qp.se3 import lengths
 
 
 class FingertipVectors(MethodOptions, frozen=True):
@@ -125,16 +126,12 @@ class BoundFingertipVectors(PalmMethod):
         places = [chains[finger].knuckle for finger in led]
         self.robot_origins = points_in_palm(robot, robot.rest, places)
         reaches = np.array([chains[finger].reach for finger in led])
-        lengths = bone_lengths(human, leading)
-        self.scales = (
-            np.full(len(led), scale) if scale is not None else reaches / lengths
-        )
+        ratios = reaches / bone_lengths(human, leading)
+        self.scales = ratios if scale is None else np.full(len(led), scale)
 
     def _size(self, hand: Hand, points: np.ndarray) -> float:
         palm = hand.wrist_to_palm[:3, 3]
-        return float(
-            np.linalg.norm(hand.points(hand.rest)[points] - palm, axis=1).mean()
-        )
+        return float(lengths(hand.points(hand.rest)[points] - palm).mean())
 
 
 class FingertipVectorMap(PalmMap):

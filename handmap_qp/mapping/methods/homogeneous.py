@@ -327,9 +327,7 @@ class HomogeneousMap(Compiled):
         linear = estimate.linear
         image = estimate.image(pivot)
         factors = polar(linear)
-        stretches = np.minimum(
-            np.maximum(factors.stretches, options.stretch_min), options.stretch_max
-        )
+        stretches = np.clip(factors.stretches, options.stretch_min, options.stretch_max)
         is_clamped = stretches.tolist() != factors.stretches.tolist()
         if is_clamped or options.deformation_gain != 1.0:
             linear = factors.stretch(stretches**options.deformation_gain).dot(

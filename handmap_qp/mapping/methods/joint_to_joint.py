@@ -52,7 +52,7 @@ from handmap_qp.mapping.palm import (
     chain_landmarks,
     require_points,
 )
-from handmap_qp.se3 import inverse_pose, transform_points
+from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
 _JOINT_WEIGHT = 10.0
@@ -145,8 +145,7 @@ class _FingerFrames:
         view = PalmKinematics(human)
         zero = np.zeros(len(human.joint_names))
         axes, origins = view.axes(zero, finger.joints)
-        bone = view.points(zero, [finger.tip])[0] - origins[-1]
-        bone = bone / np.linalg.norm(bone)
+        bone = unit(view.points(zero, [finger.tip])[0] - origins[-1])
         self._frames = [
             np.column_stack([bone, np.cross(axis, bone), axis]) for axis in axes
         ]
@@ -397,10 +396,10 @@ def _closed_end(
         return _ClosedEnd(start, bool(finger.closing[column] > 0.0))
     ends = ends_of(robot, finger.stretched, [column])
     places = view.points(ends, [finger.tip, finger.knuckle])
-    lengths = np.linalg.norm(places[:, 0] - places[:, 1], axis=1)
-    if is_thumb and finger.reach - lengths.min() > _CURLING * finger.reach:
+    reaches = lengths(places[:, 0] - places[:, 1])
+    if is_thumb and finger.reach - reaches.min() > _CURLING * finger.reach:
         return _ClosedEnd(
-            float(finger.stretched[column]), bool(lengths[1] <= lengths[0])
+            float(finger.stretched[column]), bool(reaches[1] <= reaches[0])
         )
     motion = view.motion(robot.rest, finger.tip)[:, column]
     if not motion[3:].any():

@@ -36,10 +36,9 @@ from handmap_qp.mapping.palm import (
     PalmMethod,
     palm_of,
     point_indices,
-    transform_point,
 )
 from handmap_qp.options import number, text
-from handmap_qp.se3 import inverse_pose, lengths
+from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM, _PINCH_OVER = 0.070, 0.050
@@ -177,7 +176,7 @@ class TeleoperationDiagnostics(Diagnostics):
     @property
     def pivot_image(self) -> np.ndarray:
         """Centroid of the points now [m], shape (3,)."""
-        return transform_point(self.palm, self._estimate.centroid_after)
+        return transform_points(self.palm, self._estimate.centroid_after)
 
     @property
     def residual_norms(self) -> np.ndarray:
@@ -245,7 +244,7 @@ class BoundTeleoperation(PalmMethod):
         pair = self.pair
         choices = self.choices
         human = self.pair.human_rest
-        at_rest = np.linalg.norm(human[pair.tips] - human[pair.knuckles], axis=1)
+        at_rest = lengths(human[pair.tips] - human[pair.knuckles])
         posture = pair.robot_extension - at_rest / pair.human_reach
         # The robot's pads press on each other here.
         touching = np.array(
@@ -253,14 +252,13 @@ class BoundTeleoperation(PalmMethod):
         )
         # Between jaws, an object is as large as between the human's fingers.
         ratio = 1.0 if pair.has_jaws else float(pair.reach_ratios.mean())
-        many = np.ones(len(pair.fingers))
-        few = np.ones(len(touching))
-        self.aim_slopes = np.concatenate([pair.reach_ratios, ratio * few])
-        self.aim_offsets = np.concatenate(
-            [pair.robot_reach * posture, touching - ratio * choices.contact_gap]
+        count = len(touching)
+        self.aim_slopes = np.append(pair.reach_ratios, np.full(count, ratio))
+        self.aim_offsets = np.append(
+            pair.robot_reach * posture, touching - ratio * choices.contact_gap
         )
-        self.least_aims = np.concatenate([0.0 * many, touching])
-        self.largest_aims = np.concatenate([pair.robot_reach, np.inf * few])
+        self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
+        self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
         weights = {THUMB: choices.thumb_extension_weight}
         self.extension_weights = np.array(
             [weights.get(finger, choices.extension_weight) for finger in pair.fingers]
@@ -269,7 +267,7 @@ class BoundTeleoperation(PalmMethod):
     def aims(self, distances: np.ndarray) -> np.ndarray:
         """Return the wanted distance of each row for the human's, shape (k,) both."""
         aims = self.aim_slopes * distances + self.aim_offsets
-        return np.minimum(np.maximum(aims, self.least_aims), self.largest_aims)
+        return np.clip(aims, self.least_aims, self.largest_aims)
 
     def pinching(self, gaps: np.ndarray) -> np.ndarray:
         """Return the share of its weight that each pinch row has at a gap, shape (p,) both.
@@ -284,7 +282,7 @@ class BoundTeleoperation(PalmMethod):
         That between thumb and finger widens with the gap, so that nothing touches.
         """
         wide = self.contact_slope * (gaps - self.contact_from)
-        wide = np.minimum(np.maximum(wide, 0.0), self.contact_most)
+        wide = np.clip(wide, 0.0, self.contact_most)
         margins = self.base_margins.copy()
         margins[self.pinch_pairs] = self.pinch_margins + wide[self.pinch_of_pair]
         return margins
@@ -403,5 +401,5 @@ class TeleoperationMap(Compiled, PalmMap):
 
 def smoothstep(x: np.ndarray) -> np.ndarray:
     """Go smoothly from 0 at 0 to 1 at 1."""
-    x = np.minimum(np.maximum(x, 0.0), 1.0)
+    x = np.clip(x, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)

@@ -47,7 +47,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of
 from handmap_qp.options import number
-from handmap_qp.se3 import inverse_pose, nearest_rotation, transform_points
+from handmap_qp.se3 import inverse_pose, lengths, nearest_rotation, transform_points
 
 # Points on a line leave the turn about it free: least ratio of their second singular value to the
 # first.
@@ -113,7 +113,7 @@ class VirtualEllipsoid(VirtualObject, frozen=True):
     def enclose(self, points: np.ndarray) -> Enclosing:
         """Return the smallest ellipsoid; its size is the norm of its semi-axes [m]."""
         centre, axes, semi_axes = enclosing_ellipsoid(points)
-        size = float(np.linalg.norm(semi_axes))
+        size = float(lengths(semi_axes))
         return Enclosing(points, centre, axes, size, self.ridge)
 
 
@@ -309,10 +309,10 @@ def enclosing_ball(
         edges = np.array(surface) - surface[0]
         # Centre of the circumscribed ball in the span of the edges.
         centre = 0.5 * np.linalg.pinv(edges).dot(np.square(edges).sum(axis=1))
-        radius = float(np.linalg.norm(centre))
+        radius = float(lengths(centre))
         centre += surface[0]
     for i, point in enumerate(points if len(surface) < 4 else ()):
-        if np.linalg.norm(point - centre) > radius * (1.0 + _OUTSIDE):
+        if lengths(point - centre) > radius * (1.0 + _OUTSIDE):
             centre, radius = enclosing_ball(points[:i], (*surface, point))
     return centre, radius
 

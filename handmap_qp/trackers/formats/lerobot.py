@@ -193,7 +193,7 @@ class LeRobotWriter:
         columns: Mapping[str, np.ndarray],
         task: str,
         about: Mapping[str, Any] | None = None,
-    ) -> int:
+    ) -> None:
         """Add an episode.
 
         Args:
@@ -201,9 +201,6 @@ class LeRobotWriter:
             task: What is done in it, in words.
             about: Further values of the episode, for columns in `meta/episodes`; the same names in
                 every episode.
-
-        Returns:
-            Index of the episode.
 
         Raises:
             OSError: If the disk is full.
@@ -247,7 +244,6 @@ class LeRobotWriter:
         self._episodes.append(row)
         if len(self._episodes) >= _ROW_GROUP:
             self._write_episodes()
-        return episode
 
     def _write_frames(self, values: Mapping[str, np.ndarray]) -> None:
         """Write an episode as a row group of its own, so that it is found without the others."""

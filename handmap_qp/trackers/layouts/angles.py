@@ -126,8 +126,8 @@ class AngleLayout(Layout[AngleTable]):
         self,
         values: np.ndarray,
         side: Side,
-        wrists: np.ndarray | None = None,
-        lengths: HumanLengths | None = None,
+        wrists: np.ndarray | None,
+        lengths: HumanLengths | None,
     ) -> Hands:
         """Turn angles into landmarks by the human model; see `Layout.hands`.
 

@@ -188,16 +188,16 @@ class Layout(abc.ABC, Generic[Table]):
         self,
         values: np.ndarray,
         side: Side,
-        wrists: np.ndarray | None = None,
-        lengths: HumanLengths | None = None,
+        wrists: np.ndarray | None,
+        lengths: HumanLengths | None,
     ) -> Hands:
         """Turn values into landmarks and wrist poses.
 
         Args:
             values: In one of `shapes`, for T samples, finite, shape (T, ...).
             side: Which hand.
-            wrists: Wrist poses that came beside the values, with our axes, shape (T, 4, 4).
-            lengths: The person's lengths, for angles and markers; typical ones if omitted.
+            wrists: Wrist poses beside the values, with our axes, shape (T, 4, 4); None for none.
+            lengths: The person's lengths, for angles and markers; None for typical ones.
 
         Raises:
             InvalidInputError: If the numbers cannot be of this layout.

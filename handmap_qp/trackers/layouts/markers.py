@@ -108,8 +108,8 @@ class MarkerLayout(Layout[MarkerTable]):
         self,
         values: np.ndarray,
         side: Side,
-        wrists: np.ndarray | None = None,
-        lengths: HumanLengths | None = None,
+        wrists: np.ndarray | None,
+        lengths: HumanLengths | None,
     ) -> Hands:
         """Fit the human model to the markers, sample by sample; see `Layout.hands`."""
         ik = self._fitter(side, lengths)

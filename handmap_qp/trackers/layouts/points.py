@@ -145,8 +145,8 @@ class PointLayout(Layout[PointTable]):
         self,
         values: np.ndarray,
         side: Side,
-        wrists: np.ndarray | None = None,
-        lengths: HumanLengths | None = None,
+        wrists: np.ndarray | None,
+        lengths: HumanLengths | None,
     ) -> Hands:
         """Turn joints into landmarks and wrist poses; see `Layout.hands`."""
         form = values.shape[2:]

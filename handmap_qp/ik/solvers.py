@@ -1,0 +1,82 @@
+"""Every solver of `qpsolvers`, nearly as exact as DAQP, which `handmap_qp.ik.qp` calls by itself.
+
+`qpsolvers` takes a second to import.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import qpsolvers
+
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.ik.limits import Rows
+
+# Settings for a solution nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6. quadprog
+# needs no setting. With smaller tolerances interior-point methods (clarabel, piqp) report failure,
+# and OSQP often reaches its maximum number of iterations.
+_EXACT: dict[str, dict[str, Any]] = {
+    "clarabel": {"tol_gap_abs": 1e-10, "tol_gap_rel": 1e-10, "tol_feas": 1e-10},
+    "daqp": {"primal_tol": 1e-12},
+    "osqp": {"eps_abs": 1e-6, "eps_rel": 0.0, "max_iter": 50_000, "raise_error": False},
+    "piqp": {
+        "eps_abs": 1e-10,
+        "eps_rel": 0.0,
+        "eps_duality_gap_abs": 1e-10,
+        "eps_duality_gap_rel": 0.0,
+    },
+    "proxqp": {"eps_abs": 1e-9, "eps_rel": 0.0},
+}
+
+
+def solve_problem(
+    problem: qpsolvers.Problem, solver: str = "daqp"
+) -> np.ndarray | None:
+    """Solve at a high accuracy.
+
+    Args:
+        problem: The QP.
+        solver: Name in `qpsolvers.available_solvers`.
+
+    Returns:
+        The minimiser, shape (n,); None if the solver fails.
+    """
+    with warnings.catch_warnings():
+        # Some solvers want sparse matrices, and say so. OSQP calls its answers inaccurate where it
+        # has used up its iterations; the box holds all the same, by clipping.
+        warnings.simplefilter("ignore")
+        solution = qpsolvers.solve_problem(
+            problem, solver=solver, **_EXACT.get(solver, {})
+        )
+    return solution.x
+
+
+def make_solver(name: str) -> Callable[..., np.ndarray | None]:
+    """Return a solver with the arguments and the result of `qp.solve_by_daqp`.
+
+    Args:
+        name: Name in `qpsolvers.available_solvers`.
+
+    Raises:
+        InvalidOptionsError: If no such solver is installed.
+    """
+    if name not in qpsolvers.available_solvers:
+        known = ", ".join(sorted({"daqp", *qpsolvers.available_solvers}))
+        raise InvalidOptionsError(
+            option="solver", expected=f"one of {known}", value=name
+        )
+
+    def solve(
+        H: np.ndarray,
+        c: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        rows: Rows | None = None,
+    ) -> np.ndarray | None:
+        G, h = rows or (None, None)
+        return solve_problem(qpsolvers.Problem(H, c, G, h, lb=lower, ub=upper), name)
+
+    return solve
