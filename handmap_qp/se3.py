@@ -228,17 +228,6 @@ def pose_from_xyz_quat(
     return affine(rotation_from_quat_wxyz(quats, name), seven[..., :3])
 
 
-def poses_from_quats(
-    positions: np.ndarray, quats_wxyz: np.ndarray, name: str
-) -> np.ndarray:
-    """Compose poses (..., 4, 4) from positions (..., 3) [m] and quaternions (..., 4).
-
-    Raises:
-        InvalidInputError: If a quaternion is zero or not finite, with its index.
-    """
-    return affine(rotation_from_quat_wxyz(quats_wxyz, name), positions)
-
-
 def check_pose(
     value: PoseLike, name: str = "pose", quat_order: QuatOrder | None = None
 ) -> np.ndarray:
@@ -263,30 +252,28 @@ def check_pose(
     pose = as_floats(value if is_plain else value.homogeneous, name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
-    turn = pose[:3, :3] if pose.shape == (4, 4) else np.eye(3)
-    defect = np.abs(turn.T @ turn - np.eye(3)).max()
-    expected = ""
-    got = ""
-    advice = ""
     if pose.shape != (4, 4):
-        expected = "shape (4, 4), a pinocchio.SE3 or 7 numbers"
-        got = f"shape {pose.shape}"
-        if pose.shape == (7,):
-            advice = "7 numbers need quat_order='wxyz' or 'xyzw'"
+        raise InvalidInputError(
+            argument=name,
+            expected="shape (4, 4), a pinocchio.SE3 or 7 numbers",
+            value=value,
+            got=f"shape {pose.shape}",
+            advice="7 numbers need quat_order='wxyz' or 'xyzw'" * (pose.shape == (7,)),
+        )
     # `<= FARTHEST` is also false for NaN.
-    elif not (abs(pose) <= FARTHEST).all() or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+    if not (abs(pose) <= FARTHEST).all() or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         expected = (
             f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
         )
         got = str(pose.tolist())
-    elif not defect <= _ROTATION_TOLERANCE or np.linalg.det(turn) < 0.0:
-        volume = np.linalg.det(turn)
+        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
+    turn = pose[:3, :3]
+    defect = np.abs(turn.T @ turn - np.eye(3)).max()
+    volume = np.linalg.det(turn)
+    if defect > _ROTATION_TOLERANCE or volume < 0.0:
         expected = "a rotation as its 3x3 part"
         got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
-    if expected:
-        raise InvalidInputError(
-            argument=name, expected=expected, value=value, got=got, advice=advice
-        )
+        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
     if defect > _ROTATION_EXACT:
         pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
     return pose

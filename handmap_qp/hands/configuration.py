@@ -44,6 +44,7 @@ class Configuration:
             are the reference points.
         expansion: From the active coordinates to the model's tangent space, shape (model.nv, k);
             None if all are active.
+        q: Configuration to start at, shape (nq,); Pinocchio's neutral one if omitted.
 
     Attributes:
         model: The model.
@@ -57,8 +58,8 @@ class Configuration:
     def __init__(
         self,
         model: pin.Model,
-        *,
         expansion: np.ndarray | None = None,
+        q: np.ndarray | None = None,
     ) -> None:
         self.model = model
         self.expansion = expansion
@@ -74,17 +75,11 @@ class Configuration:
         self.points = self._points.view()
         self.points.setflags(write=False)
         self.wrist = self.data.oMf[_WRIST]
-        self.place(self._q)
+        self.place(self._q if q is None else q)
 
-    def __getstate__(self) -> tuple[Any, ...]:
-        """Return what a copy is built from: the workspace is views of Pinocchio's memory."""
-        return self.model, self.expansion, self._q
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        """Build a workspace, and place the model where the other one was."""
-        model, expansion, q = state
-        Configuration.__init__(self, model, expansion=expansion)
-        self.place(q)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build a copy anew: the workspace is views of Pinocchio's memory."""
+        return type(self), (self.model, self.expansion, self._q)
 
     @property
     def nv(self) -> int:

@@ -10,7 +10,6 @@ from __future__ import annotations
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,7 @@ from handmap_qp.errors import (
     did_you_mean,
     expect,
 )
-from handmap_qp.hands.hand import LONGEST_STOP, Hand, Points
+from handmap_qp.hands.hand import Hand, Points
 from handmap_qp.hands.human import (
     HumanLengths,
     joint_moves,
@@ -31,7 +30,7 @@ from handmap_qp.hands.human import (
     shape_stretches,
 )
 from handmap_qp.hands.model import compose_urdf
-from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
+from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory
 from handmap_qp.hands.spec import HandSpec, Mount, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
@@ -173,66 +172,6 @@ def _scaled(standard: Hand, own: HumanLengths, numbers: bytes) -> Hand:
 
 def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:
     return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths))[0]
-
-
-def list_hands() -> list[dict[str, Any]]:
-    """List all hands that have a name; those of other packages come last.
-
-    Returns:
-        Name, side, number of joints, mount, point sets of each, and whether it is installed, or
-        what installs it.
-    """
-    specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
-    return [
-        {
-            "name": name,
-            "side": spec.side,
-            "joints": len(spec.joints),
-            "wrist": spec.wrist.mount,
-            "point sets": ", ".join(spec.sets),
-            "available": f"no: {reason}" if (reason := _reason(spec)) else "yes",
-        }
-        for name, spec in specs.items()
-    ]
-
-
-def describe_hand(hand: str | Path) -> dict[str, Any]:
-    """Describe one hand in plain values for JSON: frames, joints with limits, reference points.
-
-    Args and errors are those of `load_hand`.
-    """
-    found = load_hand(hand)
-    columns = {
-        "joint": found.joint_names,
-        "lower rad": found.lower_limits.tolist(),
-        "upper rad": found.upper_limits.tolist(),
-        "speed rad/s": found.velocity_limits.tolist(),
-        "stop": found.stop_distances.tolist(),
-        "rest rad": found.rest.tolist(),
-    }
-    chosen = {point.name for point in found.reference_points}
-    return {
-        "name": found.name,
-        "side": found.side,
-        "urdf": str(urdf_path(found.spec)),
-        "wrist": f"{found.mount}, link {found.spec.wrist.link}",
-        "palm": f"link {found.spec.palm.link}",
-        "stops within": f"{LONGEST_STOP:g} s",
-        "joints": [
-            dict(zip(columns, row, strict=True))
-            for row in zip(*columns.values(), strict=True)
-        ],
-        "points": [
-            {
-                "point": point.name,
-                "link": point.link,
-                "finger": point.finger or "",
-                "weight": point.weight,
-                "in use": "yes" if point.name in chosen else "",
-            }
-            for point in found.spec.points
-        ],
-    }
 
 
 def _find(hand: str | Path) -> Path:

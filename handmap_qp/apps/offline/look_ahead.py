@@ -38,8 +38,8 @@ from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.se3 import (
     affine,
     inverse_pose,
-    poses_from_quats,
     rigid_fit,
+    rotation_from_quat_wxyz,
     transform_points,
 )
 from handmap_qp.stream.smoothing import SMOOTH_IK
@@ -118,7 +118,7 @@ def smooth_poses(
     seen = poses[valid]
     rows[valid] = np.hstack([continuous_quats(seen[:, :3, :3]), seen[:, :3, 3]])
     smooth = whittaker(time, rows, valid.astype(float), options.cutoff)
-    return poses_from_quats(smooth[:, 4:], smooth[:, :4], "poses")
+    return affine(rotation_from_quat_wxyz(smooth[:, :4], "poses"), smooth[:, 4:])
 
 
 def whittaker(
