@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -40,7 +40,6 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 """
 
 
-@runtime_checkable
 class HasHomogeneous(Protocol):
     """What `pinocchio.SE3` offers: the pose as a matrix."""
 
@@ -248,8 +247,7 @@ def check_pose(
         InvalidInputError: On a wrong shape, numbers that are not finite, coordinates beyond
             `FARTHEST`, or a 3x3 part that is not a rotation.
     """
-    is_plain = isinstance(value, np.ndarray) or not isinstance(value, HasHomogeneous)
-    pose = as_floats(value if is_plain else value.homogeneous, name)
+    pose = as_floats(getattr(value, "homogeneous", value), name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
     if pose.shape != (4, 4):
