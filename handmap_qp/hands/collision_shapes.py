@@ -11,10 +11,22 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf import get_numbers, parse_with_meshes
+from handmap_qp.hands.sources import urdf_path
+from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_mesh_paths
 
 _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""
+
+
+def parse_with_meshes(hand: Hand) -> ET.Element:
+    """Parse a hand's URDF, with absolute paths of its meshes for readers that know no folder.
+
+    Raises:
+        MissingExtraError: If the URDF lies in a package that is not installed.
+    """
+    robot = parse_urdf(hand.urdf_text)
+    set_mesh_paths(robot, urdf_path(hand.spec).parent)
+    return robot
 
 
 def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
@@ -41,7 +53,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
     Pinocchio reads all meshes in one call, which lets no other thread run for up to a third of a
     second. So it reads placeholders in their places.
     """
-    robot = parse_with_meshes(hand.spec, hand.urdf_text)
+    robot = parse_with_meshes(hand)
     try:
         meshes = _take_meshes(robot)
         text = ET.tostring(robot, encoding="unicode")

@@ -315,47 +315,35 @@ class Finger:
     @cached_property
     def _farthest(self) -> tuple[float, np.ndarray]:
         """Find reach and its posture: random search, refined."""
-        hand = self.hand
-        tip = self.tip
-        knuckle = self.knuckle
-        best_q = zero_posture(hand)
-        moving = np.sort(self.columns)
+        best_q = zero_posture(self.hand)
         if not self.joints:
             return float("nan"), best_q
-        data = hand.model.createData()
-        vector = hand.configuration_vector(best_q)
+        view = PalmKinematics(self.hand)
 
         def distance(q: np.ndarray) -> float:
-            hand.write_configuration(vector, q)
-            pin.forwardKinematics(hand.model, data, vector)
-            return math.dist(
-                data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1])
-            )
+            return math.dist(*view.points(q, [self.tip, self.knuckle]))
 
         best = distance(best_q)
-        low = hand.lower_limits[moving]
-        high = hand.upper_limits[moving]
-        shape = (_REACH_SAMPLES, len(moving))
-        for positions in np.random.default_rng(0).uniform(low, high, shape):
+        moving = np.sort(self.columns)
+        low = self.hand.lower_limits[moving]
+        high = self.hand.upper_limits[moving]
+
+        def improve(positions: np.ndarray) -> bool:
+            nonlocal best, best_q
             q = best_q.copy()
-            q[moving] = positions
-            if (found := distance(q)) > best + 1e-9:
+            q[moving] = np.clip(positions, low, high)
+            if is_better := (found := distance(q)) > best + 1e-9:
                 best = found
                 best_q = q
+            return is_better
+
+        shape = (_REACH_SAMPLES, len(moving))
+        for positions in np.random.default_rng(0).uniform(low, high, shape):
+            improve(positions)
         step = 0.25 * (high - low)
         while (step > 1e-3).any():
-            before = best
-            for j, change in zip(
-                moving.repeat(2), np.outer(step, (-1, 1)).flat, strict=True
-            ):
-                q = best_q.copy()
-                q[j] = np.clip(
-                    q[j] + change, hand.lower_limits[j], hand.upper_limits[j]
-                )
-                if (found := distance(q)) > best + 1e-9:
-                    best = found
-                    best_q = q
-            if best == before:
+            changes = np.vstack([[-row, row] for row in np.diag(step)])
+            if not any([improve(best_q[moving] + change) for change in changes]):
                 step = 0.5 * step
         return best, best_q
 
@@ -595,6 +583,11 @@ def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:
 def _named(hand: Hand, landmark: str, points: list[PointSpec]) -> Place | None:
     found = (point for point in points if landmark in (point.partner, point.name))
     return next((place_of(hand, point) for point in found), None)
+
+
+def carrier_of(hand: Hand, link: str) -> int:
+    """Return the joint of the model that moves a link."""
+    return place_of(hand, PointSpec("", link))[0]
 
 
 def place_of(hand: Hand, point: PointSpec) -> Place:

@@ -79,19 +79,18 @@ def _surfaces(hand: Hand) -> dict[int, list[tuple[np.ndarray, float]]]:
 def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
     """Return the pad of a finger, which its point gives or its shapes have."""
     joint, middle = chain.tip
-    if point is not None and point.pad is not None:
-        middle_point = msgspec.structs.replace(point, xyz=point.pad.xyz)
-        joint, middle = place_of(hand, middle_point)
+    pad = point.pad if point else None
+    if point and pad:
+        joint, middle = place_of(hand, msgspec.structs.replace(point, xyz=pad.xyz))
     stretch = hand.stretches.get(joint, np.ones(3))
     shapes = _surfaces(hand.unscaled or hand) if joint in chain.joints else {}
     supports = [
         _supports(stretch * points, stretch[2] * radius)
         for points, radius in shapes.get(joint, ())
     ]
-    if point is not None and point.pad is not None:
-        radius = point.pad.radius
-        depth = float(_depths(supports, middle)) if supports else radius
-        return Pad(joint, middle, radius, max(0.0, radius - max(0.0, depth)))
+    if pad:
+        depth = float(_depths(supports, middle)) if supports else pad.radius
+        return Pad(joint, middle, pad.radius, max(0.0, pad.radius - max(0.0, depth)))
     return Pad(joint, *(_ball(supports, middle) if supports else (middle, _RADIUS)))
 
 

@@ -428,11 +428,15 @@ def _extended(
     return base | own
 
 
+def repeated(names: Sequence[str]) -> list[str]:
+    """Return the names that are given more than once."""
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
 def check_unique(spec: HandSpec, names: Sequence[str], key: str) -> None:
     """Reject names that are given twice under one key of a spec."""
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise spec.error(f"{name!r} is given twice", key=key, value=name)
+    for name in repeated(names):
+        raise spec.error(f"{name!r} is given twice", key=key, value=name)
 
 
 def _check_joints(spec: HandSpec) -> None:

@@ -10,12 +10,11 @@ landmarks, not as a model fitted to them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.apps.drawing.hands import (
     UPRIGHT,
@@ -27,13 +26,14 @@ from handmap_qp.apps.drawing.hands import (
 )
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.errors import expect
+from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT, PALM
-from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points, unit
+from handmap_qp.se3 import as_floats, inverse_pose, rigid_fit, transform_points, unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -286,12 +286,7 @@ def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> Non
     expect(rows, "rows", "at least one pose", got="none", advice=advice)
     wanted = LANDMARK_COUNT, 3
     for i, row in enumerate(rows):
-        expect(
-            np.shape(row.landmarks) == wanted and np.isfinite(row.landmarks).all(),
-            f"rows[{i}].landmarks",
-            f"finite numbers of shape {wanted}",
-            got=str(np.shape(row.landmarks)),
-        )
+        as_floats(row.landmarks, f"rows[{i}].landmarks", shape=wanted, is_finite=True)
         expect(
             len(row.q) == len(columns),
             f"rows[{i}].q",
@@ -350,34 +345,21 @@ def _faces(points: np.ndarray) -> Triangles:
 
 def _coloured(shape: HandShape) -> HandShape:
     """The same shape without an arm, grey, with every finger's links in the finger's colour."""
-    hand = shape.hand
-    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
     links = {}
-    for link, triangles in shape.links.items():
-        if wrist and wrist not in hand.model.supports[_carrier(hand, link)]:
-            continue
-        colour = FINGER_COLOURS.get(_finger_of(hand, link) or "", _ROBOT_COLOUR)
+    for link, triangles in shape.without_arm().links.items():
+        finger = _finger_of(shape.hand, link) or ""
+        colour = FINGER_COLOURS.get(finger, _ROBOT_COLOUR)
         colours = np.broadcast_to(colour, triangles.colours.shape)
         links[link] = triangles._replace(colours=colours)
-    return replace(shape, links=links)
+    return HandShape(shape.hand, links)
 
 
 def _finger_of(hand: Hand, link: str) -> str | None:
     """The finger that a link moves with: the one whose points alone lie on or beyond its joint."""
-    joint = _carrier(hand, link)
-    beyond = {
-        point.finger
-        for point in hand.spec.points
-        if joint in hand.model.supports[_carrier(hand, point.link)]
-    }
+    carried = hand.model.subtrees[carrier_of(hand, link)]
+    points = hand.spec.points
+    beyond = {p.finger for p in points if carrier_of(hand, p.link) in carried}
     return beyond.pop() if len(beyond) == 1 else None
-
-
-def _carrier(hand: Hand, link: str) -> int:
-    """The joint of the model that moves a link."""
-    return hand.model.frames[
-        hand.model.getFrameId(link, pin.FrameType.BODY)
-    ].parentJoint
 
 
 def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:

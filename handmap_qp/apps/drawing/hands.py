@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
 from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import HandSpec
@@ -81,6 +82,15 @@ class HandShape:
         """
         poses = self.hand.link_poses(list(self.links), q, wrist_pose)
         return merged(list(map(Triangles.moved, self.links.values(), poses)))
+
+    def without_arm(self) -> HandShape:
+        """Return the shapes of the links that the wrist carries."""
+        model = self.hand.model
+        carried = model.subtrees[model.frames[self.hand.wrist_frame_id].parentJoint]
+        links = {
+            k: v for k, v in self.links.items() if carrier_of(self.hand, k) in carried
+        }
+        return HandShape(self.hand, links)
 
 
 def load_shape(

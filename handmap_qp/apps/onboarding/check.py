@@ -32,6 +32,7 @@ from handmap_qp.apps.onboarding.measure import (
 )
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError, HandmapError
+from handmap_qp.hands.collision_shapes import parse_with_meshes
 from handmap_qp.hands.fingers import (
     PalmKinematics,
     find_fingers,
@@ -45,7 +46,6 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.spec import HandSpec
-from handmap_qp.hands.urdf import parse_with_meshes
 from handmap_qp.se3 import lengths
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
@@ -320,7 +320,7 @@ def _check_places(hand: Hand, tables: Tables) -> Findings:
 
 
 def _check_meshes(hand: Hand, tables: Tables) -> Findings:
-    robot = parse_with_meshes(hand.spec, hand.urdf_text)
+    robot = parse_with_meshes(hand)
     for tag, use in (
         ("collision", "self-collision and pinches"),
         ("visual", "pictures"),

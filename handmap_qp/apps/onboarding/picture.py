@@ -16,7 +16,6 @@ from handmap_qp.apps.drawing.hands import (
     AXIS_COLOURS,
     GREY,
     UPRIGHT,
-    HandShape,
     draw_hands,
     load_shape,
     require_matplotlib,
@@ -28,7 +27,6 @@ from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
 from handmap_qp.apps.onboarding.match import Match
 from handmap_qp.hands.fingers import PalmKinematics, place_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import PointSpec
 from handmap_qp.mapping.hand_pair import resting_posture
 from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
@@ -197,29 +195,20 @@ class _Scene:
     def _solid(self) -> Triangles:
         """Return the hand's surface without its arm; sticks between joints if it has no shapes."""
         hand = self.hand
-        model = self.hand.model
-        wrist = model.frames[hand.wrist_frame_id].parentJoint
-        links = {
-            link: triangles
-            for link, triangles in load_shape(hand).links.items()
-            if wrist in model.supports[place_of(hand, PointSpec("", link))[0]]
-        }
-        if links:
-            shape = HandShape(hand, links).triangles(hand.rest)
-            return shape.moved(inverse_pose(hand.frame_pose("palm", hand.rest)))
-        return self._sticks(wrist)
+        shape = load_shape(hand).without_arm()
+        if shape.links:
+            to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
+            return shape.triangles(hand.rest).moved(to_palm)
+        return self._sticks()
 
-    def _sticks(self, wrist: int) -> Triangles:
+    def _sticks(self) -> Triangles:
         """Return sticks between the joints beyond the wrist, and from joints to points."""
         hand = self.hand
         model = self.hand.model
+        _, *beyond = model.subtrees[model.frames[hand.wrist_frame_id].parentJoint]
         origin = np.zeros(3)
         tips = [place_of(hand, p) for p in hand.reference_points]
-        sticks = [
-            ((model.parents[joint], origin), (joint, origin))
-            for joint in range(wrist + 1, model.njoints)
-            if wrist in model.supports[joint]
-        ]
+        sticks = [((model.parents[joint], origin), (joint, origin)) for joint in beyond]
         sticks += [((tip[0], origin), tip) for tip in tips]
         places = [place for stick in sticks for place in stick]
         ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)
