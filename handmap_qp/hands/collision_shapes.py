@@ -63,8 +63,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
             if part.name in meshes:
                 part.meshPath, scale = meshes.pop(part.name)
                 part.meshScale = np.array(scale)
-                stamp = _stamp(part.meshPath)
-                hull = _hull_of(part.meshPath, scale, stamp)
+                hull = _hull_of(part.meshPath, scale, _stamp(part.meshPath))
                 if hull is None:
                     raise ValueError(f"{part.name!r} is flat, without a convex hull")
                 part.geometry = hull
@@ -116,13 +115,11 @@ def _hull_of(
     Raises:
         RuntimeError: If the file cannot be read.
     """
-    points = _stl_vertices(file)
-    factors = np.array(scale)
-    if points is None:
-        points = np.array(coal.MeshLoader().load(file, factors).vertices())
-    else:
-        points = points * factors
-    return _convex_hull(points)
+    corners = _stl_vertices(file)
+    if corners is None:
+        mesh = coal.MeshLoader().load(file, np.array(scale))
+        return _convex_hull(np.array(mesh.vertices()))
+    return _convex_hull(corners * scale)
 
 
 _TRIANGLE: np.dtype[np.void] = np.dtype(

@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.se3 import frozen
 
 
 def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
@@ -65,15 +66,13 @@ class Configuration:
         self.expansion = expansion
         self.data = model.createData()
         self._q = pin.neutral(model)
-        self.q = self._q.view()
-        self.q.setflags(write=False)
+        self.q = frozen(self._q.view())
         # Pinocchio's arrays follow every placing, so they are fetched once.
         self._translations = [
             self.data.oMf[i].translation for i in range(_FIRST_POINT, model.nframes)
         ]
         self._points = np.array(self._translations)
-        self.points = self._points.view()
-        self.points.setflags(write=False)
+        self.points = frozen(self._points.view())
         self.wrist = self.data.oMf[_WRIST]
         self.place(self._q if q is None else q)
 

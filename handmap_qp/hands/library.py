@@ -11,8 +11,6 @@ from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 
-import numpy as np
-
 from handmap_qp.errors import (
     HandError,
     InvalidInputError,
@@ -53,26 +51,22 @@ def hand_files() -> dict[str, Path]:
 
 def missing_hands() -> dict[str, str]:
     """Return why each hand that is not installed cannot be loaded here, by name."""
-    reasons = {
-        name: _reason(read_hand_spec(file)) for name, file in hand_files().items()
-    }
-    return {name: reason for name, reason in reasons.items() if reason}
+    reasons = {}
+    for name, file in hand_files().items():
+        try:
+            if not source_file(read_hand_spec(file)).is_file():
+                reasons[name] = "its URDF is missing"
+        except MissingExtraError as error:
+            reasons[name] = f"pip install 'handmap-qp[{error.extra}]'"
+        except MissingPackageError as error:
+            reasons[name] = f"pip install --no-deps {error.package}"
+    return reasons
 
 
 def hand_names() -> tuple[str, ...]:
     """Return the names of the hands that are installed."""
     missing = missing_hands()
     return tuple(name for name in hand_files() if name not in missing)
-
-
-def _reason(spec: HandSpec) -> str:
-    """Return why a hand cannot be loaded here; empty if its file is there."""
-    try:
-        return "" if source_file(spec).is_file() else "its URDF is missing"
-    except MissingExtraError as error:
-        return f"pip install 'handmap-qp[{error.extra}]'"
-    except MissingPackageError as error:
-        return f"pip install --no-deps {error.package}"
 
 
 def load_hand(
@@ -127,8 +121,7 @@ def load_hand(
         )
     is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
     load = _standard_human if is_standard else _load_human
-    numbers = np.column_stack([lengths.bases, lengths.segments, lengths.rolls])
-    scaled = _scaled(*load(hand, mount, points), numbers.tobytes())
+    scaled = _scaled(*load(hand, mount, points), lengths)
     return scaled.with_contact_gap(lengths.contact_gap)
 
 
@@ -161,10 +154,8 @@ _standard_human = lru_cache(maxsize=8)(_load_human)
 
 # The guard and the mapper have the same person.
 @lru_cache(maxsize=4)
-def _scaled(standard: Hand, own: HumanLengths, numbers: bytes) -> Hand:
-    """Scale a human hand to a person's bases, segments and rolls, shape (5, 7) together."""
-    columns = np.frombuffer(numbers).reshape(5, 7)
-    lengths = HumanLengths(columns[:, :3], columns[:, 3:6], columns[:, 6])
+def _scaled(standard: Hand, own: HumanLengths, lengths: HumanLengths) -> Hand:
+    """Scale a human hand to a person's bases, segments and rolls."""
     moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
     compose = partial(_person_urdf, standard.spec, lengths)
     return standard.with_joints(moves, shape_stretches(own, lengths), compose)

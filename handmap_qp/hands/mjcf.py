@@ -432,7 +432,7 @@ class _ShapeWriter:
     def _geometries(self, geom: int) -> Iterator[tuple[np.ndarray, ET.Element]]:
         """Iterate over the URDF geometries of a geom, with their poses in the link."""
         model = self._model
-        size = self._model.geom_size[geom]
+        size = model.geom_size[geom]
         pose = _pose_of(model.geom_pos[geom], model.geom_quat[geom])
         match _GEOM(int(model.geom_type[geom])):
             case _GEOM.mjGEOM_MESH | _GEOM.mjGEOM_SDF:

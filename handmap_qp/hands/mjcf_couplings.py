@@ -48,12 +48,10 @@ class Coupling(NamedTuple):
 
 
 _Solution = tuple[dict[int, Coupling], list[str]]
-"""Rules of the followers of a group, and notes on them."""
+"""Rules of followers, and notes on them."""
 
 
-def read_couplings(
-    model: mujoco.MjModel, names: Mapping[int, str]
-) -> tuple[dict[int, Coupling], list[str]]:
+def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> _Solution:
     """Read the equality constraints and tendons of a model.
 
     Args:

@@ -268,10 +268,6 @@ class HandSpec(_HandFields, frozen=True):
         """Return an error about one key of this spec, with its file."""
         return HandError(message, file=self.file, key=key, value=value)
 
-    def located(self, error: HandError) -> HandError:
-        """Return an error about this hand's URDF with the file of this spec."""
-        return self.error(error.problem, key=error.key or "urdf", value=error.value)
-
 
 def read_hand_spec(path: Path) -> HandSpec:
     """Read and check a `hand.yaml`; its folder becomes the spec's `directory`.

@@ -37,14 +37,7 @@ _NUMBERS = {
     "axis": {"xyz": 3},
     "limit": {"lower": 1, "upper": 1, "velocity": 1},
 }
-_NOT_OF_FIXED_JOINTS = (
-    "axis",
-    "limit",
-    "mimic",
-    "calibration",
-    "safety_controller",
-    "dynamics",
-)
+_OF_FIXED_JOINTS = ("origin", "parent", "child")
 
 
 def parse_urdf(text: str | bytes) -> ET.Element:
@@ -148,8 +141,8 @@ def origin_of(element: ET.Element) -> np.ndarray:
 
 def set_origin(element: ET.Element, pose: np.ndarray) -> None:
     """Write a pose [m], shape (4, 4), into an element's `<origin>`."""
-    rpy = rpy_from_rotation(pose[:3, :3])
-    set_numbers(child_of(element, "origin"), xyz=pose[:3, 3], rpy=rpy)
+    origin = child_of(element, "origin")
+    set_numbers(origin, xyz=pose[:3, 3], rpy=rpy_from_rotation(pose[:3, :3]))
 
 
 def mimics_of(robot: ET.Element) -> dict[str, MimicSpec]:
@@ -449,7 +442,7 @@ def fix_free_joints(robot: ET.Element) -> list[str]:
 
 def _fix(joint: ET.Element) -> None:
     for element in list(joint):
-        if element.tag in _NOT_OF_FIXED_JOINTS:
+        if element.tag not in _OF_FIXED_JOINTS:
             joint.remove(element)
     joint.set("type", "fixed")
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ from handmap_qp.apps.drawing.hands import (
     spheres,
     tube,
 )
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
 from handmap_qp.errors import expect
 from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
@@ -38,7 +39,7 @@ from handmap_qp.se3 import as_floats, inverse_pose, rigid_fit, transform_points,
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FINGER_COLOURS: dict[str, tuple[float, float, float]] = {
+FINGER_COLOURS: dict[str, Colour] = {
     "thumb": (0.84, 0.22, 0.16),
     "index": (0.93, 0.60, 0.10),
     "middle": (0.20, 0.58, 0.36),
@@ -70,18 +71,9 @@ _HUMAN_BACKGROUND = 0.965
 _RULE = 0.86
 _INK, _PALE = "#222831", "#6b7280"
 # Across the palm: wrist to knuckles, and from knuckle to knuckle.
-_PALM_BONES = (
-    (0, 1),
-    (0, 5),
-    (0, 9),
-    (0, 13),
-    (0, 17),
-    (5, 9),
-    (9, 13),
-    (13, 17),
-    (1, 5),
-)
-_PALM_FACES = ((0, 1, 5), (0, 5, 9), (0, 9, 13), (0, 13, 17))
+_KNUCKLES = (1, 5, 9, 13, 17)
+_PALM_BONES = (*product((0,), _KNUCKLES), *pairwise(_KNUCKLES))
+_PALM_FACES = [(0, *pair) for pair in pairwise(_KNUCKLES)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,7 +263,7 @@ def save_contact_sheet(
     figure = contact_sheet(
         columns, rows, side=recording.side, title=recording.name, footnote=footnote
     )
-    figure.savefig(Path(file), dpi=_DPI)
+    figure.savefig(file, dpi=_DPI)
     return Path(file)
 
 
@@ -325,8 +317,8 @@ def _human_triangles(landmarks: np.ndarray) -> Triangles:
         colour = FINGER_COLOURS[finger]
         chain = ((base, middle), (middle, last), (last, tip))
         bones += [(pair, _BONE, colour) for pair in chain]
-        parts.append(spheres(points[[middle, last]], _JOINT, colour))
-        parts.append(spheres(points[[tip]], _TIP, colour))
+        joints = spheres(points[[middle, last]], _JOINT, colour)
+        parts += [joints, spheres(points[[tip]], _TIP, colour)]
     for (one, other), radius, colour in bones:
         # Landmarks that coincide have no bone between them.
         if np.linalg.norm(points[one] - points[other]) > 1e-5:
@@ -340,7 +332,7 @@ def _faces(points: np.ndarray) -> Triangles:
     corners = np.concatenate([corners, corners[:, ::-1]])
     a, b, c = np.moveaxis(corners, 1, 0)
     normals = np.repeat(unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
-    return Triangles(corners, np.tile(_PALM_COLOUR, (len(corners), 1)), normals)
+    return Triangles.painted(corners, normals, _PALM_COLOUR)
 
 
 def _coloured(shape: HandShape) -> HandShape:

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.hands.urdf import get_numbers, origin_of, parse_urdf
-from handmap_qp.se3 import affine, unit
+from handmap_qp.se3 import affine, lengths, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -93,9 +93,7 @@ class HandShape:
         return HandShape(self.hand, links)
 
 
-def load_shape(
-    hand: Hand, *, colour: tuple[float, float, float] | None = None
-) -> HandShape:
+def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
     """Read the visual shapes of a hand from its URDF, or its collision shapes if it has none.
 
     Mesh paths are resolved as in `handmap_qp.hands.sources.find_mesh`. A mesh that cannot be
@@ -129,9 +127,7 @@ def load_shape(
     return HandShape(hand, links)
 
 
-def solid(
-    vertices: np.ndarray, faces: np.ndarray, colour: tuple[float, float, float]
-) -> Triangles:
+def solid(vertices: np.ndarray, faces: np.ndarray, colour: Colour) -> Triangles:
     """Return a mesh of one colour, with normals that are smooth except at edges.
 
     Args:
@@ -147,9 +143,7 @@ def solid(
     )
 
 
-def spheres(
-    centres: npt.ArrayLike, radius: float, colour: tuple[float, float, float]
-) -> Triangles:
+def spheres(centres: npt.ArrayLike, radius: float, colour: Colour) -> Triangles:
     """Return small spheres that mark points.
 
     Args:
@@ -167,17 +161,13 @@ def spheres(
     corners = np.asarray(ball.vertices)[ball.faces]
     places = np.asarray(centres, dtype=float).reshape(-1, 1, 1, 3)
     vertices = (places + radius * corners).reshape(-1, 3, 3)
-    return Triangles(
-        vertices,
-        np.tile(colour, (len(vertices), 1)),
-        np.tile(corners, (len(places), 1, 1)),
-    )
+    return Triangles.painted(vertices, np.tile(corners, (len(places), 1, 1)), colour)
 
 
 def tube(
     path: npt.ArrayLike,
     radius: float,
-    colour: tuple[float, float, float],
+    colour: Colour,
 ) -> Triangles:
     """Return a thin tube along a path.
 
@@ -193,7 +183,7 @@ def tube(
         InvalidInputError: If the path has no two different points.
     """
     points = np.asarray(path, dtype=float).reshape(-1, 3)
-    steps = np.linalg.norm(np.diff(points, axis=0, prepend=np.inf), axis=1)
+    steps = lengths(np.diff(points, axis=0, prepend=np.inf))
     points = points[steps > 1e-6]
     expect(len(points) > 1, "path", "at least two different points", value=path)
     tangents = unit(np.gradient(points, axis=0))
@@ -206,9 +196,7 @@ def tube(
         ring[:] = np.outer(np.cos(angles), normal)
         ring += np.outer(np.sin(angles), np.cross(tangent, normal))
     surface = points[:, None] + radius * rings
-    vertices = _between_rings(surface)
-    colours = np.tile(colour, (len(vertices), 1))
-    return Triangles(vertices, colours, _between_rings(rings))
+    return Triangles.painted(_between_rings(surface), _between_rings(rings), colour)
 
 
 def _between_rings(rings: np.ndarray) -> np.ndarray:
@@ -353,23 +341,21 @@ def _simplified(
         cells = int(0.85 * cells)
     counts = np.maximum(np.bincount(cell_of), 1)
     means = np.column_stack(
-        [np.bincount(cell_of, weights=vertices[:, axis]) / counts for axis in range(3)]
+        [np.bincount(cell_of, weights) / counts for weights in vertices.T]
     )
     return means, coarse
 
 
-def _triangles(mesh: Any, colour: tuple[float, float, float]) -> Triangles:
+def _triangles(mesh: Any, colour: Colour) -> Triangles:
     """Return the triangles of a mesh of trimesh; its surface breaks at edges."""
     shade = require("trimesh", "plot").graph.smooth_shade
     smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
     corners = smooth.vertices[smooth.faces]
     normals = unit(smooth.vertex_normals[smooth.faces])
-    return Triangles(corners, np.tile(colour, (len(corners), 1)), normals)
+    return Triangles.painted(corners, normals, colour)
 
 
-def _colour(
-    material: ET.Element | None, named: dict[str | None, ET.Element]
-) -> tuple[float, float, float]:
+def _colour(material: ET.Element | None, named: dict[str | None, ET.Element]) -> Colour:
     """Return the colour of a URDF material, its own or by name; grey without one."""
     if material is not None and not len(material):
         material = named.get(material.get("name"))

@@ -15,16 +15,21 @@ from handmap_qp.apps.arguments import HandName, InputArguments, hinted
 from handmap_qp.apps.onboarding.check import check_hand
 from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
 from handmap_qp.apps.onboarding.detect import Detection, detect
-from handmap_qp.apps.onboarding.match import check_robot, match_hand
+from handmap_qp.apps.onboarding.match import match_hand
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
 from handmap_qp.apps.onboarding.write import check_free, open_source, write_hand
 from handmap_qp.apps.tables import print_rows, print_table
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.hands.library import hand_files, load_hand, missing_hands
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side, read_hand_spec
 from handmap_qp.output_files import check_output
 
+RobotName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
+"""Name of the hand that is written."""
+OutFile = Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")]
+"""The hand.yaml to write."""
 _WROTE = "wrote {0}; check it with: handmap hands check {0}"
 
 
@@ -189,8 +194,8 @@ class HandsInit:
     base: Annotated[str | None, hinted("LINK", "(default: the wrist floats)")] = None
     side: Annotated[Side | None, hinted("{right,left}", "(default: found)")] = None
     thumb: Annotated[str | None, hinted("LINK", "(default: found)")] = None
-    name: Annotated[str | None, hinted("NAME", "(default: the robot's name)")] = None
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
+    name: RobotName = None
+    out: OutFile = Path("hand.yaml")
     overwrite: bool = False
     json: bool = False
 
@@ -250,8 +255,8 @@ class HandsMigrate:
         Path | None,
         hinted("ROBOT.urdf", "(default: as the configuration says, from its folder)"),
     ] = None
-    name: Annotated[str | None, hinted("NAME", "(default: the robot's name)")] = None
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
+    name: RobotName = None
+    out: OutFile = Path("hand.yaml")
     overwrite: bool = False
 
     def run(self) -> None:
@@ -350,7 +355,8 @@ class HandsMatch:
 
     def run(self) -> None:
         """Solve the posture, print it, and draw it if requested."""
-        robot = check_robot(load_hand(self.hand))
+        robot = load_hand(self.hand)
+        expect(robot.name not in HUMAN_HANDS, "hand", "a robot hand", value=robot.name)
         if self.picture is not None:
             check_output("--picture", self.picture, (".png",))
         source = self.recording
