@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -40,16 +40,7 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 """
 
 
-class HasHomogeneous(Protocol):
-    """What `pinocchio.SE3` offers: the pose as a matrix."""
-
-    @property
-    def homogeneous(self) -> np.ndarray:
-        """The pose, shape (4, 4)."""
-        ...
-
-
-PoseLike = npt.ArrayLike | HasHomogeneous
+PoseLike = npt.ArrayLike | pin.SE3
 
 
 def frozen(array: np.ndarray) -> np.ndarray:
@@ -247,7 +238,7 @@ def check_pose(
         InvalidInputError: On a wrong shape, numbers that are not finite, coordinates beyond
             `FARTHEST`, or a 3x3 part that is not a rotation.
     """
-    pose = as_floats(getattr(value, "homogeneous", value), name)
+    pose = as_floats(value.homogeneous if isinstance(value, pin.SE3) else value, name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
     if pose.shape != (4, 4):
