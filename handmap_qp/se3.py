@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -40,17 +40,7 @@ No hand is there, and squares and differences of larger ones lose the digits tha
 """
 
 
-@runtime_checkable
-class HasHomogeneous(Protocol):
-    """What `pinocchio.SE3` offers: the pose as a matrix."""
-
-    @property
-    def homogeneous(self) -> np.ndarray:
-        """The pose, shape (4, 4)."""
-        ...
-
-
-PoseLike = npt.ArrayLike | HasHomogeneous
+PoseLike = npt.ArrayLike | pin.SE3
 
 
 def frozen(array: np.ndarray) -> np.ndarray:
@@ -246,36 +236,36 @@ def check_pose(
         InvalidInputError: On a wrong shape, numbers that are not finite, coordinates beyond
             `FARTHEST`, or a 3x3 part that is not a rotation.
     """
-    is_matrix = not isinstance(value, HasHomogeneous)
-    pose = as_floats(value if is_matrix else value.homogeneous, name)
+    pose = as_floats(value.homogeneous if isinstance(value, pin.SE3) else value, name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
     if pose.shape != (4, 4):
-        advice = {(7,): "7 numbers need quat_order='wxyz' or 'xyzw'"}
         raise InvalidInputError(
             argument=name,
             expected="shape (4, 4), a pinocchio.SE3 or 7 numbers",
             value=value,
             got=f"shape {pose.shape}",
-            advice=advice.get(pose.shape, ""),
+            advice="7 numbers need quat_order='wxyz' or 'xyzw'"
+            if pose.shape == (7,)
+            else "",
         )
-    turn = pose[:3, :3]
-    defect = np.abs(turn.T @ turn - np.eye(3)).max()
     # `<= FARTHEST` is also false for NaN.
     if not (abs(pose) <= FARTHEST).all() or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
         expected = (
             f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
         )
         got = str(pose.tolist())
-    elif not defect <= _ROTATION_TOLERANCE or np.linalg.det(turn) < 0.0:
-        volume = np.linalg.det(turn)
+        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
+    turn = pose[:3, :3]
+    defect = np.abs(turn.T @ turn - np.eye(3)).max()
+    volume = np.linalg.det(turn)
+    if defect > _ROTATION_TOLERANCE or volume < 0.0:
         expected = "a rotation as its 3x3 part"
         got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
-    elif defect > _ROTATION_EXACT:
-        return affine(nearest_rotation(turn), pose[:3, 3])
-    else:
-        return pose
-    raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
+        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
+    if defect > _ROTATION_EXACT:
+        pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
+    return pose
 
 
 def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:

@@ -11,10 +11,22 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.urdf import get_numbers, parse_with_meshes
+from handmap_qp.hands.sources import urdf_path
+from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_mesh_paths
 
 _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""
+
+
+def parse_with_meshes(hand: Hand) -> ET.Element:
+    """Parse a hand's URDF, with absolute paths of its meshes for readers that know no folder.
+
+    Raises:
+        MissingExtraError: If the URDF lies in a package that is not installed.
+    """
+    robot = parse_urdf(hand.urdf_text)
+    set_mesh_paths(robot, urdf_path(hand.spec).parent)
+    return robot
 
 
 def read_collision_shapes(hand: Hand) -> pin.GeometryModel:
@@ -41,7 +53,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
     Pinocchio reads all meshes in one call, which lets no other thread run for up to a third of a
     second. So it reads placeholders in their places.
     """
-    robot = parse_with_meshes(hand.spec, hand.urdf_text)
+    robot = parse_with_meshes(hand)
     try:
         meshes = _take_meshes(robot)
         text = ET.tostring(robot, encoding="unicode")
@@ -51,8 +63,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
             if part.name in meshes:
                 part.meshPath, scale = meshes.pop(part.name)
                 part.meshScale = np.array(scale)
-                stamp = _stamp(part.meshPath)
-                hull = _hull_of(part.meshPath, scale, stamp)
+                hull = _hull_of(part.meshPath, scale, _stamp(part.meshPath))
                 if hull is None:
                     raise ValueError(f"{part.name!r} is flat, without a convex hull")
                 part.geometry = hull
@@ -104,13 +115,11 @@ def _hull_of(
     Raises:
         RuntimeError: If the file cannot be read.
     """
-    points = _stl_vertices(file)
-    factors = np.array(scale)
-    if points is None:
-        points = np.array(coal.MeshLoader().load(file, factors).vertices())
-    else:
-        points = points * factors
-    return _convex_hull(points)
+    corners = _stl_vertices(file)
+    if corners is None:
+        mesh = coal.MeshLoader().load(file, np.array(scale))
+        return _convex_hull(np.array(mesh.vertices()))
+    return _convex_hull(corners * scale)
 
 
 _TRIANGLE: np.dtype[np.void] = np.dtype(

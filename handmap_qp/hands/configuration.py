@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidInputError
+from handmap_qp.se3 import frozen
 
 
 def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
@@ -44,6 +45,7 @@ class Configuration:
             are the reference points.
         expansion: From the active coordinates to the model's tangent space, shape (model.nv, k);
             None if all are active.
+        q: Configuration to start at, shape (nq,); Pinocchio's neutral one if omitted.
 
     Attributes:
         model: The model.
@@ -57,34 +59,26 @@ class Configuration:
     def __init__(
         self,
         model: pin.Model,
-        *,
         expansion: np.ndarray | None = None,
+        q: np.ndarray | None = None,
     ) -> None:
         self.model = model
         self.expansion = expansion
         self.data = model.createData()
         self._q = pin.neutral(model)
-        self.q = self._q.view()
-        self.q.setflags(write=False)
+        self.q = frozen(self._q.view())
         # Pinocchio's arrays follow every placing, so they are fetched once.
         self._translations = [
             self.data.oMf[i].translation for i in range(_FIRST_POINT, model.nframes)
         ]
         self._points = np.array(self._translations)
-        self.points = self._points.view()
-        self.points.setflags(write=False)
+        self.points = frozen(self._points.view())
         self.wrist = self.data.oMf[_WRIST]
-        self.place(self._q)
+        self.place(self._q if q is None else q)
 
-    def __getstate__(self) -> tuple[Any, ...]:
-        """Return what a copy is built from: the workspace is views of Pinocchio's memory."""
-        return self.model, self.expansion, self._q
-
-    def __setstate__(self, state: tuple[Any, ...]) -> None:
-        """Build a workspace, and place the model where the other one was."""
-        model, expansion, q = state
-        Configuration.__init__(self, model, expansion=expansion)
-        self.place(q)
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Build a copy anew: the workspace is views of Pinocchio's memory."""
+        return type(self), (self.model, self.expansion, self._q)
 
     @property
     def nv(self) -> int:

@@ -23,6 +23,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.model import Expansion
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.se3 import lengths, unit
 
 PARALLEL = 0.85
 """Cosine from which on two axes are parallel.
@@ -294,7 +295,7 @@ class Finger:
             # A thumb's joint at its root counts as its knuckle, whatever its axis.
             joints = [self._own[0], *joints]
             points = np.vstack([view.axes(q, joints[:1])[1], points])
-        ways = np.cumsum(np.linalg.norm(np.diff([*points, tip], axis=0), axis=1))
+        ways = np.cumsum(lengths(np.diff([*points, tip], axis=0)))
         shares = ways[:-1] / max(ways[-1], 1e-6)
         near = [k for k, share in enumerate(shares) if _LEAST < share < _MOST]
         if not near or not turns.any():
@@ -315,47 +316,35 @@ class Finger:
     @cached_property
     def _farthest(self) -> tuple[float, np.ndarray]:
         """Find reach and its posture: random search, refined."""
-        hand = self.hand
-        tip = self.tip
-        knuckle = self.knuckle
-        best_q = zero_posture(hand)
-        moving = np.sort(self.columns)
+        best_q = zero_posture(self.hand)
         if not self.joints:
             return float("nan"), best_q
-        data = hand.model.createData()
-        vector = hand.configuration_vector(best_q)
+        view = PalmKinematics(self.hand)
 
         def distance(q: np.ndarray) -> float:
-            hand.write_configuration(vector, q)
-            pin.forwardKinematics(hand.model, data, vector)
-            return math.dist(
-                data.oMi[tip[0]].act(tip[1]), data.oMi[knuckle[0]].act(knuckle[1])
-            )
+            return math.dist(*view.points(q, [self.tip, self.knuckle]))
 
         best = distance(best_q)
-        low = hand.lower_limits[moving]
-        high = hand.upper_limits[moving]
-        shape = (_REACH_SAMPLES, len(moving))
-        for positions in np.random.default_rng(0).uniform(low, high, shape):
+        moving = np.sort(self.columns)
+        low = self.hand.lower_limits[moving]
+        high = self.hand.upper_limits[moving]
+
+        def improve(positions: np.ndarray) -> bool:
+            nonlocal best, best_q
             q = best_q.copy()
-            q[moving] = positions
-            if (found := distance(q)) > best + 1e-9:
+            q[moving] = np.clip(positions, low, high)
+            if is_better := (found := distance(q)) > best + 1e-9:
                 best = found
                 best_q = q
+            return is_better
+
+        shape = (_REACH_SAMPLES, len(moving))
+        for positions in np.random.default_rng(0).uniform(low, high, shape):
+            improve(positions)
         step = 0.25 * (high - low)
         while (step > 1e-3).any():
-            before = best
-            for j, change in zip(
-                moving.repeat(2), np.outer(step, (-1, 1)).flat, strict=True
-            ):
-                q = best_q.copy()
-                q[j] = np.clip(
-                    q[j] + change, hand.lower_limits[j], hand.upper_limits[j]
-                )
-                if (found := distance(q)) > best + 1e-9:
-                    best = found
-                    best_q = q
-            if best == before:
+            changes = np.vstack([[-row, row] for row in np.diag(step)])
+            if not any([improve(best_q[moving] + change) for change in changes]):
                 step = 0.5 * step
         return best, best_q
 
@@ -369,13 +358,13 @@ class Finger:
             return None
         _, base, signs, gears = self._axis(view, columns, zero)
 
-        def lengths(postures: np.ndarray) -> np.ndarray:
+        def lengths_at(postures: np.ndarray) -> np.ndarray:
             tips = view.points(postures, [self.tip])[..., 0, :]
-            return np.linalg.norm(tips - base, axis=-1)
+            return lengths(tips - base)
 
-        q = self._straightened(columns, zero, lengths)
+        q = self._straightened(columns, zero, lengths_at)
         ways = ends_of(self.hand, q, columns, signs)[::-1] - q
-        bent = lengths(q + np.linspace(0.0, 1.0, _SWEEP)[:, None, None] * ways)
+        bent = lengths_at(q + np.linspace(0.0, 1.0, _SWEEP)[:, None, None] * ways)
         shares = 1.0 - bent.min(axis=0) / bent[0].clip(1e-9)
         travels = np.abs(gears * ways[:, columns]).sum(axis=1)
         sense, certainty = _sense(shares, travels)
@@ -418,7 +407,7 @@ class Finger:
         """Return axis (3,), knuckle on it (3,), and each column's sense and gear about it (k,)."""
         turns = view.motion(q, self.tip)[3:, columns]
         # The sense of the axis is that of the last joint, in every posture.
-        axis = turns[:, -1] / np.linalg.norm(turns[:, -1])
+        axis = unit(turns[:, -1])
         along = axis @ turns
         model = self.hand.model
         motion = joint_motion(self.hand)
@@ -431,7 +420,7 @@ class Finger:
         self,
         columns: np.ndarray,
         zero: np.ndarray,
-        lengths: Callable[[np.ndarray], np.ndarray],
+        lengths_at: Callable[[np.ndarray], np.ndarray],
     ) -> np.ndarray:
         """Return the posture of some joints at which the finger is longest, else zero."""
         hand = self.hand
@@ -445,12 +434,12 @@ class Finger:
                 )
                 postures = np.tile(q, (len(grid), 1))
                 postures[:, j] = grid
-                found = lengths(postures)
+                found = lengths_at(postures)
                 best = float(found.max())
                 # Several postures are equally straight: take the one nearest to zero.
                 near = grid[found >= (1.0 - 1e-4) * best]
                 q[j] = near[np.argmin(np.abs(near - zero[j]))]
-        return zero.copy() if lengths(zero) > _STRAIGHT * best else q
+        return zero.copy() if lengths_at(zero) > _STRAIGHT * best else q
 
     def _with_knuckle(
         self, columns: np.ndarray, straight: np.ndarray, sense: np.ndarray
@@ -495,7 +484,7 @@ def nearing(
 ) -> float:
     """Return how much nearer a tip is to all others in the second of two postures (2, n) [m]."""
     points = view.points(ends, tips)
-    before, after = np.linalg.norm(points - points[:, i : i + 1], axis=2).sum(axis=1)
+    before, after = lengths(points - points[:, i : i + 1]).sum(axis=1)
     return float(before - after)
 
 
@@ -589,12 +578,17 @@ def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:
             return point
     places = [place_of(hand, point) for point in points]
     in_palm = PalmKinematics(hand).points(zero_posture(hand), places)
-    return points[int(np.linalg.norm(in_palm, axis=1).argmax())]
+    return points[int(lengths(in_palm).argmax())]
 
 
 def _named(hand: Hand, landmark: str, points: list[PointSpec]) -> Place | None:
     found = (point for point in points if landmark in (point.partner, point.name))
     return next((place_of(hand, point) for point in found), None)
+
+
+def carrier_of(hand: Hand, link: str) -> int:
+    """Return the joint of the model that moves a link."""
+    return place_of(hand, PointSpec("", link))[0]
 
 
 def place_of(hand: Hand, point: PointSpec) -> Place:

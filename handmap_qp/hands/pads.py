@@ -79,19 +79,18 @@ def _surfaces(hand: Hand) -> dict[int, list[tuple[np.ndarray, float]]]:
 def _pad(hand: Hand, chain: Finger, point: PointSpec | None) -> Pad:
     """Return the pad of a finger, which its point gives or its shapes have."""
     joint, middle = chain.tip
-    if point is not None and point.pad is not None:
-        middle_point = msgspec.structs.replace(point, xyz=point.pad.xyz)
-        joint, middle = place_of(hand, middle_point)
+    pad = point.pad if point else None
+    if point and pad:
+        joint, middle = place_of(hand, msgspec.structs.replace(point, xyz=pad.xyz))
     stretch = hand.stretches.get(joint, np.ones(3))
     shapes = _surfaces(hand.unscaled or hand) if joint in chain.joints else {}
     supports = [
         _supports(stretch * points, stretch[2] * radius)
         for points, radius in shapes.get(joint, ())
     ]
-    if point is not None and point.pad is not None:
-        radius = point.pad.radius
-        depth = float(_depths(supports, middle)) if supports else radius
-        return Pad(joint, middle, radius, max(0.0, radius - max(0.0, depth)))
+    if pad:
+        depth = float(_depths(supports, middle)) if supports else pad.radius
+        return Pad(joint, middle, pad.radius, max(0.0, pad.radius - max(0.0, depth)))
     return Pad(joint, *(_ball(supports, middle) if supports else (middle, _RADIUS)))
 
 
@@ -145,18 +144,16 @@ def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:
     if isinstance(geometry, coal.Sphere):
         return np.zeros((1, 3)), geometry.radius
     if isinstance(geometry, coal.Capsule):
-        half = geometry.halfLength
-        return np.array([[0.0, 0.0, half], [0.0, 0.0, -half]]), geometry.radius
+        return np.outer((1.0, -1.0), (0.0, 0.0, geometry.halfLength)), geometry.radius
     if isinstance(geometry, coal.Cylinder):
-        rim = geometry.radius * _CIRCLE
-        half = np.full((len(rim), 1), geometry.halfLength)
-        return np.vstack([np.hstack([rim, half]), np.hstack([rim, -half])]), 0.0
+        radius = geometry.radius
+        return _RIMS * (radius, radius, geometry.halfLength), 0.0
     return np.array([geometry.point(i) for i in range(geometry.num_points)]), 0.0
 
 
 _CUBE = np.array([*product((-1.0, 1.0), repeat=3)])
 _ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-_CIRCLE = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+_RIMS = np.array([(np.cos(a), np.sin(a), z) for z in (1.0, -1.0) for a in _ANGLES])
 
 
 def _sphere(count: int) -> np.ndarray:

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import combinations, product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
+from handmap_qp.hands.fingers import Finger, zero_posture
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
-
-if TYPE_CHECKING:
-    from handmap_qp.hands.fingers import Finger
-
-_THUMB = FINGERS[0]
+from handmap_qp.hands.human import THUMB
 
 
 class ShapePairs(NamedTuple):
@@ -109,14 +105,11 @@ def _pinching_fingers(
     ends = {
         finger: set(distal_shapes(chain, geometry)) for finger, chain in chains.items()
     }
-    thumb = ends.pop(_THUMB, set())
+    thumb = ends.pop(THUMB, set())
     found = []
     for pair in geometry.collisionPairs:
-        one = pair.first
-        other = pair.second
-        if one not in thumb:
-            one, other = other, one
-        pinching = (f for f, own in ends.items() if one in thumb and other in own)
+        shapes = {pair.first, pair.second}
+        pinching = (f for f, own in ends.items() if shapes & thumb and shapes & own)
         found.append(next(pinching, ""))
     return tuple(found)
 
@@ -141,8 +134,8 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
 
 def _overlapping(hand: Hand, geometry: pin.GeometryModel) -> list[pin.CollisionPair]:
     """Return the pairs that overlap at rest or with the hand stretched."""
-    stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)
-    distances = pair_distances(hand, geometry, np.array([hand.rest, stretched]))
+    postures = np.array([hand.rest, zero_posture(hand)])
+    distances = pair_distances(hand, geometry, postures)
     overlaps = np.any(distances <= 0.0, axis=0)
     pairs = zip(geometry.collisionPairs, overlaps, strict=True)
     return [pin.CollisionPair(p.first, p.second) for p, overlap in pairs if overlap]

@@ -268,10 +268,6 @@ class HandSpec(_HandFields, frozen=True):
         """Return an error about one key of this spec, with its file."""
         return HandError(message, file=self.file, key=key, value=value)
 
-    def located(self, error: HandError) -> HandError:
-        """Return an error about this hand's URDF with the file of this spec."""
-        return self.error(error.problem, key=error.key or "urdf", value=error.value)
-
 
 def read_hand_spec(path: Path) -> HandSpec:
     """Read and check a `hand.yaml`; its folder becomes the spec's `directory`.
@@ -428,11 +424,15 @@ def _extended(
     return base | own
 
 
+def repeated(names: Sequence[str]) -> list[str]:
+    """Return the names that are given more than once."""
+    return [name for name, count in Counter(names).items() if count > 1]
+
+
 def check_unique(spec: HandSpec, names: Sequence[str], key: str) -> None:
     """Reject names that are given twice under one key of a spec."""
-    for name, count in Counter(names).items():
-        if count > 1:
-            raise spec.error(f"{name!r} is given twice", key=key, value=name)
+    for name in repeated(names):
+        raise spec.error(f"{name!r} is given twice", key=key, value=name)
 
 
 def _check_joints(spec: HandSpec) -> None:

@@ -7,7 +7,6 @@ picture) sees the same robot.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -20,7 +19,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.sources import find_mesh, urdf_path
-from handmap_qp.hands.spec import ArmSpec, HandSpec, LimitSpec, MimicSpec
+from handmap_qp.hands.spec import ArmSpec, LimitSpec, MimicSpec, repeated
 from handmap_qp.se3 import affine, rotation_from_rpy, rpy_from_rotation
 
 MOVABLE = ("revolute", "continuous", "prismatic")
@@ -38,14 +37,7 @@ _NUMBERS = {
     "axis": {"xyz": 3},
     "limit": {"lower": 1, "upper": 1, "velocity": 1},
 }
-_NOT_OF_FIXED_JOINTS = (
-    "axis",
-    "limit",
-    "mimic",
-    "calibration",
-    "safety_controller",
-    "dynamics",
-)
+_OF_FIXED_JOINTS = ("origin", "parent", "child")
 
 
 def parse_urdf(text: str | bytes) -> ET.Element:
@@ -149,8 +141,8 @@ def origin_of(element: ET.Element) -> np.ndarray:
 
 def set_origin(element: ET.Element, pose: np.ndarray) -> None:
     """Write a pose [m], shape (4, 4), into an element's `<origin>`."""
-    rpy = rpy_from_rotation(pose[:3, :3])
-    set_numbers(child_of(element, "origin"), xyz=pose[:3, 3], rpy=rpy)
+    origin = child_of(element, "origin")
+    set_numbers(origin, xyz=pose[:3, 3], rpy=rpy_from_rotation(pose[:3, :3]))
 
 
 def mimics_of(robot: ET.Element) -> dict[str, MimicSpec]:
@@ -274,10 +266,10 @@ def check_tree(robot: ET.Element) -> None:
     joints = [*robot.iterfind("joint")]
     ends = [(parent, child) for _, parent, child in edges(robot)]
     unknown = [link for link in chain(*ends) if link not in links]
-    _reject("has two links {!r}", _repeated(links))
-    _reject("has two joints {!r}", _repeated([j.get("name", "") for j in joints]))
+    _reject("has two links {!r}", repeated(links))
+    _reject("has two joints {!r}", repeated([j.get("name", "") for j in joints]))
     _reject("has a joint with the link {!r}, which it does not have", unknown)
-    children = _repeated([child for _, child in ends])
+    children = repeated([child for _, child in ends])
     _reject("is not a tree: the link {!r} is the child of two joints", children)
     roots = root_links(robot)
     if len(roots) != 1:
@@ -298,10 +290,6 @@ def _reject(message: str, culprits: Sequence[object]) -> None:
     """Raise an error about a URDF and the first of its culprits, if there are any."""
     if culprits:
         raise HandError(f"the URDF {message.format(culprits[0])}", value=culprits)
-
-
-def _repeated(names: Sequence[str]) -> list[str]:
-    return [name for name, count in Counter(names).items() if count > 1]
 
 
 def _checked_kind(joint: ET.Element) -> str:
@@ -417,7 +405,6 @@ def _lock(joint: ET.Element, position: float) -> None:
     """Make one joint a fixed one, its position in its origin."""
     kind = joint.get("type")
     name = joint.get("name")
-    motion = pin.SE3.Identity()
     if kind not in MOVABLE:
         raise HandError(
             f"a {kind} joint cannot be locked at one number",
@@ -432,12 +419,12 @@ def _lock(joint: ET.Element, position: float) -> None:
             key=name,
             value=axis.tolist(),
         )
-    axis = axis / length
-    if kind == "prismatic":
-        motion.translation = position * axis
-    else:
-        motion.rotation = pin.exp3(position * axis)
-    set_origin(joint, origin_of(joint) @ motion.homogeneous)
+    step = position / length * axis
+    is_slide = kind == "prismatic"
+    motion = (
+        affine(np.eye(3), step) if is_slide else affine(pin.exp3(step), np.zeros(3))
+    )
+    set_origin(joint, origin_of(joint) @ motion)
     _fix(joint)
 
 
@@ -455,7 +442,7 @@ def fix_free_joints(robot: ET.Element) -> list[str]:
 
 def _fix(joint: ET.Element) -> None:
     for element in list(joint):
-        if element.tag in _NOT_OF_FIXED_JOINTS:
+        if element.tag not in _OF_FIXED_JOINTS:
             joint.remove(element)
     joint.set("type", "fixed")
 
@@ -479,18 +466,6 @@ def set_mesh_paths(robot: ET.Element, folder: Path) -> None:
     for mesh in robot.iter("mesh"):
         if name := mesh.get("filename"):
             mesh.set("filename", str(find_mesh(name, folder).resolve()))
-
-
-def parse_with_meshes(spec: HandSpec, urdf_text: str) -> ET.Element:
-    """Parse a hand's URDF, with absolute paths of its meshes for readers that know no folder.
-
-    Raises:
-        HandError: If the text is not a URDF.
-        MissingExtraError: If the URDF lies in a package that is not installed.
-    """
-    robot = parse_urdf(urdf_text)
-    set_mesh_paths(robot, urdf_path(spec).parent)
-    return robot
 
 
 # -- a hand on an arm, a mirrored hand
@@ -550,21 +525,13 @@ def mirror(robot: ET.Element) -> None:
             if key in element.attrib:
                 _flip(element, key, signs)
     for joint in robot.iterfind("joint"):
-        _mirror_axis(joint)
-
-
-def _mirror_axis(joint: ET.Element) -> None:
-    """Mirror the axis of a joint that has one."""
-    kind = joint.get("type")
-    if kind not in (*MOVABLE, "fixed"):
-        raise HandError(
-            f"a {kind or 'nameless'} joint cannot be mirrored",
-            key=joint.get("name"),
-            value=kind,
-        )
-    if kind != "fixed":
-        signs = _MIRRORED["origin"]["xyz" if kind == "prismatic" else "rpy"]
-        _flip(child_of(joint, "axis"), "xyz", signs, _DEFAULT_AXIS)
+        kind = joint.get("type", "nameless")
+        if kind not in (*MOVABLE, "fixed"):
+            problem = f"a {kind} joint cannot be mirrored"
+            raise HandError(problem, key=joint.get("name"), value=kind)
+        if kind != "fixed":
+            signs = _MIRRORED["origin"]["xyz" if kind == "prismatic" else "rpy"]
+            _flip(child_of(joint, "axis"), "xyz", signs, _DEFAULT_AXIS)
 
 
 def _flip(

@@ -13,13 +13,14 @@ import pytest
 from service_tools import CACHE, client_of, connected, human_q, opening, serving
 
 from handmap_qp import Hand, HandError, HandSpec, hand_names, load_hand
+from handmap_qp.apps.onboarding.cli import list_hands
 from handmap_qp.apps.service.opening import HandCache, prepare_hands
 from handmap_qp.apps.service.server import Server
 from handmap_qp.apps.viewer.figure import link_meshes
 from handmap_qp.cli import COMMANDS, main, parse
 from handmap_qp.errors import RefusedError
 from handmap_qp.hands import library
-from handmap_qp.hands.library import HUMAN_HANDS, hand_files, list_hands, missing_hands
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files, missing_hands
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import read_hand_spec
 

@@ -10,12 +10,12 @@ landmarks, not as a model fitted to them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.apps.drawing.hands import (
     UPRIGHT,
@@ -25,20 +25,21 @@ from handmap_qp.apps.drawing.hands import (
     spheres,
     tube,
 )
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
 from handmap_qp.errors import expect
+from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT, PALM
-from handmap_qp.se3 import inverse_pose, rigid_fit, transform_points, unit
+from handmap_qp.se3 import as_floats, inverse_pose, rigid_fit, transform_points, unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FINGER_COLOURS: dict[str, tuple[float, float, float]] = {
+FINGER_COLOURS: dict[str, Colour] = {
     "thumb": (0.84, 0.22, 0.16),
     "index": (0.93, 0.60, 0.10),
     "middle": (0.20, 0.58, 0.36),
@@ -70,18 +71,9 @@ _HUMAN_BACKGROUND = 0.965
 _RULE = 0.86
 _INK, _PALE = "#222831", "#6b7280"
 # Across the palm: wrist to knuckles, and from knuckle to knuckle.
-_PALM_BONES = (
-    (0, 1),
-    (0, 5),
-    (0, 9),
-    (0, 13),
-    (0, 17),
-    (5, 9),
-    (9, 13),
-    (13, 17),
-    (1, 5),
-)
-_PALM_FACES = ((0, 1, 5), (0, 5, 9), (0, 9, 13), (0, 13, 17))
+_KNUCKLES = (1, 5, 9, 13, 17)
+_PALM_BONES = (*product((0,), _KNUCKLES), *pairwise(_KNUCKLES))
+_PALM_FACES = [(0, *pair) for pair in pairwise(_KNUCKLES)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -271,7 +263,7 @@ def save_contact_sheet(
     figure = contact_sheet(
         columns, rows, side=recording.side, title=recording.name, footnote=footnote
     )
-    figure.savefig(Path(file), dpi=_DPI)
+    figure.savefig(file, dpi=_DPI)
     return Path(file)
 
 
@@ -286,12 +278,7 @@ def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> Non
     expect(rows, "rows", "at least one pose", got="none", advice=advice)
     wanted = LANDMARK_COUNT, 3
     for i, row in enumerate(rows):
-        expect(
-            np.shape(row.landmarks) == wanted and np.isfinite(row.landmarks).all(),
-            f"rows[{i}].landmarks",
-            f"finite numbers of shape {wanted}",
-            got=str(np.shape(row.landmarks)),
-        )
+        as_floats(row.landmarks, f"rows[{i}].landmarks", shape=wanted, is_finite=True)
         expect(
             len(row.q) == len(columns),
             f"rows[{i}].q",
@@ -330,8 +317,8 @@ def _human_triangles(landmarks: np.ndarray) -> Triangles:
         colour = FINGER_COLOURS[finger]
         chain = ((base, middle), (middle, last), (last, tip))
         bones += [(pair, _BONE, colour) for pair in chain]
-        parts.append(spheres(points[[middle, last]], _JOINT, colour))
-        parts.append(spheres(points[[tip]], _TIP, colour))
+        joints = spheres(points[[middle, last]], _JOINT, colour)
+        parts += [joints, spheres(points[[tip]], _TIP, colour)]
     for (one, other), radius, colour in bones:
         # Landmarks that coincide have no bone between them.
         if np.linalg.norm(points[one] - points[other]) > 1e-5:
@@ -345,39 +332,26 @@ def _faces(points: np.ndarray) -> Triangles:
     corners = np.concatenate([corners, corners[:, ::-1]])
     a, b, c = np.moveaxis(corners, 1, 0)
     normals = np.repeat(unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
-    return Triangles(corners, np.tile(_PALM_COLOUR, (len(corners), 1)), normals)
+    return Triangles.painted(corners, normals, _PALM_COLOUR)
 
 
 def _coloured(shape: HandShape) -> HandShape:
     """The same shape without an arm, grey, with every finger's links in the finger's colour."""
-    hand = shape.hand
-    wrist = hand.model.frames[hand.wrist_frame_id].parentJoint
     links = {}
-    for link, triangles in shape.links.items():
-        if wrist and wrist not in hand.model.supports[_carrier(hand, link)]:
-            continue
-        colour = FINGER_COLOURS.get(_finger_of(hand, link) or "", _ROBOT_COLOUR)
+    for link, triangles in shape.without_arm().links.items():
+        finger = _finger_of(shape.hand, link) or ""
+        colour = FINGER_COLOURS.get(finger, _ROBOT_COLOUR)
         colours = np.broadcast_to(colour, triangles.colours.shape)
         links[link] = triangles._replace(colours=colours)
-    return replace(shape, links=links)
+    return HandShape(shape.hand, links)
 
 
 def _finger_of(hand: Hand, link: str) -> str | None:
     """The finger that a link moves with: the one whose points alone lie on or beyond its joint."""
-    joint = _carrier(hand, link)
-    beyond = {
-        point.finger
-        for point in hand.spec.points
-        if joint in hand.model.supports[_carrier(hand, point.link)]
-    }
+    carried = hand.model.subtrees[carrier_of(hand, link)]
+    points = hand.spec.points
+    beyond = {p.finger for p in points if carrier_of(hand, p.link) in carried}
     return beyond.pop() if len(beyond) == 1 else None
-
-
-def _carrier(hand: Hand, link: str) -> int:
-    """The joint of the model that moves a link."""
-    return hand.model.frames[
-        hand.model.getFrameId(link, pin.FrameType.BODY)
-    ].parentJoint
 
 
 def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:

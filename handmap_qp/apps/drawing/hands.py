@@ -8,7 +8,7 @@ of anything drawn over it.
 
 from __future__ import annotations
 
-import io
+import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -17,12 +17,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged, render
+from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
 from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import find_mesh, urdf_path
 from handmap_qp.hands.spec import HandSpec
-from handmap_qp.se3 import affine, unit
+from handmap_qp.hands.urdf import get_numbers, origin_of, parse_urdf
+from handmap_qp.se3 import affine, lengths, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -81,10 +83,17 @@ class HandShape:
         poses = self.hand.link_poses(list(self.links), q, wrist_pose)
         return merged(list(map(Triangles.moved, self.links.values(), poses)))
 
+    def without_arm(self) -> HandShape:
+        """Return the shapes of the links that the wrist carries."""
+        model = self.hand.model
+        carried = model.subtrees[model.frames[self.hand.wrist_frame_id].parentJoint]
+        links = {
+            k: v for k, v in self.links.items() if carrier_of(self.hand, k) in carried
+        }
+        return HandShape(self.hand, links)
 
-def load_shape(
-    hand: Hand, *, colour: tuple[float, float, float] | None = None
-) -> HandShape:
+
+def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
     """Read the visual shapes of a hand from its URDF, or its collision shapes if it has none.
 
     Mesh paths are resolved as in `handmap_qp.hands.sources.find_mesh`. A mesh that cannot be
@@ -101,30 +110,24 @@ def load_shape(
         MissingExtraError: If trimesh is not installed.
     """
     trimesh = require("trimesh", "plot")
-    from yourdfpy import URDF
-
-    robot = URDF.load(
-        io.BytesIO(hand.urdf_text.encode()), build_scene_graph=False, load_meshes=False
-    ).robot
-    palette = _palette(robot)
-    has_visuals = any(link.visuals for link in robot.links)
+    robot = parse_urdf(hand.urdf_text)
+    named = {each.get("name"): each for each in robot.iter("material") if len(each)}
+    kind = "visual" if robot.find("link/visual") is not None else "collision"
     links = {}
-    for link in robot.links:
+    for link in robot.iterfind("link"):
         parts = []
-        for shape in link.visuals if has_visuals else link.collisions:
-            found = _geometry(trimesh, shape.geometry, hand.spec)
-            if found is not None:
-                tint = _colour(getattr(shape, "material", None), palette)
-                part = _triangles(found, colour or tint)
-                parts.append(part if shape.origin is None else part.moved(shape.origin))
+        for shape in link.iterfind(kind):
+            tint = colour or _colour(shape.find("material"), named)
+            for solid in shape.iterfind("geometry/*"):
+                found = _geometry(trimesh, solid, hand.spec)
+                if found is not None:
+                    parts.append(_triangles(found, tint).moved(origin_of(shape)))
         if parts:
-            links[link.name] = merged(parts)
+            links[link.get("name", "")] = merged(parts)
     return HandShape(hand, links)
 
 
-def solid(
-    vertices: np.ndarray, faces: np.ndarray, colour: tuple[float, float, float]
-) -> Triangles:
+def solid(vertices: np.ndarray, faces: np.ndarray, colour: Colour) -> Triangles:
     """Return a mesh of one colour, with normals that are smooth except at edges.
 
     Args:
@@ -140,9 +143,7 @@ def solid(
     )
 
 
-def spheres(
-    centres: npt.ArrayLike, radius: float, colour: tuple[float, float, float]
-) -> Triangles:
+def spheres(centres: npt.ArrayLike, radius: float, colour: Colour) -> Triangles:
     """Return small spheres that mark points.
 
     Args:
@@ -160,17 +161,13 @@ def spheres(
     corners = np.asarray(ball.vertices)[ball.faces]
     places = np.asarray(centres, dtype=float).reshape(-1, 1, 1, 3)
     vertices = (places + radius * corners).reshape(-1, 3, 3)
-    return Triangles(
-        vertices,
-        np.tile(colour, (len(vertices), 1)),
-        np.tile(corners, (len(places), 1, 1)),
-    )
+    return Triangles.painted(vertices, np.tile(corners, (len(places), 1, 1)), colour)
 
 
 def tube(
     path: npt.ArrayLike,
     radius: float,
-    colour: tuple[float, float, float],
+    colour: Colour,
 ) -> Triangles:
     """Return a thin tube along a path.
 
@@ -186,7 +183,7 @@ def tube(
         InvalidInputError: If the path has no two different points.
     """
     points = np.asarray(path, dtype=float).reshape(-1, 3)
-    steps = np.linalg.norm(np.diff(points, axis=0, prepend=np.inf), axis=1)
+    steps = lengths(np.diff(points, axis=0, prepend=np.inf))
     points = points[steps > 1e-6]
     expect(len(points) > 1, "path", "at least two different points", value=path)
     tangents = unit(np.gradient(points, axis=0))
@@ -199,9 +196,7 @@ def tube(
         ring[:] = np.outer(np.cos(angles), normal)
         ring += np.outer(np.sin(angles), np.cross(tangent, normal))
     surface = points[:, None] + radius * rings
-    vertices = _between_rings(surface)
-    colours = np.tile(colour, (len(vertices), 1))
-    return Triangles(vertices, colours, _between_rings(rings))
+    return Triangles.painted(_between_rings(surface), _between_rings(rings), colour)
 
 
 def _between_rings(rings: np.ndarray) -> np.ndarray:
@@ -283,26 +278,26 @@ def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
         ) from error
 
 
-def _geometry(trimesh: Any, geometry: Any, spec: HandSpec) -> Any:
+def _geometry(trimesh: Any, solid: ET.Element, spec: HandSpec) -> Any:
     """Return a URDF geometry as a mesh of trimesh; None for an unreadable one."""
     made = trimesh.creation
-    match geometry:
-        case None:
-            return None
-        case _ if geometry.box is not None:
-            return made.box(extents=geometry.box.size)
-        case _ if geometry.sphere is not None:
-            return made.icosphere(subdivisions=3, radius=geometry.sphere.radius)
-        case _ if geometry.cylinder is not None:
-            size = geometry.cylinder
-            return made.cylinder(size.radius, size.length, sections=40)
-    return _mesh(trimesh, geometry.mesh, spec)
+    match solid.tag:
+        case "box":
+            return made.box(get_numbers(solid, "size", 3))
+        case "sphere":
+            return made.icosphere(3, *get_numbers(solid, "radius", 1))
+        case "cylinder":
+            size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
+            return made.cylinder(*size, sections=40)
+        case "mesh":
+            return _mesh(trimesh, solid, spec)
+    return None
 
 
-def _mesh(trimesh: Any, mesh: Any, spec: HandSpec) -> Any:
+def _mesh(trimesh: Any, mesh: ET.Element, spec: HandSpec) -> Any:
     """Read a mesh with outward faces only, or with both sides if it is not closed."""
     try:
-        found = trimesh.load_mesh(mesh_file(mesh.filename, spec))
+        found = trimesh.load_mesh(mesh_file(mesh.get("filename", ""), spec))
     # Mesh readers raise many types; draw the hand without this part.
     except Exception:
         return None
@@ -315,10 +310,8 @@ def _mesh(trimesh: Any, mesh: Any, spec: HandSpec) -> Any:
         inverse = coarse.copy()
         inverse.invert()
         coarse = inverse if is_closed else trimesh.util.concatenate(coarse, inverse)
-    if mesh.scale is not None:
-        # Faces of a mirrored mesh are turned over.
-        coarse.apply_scale(mesh.scale)
-    return coarse
+    # Faces of a mirrored mesh are turned over.
+    return coarse.apply_scale(get_numbers(mesh, "scale", 3, "1 1 1"))
 
 
 def mesh_file(name: str, spec: HandSpec) -> Path:
@@ -348,33 +341,26 @@ def _simplified(
         cells = int(0.85 * cells)
     counts = np.maximum(np.bincount(cell_of), 1)
     means = np.column_stack(
-        [np.bincount(cell_of, weights=vertices[:, axis]) / counts for axis in range(3)]
+        [np.bincount(cell_of, weights) / counts for weights in vertices.T]
     )
     return means, coarse
 
 
-def _triangles(mesh: Any, colour: tuple[float, float, float]) -> Triangles:
+def _triangles(mesh: Any, colour: Colour) -> Triangles:
     """Return the triangles of a mesh of trimesh; its surface breaks at edges."""
     shade = require("trimesh", "plot").graph.smooth_shade
     smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
     corners = smooth.vertices[smooth.faces]
     normals = unit(smooth.vertex_normals[smooth.faces])
-    return Triangles(corners, np.tile(colour, (len(corners), 1)), normals)
+    return Triangles.painted(corners, normals, colour)
 
 
-def _palette(robot: Any) -> dict[str | None, Any]:
-    """Return the colours of a URDF's materials by name, those inside visuals too."""
-    shapes = [shape for link in robot.links for shape in link.visuals]
-    inside = [shape.material for shape in shapes if shape.material is not None]
-    return {each.name: each.color for each in (*robot.materials, *inside) if each.color}
-
-
-def _colour(
-    material: Any, palette: dict[str | None, Any]
-) -> tuple[float, float, float]:
+def _colour(material: ET.Element | None, named: dict[str | None, ET.Element]) -> Colour:
     """Return the colour of a URDF material, its own or by name; grey without one."""
-    own = material and (material.color or palette.get(material.name))
-    if not own:
+    if material is not None and not len(material):
+        material = named.get(material.get("name"))
+    colour = None if material is None else material.find("color")
+    if colour is None:
         return GREY
-    red, green, blue, *_ = map(float, own.rgba)
+    red, green, blue, _ = get_numbers(colour, "rgba", 4)
     return red, green, blue

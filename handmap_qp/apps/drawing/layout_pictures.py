@@ -19,9 +19,9 @@ from handmap_qp.apps.drawing.hands import (
 from handmap_qp.apps.drawing.raster import Camera
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import HUMAN_JOINTS
+from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
-from handmap_qp.se3 import transform_points
+from handmap_qp.se3 import lengths, transform_points, unit
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.base import Layout, sized_human
 from handmap_qp.trackers.layouts.markers import MarkerLayout
@@ -32,16 +32,9 @@ _SKIN = (0.93, 0.80, 0.72)
 _OTHER = (0.55, 0.57, 0.60)
 _AXIS_LENGTH = 0.045  # m
 # Abduction of the fingers in the picture [rad].
-_SPREADS = {
-    "thumb": 0.75,
-    "index": 0.16,
-    "middle": 0.02,
-    "ring": -0.12,
-    "little": -0.28,
-}
-_FARTHEST = (
-    0.12  # m; joints of the forearm that lie farther from the wrist are left out
-)
+_SPREADS = (0.75, 0.16, 0.02, -0.12, -0.28)
+# Joints of the forearm that lie farther from the wrist are left out [m].
+_FARTHEST = 0.12
 
 
 def save_layout_picture(layout: Layout, path: Path) -> None:
@@ -154,7 +147,7 @@ def _halo() -> dict[str, Any]:
 def _open_posture(human: Hand) -> np.ndarray:
     """Return an open hand with spread fingers, so that indices do not cover one another."""
     q = 0.25 * human.rest
-    for finger, spread in _SPREADS.items():
+    for finger, spread in zip(FINGERS, _SPREADS, strict=True):
         joint = "TM" if finger == "thumb" else "MCP"
         q[HUMAN_JOINTS.index(f"{finger}_{joint}_abduction")] = spread
     return np.clip(q, human.lower_limits, human.upper_limits)
@@ -180,7 +173,7 @@ def _entries(
     if isinstance(layout, PointLayout):
         index = np.arange(len(places))
         is_used = np.isin(index, layout.order(human.spec.side))
-        is_near = np.linalg.norm(places, axis=1) < _FARTHEST
+        is_near = lengths(places) < _FARTHEST
         is_shown = is_used | (np.isin(index, list(layout.table.between)) & is_near)
     shown = np.flatnonzero(is_shown)
     return places[shown], list(map(str, shown)), is_used[shown]
@@ -209,4 +202,4 @@ def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:
         return np.eye(3) if isinstance(layout, MarkerLayout) else np.zeros((3, 3))
     # Axes of left-handed data point where the data says, mirrored into the right-handed world.
     axes = layout.wrist_axes(side)[:3, :3]
-    return axes / np.linalg.norm(axes, axis=0)
+    return unit(axes.T).T

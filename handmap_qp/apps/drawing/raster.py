@@ -14,8 +14,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from handmap_qp.se3 import affine, transform_points, unit
+from handmap_qp.se3 import affine, lengths, transform_points, unit
 
+Colour = tuple[float, float, float]
+"""Red, green and blue, 0 to 1."""
 _NEAR = 1e-3
 # The z-buffer's key: nearness in the high bits, triangle index in the low bits.
 _NEARNESS_STEPS = 2**31 - 1
@@ -52,6 +54,13 @@ class Triangles(NamedTuple):
     vertices: np.ndarray
     colours: np.ndarray
     normals: np.ndarray
+
+    @classmethod
+    def painted(
+        cls, vertices: np.ndarray, normals: np.ndarray, colour: Colour
+    ) -> Triangles:
+        """Return triangles of one colour."""
+        return cls(vertices, np.tile(colour, (len(vertices), 1)), normals)
 
     def moved(self, pose: np.ndarray) -> Triangles:
         """Return them moved by a pose, shape (4, 4)."""
@@ -102,7 +111,7 @@ class Camera:
             The camera.
         """
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
-        radius = max(float(np.linalg.norm(points - middle, axis=1).max()), 1e-6)
+        radius = max(float(lengths(points - middle).max()), 1e-6)
         turn, rise = np.radians([azimuth, elevation])
         backward = np.array(
             [np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)]
@@ -118,10 +127,8 @@ class Camera:
         high = tangents.max(axis=0)
         room = np.array(size) - 2.0 * margin * min(size)
         focal_length = float((room / np.maximum(high - low, 1e-9)).min())
-        centre = 0.5 * np.array(size) - 0.5 * focal_length * (low + high)
-        return cls(
-            world_to_camera, focal_length, (float(centre[0]), float(centre[1])), size
-        )
+        x, y = (0.5 * (np.array(size) - focal_length * (low + high))).tolist()
+        return cls(world_to_camera, focal_length, (x, y), size)
 
     def project(self, points: np.ndarray) -> np.ndarray:
         """Project points into the picture.
@@ -199,7 +206,9 @@ def render(
         is_hidden = surface.depth > solid.depth
         opacity = np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0) * shaded[..., 3]
         picture += opacity[..., None] * (shaded - picture)
-    picture = _averaged(picture, supersampling)
+    width, height = camera.size
+    picture = picture.reshape(height, supersampling, width, supersampling, 4)
+    picture = picture.mean(axis=(1, 3))
     # Colours were averaged premultiplied by opacity: divide by it, then apply gamma.
     light = picture[..., :3] / np.maximum(picture[..., 3:], 1e-6)
     picture[..., :3] = np.clip(light, 0.0, 1.0) ** (1.0 / 2.2)
@@ -355,10 +364,3 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     hollow = np.zeros_like(depth)
     hollow[is_solid] = np.clip(0.15 * total, 0.0, 1.0)
     return gaussian_filter(hollow, 0.15 * reach)
-
-
-def _averaged(picture: np.ndarray, factor: int) -> np.ndarray:
-    """Average blocks of `factor` x `factor` pixels."""
-    height, width, channels = picture.shape
-    blocks = (height // factor, factor, width // factor, factor, channels)
-    return picture.reshape(blocks).mean(axis=(1, 3))

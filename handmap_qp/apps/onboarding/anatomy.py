@@ -340,8 +340,8 @@ class _Evidence:
         ends = np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
         ends = (ends - row.mean()) / width
         place = float(ends.mean())
-        is_outside = bool((ends * ends.mean() > 0.0).all())
-        is_outside = is_outside and abs(place) > 2.0 * _CLEAR
+        is_far = abs(place) > 2.0 * _CLEAR
+        is_outside = is_far and bool((ends * place > 0.0).all())
         return place if abs(place) > _VISIBLE else 0.0, is_outside
 
     def name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
@@ -398,12 +398,8 @@ def _stands_out(differences: np.ndarray) -> np.ndarray:
     """Return how much each finger differs from the others, less how much they differ, (F,)."""
     others = len(differences) - 1
     own = differences.sum(axis=1) - differences.diagonal()
-    among = (
-        differences.sum()
-        - differences.sum(axis=0)
-        - differences.sum(axis=1)
-        + differences.diagonal()
-    )
+    # Differences are symmetric.
+    among = differences.sum() - 2.0 * own - differences.diagonal()
     return own / others - among / max(1, others * (others - 1))
 
 

@@ -32,6 +32,7 @@ from handmap_qp.apps.onboarding.measure import (
 )
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError, HandmapError
+from handmap_qp.hands.collision_shapes import parse_with_meshes
 from handmap_qp.hands.fingers import (
     PalmKinematics,
     find_fingers,
@@ -45,7 +46,6 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.shape_pairs import named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.spec import HandSpec
-from handmap_qp.hands.urdf import parse_with_meshes
 from handmap_qp.se3 import lengths
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
@@ -134,8 +134,8 @@ class Report:
     def document(self, picture: Path | None) -> dict[str, Any]:
         """Return everything as values for JSON."""
         shown = None if picture is None else str(picture)
-        found = {"findings": self._rows("level"), "picture": shown}
-        return {"name": self.name, **self.measured, **found}
+        rows = self._rows("level")
+        return {"name": self.name, **self.measured, "findings": rows, "picture": shown}
 
     def _rows(self, level: str) -> list[dict[str, Any]]:
         """Return a row per finding; `level` heads its first column."""
@@ -169,8 +169,8 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
                 report.findings += check(built, report.measured)
             except HandmapError as error:
                 where = getattr(error, "key", None) or "hand"
-                failed = Finding("advice", where, f"not checked: {error}")
-                report.findings.append(failed)
+                what = f"not checked: {error}"
+                report.findings.append(Finding("advice", where, what))
     if not {"error", "warning"} & {finding.level for finding in report.findings}:
         what = (
             "no contradiction between description, names, limits, shapes and gestures"
@@ -320,7 +320,7 @@ def _check_places(hand: Hand, tables: Tables) -> Findings:
 
 
 def _check_meshes(hand: Hand, tables: Tables) -> Findings:
-    robot = parse_with_meshes(hand.spec, hand.urdf_text)
+    robot = parse_with_meshes(hand)
     for tag, use in (
         ("collision", "self-collision and pinches"),
         ("visual", "pictures"),
@@ -340,7 +340,7 @@ def _check_meshes(hand: Hand, tables: Tables) -> Findings:
 def _check_wrist(hand: Hand, tables: Tables) -> Findings:
     """Find actuated wrist joints that the description leaves out."""
     spec = hand.spec
-    is_on_arm = spec.arm is not None or (hand.has_moving_wrist and not hand.is_floating)
+    is_on_arm = hand.has_moving_wrist and not hand.is_floating
     if spec.root is None or is_on_arm or urdf_path(spec).suffix != ".urdf":
         return
     robot = Robot(read_urdf(spec), urdf_path(spec))

@@ -15,15 +15,21 @@ from handmap_qp.apps.arguments import HandName, InputArguments, hinted
 from handmap_qp.apps.onboarding.check import check_hand
 from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
 from handmap_qp.apps.onboarding.detect import Detection, detect
-from handmap_qp.apps.onboarding.match import check_robot, match_hand
+from handmap_qp.apps.onboarding.match import match_hand
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
 from handmap_qp.apps.onboarding.write import check_free, open_source, write_hand
 from handmap_qp.apps.tables import print_rows, print_table
-from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import describe_hand, list_hands, load_hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.errors import expect
+from handmap_qp.hands.hand import LONGEST_STOP, Hand
+from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
+from handmap_qp.hands.sources import urdf_path
+from handmap_qp.hands.spec import Side, read_hand_spec
 from handmap_qp.output_files import check_output
 
+RobotName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
+"""Name of the hand that is written."""
+OutFile = Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")]
+"""The hand.yaml to write."""
 _WROTE = "wrote {0}; check it with: handmap hands check {0}"
 
 
@@ -35,6 +41,66 @@ def _print_found(hand: Hand, found: Detection, rows: list[dict[str, Any]]) -> No
     )
     for note in found.notes:
         print(f"note: {note}")
+
+
+def list_hands() -> list[dict[str, Any]]:
+    """List all hands that have a name; those of other packages come last.
+
+    Returns:
+        Name, side, number of joints, mount, point sets of each, and whether it is installed, or
+        what installs it.
+    """
+    missing = missing_hands()
+    specs = {name: read_hand_spec(file) for name, file in hand_files().items()}
+    return [
+        {
+            "name": name,
+            "side": spec.side,
+            "joints": len(spec.joints),
+            "wrist": spec.wrist.mount,
+            "point sets": ", ".join(spec.sets),
+            "available": f"no: {missing[name]}" if name in missing else "yes",
+        }
+        for name, spec in specs.items()
+    ]
+
+
+def describe_hand(hand: str | Path) -> dict[str, Any]:
+    """Describe one hand in plain values for JSON: frames, joints with limits, reference points.
+
+    Args and errors are those of `load_hand`.
+    """
+    found = load_hand(hand)
+    columns = {
+        "joint": found.joint_names,
+        "lower rad": found.lower_limits.tolist(),
+        "upper rad": found.upper_limits.tolist(),
+        "speed rad/s": found.velocity_limits.tolist(),
+        "stop": found.stop_distances.tolist(),
+        "rest rad": found.rest.tolist(),
+    }
+    return {
+        "name": found.name,
+        "side": found.side,
+        "urdf": str(urdf_path(found.spec)),
+        "wrist": f"{found.mount}, link {found.spec.wrist.link}",
+        "palm": f"link {found.spec.palm.link}",
+        "stops within": f"{LONGEST_STOP:g} s",
+        "joints": [
+            dict(zip(columns, row, strict=True))
+            for row in zip(*columns.values(), strict=True)
+        ],
+        "points": [
+            {
+                "point": point.name,
+                "link": point.link,
+                "finger": point.finger or "",
+                "weight": point.weight,
+                "in use": "yes" if point in found.reference_points else "",
+            }
+            for point in found.spec.points
+        ],
+    }
 
 
 @dataclass(frozen=True)
@@ -128,8 +194,8 @@ class HandsInit:
     base: Annotated[str | None, hinted("LINK", "(default: the wrist floats)")] = None
     side: Annotated[Side | None, hinted("{right,left}", "(default: found)")] = None
     thumb: Annotated[str | None, hinted("LINK", "(default: found)")] = None
-    name: Annotated[str | None, hinted("NAME", "(default: the robot's name)")] = None
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
+    name: RobotName = None
+    out: OutFile = Path("hand.yaml")
     overwrite: bool = False
     json: bool = False
 
@@ -189,8 +255,8 @@ class HandsMigrate:
         Path | None,
         hinted("ROBOT.urdf", "(default: as the configuration says, from its folder)"),
     ] = None
-    name: Annotated[str | None, hinted("NAME", "(default: the robot's name)")] = None
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("hand.yaml")
+    name: RobotName = None
+    out: OutFile = Path("hand.yaml")
     overwrite: bool = False
 
     def run(self) -> None:
@@ -289,7 +355,8 @@ class HandsMatch:
 
     def run(self) -> None:
         """Solve the posture, print it, and draw it if requested."""
-        robot = check_robot(load_hand(self.hand))
+        robot = load_hand(self.hand)
+        expect(robot.name not in HUMAN_HANDS, "hand", "a robot hand", value=robot.name)
         if self.picture is not None:
             check_output("--picture", self.picture, (".png",))
         source = self.recording

@@ -12,7 +12,7 @@ from handmap_qp.apps.onboarding.detect import Detection
 from handmap_qp.apps.onboarding.measure import random_postures
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger, find_fingers
+from handmap_qp.hands.fingers import Finger, carrier_of, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import (
@@ -97,7 +97,7 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
 def _owner(hand: Hand, fingers: dict[str, Finger], link: str) -> str:
     """Return the finger that a link is on; `palm`, or `bar` of a linkage, which is on none."""
     model = hand.model
-    joint = model.frames[model.getFrameId(link, pin.FrameType.BODY)].parentJoint
+    joint = carrier_of(hand, link)
     palm = model.frames[hand.palm_frame_id].parentJoint
     owners = [name for name, finger in fingers.items() if joint in finger.joints]
     if not owners and joint != palm and palm in [*model.supports[joint]]:

@@ -283,13 +283,13 @@ class _FoundHand:
         distal = self.anatomy.distal
         chosen = ~self._thumbs if not self._thumbs.all() else self._thumbs
         knuckles = self.flexion.bases[chosen].mean(axis=0)
-        cloud = robot.surface(robot.body(palm))
+        body = robot.body(palm)
+        cloud = robot.surface(body)
         back = float(knuckles @ distal)
         how = "the origin of the palm's link"
         if len(cloud):
-            cloud = transform_points(
-                robot.pose_in(robot.links[robot.body(palm)][0], palm), cloud
-            )
+            pose = robot.pose_in(robot.links[body][0], palm)
+            cloud = transform_points(pose, cloud)
             back -= float((cloud @ distal).min())
             how = "the proximal end of the palm's surface"
         how += ", behind the centre of the knuckles"

@@ -51,8 +51,7 @@ def named_side(names: Iterable[str]) -> Side | None:
     """Return the side that most names contain; None if they contain none, or both equally."""
     names = list(names)
     right, left = (
-        sum(bool(_SIDES[side].search(name)) for name in names)
-        for side in ("right", "left")
+        sum(bool(pattern.search(name)) for name in names) for pattern in _SIDES.values()
     )
     return None if right == left else "right" if right > left else "left"
 
@@ -95,5 +94,5 @@ def _most_frequent(
             if (match := pattern.search(name))
         }
         if places:
-            votes[min(places, key=lambda finger: places[finger])] += 1
+            votes[min(places, key=places.__getitem__)] += 1
     return votes.most_common(1)[0][0] if votes else None

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from handmap_qp.errors import InvalidInputError, expect
+from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.library import HUMAN_HANDS, load_hand
+from handmap_qp.hands.library import load_hand
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.recording import Recording, mirrored
 from handmap_qp.human.sample import human_name
@@ -94,13 +94,3 @@ def match_hand(
     inside = np.ceil(lower * _SCALE), np.floor(upper * _SCALE)
     rounded = np.clip(np.round(solved * _SCALE), *inside) / _SCALE
     return Match(human, robot, np.clip(rounded, lower, upper))
-
-
-def check_robot(hand: Hand) -> Hand:
-    """Reject a human hand, which needs no matched posture.
-
-    Raises:
-        InvalidInputError: If the hand is the human one.
-    """
-    expect(hand.name not in HUMAN_HANDS, "hand", "a robot hand", value=hand.name)
-    return hand

@@ -18,7 +18,7 @@ from handmap_qp.hands.fingers import (
     zero_posture,
 )
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import THUMB
+from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.human.sample import human_name
@@ -32,8 +32,7 @@ _LEAST_MOTION = 0.003
 _SAMPLES = 200
 # Random postures of an arm, directions in which its reach is measured, and cosine of their cones.
 _ARM_SAMPLES = 1500
-_WAYS = [way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)]
-_DIRECTIONS = unit(np.array(_WAYS))
+_DIRECTIONS = unit(np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
@@ -201,7 +200,7 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
     sizes = lengths(moved)
     # In each direction, the farthest wrist within a cone.
     near = _DIRECTIONS @ unit(moved).T > _CONE
-    return np.array([sizes[row].max() if row.any() else 0.0 for row in near])
+    return np.where(near, sizes, 0.0).max(axis=1)
 
 
 def measure_size(hand: Hand) -> Size:
@@ -211,7 +210,7 @@ def measure_size(hand: Hand) -> Size:
         hand: The hand, with fingertips as reference points.
     """
     human = load_hand("human", points="fingertips", hand_length=HUMAN_LENGTH)
-    postures = (hand.rest, np.clip(0.0, hand.lower_limits, hand.upper_limits))
+    postures = (hand.rest, zero_posture(hand))
     sizes = [
         lengths(hand.points(q) - hand.frame_pose("palm", q)[:3, 3]).max()
         for q in postures
@@ -244,13 +243,14 @@ def try_motion(hand: Hand) -> list[MotionPart]:
         q = steps[-1].command.q
         worst = int(np.argmax(error))
         limited = compress(hand.joint_names, hand.at_position_limit(q))
-        part = MotionPart(
-            posture=name,
-            worst_point=hand.reference_points[worst].name,
-            error_mm=1e3 * float(error[worst]),
-            joints_at_a_position_limit=", ".join(limited),
+        parts.append(
+            MotionPart(
+                posture=name,
+                worst_point=hand.reference_points[worst].name,
+                error_mm=1e3 * float(error[worst]),
+                joints_at_a_position_limit=", ".join(limited),
+            )
         )
-        parts.append(part)
     return parts
 
 
@@ -268,7 +268,7 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
                 q[i] *= spread
         return np.clip(q, human.lower_limits, human.upper_limits)
 
-    fingers = dict.fromkeys(("index", "middle", "ring", "little"), 0.05)
+    fingers = dict.fromkeys(FINGERS[1:], 0.05)
     fist = dict.fromkeys(fingers, 1.4)
     return {
         "flat hand": posture(thumb=0.1, **fingers),

@@ -16,7 +16,6 @@ from handmap_qp.apps.drawing.hands import (
     AXIS_COLOURS,
     GREY,
     UPRIGHT,
-    HandShape,
     draw_hands,
     load_shape,
     require_matplotlib,
@@ -24,13 +23,12 @@ from handmap_qp.apps.drawing.hands import (
     spheres,
     tube,
 )
-from handmap_qp.apps.drawing.raster import Camera, Triangles, merged
+from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged
 from handmap_qp.apps.onboarding.match import Match
 from handmap_qp.hands.fingers import PalmKinematics, place_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import PointSpec
 from handmap_qp.mapping.hand_pair import resting_posture
-from handmap_qp.se3 import inverse_pose, lengths, transform_points
+from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
 
 _PANEL = (760, 820)
 # From the end of an axis to the middle of its label, to the side and up [pixel].
@@ -69,13 +67,11 @@ def draw_hand(hand: Hand, path: Path) -> None:
         MissingExtraError: If matplotlib is not installed.
     """
     require_matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     scene = _Scene(hand.with_points([point.name for point in hand.spec.points]))
     size = (2 * _PANEL[0] / 100, _PANEL[1] / 100 + 0.5)
     figure = Figure(figsize=size, dpi=100)
-    FigureCanvasAgg(figure)
     height = _PANEL[1] / (_PANEL[1] + 50)
     for i, (title, azimuth) in enumerate(_VIEWS.items()):
         axes = figure.add_axes((0.5 * i, 0.0, 0.5, height))
@@ -135,7 +131,7 @@ class _Scene:
             elevation=_ELEVATION,
             margin=0.13,
         )
-        draw_hands(axes, self.triangles, camera, marks=self.marks, supersampling=2)
+        draw_hands(axes, self.triangles, camera, marks=self.marks)
         origin = camera.project(np.zeros(3))[:2]
         for tip, name, colour in zip(self.axes, _AXES, AXIS_COLOURS, strict=True):
             # Write beyond the end of the axis, so that the end stays visible.
@@ -143,7 +139,7 @@ class _Scene:
             axes.annotate(
                 name,
                 xy=origin + way,
-                xytext=_AXIS_GAP * way / max(np.linalg.norm(way), 1e-9),
+                xytext=_AXIS_GAP * unit(way),
                 textcoords="offset pixels",
                 ha="center",
                 va="center",
@@ -178,7 +174,7 @@ class _Scene:
                     arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.8},
                 )
 
-    def _colour(self, i: int) -> tuple[float, float, float]:
+    def _colour(self, i: int) -> Colour:
         return FINGER_COLOURS.get(
             self.hand.reference_points[i].finger or "", _OTHER_COLOUR
         )
@@ -189,37 +185,27 @@ class _Scene:
             for i in range(len(self.points))
         ]
         for tip, colour in zip(self.axes, AXIS_COLOURS, strict=True):
-            path = np.array([np.zeros(3), tip])
-            parts.append(tube(path, 0.008 * self.size, colour))
-            parts.append(spheres(tip, 0.016 * self.size, colour))
+            axis = tube([np.zeros(3), tip], 0.008 * self.size, colour)
+            parts += [axis, spheres(tip, 0.016 * self.size, colour)]
         return merged(parts)
 
     def _solid(self) -> Triangles:
         """Return the hand's surface without its arm; sticks between joints if it has no shapes."""
         hand = self.hand
-        model = self.hand.model
-        wrist = model.frames[hand.wrist_frame_id].parentJoint
-        links = {
-            link: triangles
-            for link, triangles in load_shape(hand).links.items()
-            if wrist in model.supports[place_of(hand, PointSpec("", link))[0]]
-        }
-        if links:
-            shape = HandShape(hand, links).triangles(hand.rest)
-            return shape.moved(inverse_pose(hand.frame_pose("palm", hand.rest)))
-        return self._sticks(wrist)
+        shape = load_shape(hand).without_arm()
+        if shape.links:
+            to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
+            return shape.triangles(hand.rest).moved(to_palm)
+        return self._sticks()
 
-    def _sticks(self, wrist: int) -> Triangles:
+    def _sticks(self) -> Triangles:
         """Return sticks between the joints beyond the wrist, and from joints to points."""
         hand = self.hand
         model = self.hand.model
+        _, *beyond = model.subtrees[model.frames[hand.wrist_frame_id].parentJoint]
         origin = np.zeros(3)
         tips = [place_of(hand, p) for p in hand.reference_points]
-        sticks = [
-            ((model.parents[joint], origin), (joint, origin))
-            for joint in range(wrist + 1, model.njoints)
-            if wrist in model.supports[joint]
-        ]
+        sticks = [((model.parents[joint], origin), (joint, origin)) for joint in beyond]
         sticks += [((tip[0], origin), tip) for tip in tips]
         places = [place for stick in sticks for place in stick]
         ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)

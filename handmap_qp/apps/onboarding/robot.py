@@ -351,13 +351,9 @@ class Robot:
                 self._remark(name, what)
             speed = None
             if not one.speed > 0.0:
-                alike = [
-                    other.speed for other in given.values() if other.kind == one.kind
-                ]
-                usual = [own for own in alike if own > 0.0] or [
-                    _ASSUMED_SPEED[one.kind]
-                ]
-                speed = float(np.median(usual))
+                alike = [other for other in given.values() if other.kind == one.kind]
+                usual = [other.speed for other in alike if other.speed > 0.0]
+                speed = float(np.median(usual or _ASSUMED_SPEED[one.kind]))
                 what = f"has no speed limit in the URDF: {speed:.4g} is assumed"
                 self._remark(name, what)
             if speed or None not in ends:

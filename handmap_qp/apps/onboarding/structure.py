@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
-from handmap_qp.hands.fingers import Finger
+from handmap_qp.hands.fingers import Finger, ends_of
 from handmap_qp.se3 import lengths, transform_points
 
 LONGEST_FINGER = 0.3
@@ -225,7 +225,7 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
         joints: The finger's joints.
     """
     leaf = joints[-1]
-    link = robot.links[joints[-1]][0]
+    link = robot.links[leaf][0]
     cloud = robot.surface(leaf)
     sizes = lengths(cloud)
     size = float(sizes.max(initial=0.0))
@@ -281,12 +281,7 @@ def _poses(robot: Robot, finger: RobotFinger, other: int) -> np.ndarray:
     """
     data = robot.model.createData()
     poses = []
-    for share in np.linspace(0.0, 1.0, 5):
-        q = robot.zero.copy()
-        columns = finger.columns
-        low = robot.lower_limits[columns]
-        high = robot.upper_limits[columns]
-        q[columns] = low + share * (high - low)
+    for q in np.linspace(*ends_of(robot, robot.zero, finger.columns), 5):
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
         last = data.oMi[finger.joints[-1]]
         poses.append(data.oMi[other].actInv(last).homogeneous)

@@ -6,6 +6,7 @@ import contextlib
 import webbrowser
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -167,9 +168,10 @@ class View:
 
     def _show_live(self, live: str) -> None:
         # Connect before serving, so that a missing session is reported at once.
-        source = viewer.remote.ServiceSession(
-            live, session=self.session, robot=self.robot, keys=self.keys
+        connect = partial(
+            viewer.remote.ServiceSession, live, robot=self.robot, keys=self.keys
         )
+        source = connect(session=self.session)
         try:
             with self._serving() as server:
                 while True:
@@ -181,9 +183,7 @@ class View:
                     # Its hands have changed.
                     server.gui.reset()
                     server.scene.reset()
-                    source = viewer.remote.ServiceSession(
-                        live, session=source.name, robot=self.robot, keys=self.keys
-                    )
+                    source = connect(session=source.name)
         finally:
             source.close()
 

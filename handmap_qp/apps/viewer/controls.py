@@ -174,7 +174,7 @@ class SteeringControls:
         presets: tuple[str, ...],
         compared: str | None = None,
     ) -> None:
-        gui = server.gui
+        self._gui = gui = server.gui
         self._requests: list[str] = []
         names = dict.fromkeys((*presets, choice.preset))
         self.preset = gui.add_dropdown(
@@ -194,28 +194,26 @@ class SteeringControls:
             )
             self._lists["compare"] = _Control(self.compare)
             self.keep = self._add_button(
-                gui,
                 "Keep for comparison",
                 "Keep the robot as it is now beside later options",
             )
         self.message = gui.add_markdown("", visible=False)
         self.options = OptionControls(server, choice)
         self.reset = self._add_button(
-            gui,
             "Reset options and clutch",
             "Restore the initial preset and options, and resume mapping",
         )
         self.release = self._add_button(
-            gui, "Release", "Freeze the robot until Clutch is pressed"
+            "Release", "Freeze the robot until Clutch is pressed"
         )
         self.clutch = self._add_button(
-            gui, "Clutch", "Resume mapping from where the robot is"
+            "Clutch", "Resume mapping from where the robot is"
         )
         self.clutch.disabled = True
 
-    def _add_button(self, gui: Any, label: str, hint: str) -> Any:
+    def _add_button(self, label: str, hint: str) -> Any:
         """Add a button that requests the first word of its label."""
-        button = gui.add_button(label, hint=hint)
+        button = self._gui.add_button(label, hint=hint)
         button.on_click(lambda _: self._requests.append(label.split()[0].lower()))
         return button
 

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
+from handmap_qp.apps.drawing.raster import Colour
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
@@ -29,8 +30,6 @@ from handmap_qp.se3 import inverse_pose, quat_wxyz_from_rotation, transform_poin
 if TYPE_CHECKING:
     import viser
 
-Colour = tuple[float, float, float]
-"""Red, green and blue, 0 to 1."""
 Posture = tuple[np.ndarray, np.ndarray]
 """Joint angles [rad], shape (n,), and wrist pose, shape (4, 4)."""
 Shape = Literal["ellipsoid", "cube", "off"]

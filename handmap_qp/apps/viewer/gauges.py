@@ -172,11 +172,7 @@ class InstantGauges:
         q = sample.robot_q
         postures = [q, robot.rest, *(other.robot_q for other in others)]
         shares = 100.0 * np.clip((np.array(postures) - low) / (high - low), 0.0, 1.0)
-        held = (
-            np.zeros(len(q), dtype=bool)
-            if sample.is_limited is None
-            else sample.is_limited
-        )
+        held = False if sample.is_limited is None else sample.is_limited
         colours = np.where(
             robot.at_position_limit(q), RED, np.where(held, ORANGE, FIRST)
         )

@@ -172,9 +172,8 @@ class LiveViewer(Window):
 
     def _variant(self) -> Variant:
         """Return the robot as it is moved now."""
-        source = self._source
         choice = self._source.choice
-        return Variant(choice.preset, source.robot, choice, [self.sample])
+        return Variant(choice.preset, self._source.robot, choice, [self.sample])
 
     def _page(self) -> bytes:
         """Return the last 10 s as a page."""

@@ -20,17 +20,18 @@ from handmap_qp.apps.viewer.figure import (
 )
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.hand import Hand
+from handmap_qp.se3 import unit
 
 if TYPE_CHECKING:
     import viser
 
-# Between two figures [m].
-_GAP = 0.035
+# Between two figures, and height of the floor [m].
+_GAP, _FLOOR = 0.035, -0.22
 # Samples for which room is reserved; a hand hardly moves between them.
 _RESERVED = 60
 _FIELD_OF_VIEW = float(np.radians(30.0))
 # From the palm side, slightly from above.
-_DIRECTION = np.array([0.0, 0.25, -1.0]) / np.linalg.norm([0.0, 0.25, -1.0])
+_DIRECTION = unit(np.array([0.0, 0.25, -1.0]))
 # Window assumed before the client reports one: a written page on a portrait screen [px].
 _DEFAULT_WINDOW = (600, 800)
 # Room for the names below the figures, and for a margin on every side [px].
@@ -76,7 +77,7 @@ class HandScene:
     ) -> None:
         self.server = server
         self.display = Display()
-        set_up_stage(server, floor=-0.22)
+        set_up_stage(server)
         self.cameras = BrowserCameras(server)
         self._people: tuple[LandmarkFigure, HumanFigure] | None = None
         if human is not None:
@@ -231,7 +232,7 @@ class BrowserCameras:
             views[name] = distance, low = self._view(columns, rows)
             if views[name] != self._views.get(name):
                 offset = camera.position - camera.look_at
-                direction = _DIRECTION if is_new else offset / np.linalg.norm(offset)
+                direction = _DIRECTION if is_new else unit(offset)
                 middle = np.array([0.0, low, 0.0])
                 # Setting the position moves `look_at` too, so set both.
                 camera.position = middle + distance * direction
@@ -271,8 +272,8 @@ def _robot_axes(
     return upright if isinstance(alignment, str) else upright @ np.array(alignment).T
 
 
-def set_up_stage(server: viser.ViserServer, floor: float) -> None:
-    """Turn +y up, and draw the floor at a height [m]."""
+def set_up_stage(server: viser.ViserServer) -> None:
+    """Turn +y up, and draw the floor."""
     server.scene.set_up_direction("+y")
     server.scene.world_axes.visible = False
     server.scene.add_grid(
@@ -286,5 +287,5 @@ def set_up_stage(server: viser.ViserServer, floor: float) -> None:
         cell_thickness=0.6,
         section_thickness=0.8,
         fade_distance=3.0,
-        position=(0.0, floor, 0.0),
+        position=(0.0, _FLOOR, 0.0),
     )
