@@ -240,14 +240,13 @@ def check_pose(
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
     if pose.shape != (4, 4):
+        advice = {(7,): "7 numbers need quat_order='wxyz' or 'xyzw'"}
         raise InvalidInputError(
             argument=name,
             expected="shape (4, 4), a pinocchio.SE3 or 7 numbers",
             value=value,
             got=f"shape {pose.shape}",
-            advice="7 numbers need quat_order='wxyz' or 'xyzw'"
-            if pose.shape == (7,)
-            else "",
+            advice=advice.get(pose.shape, ""),
         )
     # `<= FARTHEST` is also false for NaN.
     if not (abs(pose) <= FARTHEST).all() or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:

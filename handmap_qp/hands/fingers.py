@@ -480,7 +480,10 @@ def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
 
 
 def nearing(
-    view: PalmKinematics, ends: np.ndarray, tips: Sequence[Place], i: int
+    view: PalmKinematics,
+    ends: np.ndarray,
+    tips: Sequence[Place],
+    i: int,
 ) -> float:
     """Return how much nearer a tip is to all others in the second of two postures (2, n) [m]."""
     points = view.points(ends, tips)

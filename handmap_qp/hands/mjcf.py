@@ -328,7 +328,11 @@ class _Converter:
         return [*zip(names, np.eye(3), strict=True)]
 
     def _describe(
-        self, element: ET.Element, joint: int, name: str, direction: np.ndarray
+        self,
+        element: ET.Element,
+        joint: int,
+        name: str,
+        direction: np.ndarray,
     ) -> None:
         """Write an axis of a joint, its limits, dynamics and mimic rule."""
         model = self.model

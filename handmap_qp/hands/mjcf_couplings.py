@@ -242,7 +242,11 @@ class _Constraints:
         return found
 
     def _closed(
-        self, joints: list[int], constraints: list[int], q: np.ndarray, first: int
+        self,
+        joints: list[int],
+        constraints: list[int],
+        q: np.ndarray,
+        first: int,
     ) -> np.ndarray | None:
         """Find a posture near another that satisfies constraints, moving the joints from `first`.
 

@@ -104,7 +104,10 @@ def compose_urdf(
 
 
 def build_model(
-    spec: HandSpec, urdf_text: str, mount: Mount, rules: Mapping[str, MimicSpec]
+    spec: HandSpec,
+    urdf_text: str,
+    mount: Mount,
+    rules: Mapping[str, MimicSpec],
 ) -> pin.Model:
     """Build the Pinocchio model of a composed URDF: every movable joint is a variable.
 
@@ -254,7 +257,11 @@ def check_limits(
 
 
 def check_wrist(
-    model: pin.Model, spec: HandSpec, mount: Mount, wrist: int, palm: int
+    model: pin.Model,
+    spec: HandSpec,
+    mount: Mount,
+    wrist: int,
+    palm: int,
 ) -> None:
     """Reject a wrist or palm that moves with the fingers.
 

@@ -452,7 +452,10 @@ def _check_joints(spec: HandSpec) -> None:
 
 
 def _check_posture(
-    spec: HandSpec, joints: Sequence[str], positions: dict[str, float], key: str
+    spec: HandSpec,
+    joints: Sequence[str],
+    positions: dict[str, float],
+    key: str,
 ) -> None:
     """Check that a posture has a position for each joint, and for no other."""
     for joint in sorted({*joints} ^ positions.keys()):

@@ -81,7 +81,10 @@ def parse_urdf(text: str | bytes) -> ET.Element:
 
 
 def get_numbers(
-    element: ET.Element, key: str, count: int, default: str | None = None
+    element: ET.Element,
+    key: str,
+    count: int,
+    default: str | None = None,
 ) -> list[float]:
     """Read `count` numbers in an attribute.
 
@@ -535,7 +538,10 @@ def mirror(robot: ET.Element) -> None:
 
 
 def _flip(
-    element: ET.Element, key: str, signs: Sequence[float], default: str | None = None
+    element: ET.Element,
+    key: str,
+    signs: Sequence[float],
+    default: str | None = None,
 ) -> None:
     numbers = get_numbers(element, key, len(signs), default)
     set_numbers(element, **{key: np.multiply(signs, numbers)})

@@ -118,7 +118,12 @@ class CompiledIk:
         )
 
     def approach(
-        self, ik: PointIk, task: PointDistances, dt: float, samples: int, near: float
+        self,
+        ik: PointIk,
+        task: PointDistances,
+        dt: float,
+        samples: int,
+        near: float,
     ) -> np.ndarray:
         """Move the hand from rest for a task; see `hand_pair.approach`."""
         self._gate.was_set = True

@@ -336,7 +336,11 @@ def _finger_points(
 
 
 def _point(
-    robot: Hand, finger: str, name: str, place: tuple[int, np.ndarray], weight: float
+    robot: Hand,
+    finger: str,
+    name: str,
+    place: tuple[int, np.ndarray],
+    weight: float,
 ) -> PointSpec:
     """Describe a point on a joint of the model as one on a link of the URDF."""
     joint, offset = place

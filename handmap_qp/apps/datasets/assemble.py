@@ -100,7 +100,10 @@ def state_names(hands: Mapping[Side, Hand]) -> tuple[str, ...]:
 
 
 def _write_lerobot(
-    episodes: Iterator[Episode], root: Path, fps: float, hands: Mapping[Side, Hand]
+    episodes: Iterator[Episode],
+    root: Path,
+    fps: float,
+    hands: Mapping[Side, Hand],
 ) -> Path:
     names = state_names(hands)
     features = {
@@ -176,7 +179,10 @@ def _file_of(line: Line) -> str:
 
 
 def _episodes(
-    lines: Sequence[Line], folder: Path, fps: float, hands: Mapping[Side, Hand]
+    lines: Sequence[Line],
+    folder: Path,
+    fps: float,
+    hands: Mapping[Side, Hand],
 ) -> Iterator[Episode]:
     """Read the episodes one after the other, by the names of their files."""
     known = [line for line in lines if line.side in hands]

@@ -143,7 +143,10 @@ def _bone_variation(landmarks: np.ndarray) -> float:
 
 
 def _surfaces(
-    recording: Recording, trajectory: Trajectory, contact_gap: float, meter: GapMeter
+    recording: Recording,
+    trajectory: Trajectory,
+    contact_gap: float,
+    meter: GapMeter,
 ) -> dict[str, float]:
     """Measure pinches and self-penetration in some of the samples."""
     count = len(recording)

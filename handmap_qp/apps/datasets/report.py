@@ -128,7 +128,11 @@ def worst_rows(quality: Quality, count: int) -> list[dict[str, str]]:
 
 
 def write_report(
-    folder: Path, quality: Quality, worst: int, *, draws: bool
+    folder: Path,
+    quality: Quality,
+    worst: int,
+    *,
+    draws: bool,
 ) -> tuple[Path, ...]:
     """Write report, table, filter and pictures.
 

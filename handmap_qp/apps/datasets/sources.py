@@ -163,7 +163,10 @@ def _listing(path: Path) -> tuple[Source, ...] | str:
 
 
 def _paths_of(
-    given: Path, own: object, seen: set[object], repeated: list[Path]
+    given: Path,
+    own: object,
+    seen: set[object],
+    repeated: list[Path],
 ) -> Iterator[Path]:
     """Yield the path itself, or the files and data sets below it.
 

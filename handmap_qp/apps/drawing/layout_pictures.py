@@ -107,7 +107,10 @@ def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
 
 
 def _draw_axes(
-    axes: Any, camera: Camera, ends: np.ndarray, directions: np.ndarray
+    axes: Any,
+    camera: Camera,
+    ends: np.ndarray,
+    directions: np.ndarray,
 ) -> None:
     """Draw the wrist's axes as arrows with their names; an axis at right angles says its side."""
     origin = camera.project(np.zeros(3))[:2]

@@ -301,7 +301,11 @@ def _centres(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _shaded(
-    triangles: Triangles, surface: _Surface, camera: Camera, *, has_creases: bool
+    triangles: Triangles,
+    surface: _Surface,
+    camera: Camera,
+    *,
+    has_creases: bool,
 ) -> np.ndarray:
     """Return linear light and opacity at every pixel, shape (height, width, 4)."""
     width, height = camera.size

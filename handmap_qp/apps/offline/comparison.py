@@ -402,7 +402,11 @@ def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
 
 
 def _map_outside(
-    folder: Path, listed: _Listed, hand: str, take: Take, robot: Hand
+    folder: Path,
+    listed: _Listed,
+    hand: str,
+    take: Take,
+    robot: Hand,
 ) -> RobotMotion:
     """Run an outside program on a take."""
     recording = take.recording

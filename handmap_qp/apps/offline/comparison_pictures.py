@@ -173,7 +173,11 @@ def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:
 
 
 def _draw_panel(
-    panel: Axes, metric: Metric, comparison: Comparison, *, has_names: bool
+    panel: Axes,
+    metric: Metric,
+    comparison: Comparison,
+    *,
+    has_names: bool,
 ) -> None:
     """Draw one metric: methods from top to bottom."""
     methods = comparison.methods

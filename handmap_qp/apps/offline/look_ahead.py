@@ -98,7 +98,10 @@ def look_ahead(recording: Recording, options: LookAhead | None = None) -> Record
 
 
 def smooth_poses(
-    time: np.ndarray, poses: np.ndarray, valid: np.ndarray, options: LookAhead
+    time: np.ndarray,
+    poses: np.ndarray,
+    valid: np.ndarray,
+    options: LookAhead,
 ) -> np.ndarray:
     """Smooth poses forwards and backwards in time.
 
@@ -119,7 +122,10 @@ def smooth_poses(
 
 
 def whittaker(
-    time: np.ndarray, values: np.ndarray, weight: np.ndarray, cutoff: float
+    time: np.ndarray,
+    values: np.ndarray,
+    weight: np.ndarray,
+    cutoff: float,
 ) -> np.ndarray:
     """Smooth columns by a penalty on their second derivative.
 
@@ -207,7 +213,10 @@ def continuous_quats(rotations: np.ndarray) -> np.ndarray:
 
 
 def _smoothed(
-    time: np.ndarray, landmarks: np.ndarray, valid: np.ndarray, options: LookAhead
+    time: np.ndarray,
+    landmarks: np.ndarray,
+    valid: np.ndarray,
+    options: LookAhead,
 ) -> np.ndarray:
     """Smooth landmarks, shape (T, 21, 3): the palm's motion, and what moves in the palm."""
     seen = landmarks[valid]

@@ -114,7 +114,11 @@ class GapMeter:
         return all_pairs(self._hand, self._chains).geometry
 
     def _smallest(
-        self, geometry: pin.GeometryModel, q: np.ndarray, starts: list[int], most: float
+        self,
+        geometry: pin.GeometryModel,
+        q: np.ndarray,
+        starts: list[int],
+        most: float,
     ) -> np.ndarray:
         """Measure the smallest distance within each group of pairs, at most `most` [m].
 

@@ -252,7 +252,11 @@ def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
 
 
 def rms_derivative(
-    values: np.ndarray, time: np.ndarray, valid: np.ndarray, *, order: int
+    values: np.ndarray,
+    time: np.ndarray,
+    valid: np.ndarray,
+    *,
+    order: int,
 ) -> float:
     """RMS of a time derivative, by divided differences, which allow uneven sampling.
 

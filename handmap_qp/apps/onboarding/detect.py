@@ -330,7 +330,10 @@ def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
 
 
 def _on_arm(
-    text: str | bytes, urdf: Path, spec: HandSpec, base: str
+    text: str | bytes,
+    urdf: Path,
+    spec: HandSpec,
+    base: str,
 ) -> tuple[HandSpec, list[str]]:
     """Return the hand with the arm from `base` to it; all other joints are locked."""
     robot = Robot(text, urdf, root=base)

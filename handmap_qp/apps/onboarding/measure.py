@@ -343,7 +343,10 @@ def fingertip_pads(hand: Hand, chains: dict[str, Finger]) -> dict[str, Pad]:
 
 
 def _nearest(
-    hand: Hand, pads: tuple[Pad, Pad], columns: np.ndarray, near: float
+    hand: Hand,
+    pads: tuple[Pad, Pad],
+    columns: np.ndarray,
+    near: float,
 ) -> float:
     """Return the smallest distance of two pads' centres, or one below `near` [m]."""
     from scipy.optimize import least_squares

@@ -56,7 +56,11 @@ _GAUGES = {
 
 
 def report(
-    level: int, event: str, *, failure: BaseException | None = None, **data: Any
+    level: int,
+    event: str,
+    *,
+    failure: BaseException | None = None,
+    **data: Any,
 ) -> None:
     """Log an event with its data, and with the traceback of a failure."""
     log.log(level, event, exc_info=failure, extra={"data": data})

@@ -55,7 +55,10 @@ def page_response(request: Request) -> Response | None:
 
 
 async def serve_metrics(
-    host: str, port: int, metrics: Metrics, health: Callable[[], dict[str, Any]]
+    host: str,
+    port: int,
+    metrics: Metrics,
+    health: Callable[[], dict[str, Any]],
 ) -> Server:
     """Answer `GET /metrics`, and `GET /health` as JSON.
 

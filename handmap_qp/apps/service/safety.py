@@ -334,7 +334,12 @@ class CommandedRobot(Gate):
         return self.approach(goal, dt, share, stops=stops)
 
     def approach(
-        self, goal: np.ndarray, dt: float, share: float = 1.0, *, stops: bool = False
+        self,
+        goal: np.ndarray,
+        dt: float,
+        share: float = 1.0,
+        *,
+        stops: bool = False,
     ) -> bool:
         """Move towards a configuration.
 
@@ -387,7 +392,11 @@ class CommandedRobot(Gate):
         return np.copysign(np.minimum(allowed, limit), change)
 
     def _along_links(
-        self, wanted: np.ndarray, lower: np.ndarray, upper: np.ndarray, dt: float
+        self,
+        wanted: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        dt: float,
     ) -> np.ndarray:
         """Return the displacement nearest to a wanted one that the rows of the pairs allow."""
         self._placed.place(self.motion.q)

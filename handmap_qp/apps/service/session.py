@@ -128,7 +128,11 @@ class SampleForm:
         return HumanSample(landmarks=landmarks, **common)
 
     def map(
-        self, hands: Hands, sample: Step, dt: float, arrival: float | None
+        self,
+        hands: Hands,
+        sample: Step,
+        dt: float,
+        arrival: float | None,
     ) -> tuple[MapStep, np.ndarray | None]:
         """Map a sample that `check` accepted.
 
@@ -502,7 +506,11 @@ class Session:
         self._state = next_state(self._state, event)
 
     def _held(
-        self, sample: Step, step: MapStep, now: float, flags: list[str]
+        self,
+        sample: Step,
+        step: MapStep,
+        now: float,
+        flags: list[str],
     ) -> Command:
         """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
         self.counts["held"] += 1

@@ -339,7 +339,11 @@ class Sessions:
         refuse_if(bool(code), f"session {name!r} {reason}", "name", code)
 
     def _former(
-        self, request: Open, name: str, robot: Hand, running: Session | None
+        self,
+        request: Open,
+        name: str,
+        robot: Hand,
+        running: Session | None,
     ) -> Record | None:
         """Return the record of the former session of this name, if the request asks for it."""
         if not request.restore:

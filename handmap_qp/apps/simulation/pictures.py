@@ -29,7 +29,11 @@ _SIZE = (480, 360)
 
 
 def frames(
-    episode: Episode, up: np.ndarray, instants: Iterable[int], *, supersampling: int = 1
+    episode: Episode,
+    up: np.ndarray,
+    instants: Iterable[int],
+    *,
+    supersampling: int = 1,
 ) -> Iterator[np.ndarray]:
     """Render instants of a simulation, turned so that gravity points down.
 
@@ -116,7 +120,10 @@ def picture(episode: Episode, up: np.ndarray, path: Path, *, count: int = 4) -> 
 
 
 def write_page(
-    path: Path, episodes: Mapping[str, Episode], up: np.ndarray, title: str
+    path: Path,
+    episodes: Mapping[str, Episode],
+    up: np.ndarray,
+    title: str,
 ) -> None:
     """Write one HTML file that plays simulations side by side, in real time.
 

@@ -84,7 +84,11 @@ class Figure(ABC):
     """
 
     def __init__(
-        self, server: viser.ViserServer, node: str, colour: Colour, variant: int = 0
+        self,
+        server: viser.ViserServer,
+        node: str,
+        colour: Colour,
+        variant: int = 0,
     ) -> None:
         self.variant = variant
         self._frame = server.scene.add_frame(f"/{node}", show_axes=False)
@@ -231,7 +235,12 @@ class Trail:
         self._lines.visible = False
 
     def add(
-        self, time: float, tips: np.ndarray, centre: np.ndarray, *, is_pinned: bool
+        self,
+        time: float,
+        tips: np.ndarray,
+        centre: np.ndarray,
+        *,
+        is_pinned: bool,
     ) -> None:
         """Add where the tips are, and draw the trail.
 
@@ -588,7 +597,11 @@ def _merged(meshes: list[Any]) -> list[Any]:
 
 
 def _add_lines(
-    server: viser.ViserServer, path: str, count: int, colour: Colour, thickness: float
+    server: viser.ViserServer,
+    path: str,
+    count: int,
+    colour: Colour,
+    thickness: float,
 ) -> Any:
     """Add line segments [px], whose points are set later."""
     return server.scene.add_line_segments(
