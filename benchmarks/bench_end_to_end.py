@@ -36,7 +36,7 @@ import shared_hands
 from interleaved import Worker
 from peers import build
 
-from handmap_qp import HandError
+from handmap_qp import HandmapError
 
 ROBOTS = {
     "allegro_right": "allegro_hand_right",
@@ -152,7 +152,7 @@ def _is_there(robot: str) -> bool:
     """Return whether a hand can be loaded; say on stderr what it needs if not."""
     try:
         shared_hands.load(robot)
-    except (HandError, FileNotFoundError) as error:
+    except (HandmapError, FileNotFoundError) as error:
         print(f"without {robot}: {error}", file=sys.stderr)
         return False
     return True

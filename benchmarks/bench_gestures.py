@@ -1,7 +1,7 @@
 """Static gestures after one another: the thumb, the worst finger, and fingers that stay caught.
 
     python benchmarks/bench_gestures.py
-    python benchmarks/bench_gestures.py --robots leap_right --sheet leap.png
+    python benchmarks/bench_gestures.py --robots leap_right --caught --start
 
 Every labelled pose of a right hand follows every other one, half a second between them (minimum
 jerk) and half a second each. The palm stays. Poses are those of `HANDMAP_POSES`, else of
@@ -17,6 +17,7 @@ import common  # first: it sets the number of threads before numpy is loaded
 # isort: split
 import argparse
 import os
+import sys
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import shared_hands
 
-from handmap_qp import Hand, HandError, HandMapper, Recording, read_recording
+from handmap_qp import Hand, HandmapError, HandMapper, Recording, read_recording
 from handmap_qp.apps.offline.fidelity import angles_between
 from handmap_qp.apps.offline.hand_trace import (
     KNUCKLE,
@@ -240,6 +241,24 @@ def start_dependence(name: str, recording: Recording) -> float:
     return float(np.concatenate(apart).mean())
 
 
+def draw(rows: list[dict[str, Any]]) -> Any:
+    """Draw the angles and the caught fingers of every hand and preset."""
+    from matplotlib.figure import Figure
+
+    panels = ("thumb", "thumb p95", "last bone", "worst p95", "caught")
+    figure = Figure(
+        figsize=(2.4 * len(panels), 1.2 + 0.3 * len(rows)), layout="constrained"
+    )
+    names = [f"{row['robot']}, {row['preset']}" for row in rows][::-1]
+    for axes, key in zip(
+        figure.subplots(1, len(panels), sharey=True), panels, strict=True
+    ):
+        axes.barh(names, [row[key] for row in rows][::-1], color=common.PALETTE[1])
+        unit = "of all poses" if key == "caught" else "deg"
+        axes.set(title=key, xlabel=unit)
+    return figure
+
+
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
     parser = common.make_parser("Static gestures after one another.")
@@ -250,13 +269,13 @@ def main(words: Sequence[str] | None = None) -> None:
     arguments: argparse.Namespace = common.parse_arguments(parser, words)
     poses = read_poses()
     if arguments.quick:
-        poses = poses[:4]
+        poses, arguments.robots = poses[:4], arguments.robots[:1]
     rows, starts = [], []
     for name in arguments.robots:
         try:
             shared_hands.load(name)
-        except HandError as error:
-            print(f"without {name}: {error}")
+        except (HandmapError, FileNotFoundError) as error:
+            print(f"without {name}: {error}", file=sys.stderr)
             continue
         for preset in arguments.presets:
             row, caught = measure(name, preset, poses)
@@ -275,6 +294,7 @@ def main(words: Sequence[str] | None = None) -> None:
     common.print_table("Gestures, degrees", rows, to_stderr=is_json)
     if starts:
         common.print_table("Start dependence", starts, to_stderr=is_json)
+    common.save_picture(arguments.picture, lambda: draw(rows))
     common.write_json(
         arguments.json, "bench_gestures", {"rows": rows, "starts": starts}
     )

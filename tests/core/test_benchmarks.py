@@ -76,6 +76,17 @@ def test_every_benchmark_runs_and_writes_its_numbers(
     assert drawing.read_bytes().startswith(b"\x89PNG")
 
 
+def test_the_page_of_figures_has_a_row_an_aim(
+    benchmark: Callable[[str], Any], tmp_path: Path
+) -> None:
+    page, results = tmp_path / "page.md", tmp_path / "figures.json"
+    words = ["--quick", "--only", "size", "--markdown", page, "--json", results]
+    benchmark("figures").main([str(word) for word in words])
+    rows = json.loads(results.read_text(encoding="utf-8"))["rows"]
+    assert page.read_text(encoding="utf-8").count("\n") == 2 + len(rows)
+    assert all(row["met"] == "yes" for row in rows)
+
+
 @pytest.mark.slow
 def test_json_may_go_to_stdout_alone(recordings: Path) -> None:
     done = run(

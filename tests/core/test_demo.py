@@ -27,7 +27,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def trajectory(folder: Path) -> Trajectory:
     seen: list[int] = []
     done = run_demo(HAND, folder, seen.append)
-    assert seen == list(range(1, len(done.time) + 1))
+    # The core maps many samples before it tells.
+    assert seen == sorted(seen)
+    assert seen[-1] == len(done.time)
     return done
 
 
