@@ -55,11 +55,11 @@ class Limit(NamedTuple):
 
 
 BUDGET = {
-    "lines": Limit(45_527, 34_000),
-    "tokens": Limit(244_743, 200_000),
-    "tokens per code line": Limit(8.54, 8),
+    "lines": Limit(45_523, 34_000),
+    "tokens": Limit(244_823, 200_000),
+    "tokens per code line": Limit(8.55, 8),
     "closure: files": Limit(21, None),
-    "closure: lines": Limit(7_230, 7_500),
+    "closure: lines": Limit(7_242, 7_500),
     "files of a sample: map_landmarks": Limit(10, 10),
     "files of a sample: map_sample": Limit(15, None),
     "files of a sample: service": Limit(23, 20),

@@ -11,6 +11,8 @@ from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 
+import numpy as np
+
 from handmap_qp.errors import (
     HandError,
     InvalidInputError,
@@ -121,7 +123,8 @@ def load_hand(
         )
     is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
     load = _standard_human if is_standard else _load_human
-    scaled = _scaled(*load(hand, mount, points), lengths)
+    numbers = np.column_stack([lengths.bases, lengths.segments, lengths.rolls])
+    scaled = _scaled(*load(hand, mount, points), numbers.tobytes())
     return scaled.with_contact_gap(lengths.contact_gap)
 
 
@@ -154,8 +157,10 @@ _standard_human = lru_cache(maxsize=8)(_load_human)
 
 # The guard and the mapper have the same person.
 @lru_cache(maxsize=4)
-def _scaled(standard: Hand, own: HumanLengths, lengths: HumanLengths) -> Hand:
-    """Scale a human hand to a person's bases, segments and rolls."""
+def _scaled(standard: Hand, own: HumanLengths, numbers: bytes) -> Hand:
+    """Scale a human hand to a person's bases, segments and rolls, shape (5, 7) together."""
+    columns = np.frombuffer(numbers).reshape(5, 7)
+    lengths = HumanLengths(columns[:, :3], columns[:, 3:6], columns[:, 6])
     moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
     compose = partial(_person_urdf, standard.spec, lengths)
     return standard.with_joints(moves, shape_stretches(own, lengths), compose)

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any, Literal, NamedTuple, get_args
+from weakref import WeakKeyDictionary
 
 import numpy as np
+import pinocchio as pin
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
@@ -163,14 +164,20 @@ class PalmShape:
         )
 
 
-@lru_cache(maxsize=32)
+_AT_REST: WeakKeyDictionary[pin.Model, np.ndarray] = WeakKeyDictionary()
+
+
 def landmarks_at_rest(human: Hand) -> np.ndarray:
     """Return the landmarks of a hand at rest in the frame of its wrist [m], shape (21, 3).
 
     Raises:
         HandError: If the hand has no landmarks.
     """
-    return frozen(human.with_points("landmarks").points(human.rest))
+    # Hands that differ in their reference points only have one model.
+    if human.model not in _AT_REST:
+        points = human.with_points("landmarks").points(human.rest)
+        _AT_REST[human.model] = frozen(points)
+    return _AT_REST[human.model]
 
 
 def human_name(side: Side) -> str:

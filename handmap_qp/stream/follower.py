@@ -245,11 +245,8 @@ class Follower:
             if i < count:
                 started = thread_time_ns()
                 sample = samples.sample(i)
-                step = (
-                    self.map_sample(sample)
-                    if verdict is None
-                    else self._judged(sample, verdict, None)
-                )
+                verdict = verdict or self._guard.check(sample)
+                step = self._judged(sample, verdict, None)
                 table.write(i, step, 1e-9 * (thread_time_ns() - started))
                 i += 1
             if progress is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import get_args
 
 import numpy as np
@@ -27,7 +26,7 @@ class StepTable:
         count: Number of samples.
 
     Attributes:
-        rows: The numbers, shape (T, k); NaN where a sample was not looked at.
+        rows: The numbers, shape (T, k); at first, no sample was seen, and places are NaN.
     """
 
     def __init__(self, robot: Hand, count: int) -> None:
@@ -36,30 +35,35 @@ class StepTable:
         pose = (4, 4)
         self._parts = Parts(n, pose, pose, (m, 3), (m, 3), n, (), (), (), (), (), ())
         self.rows = np.full((count, self._parts.size), np.nan)
+        unseen = (
+            STATUS_NAMES.index("held"),
+            RULE_NAMES.index("missing"),
+            1,
+            np.nan,
+            1,
+            0,
+        )
+        self.rows[:, -len(unseen) :] = unseen
 
-    def write(self, index: int, step: MapStep | None, cpu: float) -> None:
-        """Write the step of a sample.
-
-        Args:
-            index: Which sample.
-            step: Its step; None for one that the tracker did not see and nothing judged.
-            cpu: CPU time of the step [s].
-        """
+    def write(self, index: int, step: MapStep, cpu: float) -> None:
+        """Write the step of a sample, which took some CPU time [s]."""
+        command = step.command
+        numbers = (
+            command.q,
+            command.wrist,
+            step.wrist_target,
+            step.targets,
+            step.points,
+            step.at_bound,
+            STATUS_NAMES.index(step.status),
+            RULE_NAMES.index(step.rule),
+            step.is_held,
+            step.consistency,
+            step.confidence,
+            cpu,
+        )
         views = self._parts.of(self.rows[index])
-        judged = "missing", True, math.nan, 1.0
-        numbers = []
-        status = "held"
-        if step is not None:
-            command = step.command
-            status = step.status
-            judged = step.rule, step.is_held, step.consistency, step.confidence
-            numbers = [command.q, command.wrist, step.wrist_target]
-            numbers += [step.targets, step.points, step.at_bound]
-        rule, *others = judged
-        for view, number in zip(views, numbers, strict=False):
-            view[...] = number
-        scalars = STATUS_NAMES.index(status), RULE_NAMES.index(rule), *others, cpu
-        for view, number in zip(views[6:], scalars, strict=True):
+        for view, number in zip(views, numbers, strict=True):
             view[...] = number
 
     @property

@@ -172,8 +172,8 @@ def trajectory_of(
     table = StepTable(robot, len(time))
     for i in range(len(time)):
         started = thread_time_ns()
-        step = next(mapped)
-        table.write(i, step, 1e-9 * (thread_time_ns() - started))
+        if (step := next(mapped)) is not None:
+            table.write(i, step, 1e-9 * (thread_time_ns() - started))
         if progress is not None:
             progress(i + 1)
     return _trajectory(robot, time, table)

@@ -160,10 +160,7 @@ def _add_joint(body: Any, model: pin.Model, index: int) -> None:
 
 
 def _set_inertia(
-    body: Any,
-    inertia: pin.Inertia,
-    least_mass: float,
-    least: float,
+    body: Any, inertia: pin.Inertia, least_mass: float, least: float
 ) -> None:
     """Set an inertia, raised to the least that simulates well."""
     values, axes = np.linalg.eigh(inertia.inertia)

@@ -29,11 +29,7 @@ _SIZE = (480, 360)
 
 
 def frames(
-    episode: Episode,
-    up: np.ndarray,
-    instants: Iterable[int],
-    *,
-    supersampling: int = 1,
+    episode: Episode, up: np.ndarray, instants: Iterable[int], *, supersampling: int = 1
 ) -> Iterator[np.ndarray]:
     """Render instants of a simulation, turned so that gravity points down.
 

@@ -289,10 +289,7 @@ class PinchScene:
 
 
 def _outcome(
-    episode: Episode,
-    distances: np.ndarray,
-    time: Sequence[float],
-    width: float,
+    episode: Episode, distances: np.ndarray, time: Sequence[float], width: float
 ) -> PinchOutcome:
     """Judge the instants at the end, for which there are distances from the pads' middle."""
     lost = np.flatnonzero(distances > _LOST + width / 2.0)

@@ -84,11 +84,7 @@ class Figure(ABC):
     """
 
     def __init__(
-        self,
-        server: viser.ViserServer,
-        node: str,
-        colour: Colour,
-        variant: int = 0,
+        self, server: viser.ViserServer, node: str, colour: Colour, variant: int = 0
     ) -> None:
         self.variant = variant
         self._frame = server.scene.add_frame(f"/{node}", show_axes=False)

@@ -77,10 +77,7 @@ def _own_pages_only(host: str) -> Iterator[None]:
     serve = websocket_server.serve
 
     def serve_own_pages(
-        handler: Any,
-        *where: Any,
-        process_request: Any,
-        **settings: Any,
+        handler: Any, *where: Any, process_request: Any, **settings: Any
     ) -> Any:
         def check(connection: Any, request: Any) -> Any:
             if is_own_page(
