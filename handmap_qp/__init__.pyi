@@ -39,6 +39,7 @@ from .hands.spec import (
 )
 from .hands.synergies import load_synergies as load_synergies
 from .human.recording import Recording as Recording
+from .human.recording import sample_columns as sample_columns
 from .human.sample import HumanSample as HumanSample
 from .ik.options import IkOptions as IkOptions
 from .ik.tasks import (
