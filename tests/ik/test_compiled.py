@@ -22,6 +22,7 @@ from handmap_qp import (
     IkOptions,
     PointDistances,
     TaskRows,
+    hand_names,
     load_hand,
     read_recording,
 )
@@ -40,9 +41,9 @@ HUMANS = {
     "right": load_hand("human", points="landmarks"),
     "left": load_hand("human_left", points="landmarks"),
 }
-HANDS = ("three_finger", "allegro_right", "allegro_left", "g1_right", "ur5_allegro")
+HANDS = [name for name in hand_names() if not name.startswith("human")]
 PRESETS = ("teleoperation", "object", "paper", "fixed_wrist", "joint-to-joint")
-PARTED = {"three_finger": 1e-6}
+PARTED = {"three_finger": 1e-6, "shadow_left": 1e-4, "shadow_right": 1e-4}
 """Hands with cylinders: coal's normals on curved surfaces are exact to 1e-5."""
 
 
