@@ -26,6 +26,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pinocchio as pin
+from peers.timer import timer_cost
 
 from handmap_qp import (
     Follower,
@@ -81,15 +82,6 @@ def arguments_of(
     if call == "map_points":
         return [(human.points(q, wrist), wrist) for q, wrist in postures]
     return postures
-
-
-def timer_cost() -> int:
-    """Return what two readings of the timer are apart with nothing between them [ns]."""
-    found = []
-    for _ in range(2001):
-        started = time.thread_time_ns()
-        found.append(time.thread_time_ns() - started)
-    return sorted(found)[1000]
 
 
 def serve(

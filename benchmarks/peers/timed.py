@@ -18,15 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import runner
-
-
-def timer_cost() -> int:
-    """Return what two readings of the timer are apart with nothing between them [ns]."""
-    found = []
-    for _ in range(2001):
-        started = time.thread_time_ns()
-        found.append(time.thread_time_ns() - started)
-    return sorted(found)[1000]
+from timer import timer_cost
 
 
 def main() -> None:
