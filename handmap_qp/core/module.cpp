@@ -197,12 +197,6 @@ Step follow_pose(Ik& ik, const TargetMap& map, const HumanPose& pose, double dt,
   return step;
 }
 
-Step hold_still(Ik& ik, double dt) {
-  Step step;
-  hold(ik, dt, step);
-  return step;
-}
-
 // Numbers that Python reads afterwards.
 using Writable = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
 
@@ -351,7 +345,6 @@ NB_MODULE(_core, m) {
            "margins"_a.none(), "postures"_a)
       .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
       .def("approach", &approach_from)
-      .def("hold", &hold_still, "dt"_a)
       .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
            "rows"_a);
   nb::class_<Step>(m, "Step")

@@ -126,7 +126,7 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double d
   goal.points = asked.points;
   goal.has_wrist = true;
   goal.wrist = asked.wrist;
-  goal.postures = ik.postures(map.rest, dt);
+  goal.postures = ik.postures(map.rest, std::max(dt, kShortestDt));
   goal.distances = asked.distances;
   goal.aims = asked.aims;
   goal.aim_weights = asked.weights;

@@ -74,10 +74,6 @@ class CompiledIk:
         pose = pose if isinstance(pose, kind) else kind(pose.points, pose.wrist)
         return self._moved(self._core.follow, target_map, pose, dt, speed)
 
-    def hold(self, dt: float) -> Any:
-        """Take the stop that was admitted last, for one sample of dt [s]; return the step."""
-        return self._moved(self._core.hold, dt)
-
     def run(self, *arguments: Any) -> tuple[int, Any, Any]:
         """Move the hand for samples of a recording; see `stream.follower` and `core/run.hpp`.
 
