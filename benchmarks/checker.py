@@ -106,7 +106,8 @@ class Checker:
         limit: float | None,
     ) -> None:
         limit = np.inf if limit is None else limit
-        is_still = np.all(np.abs(moved) <= self._rounding, axis=1)
+        # A wrist whose turn is ambiguous is not known to be still.
+        is_still = np.all(np.abs(moved) <= self._rounding, axis=1) & ~is_ambiguous
         has_stood = np.logical_or.accumulate(np.concatenate([[False], is_still]))
         force = np.where(has_stood[:-1], limit, max(self._force, limit))
         velocity = moved / dt[:, None]
