@@ -202,3 +202,19 @@ def test_the_command_reports_in_json() -> None:
     assert results["is_exact"]
     assert results["steps"] == 400
     assert results["memory_last_mb"] > 10.0
+
+
+def test_a_wrist_whose_turn_is_ambiguous_is_not_at_rest(hostile: ModuleType) -> None:
+    hand = load_hand("three_finger")
+    judge = hostile.Checker(hand)
+    q = hand.configuration_vector(hand.rest)
+    judge.start(q)
+    # Half a second may hide half a turn; the wrist goes on at .6 m/s, then stops at 60 m/s^2.
+    for dt, moved, limit in [(0.5, 0.3, 100.0), (0.01, 0.006, 0.5), (0.01, 0.0, 0.5)]:
+        q[0] += moved
+        judge.take(q, dt, limit)
+    assert not judge.violations["acceleration"]
+    # From rest, it may not.
+    q[0] += 0.006
+    judge.take(q, 0.01, 0.5)
+    assert judge.violations["acceleration"] == 1
