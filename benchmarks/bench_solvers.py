@@ -35,7 +35,7 @@ import pinocchio as pin
 import synthetic
 from scipy.optimize import nnls
 
-from handmap_qp import HandMapper, IkOptions, load_hand
+from handmap_qp import HandMapper, IkOptions, hand_names, load_hand
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.shape_pairs import all_pairs
@@ -235,9 +235,10 @@ def measure(
 
 
 def hostile_problems(count: int, seed: int = 0) -> list[Problem]:
-    """Record the problems of hostile targets, times, limits and margins on six hands."""
+    """Record the problems of hostile targets, times, limits and margins on the hands there are."""
     problems: list[Problem] = []
-    kinds = list(product(_HOSTILE, (False, True)))
+    hands = [name for name in _HOSTILE if name in hand_names()]
+    kinds = list(product(hands, (False, True)))
     for k, (name, has_contacts) in enumerate(kinds):
         recorder = Recorder(-(-(count - len(problems)) // (len(kinds) - k)))
         hand, rng = load_hand(name), np.random.default_rng(seed + k)
