@@ -1,6 +1,7 @@
 // Pairs of shapes that are kept apart: see handmap_qp/ik/collision.py, whose names these are.
 #pragma once
 
+#include <cstring>
 #include <limits>
 #include <memory>
 #include <vector>
@@ -109,16 +110,19 @@ class Pairs {
     known_.resize(size());
     warm_.resize(size());
     keys_.assign(size(), -kInfinity);
+    group_of_.resize(size());
     for (size_t k = 0; k < size(); ++k) {
       const auto [a, b] = all.joints(all.order[k]);
       if (k == 0 || all.joints(all.order[k - 1]) != std::make_pair(a, b))
         groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}});
       ++groups_.back().end;
+      group_of_[all.order[k]] = groups_.size() - 1;
       partings_.push_back(
           {&bodies[pair(k).first], &bodies[pair(k).second], groups_.size() - 1, {}});
     }
     const size_t count = groups_.size();
     group_keys_.assign(count, -kInfinity);
+    group_margins_.assign(count, 0.0);
     so_far_.assign(count, 0.0);
     levers_.assign(tree_.nv * count, 0.0);
     for (size_t k = 0; k < size(); ++k)
@@ -145,18 +149,19 @@ class Pairs {
     for (const Joint& joint : tree_.joints)  // a floating wrist moves no pair
       if (joint.kind == JointKind::floating) std::fill_n(moved_.begin() + joint.v, 6, 0.0);
     travel_along(moved_.data());
-    const double most_kept = margins.empty() ? margin : largest(margins);
+    set_margins(margins);
     near_.clear();
+    const auto farthest_of = [&](size_t g) { return group_margins_[g] + within(travels_[g]); };
     const auto is_far = [&](size_t g) {
-      return raised(at, groups_[g].parting, group_keys_[g]) > most_kept + within(travels_[g]);
+      return raised(at, groups_[g].parting, group_keys_[g]) > farthest_of(g);
     };
-    visit(within, most_kept, is_far, [&](size_t k, double most) {
+    visit(farthest_of, is_far, [&](size_t k) {
+      const size_t place = bounds_->order[k], g = partings_[k].group;
       const bool is_known = known_[k].stamp == stamp_;
-      if (!is_known && raised(at, partings_[k], keys_[k]) > most_kept + most) return;
-      const double kept = margins.empty() ? margin : margins[bounds_->order[k]];
-      const double farthest = kept + within(pair(k).levers.dot(turned_.data()));
-      if (!is_known && keys_[k] - so_far_[partings_[k].group] > farthest) return;
-      if (found(at, k).distance <= farthest) near_.push_back({bounds_->order[k], k});
+      if (!is_known && is_beyond(at, k, margins_[place] + within(travels_[g]))) return;
+      const double farthest = margins_[place] + within(pair(k).levers.dot(turned_.data()));
+      if (!is_known && keys_[k] - so_far_[g] > farthest) return;
+      if (found(at, k).distance <= farthest) near_.push_back({place, k});
     });
     std::sort(near_.begin(), near_.end());
     rows.count = static_cast<int>(near_.size());
@@ -166,8 +171,7 @@ class Pairs {
     for (const auto& [place, k] : near_) {
       linearise(at, k, row);
       row += n;
-      const double kept = margins.empty() ? margin : margins[place];
-      rows.h.push_back(kGain * (known_[k].found.distance - kept));
+      rows.h.push_back(kGain * (known_[k].found.distance - margins_[place]));
     }
   }
 
@@ -180,13 +184,13 @@ class Pairs {
     ends_.clear();
     parts_.clear();
     bool is_clear = true;
-    const auto within = [](double travel) { return kKept + travel; };
+    const auto farthest_of = [&](size_t g) { return kKept + travels_[g]; };
     const auto is_far = [&](size_t g) {
       Group& group = groups_[g];
       const Sparse& turns = pair(group.begin).turns;
       return stays_apart(at, end, group.parting, group_keys_[g], travels_[g], turns);
     };
-    visit(within, 0.0, is_far, [&](size_t k, double) {
+    visit(farthest_of, is_far, [&](size_t k) {
       const double most = travels_[partings_[k].group];
       if (stays_apart(at, end, partings_[k], keys_[k], most, pair(k).turns)) return;
       const double travel = pair(k).levers.dot(turned_.data());
@@ -298,19 +302,42 @@ class Pairs {
     add_travels(step, travels_);
   }
 
-  // Visit the pairs that may be within a margin and `within(travel)`, but for groups that are far.
+  // Take in the margins of all pairs. From sample to sample, they change at few places.
+  void set_margins(const Vector& margins) {
+    constexpr size_t kBlock = 64;
+    if (margins.empty() && same_.empty()) same_.assign(size(), margin);
+    const Vector& given = margins.empty() ? same_ : margins;
+    changed_.assign(groups_.size(), margins_.empty());
+    margins_.resize(size());
+    for (size_t from = 0; from < size(); from += kBlock) {
+      const size_t count = std::min(kBlock, size() - from);
+      if (!std::memcmp(&margins_[from], &given[from], count * sizeof(double))) continue;
+      for (size_t i = from; i < from + count; ++i) {
+        if (margins_[i] != given[i]) changed_[group_of_[i]] = true;
+        margins_[i] = given[i];
+      }
+    }
+    for (size_t g = 0; g < groups_.size(); ++g) {
+      if (!changed_[g]) continue;
+      double& most = group_margins_[g] = -kInfinity;
+      for (size_t k = groups_[g].begin; k < groups_[g].end; ++k)
+        most = std::max(most, margins_[bounds_->order[k]]);
+    }
+  }
+
+  // Visit the pairs that may be within the distance of their group, but for groups that are far.
   //
   // Keys are lower bounds of distances, plus the group's travel since the beginning. Comparisons are
   // written so that NaN visits all.
-  template <class Within, class IsFar, class Visit>
-  void visit(const Within& within, double kept, const IsFar& is_far, const Visit& visit_pair) {
+  template <class FarthestOf, class IsFar, class Visit>
+  void visit(const FarthestOf& farthest_of, const IsFar& is_far, const Visit& visit_pair) {
     for (size_t g = 0; g < groups_.size(); ++g) {
-      const double so_far = so_far_[g], farthest = within(travels_[g]);
-      if (group_keys_[g] - so_far > kept + farthest || is_far(g)) continue;
+      const double so_far = so_far_[g], farthest = farthest_of(g);
+      if (group_keys_[g] - so_far > farthest || is_far(g)) continue;
       Group& group = groups_[g];
       size_t nearest = group.begin;
       for (size_t k = group.begin; k < group.end; ++k) {
-        if (!(keys_[k] - so_far > kept + farthest)) visit_pair(k, farthest);
+        if (!(keys_[k] - so_far > farthest)) visit_pair(k);
         if (keys_[k] < keys_[nearest]) nearest = k;
       }
       group_keys_[g] = std::max(group_keys_[g], keys_[nearest]);
@@ -340,6 +367,12 @@ class Pairs {
     return key - so_far;
   }
 
+  // Whether a pair is shown to be farther apart than this, without a measurement.
+  bool is_beyond(const Placed& at, size_t k, double farthest) {
+    return keys_[k] - so_far_[partings_[k].group] > farthest ||
+           raised(at, partings_[k], keys_[k]) > farthest;
+  }
+
   // Whether two bodies are shown to stay apart by KEPT on the path to `end`, without a measurement.
   //
   // The proof in collision.py holds for any two directions at the ends, here the axis carried along.
@@ -364,16 +397,6 @@ class Pairs {
   // How far below its ends a distance may be on a part of a path; see handmap_qp/ik/collision.py.
   static double dip(const Vec3& change, double length, double travel, double bend) {
     return 0.125 * (2.0 * norm(change) + length * bend) * length * travel;
-  }
-
-  // Four maxima at a time, as each waits for the one before.
-  static double largest(const Vector& numbers) {
-    double most[4] = {-kInfinity, -kInfinity, -kInfinity, -kInfinity};
-    size_t i = 0;
-    for (; i + 3 < numbers.size(); i += 4)
-      for (int k = 0; k < 4; ++k) most[k] = std::max(most[k], numbers[i + k]);
-    for (; i < numbers.size(); ++i) most[0] = std::max(most[0], numbers[i]);
-    return std::max(std::max(most[0], most[1]), std::max(most[2], most[3]));
   }
 
   void know(const Placed& at, size_t k, const Found& found) {
@@ -452,7 +475,10 @@ class Pairs {
   std::vector<Known> known_;
   Vector keys_;
   std::vector<Group> groups_;
-  Vector group_keys_, so_far_, travels_;
+  Vector group_keys_, group_margins_, so_far_, travels_;
+  Vector margins_, same_;  // in the order in which pairs came
+  std::vector<size_t> group_of_;  // likewise
+  std::vector<char> changed_;
   Vector levers_;  // (nv, groups)
   std::vector<Parting> partings_;
   std::vector<std::pair<size_t, size_t>> near_;
