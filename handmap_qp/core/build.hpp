@@ -184,14 +184,7 @@ inline Shape make_shape(const Fields& from) {
   if (kind == "Cylinder")
     return make_cylinder(from.get<double>("radius"), from.get<double>("halfLength"));
   if (kind != "Convex") throw std::domain_error("a shape that is not convex: " + kind);
-  const nb::object corners = from.object("points")(), faces = from.object("polygons");
-  Indices triangles;
-  const int count = from.get<int>("num_polygons");
-  for (int f = 0; f < count; ++f) {
-    const nb::object face = faces(f);
-    for (int i = 0; i < 3; ++i) triangles.push_back(nb::cast<int>(face[nb::int_(i)]));
-  }
-  return make_convex(points_of(nb::cast<Array>(corners)), triangles);
+  return make_convex(points_of(nb::cast<Array>(from.object("points")())));
 }
 
 inline Sparse sparse_of(const Array& matrix, size_t row) {

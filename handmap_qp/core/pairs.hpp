@@ -44,8 +44,8 @@ struct Pair {
 };
 
 // How far a body reaches along a direction in its joint's axes, from the joint.
-inline double reach_of(const Body& body, const Vec3& d, int& index) {
-  return dot(d, body.placement.p) + reach(body.shape, tmul(body.placement.R, d), index);
+inline double reach_of(const Body& body, const Vec3& d) {
+  return dot(d, body.placement.p) + reach(body.shape, tmul(body.placement.R, d));
 }
 
 // What never changes of the pairs of a hand.
@@ -77,9 +77,8 @@ struct PairBounds {
       double low = kInfinity, high = -kInfinity;
       for (const Body& body : bodies)
         if (body.joint == joint) {
-          int index = -1;
-          high = std::max(high, reach_of(body, d, index));
-          low = std::min(low, -reach_of(body, -d, index));
+          high = std::max(high, reach_of(body, d));
+          low = std::min(low, -reach_of(body, -d));
         }
       least[i] = low;
       most[i] = high;
@@ -224,13 +223,12 @@ class Pairs {
   struct Parting {
     const Body *a, *b;
     size_t group;
-    Vec3 axis;                       // in the axes of the first one's joint; 0 at the beginning
-    double reach = 0.0;              // of the first one along it, from the joint
-    int index_a = -1, index_b = -1;  // vertices that reach farthest
+    Vec3 axis;           // in the axes of the first one's joint; 0 at the beginning
+    double reach = 0.0;  // of the first one along it, from the joint
 
     void set(const Vec3& direction) {
       axis = direction;
-      reach = reach_of(*a, axis, index_a);
+      reach = reach_of(*a, axis);
     }
   };
   // What was found of a pair where the robot was at a stamp.
@@ -356,7 +354,7 @@ class Pairs {
       parting.set((1.0 / length) * apart);
     }
     const Vec3 axis = pose_a.R * parting.axis, axis_b = tmul(pose_b.R, axis);
-    return dot(axis, pose_b.p - pose_a.p) - parting.reach - reach_of(b, -axis_b, parting.index_b);
+    return dot(axis, pose_b.p - pose_a.p) - parting.reach - reach_of(b, -axis_b);
   }
 
   // Raise the key of two bodies to their distance along their axis where the robot is, and return the

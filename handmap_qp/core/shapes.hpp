@@ -12,7 +12,7 @@
 #include <limits>
 #include <vector>
 
-#include "vector.hpp"
+#include "hull.hpp"
 
 namespace handmap {
 
@@ -22,8 +22,7 @@ struct Shape {
   ShapeKind kind;
   Vec3 half;            // half sides of a box; radius and half length of a cylinder in x and z
   double radius = 0.0;  // around a point or a segment
-  std::vector<Vec3> vertices;
-  std::vector<int> first, neighbours;  // edges of a hull: those of vertex i from first[i] on
+  Hull hull;
 };
 
 struct Found {
@@ -44,34 +43,21 @@ struct Warm {
   int count = 0;
 };
 
-inline Shape make_box(const Vec3& half) { return {ShapeKind::box, half, 0.0, {}, {}, {}}; }
-inline Shape make_sphere(double radius) { return {ShapeKind::point, {}, radius, {}, {}, {}}; }
+inline Shape make_box(const Vec3& half) { return {ShapeKind::box, half, 0.0, {}}; }
+inline Shape make_sphere(double radius) { return {ShapeKind::point, {}, radius, {}}; }
 inline Shape make_capsule(double radius, double half_length) {
-  return {ShapeKind::segment, {0, 0, half_length}, radius, {}, {}, {}};
+  return {ShapeKind::segment, {0, 0, half_length}, radius, {}};
 }
 inline Shape make_cylinder(double radius, double half_length) {
-  return {ShapeKind::cylinder, {radius, radius, half_length}, 0.0, {}, {}, {}};
+  return {ShapeKind::cylinder, {radius, radius, half_length}, 0.0, {}};
 }
-inline Shape make_convex(std::vector<Vec3> vertices, const std::vector<int>& triangles) {
-  const size_t n = vertices.size();
-  std::vector<std::vector<int>> edges(n);
-  for (size_t t = 0; t + 2 < triangles.size(); t += 3)
-    for (int i = 0; i < 3; ++i)
-      for (int j = 0; j < 3; ++j)
-        if (i != j) edges[triangles[t + i]].push_back(triangles[t + j]);
-  Shape shape{ShapeKind::convex, {}, 0.0, std::move(vertices), {0}, {}};
-  for (std::vector<int>& ends : edges) {
-    std::sort(ends.begin(), ends.end());
-    ends.erase(std::unique(ends.begin(), ends.end()), ends.end());
-    shape.neighbours.insert(shape.neighbours.end(), ends.begin(), ends.end());
-    shape.first.push_back(static_cast<int>(shape.neighbours.size()));
-  }
-  return shape;
+inline Shape make_convex(std::vector<Vec3> vertices) {
+  return {ShapeKind::convex, {}, 0.0, Hull(std::move(vertices))};
 }
 
-// The farthest point of a shape along a direction, in its own axes; `index` is where to start.
+// The farthest point of a shape along a direction, in its own axes; `index` is that of a vertex, or -1
+// on a curved surface.
 inline Vec3 farthest(const Shape& shape, const Vec3& d, int& index) {
-  constexpr size_t kFew = 24;
   switch (shape.kind) {
     case ShapeKind::point:
       index = 0;
@@ -92,39 +78,16 @@ inline Vec3 farthest(const Shape& shape, const Vec3& d, int& index) {
     case ShapeKind::convex:
       break;
   }
-  const std::vector<Vec3>& at = shape.vertices;
-  if (index < 0 || static_cast<size_t>(index) >= at.size()) index = 0;
-  double best = dot(at[index], d);
-  if (at.size() <= kFew) {
-    for (size_t i = 0; i < at.size(); ++i) {
-      const double value = dot(at[i], d);
-      if (value > best) {
-        best = value;
-        index = static_cast<int>(i);
-      }
-    }
-    return at[index];
-  }
-  for (bool climbs = true; climbs;) {
-    climbs = false;
-    const int from = index;
-    for (int e = shape.first[from]; e < shape.first[from + 1]; ++e) {
-      const double value = dot(at[shape.neighbours[e]], d);
-      if (value > best) {
-        best = value;
-        index = shape.neighbours[e];
-        climbs = true;
-      }
-    }
-  }
-  return at[index];
+  index = shape.hull.farthest(d);
+  return shape.hull.vertex(index);
 }
 
 // How far a shape reaches along a unit direction, in its own axes.
-inline double reach(const Shape& shape, const Vec3& d, int& index) {
+inline double reach(const Shape& shape, const Vec3& d) {
   const Vec3& half = shape.half;
   if (shape.kind == ShapeKind::box)
     return half.x * std::abs(d.x) + half.y * std::abs(d.y) + half.z * std::abs(d.z);
+  int index;
   return dot(d, farthest(shape, d, index)) + shape.radius;
 }
 
@@ -237,10 +200,8 @@ class Difference {
  public:
   Difference(const Shape& a, const Shape& b, const Pose& b_in_a) : a_(a), b_(b), to_a_(b_in_a) {}
 
-  Support along(const Vec3& d, int from_a, int from_b) const {
+  Support along(const Vec3& d) const {
     Support s;
-    s.index_a = from_a;
-    s.index_b = from_b;
     s.a = farthest(a_, d, s.index_a);
     s.b = farthest(b_, -tmul(to_a_.R, d), s.index_b);
     s.w = s.a - to_a_ * s.b;
@@ -266,8 +227,7 @@ class Expansion {
       const int k = nearest_face();
       if (k < 0) return false;
       const Face face = faces_[k];
-      const Support s = both.along(face.normal, vertices_[face.v[0]].index_a,
-                                   vertices_[face.v[0]].index_b);
+      const Support s = both.along(face.normal);
       const double gain = dot(s.w, face.normal) - face.distance;
       if (gain <= 1e-12 || is_known(s) || !grow(s)) return finish(face, depth, normal, point);
     }
@@ -296,7 +256,7 @@ class Expansion {
       Support best;
       double most = 1e-10;
       auto consider = [&](const Vec3& d) {
-        const Support s = both.along(d, -1, -1);
+        const Support s = both.along(d);
         const double size = spread(s.w);
         if (size > most) {
           most = size;
@@ -442,18 +402,15 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
   const Difference both(a, b, b_in_a);
   Simplex simplex;
   Vec3 v;
-  int index_a = -1, index_b = -1;
   bool is_apart = true;
   if (warm.count > 0) {
     simplex.points = warm.points;
     simplex.count = warm.count;
     for (int i = 0; i < simplex.count; ++i) both.place(simplex.points[i]);
-    index_a = simplex.points[0].index_a;
-    index_b = simplex.points[0].index_b;
     is_apart = simplex.reduce(v);
     if (is_apart) simplex.keep_used();
   } else {
-    simplex.points[0] = both.along({1.0, 0.0, 0.0}, -1, -1);
+    simplex.points[0] = both.along({1.0, 0.0, 0.0});
     simplex.count = 1;
     simplex.reduce(v);
     simplex.keep_used();
@@ -464,9 +421,7 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
       is_apart = false;
       break;
     }
-    const Support s = both.along(-v, index_a, index_b);
-    index_a = s.index_a;
-    index_b = s.index_b;
+    const Support s = both.along(-v);
     // No point of a - b is farther ahead by more than rounding: v is the nearest one.
     const double ahead = length2 - dot(v, s.w);
     if (ahead <= 1e-15 * length2 + 4e-17 * std::sqrt(length2) * (norm(s.a) + norm(s.b))) break;
