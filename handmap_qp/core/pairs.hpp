@@ -190,9 +190,8 @@ class Pairs {
       return stays_apart(at, end, group.parting, group_keys_[g], travels_[g], turns);
     };
     visit(farthest_of, is_far, [&](size_t k) {
-      const double most = travels_[partings_[k].group];
-      if (stays_apart(at, end, partings_[k], keys_[k], most, pair(k).turns)) return;
       const double travel = pair(k).levers.dot(turned_.data());
+      if (stays_apart(at, end, partings_[k], keys_[k], travel, pair(k).turns)) return;
       const Found &before = found(at, k), after = found_at(end, k);
       if (before.distance > kKept + travel) return;
       ends_.push_back({k, after});
