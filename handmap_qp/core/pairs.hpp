@@ -209,7 +209,9 @@ class Pairs {
   void arrive(const Placed& at, const Placed& end) {
     if (q_.empty() || longest(at.q, end.q) != 0.0) return;
     const Pose moved = tree_.is_floating ? at.pose(0) * inverse(end.pose(0)) : Pose{};
-    go_to(at);
+    for (size_t g = 0; g < groups_.size(); ++g) so_far_[g] += travels_[g];
+    q_ = at.q;
+    ++stamp_;
     for (const Low& low : lows_) *low.key = std::max(*low.key, low.distance + so_far_[low.group]);
     for (const auto& [k, found] : ends_)
       know(at, k, {found.distance, moved.R * found.normal, moved * found.point});

@@ -98,19 +98,17 @@ class Simplex {
   std::array<double, 4> shares{};
   int count = 0;
 
-  // Find the nearest point; false if the origin is inside.
-  bool reduce(Vec3& nearest) {
-    std::array<int, 4> used{0, 1, 2, 3};
+  // Find the nearest point; false if the origin is inside. After a vertex was added to a simplex that
+  // was reduced, only what has that vertex can be nearer.
+  bool reduce(Vec3& nearest, bool is_grown = false) {
     best2_ = std::numeric_limits<double>::infinity();
+    is_grown_ = is_grown;
     if (count == 4) {
       if (contains_origin()) return false;
-      for (int out = 0; out < 4; ++out) {
-        if (!is_outside_[out]) continue;
-        int k = 0;
-        for (int i = 0; i < 4; ++i)
-          if (i != out) used[k++] = i;
-        try_triangle(used[0], used[1], used[2]);
-      }
+      if (is_outside_[0]) try_triangle(1, 2, 3);
+      if (is_outside_[1]) try_triangle(0, 2, 3);
+      if (is_outside_[2]) try_triangle(0, 1, 3);
+      if (is_outside_[3] && !is_grown) try_triangle(0, 1, 2);
     } else if (count == 3) {
       try_triangle(0, 1, 2);
     } else if (count == 2) {
@@ -182,11 +180,12 @@ class Simplex {
       const Vec3 point = (dot(normal, a) / length2) * normal;
       return keep(point, {i, j, k}, {u / sum, v / sum, s / sum}, 3);
     }
-    try_edge(i, j);
+    if (!is_grown_) try_edge(i, j);
     try_edge(j, k);
     try_edge(i, k);
   }
 
+  bool is_grown_ = false;
   double best2_ = 0.0;
   Vec3 best_point_;
   std::array<int, 3> best_{};
@@ -432,7 +431,7 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
     if (is_known) break;
     simplex.points[simplex.count++] = s;
     Vec3 next;
-    if (!simplex.reduce(next)) {
+    if (!simplex.reduce(next, true)) {
       is_apart = false;
       break;
     }
