@@ -106,14 +106,15 @@ class Pairs {
   Pairs(const Tree& tree, std::shared_ptr<const PairBounds> bounds)
       : bounds_(std::move(bounds)), bodies(bounds_->bodies), tree_(tree), middle_(tree) {
     const PairBounds& all = *bounds_;
-    known_.resize(size());
+    stamps_.assign(size(), -1);
+    found_.resize(size());
     warm_.resize(size());
     keys_.assign(size(), -kInfinity);
     group_of_.resize(size());
     for (size_t k = 0; k < size(); ++k) {
       const auto [a, b] = all.joints(all.order[k]);
       if (k == 0 || all.joints(all.order[k - 1]) != std::make_pair(a, b))
-        groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}});
+        groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}, {}, {}});
       ++groups_.back().end;
       group_of_[all.order[k]] = groups_.size() - 1;
       partings_.push_back(
@@ -123,12 +124,7 @@ class Pairs {
     group_keys_.assign(count, -kInfinity);
     group_margins_.assign(count, 0.0);
     so_far_.assign(count, 0.0);
-    levers_.assign(tree_.nv * count, 0.0);
-    for (size_t k = 0; k < size(); ++k)
-      for (size_t i = 0; i < pair(k).levers.columns.size(); ++i) {
-        double& most = levers_[pair(k).levers.columns[i] * count + partings_[k].group];
-        most = std::max(most, pair(k).levers.values[i]);
-      }
+    for (Group& group : groups_) set_levers(group);
   }
   Pairs(const Pairs&) = delete;
 
@@ -156,9 +152,9 @@ class Pairs {
     };
     visit(farthest_of, is_far, [&](size_t k) {
       const size_t place = bounds_->order[k], g = partings_[k].group;
-      const bool is_known = known_[k].stamp == stamp_;
+      const bool is_known = stamps_[k] == stamp_;
       if (!is_known && is_beyond(at, k, margins_[place] + within(travels_[g]))) return;
-      const double farthest = margins_[place] + within(pair(k).levers.dot(turned_.data()));
+      const double farthest = margins_[place] + within(travel_of(k));
       if (!is_known && keys_[k] - so_far_[g] > farthest) return;
       if (found(at, k).distance <= farthest) near_.push_back({place, k});
     });
@@ -170,7 +166,7 @@ class Pairs {
     for (const auto& [place, k] : near_) {
       linearise(at, k, row);
       row += n;
-      rows.h.push_back(kGain * (known_[k].found.distance - margins_[place]));
+      rows.h.push_back(kGain * (found_[k].distance - margins_[place]));
     }
   }
 
@@ -190,7 +186,7 @@ class Pairs {
       return stays_apart(at, end, group.parting, group_keys_[g], travels_[g], turns);
     };
     visit(farthest_of, is_far, [&](size_t k) {
-      const double travel = pair(k).levers.dot(turned_.data());
+      const double travel = travel_of(k);
       if (stays_apart(at, end, partings_[k], keys_[k], travel, pair(k).turns)) return;
       const Found &before = found(at, k), after = found_at(end, k);
       if (before.distance > kKept + travel) return;
@@ -232,15 +228,12 @@ class Pairs {
       reach = reach_of(*a, axis);
     }
   };
-  // What was found of a pair where the robot was at a stamp.
-  struct Known {
-    long stamp = -1;
-    Found found{};
-  };
   // The pairs of the shapes of two joints: a range of all, as they are sorted.
   struct Group {
     size_t begin, end;
-    Parting parting;  // of the boxes around all shapes of the joints
+    Parting parting;           // of the boxes around all shapes of the joints
+    std::vector<int> columns;  // the coordinates that move any of its pairs
+    Vector levers;             // the largest of its pairs for each of them, then those of each pair
   };
   // A lower bound of a distance where the last path ends, and the key that it may raise.
   struct Low {
@@ -267,24 +260,51 @@ class Pairs {
   void go_to(const Placed& at) {
     if (q_ == at.q) return;
     if (!q_.empty()) {
-      moved_.assign(tree_.nv, 0.0);
+      moved_.assign(tree_.nv, 0.0);  // a floating wrist moves no pair
       for (const Joint& joint : tree_.joints)
-        if (joint.kind != JointKind::floating) moved_[joint.v] = at.q[joint.q] - q_[joint.q];
-      add_travels(moved_.data(), so_far_);
+        if (joint.kind != JointKind::floating)
+          moved_[joint.v] = std::abs(at.q[joint.q] - q_[joint.q]);
+      for (size_t g = 0; g < groups_.size(); ++g)
+        so_far_[g] += travel(groups_[g], groups_[g].levers.data(), moved_);
     }
     q_ = at.q;
     ++stamp_;
   }
 
-  // Add the travel of each group along a step: the sum of turns times the largest levers of its pairs.
-  void add_travels(const double* step, Vector& travels) const {
-    const size_t count = groups_.size();
-    for (const Joint& joint : tree_.joints) {
-      const double turn = joint.kind == JointKind::floating ? 0.0 : std::abs(step[joint.v]);
-      if (turn == 0.0) continue;  // a floating wrist moves no pair
-      const double* levers = levers_.data() + joint.v * count;
-      for (size_t g = 0; g < count; ++g) travels[g] += levers[g] * turn;
+  // Keep the levers of a group's pairs in one place.
+  void set_levers(Group& group) {
+    for (int c = 0; c < tree_.nv; ++c)
+      for (size_t k = group.begin; k < group.end; ++k)
+        if (lever(k, c) != 0.0) {
+          group.columns.push_back(c);
+          break;
+        }
+    for (const int c : group.columns) {
+      double most = 0.0;
+      for (size_t k = group.begin; k < group.end; ++k) most = std::max(most, lever(k, c));
+      group.levers.push_back(most);
     }
+    for (size_t k = group.begin; k < group.end; ++k)
+      for (const int c : group.columns) group.levers.push_back(lever(k, c));
+  }
+
+  double lever(size_t k, int column) const {
+    const Sparse& levers = pair(k).levers;
+    for (size_t i = 0; i < levers.columns.size(); ++i)
+      if (levers.columns[i] == column) return levers.values[i];
+    return 0.0;
+  }
+
+  // The sum of turns times levers, of the largest ones of a group or of those of a pair.
+  static double travel(const Group& group, const double* levers, const Vector& turned) {
+    double sum = 0.0;
+    for (const int c : group.columns) sum += *levers++ * turned[c];
+    return sum;
+  }
+  double travel_of(size_t k) const {
+    const Group& group = groups_[partings_[k].group];
+    const size_t row = (1 + k - group.begin) * group.columns.size();
+    return travel(group, group.levers.data() + row, turned_);
   }
 
   // Set `turned_` and `travels_` to those of a step.
@@ -297,8 +317,9 @@ class Pairs {
       turned_[c] = turn;
     }
     if (is_same) return;
-    travels_.assign(groups_.size(), 0.0);
-    add_travels(step, travels_);
+    travels_.resize(groups_.size());
+    for (size_t g = 0; g < groups_.size(); ++g)
+      travels_[g] = travel(groups_[g], groups_[g].levers.data(), turned_);
   }
 
   // Take in the margins of all pairs. From sample to sample, they change at few places.
@@ -399,17 +420,16 @@ class Pairs {
   }
 
   void know(const Placed& at, size_t k, const Found& found) {
-    Known& known = known_[k];
-    known.stamp = stamp_;
-    known.found = found;
+    stamps_[k] = stamp_;
+    found_[k] = found;
     partings_[k].set(tmul(at.pose(bodies[pair(k).first].joint).R, found.normal));
     keys_[k] = found.distance + so_far_[partings_[k].group];
   }
 
   // The distance of a pair where the robot is.
   const Found& found(const Placed& at, size_t k) {
-    if (known_[k].stamp != stamp_) know(at, k, found_at(at, k));
-    return known_[k].found;
+    if (stamps_[k] != stamp_) know(at, k, found_at(at, k));
+    return found_[k];
   }
 
   Found found_at(const Placed& at, size_t k) {
@@ -419,7 +439,7 @@ class Pairs {
   }
 
   void linearise(const Placed& at, size_t k, double* row) const {
-    const Found& found = known_[k].found;
+    const Found& found = found_[k];
     const Vec3 moment = cross(found.point, found.normal);
     const Sparse& signs = pair(k).signs;
     for (size_t i = 0; i < signs.columns.size(); ++i) {
@@ -440,7 +460,7 @@ class Pairs {
       double at_low = -1.0;
       for (const Part& part : parts_) {
         const double length = part.high - part.low;
-        const double travel = pair(part.pair).levers.dot(turned_.data());
+        const double travel = travel_of(part.pair);
         const double bend = pair(part.pair).turns.dot(turned_.data());
         const double nearest = std::min(part.before.distance, part.after.distance);
         const Vec3 change = part.after.normal - part.before.normal;
@@ -471,14 +491,14 @@ class Pairs {
   Placed middle_;
   Vector q_;  // where the robot is
   long stamp_ = 0;
-  std::vector<Known> known_;
+  std::vector<long> stamps_;   // where each pair was found last
+  std::vector<Found> found_;
   Vector keys_;
   std::vector<Group> groups_;
   Vector group_keys_, group_margins_, so_far_, travels_;
   Vector margins_, same_;  // in the order in which pairs came
   std::vector<size_t> group_of_;  // likewise
   std::vector<char> changed_;
-  Vector levers_;  // (nv, groups)
   std::vector<Parting> partings_;
   std::vector<std::pair<size_t, size_t>> near_;
   std::vector<Warm> warm_;
