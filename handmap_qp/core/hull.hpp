@@ -7,7 +7,9 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <limits>
 #include <vector>
 
 #include "vector.hpp"
@@ -51,7 +53,7 @@ class Hull {
   }
 
  private:
-  static constexpr size_t kFew = 8;
+  static constexpr size_t kFew = 16;
   static constexpr int kGrid = 16;
   static constexpr double kSmallest = 1.0 / 256.0;
 
@@ -74,31 +76,32 @@ class Hull {
   };
 
   std::vector<int> undominated(const Square& square, const std::vector<int>& from) const {
+    using Reach = std::array<double, 4>;  // along the corners
     const Vec3 corners[] = {square.direction(0, 0), square.direction(0, 1), square.direction(1, 0),
                             square.direction(1, 1)};
-    const Vec3 middle = square.direction(0.5, 0.5);
-    int best[5];
-    for (int k = 0; k < 5; ++k) {
-      const Vec3& d = k < 4 ? corners[k] : middle;
-      best[k] = from[0];
-      double most = dot(vertices_[from[0]], d);
-      for (const int i : from) {
-        const double reach = dot(vertices_[i], d);
-        if (reach > most) {
-          most = reach;
-          best[k] = i;
-        }
+    std::vector<Reach> reaches;
+    Reach best[5];  // of the farthest vertices along the corners, and along their middle
+    double most[5];
+    std::fill(most, most + 5, -std::numeric_limits<double>::infinity());
+    for (const int i : from) {
+      Reach reach;
+      for (int k = 0; k < 4; ++k) reach[k] = dot(vertices_[i], corners[k]);
+      for (int k = 0; k < 5; ++k) {
+        const double far = k < 4 ? reach[k] : (reach[0] + reach[1]) + (reach[2] + reach[3]);
+        if (!(far > most[k])) continue;
+        most[k] = far;
+        best[k] = reach;
       }
+      reaches.push_back(reach);
     }
     std::vector<int> kept;
-    for (const int i : from) {
+    for (size_t i = 0; i < from.size(); ++i) {
       bool is_dominated = false;
       for (int k = 4; k >= 0 && !is_dominated; --k) {
-        const Vec3 ahead = vertices_[best[k]] - vertices_[i];
         is_dominated = true;
-        for (const Vec3& d : corners) is_dominated = is_dominated && dot(ahead, d) > tolerance_;
+        for (int c = 0; c < 4; ++c) is_dominated &= best[k][c] - reaches[i][c] > tolerance_;
       }
-      if (!is_dominated) kept.push_back(i);
+      if (!is_dominated) kept.push_back(from[i]);
     }
     return kept;
   }
