@@ -80,6 +80,7 @@ class Hull {
     const Vec3 corners[] = {square.direction(0, 0), square.direction(0, 1), square.direction(1, 0),
                             square.direction(1, 1)};
     std::vector<Reach> reaches;
+    reaches.reserve(from.size());
     Reach best[5];  // of the farthest vertices along the corners, and along their middle
     double most[5];
     std::fill(most, most + 5, -std::numeric_limits<double>::infinity());

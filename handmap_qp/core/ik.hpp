@@ -3,6 +3,7 @@
 
 #include <cstdint>
 #include <functional>
+#include <iterator>
 #include <memory>
 
 #include "pairs.hpp"
@@ -230,8 +231,10 @@ class Ik {
   }
 
   const std::vector<int>& support(int joint) const {
-    static const std::vector<int> none;
-    return joint < 0 ? none : tree.supports[joint];
+    return joint < 0 ? none_ : tree.supports[joint];
+  }
+  const std::vector<int>& moving(int joint) const {
+    return joint < 0 ? none_ : tree.moving[joint];
   }
 
   // c and the lower triangle of H of the QP where the hand is.
@@ -320,14 +323,20 @@ class Ik {
       // Points in one place have no direction: any will do to part them.
       if (apart <= kShortest) offset = {0.0, 0.0, kShortest};
       const Vec3 direction = (1.0 / std::max(apart, kShortest)) * offset;
-      levers_.assign(n, Vec3{});
-      const std::vector<int>&moving_a = support(a.joint), &moving_b = support(b.joint);
-      for (const int c : moving_a) levers_[tree.leader[c]] += tree.factor[c] * at.velocity(c, to);
-      for (const int c : moving_b) levers_[tree.leader[c]] -= tree.factor[c] * at.velocity(c, from);
+      start_levers(a.joint);
+      start_levers(b.joint);
+      for (const int c : support(a.joint))
+        levers_[tree.leader[c]] += tree.factor[c] * at.velocity(c, to);
+      for (const int c : support(b.joint))
+        levers_[tree.leader[c]] -= tree.factor[c] * at.velocity(c, from);
+      const std::vector<int>&moving_a = moving(a.joint), &moving_b = moving(b.joint);
+      movers_.clear();
+      std::set_union(moving_a.begin(), moving_a.end(), moving_b.begin(), moving_b.end(),
+                     std::back_inserter(movers_));
       const double residual = weight * (apart - aims[k]);
       const double damping = task.damping[k] * weight * std::abs(residual);
       columns_.clear();
-      for (int i = 0; i < n; ++i) {
+      for (const int i : movers_) {
         const double lever = norm(levers_[i]);
         if (lever == 0.0) continue;
         columns_.push_back(i);
@@ -465,7 +474,8 @@ class Ik {
   Box box_;
   TaskRows further_;
   Placed start_, path_end_;
-  std::vector<int> columns_;
+  const std::vector<int> none_;
+  std::vector<int> columns_, movers_;
   std::vector<Vec3> levers_;
   Vector lower_, upper_, total_, first_, step_, least_, most_, h_, H_, c_, diagonal_, block_, taken_,
       times_, path_, whole_, reached_;

@@ -153,8 +153,9 @@ class Pairs {
     visit(farthest_of, is_far, [&](size_t k) {
       const size_t place = bounds_->order[k], g = partings_[k].group;
       const bool is_known = stamps_[k] == stamp_;
-      if (!is_known && is_beyond(at, k, margins_[place] + within(travels_[g]))) return;
-      const double farthest = margins_[place] + within(travel_of(k));
+      const double kept = margins_[place];
+      if (!is_known && raised(at, partings_[k], keys_[k]) > kept + within(travels_[g])) return;
+      const double farthest = kept + within(travel_of(k));
       if (!is_known && keys_[k] - so_far_[g] > farthest) return;
       if (found(at, k).distance <= farthest) near_.push_back({place, k});
     });
@@ -356,11 +357,19 @@ class Pairs {
       if (group_keys_[g] - so_far > farthest || is_far(g)) continue;
       Group& group = groups_[g];
       size_t nearest = group.begin;
+      double least = kInfinity;
       for (size_t k = group.begin; k < group.end; ++k) {
-        if (!(keys_[k] - so_far > farthest)) visit_pair(k);
-        if (keys_[k] < keys_[nearest]) nearest = k;
+        double key = keys_[k];
+        if (!(key - so_far > farthest)) {
+          visit_pair(k);
+          key = keys_[k];
+        }
+        if (key < least) {
+          least = key;
+          nearest = k;
+        }
       }
-      group_keys_[g] = std::max(group_keys_[g], keys_[nearest]);
+      group_keys_[g] = std::max(group_keys_[g], least);
       group.parting.set(partings_[nearest].axis);
     }
   }
@@ -385,12 +394,6 @@ class Pairs {
     const double so_far = so_far_[parting.group];
     key = std::max(key, gap(at, parting) + so_far);
     return key - so_far;
-  }
-
-  // Whether a pair is shown to be farther apart than this, without a measurement.
-  bool is_beyond(const Placed& at, size_t k, double farthest) {
-    return keys_[k] - so_far_[partings_[k].group] > farthest ||
-           raised(at, partings_[k], keys_[k]) > farthest;
   }
 
   // Whether two bodies are shown to stay apart by KEPT on the path to `end`, without a measurement.

@@ -163,19 +163,16 @@ class Qp {
     for (int i = 0; i < n_; ++i) scale = std::max(scale, std::abs(x[i]));
     int found = -1;
     double worst = -kTolerance * scale;
-    for (int k = 0; k < 2 * n_ + rows_; ++k) {
-      if (is_active_[k]) continue;
-      double s = slack(k);
-      if (k >= 2 * n_) {
-        const double length = row_norms_[k - 2 * n_];
-        if (length < 1e-12) continue;  // it holds no coordinate
-        s /= length;
-      }
-      if (s < worst) {
-        worst = s;
-        found = k;
-      }
-    }
+    const auto consider = [&](int k, double s) {
+      if (!(s < worst) || is_active_[k]) return;
+      worst = s;
+      found = k;
+    };
+    for (int i = 0; i < n_; ++i) consider(i, x[i] - lower_[i]);
+    for (int i = 0; i < n_; ++i) consider(n_ + i, upper_[i] - x[i]);
+    for (int r = 0; r < rows_; ++r)
+      if (!(row_norms_[r] < 1e-12))  // else it holds no coordinate
+        consider(2 * n_ + r, slack(2 * n_ + r) / row_norms_[r]);
     return found;
   }
 
