@@ -152,7 +152,7 @@ class Feasible {
       const double* g = rows.G.data() + k * n;
       for (int i = 0; i < n; ++i) parted_[k] += g[i] * within_[i];
       parted_[k] += kept_[k];
-      does_harm |= !(excess_[k] > kRoughly) && parted_[k] > std::max(h[k], kept_[k]);
+      does_harm |= !(excess_[k] > kRoughly) && parted_[k] > std::max(h[k], kept_[k]) + kRounding;
     }
     for (int k = 0; k < r; ++k) h[k] = std::max(h[k], does_harm ? kept_[k] : parted_[k]);
   }

@@ -114,7 +114,7 @@ class Pairs {
     for (size_t k = 0; k < size(); ++k) {
       const auto [a, b] = all.joints(all.order[k]);
       if (k == 0 || all.joints(all.order[k - 1]) != std::make_pair(a, b))
-        groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}, {}, {}});
+        groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}, {}, {}, 0.0});
       ++groups_.back().end;
       group_of_[all.order[k]] = groups_.size() - 1;
       partings_.push_back(
@@ -183,12 +183,12 @@ class Pairs {
     const auto farthest_of = [&](size_t g) { return kKept + travels_[g]; };
     const auto is_far = [&](size_t g) {
       Group& group = groups_[g];
-      const Sparse& turns = pair(group.begin).turns;
-      return stays_apart(at, end, group.parting, group_keys_[g], travels_[g], turns);
+      group.bend = pair(group.begin).turns.dot(turned_.data());  // as of all its pairs
+      return stays_apart(at, end, group.parting, group_keys_[g], travels_[g]);
     };
     visit(farthest_of, is_far, [&](size_t k) {
       const double travel = travel_of(k);
-      if (stays_apart(at, end, partings_[k], keys_[k], travel, pair(k).turns)) return;
+      if (stays_apart(at, end, partings_[k], keys_[k], travel)) return;
       const Found &before = found(at, k), after = found_at(end, k);
       if (before.distance > kKept + travel) return;
       ends_.push_back({k, after});
@@ -235,6 +235,7 @@ class Pairs {
     Parting parting;           // of the boxes around all shapes of the joints
     std::vector<int> columns;  // the coordinates that move any of its pairs
     Vector levers;             // the largest of its pairs for each of them, then those of each pair
+    double bend = 0.0;         // along the path that is looked at
   };
   // A lower bound of a distance where the last path ends, and the key that it may raise.
   struct Low {
@@ -399,8 +400,8 @@ class Pairs {
   // Whether two bodies are shown to stay apart by KEPT on the path to `end`, without a measurement.
   //
   // The proof in collision.py holds for any two directions at the ends, here the axis carried along.
-  bool stays_apart(const Placed& at, const Placed& end, Parting& parting, double& key, double travel,
-                   const Sparse& turns) {
+  bool stays_apart(const Placed& at, const Placed& end, Parting& parting, double& key,
+                   double travel) {
     const double enough = kKept + travel, so_far = so_far_[parting.group];
     if (key - so_far > enough) return true;
     const double after = gap(end, parting);
@@ -414,7 +415,7 @@ class Pairs {
     if (nearest < kKept) return false;
     const int joint = parting.a->joint;
     const Vec3 change = end.pose(joint).R * parting.axis - at.pose(joint).R * parting.axis;
-    return nearest - dip(change, 1.0, travel, turns.dot(turned_.data())) >= kKept;
+    return nearest - dip(change, 1.0, travel, groups_[parting.group].bend) >= kKept;
   }
 
   // How far below its ends a distance may be on a part of a path; see handmap_qp/ik/collision.py.
@@ -464,7 +465,7 @@ class Pairs {
       for (const Part& part : parts_) {
         const double length = part.high - part.low;
         const double travel = travel_of(part.pair);
-        const double bend = pair(part.pair).turns.dot(turned_.data());
+        const double bend = groups_[partings_[part.pair].group].bend;
         const double nearest = std::min(part.before.distance, part.after.distance);
         const Vec3 change = part.after.normal - part.before.normal;
         if (!(nearest - dip(change, length, travel, bend) < 0.5 * part.kept)) continue;

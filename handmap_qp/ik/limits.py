@@ -300,7 +300,7 @@ def feasible(
     G, h = rows
     h = h / (1.0 + stopping)
     if so_far is not None:
-        h = h - G.dot(so_far)
+        h -= G.dot(so_far)
     witness = np.clip(0.0, lower, upper)
     kept = G.dot(witness)
     excess = kept - h
@@ -313,7 +313,7 @@ def feasible(
     parting = -_PARTED * np.linalg.solve(gram, excess[is_nearer]).dot(apart)
     within = np.clip(parting, _INSIDE * (lower - witness), _INSIDE * (upper - witness))
     parted = kept + G.dot(within)
-    does_harm = (parted > loose) & ~is_nearer
+    does_harm = (parted > loose + _ROUNDING) & ~is_nearer
     return G, loose if does_harm.any() else np.maximum(h, parted)
 
 
