@@ -26,6 +26,14 @@ inline void copy_numbers(const Fields& from, const std::string& path, double* to
   if (i != size) throw std::invalid_argument("wrong size of " + path);
 }
 
+struct NamedNumber {
+  const char* name;
+  double* to;
+};
+inline void read_numbers(const Fields& from, std::initializer_list<NamedNumber> numbers) {
+  for (const NamedNumber& each : numbers) *each.to = from.get<double>(each.name);
+}
+
 inline BatchSize batch_size(const Fields& from, const std::string& path) {
   BatchSize size{from.get<int>(path + ".most"), from.get<int>(path + ".least"),
                  from.get<double>(path + ".time")};
@@ -71,13 +79,10 @@ inline std::unique_ptr<InputRules> read_input_rules() {
   rules.first_sizes = check.get<int>("_FIRST_SIZES");
   if (rules.carried_batches >= kMostPast || rules.first_sizes > kMostSizes)
     throw std::invalid_argument("too many batches");
-  rules.sure_side = check.get<double>("_SURE_SIDE");
-  rules.backwards = check.get<double>("_BACKWARDS");
-  rules.otherwise_right = check.get<double>("_OTHERWISE_RIGHT");
-  rules.same_misfit = check.get<double>("_SAME_MISFIT");
-  rules.resized = check.get<double>("_RESIZED");
-  rules.refused_share = check.get<double>("_REFUSED_SHARE");
-  rules.brief = check.get<double>("_SHORT");
+  read_numbers(check, {{"_SURE_SIDE", &rules.sure_side}, {"_BACKWARDS", &rules.backwards},
+                       {"_OTHERWISE_RIGHT", &rules.otherwise_right},
+                       {"_SAME_MISFIT", &rules.same_misfit}, {"_RESIZED", &rules.resized},
+                       {"_REFUSED_SHARE", &rules.refused_share}, {"_SHORT", &rules.brief}});
   double range[2];
   copy_numbers(check, "_STEPS", range, 2);
   rules.shortest_step = range[0];
@@ -85,25 +90,22 @@ inline std::unique_ptr<InputRules> read_input_rules() {
   copy_numbers(check, "HAND_LENGTHS", range, 2);
   rules.shortest_hand = range[0];
   rules.longest_hand = range[1];
-  rules.no_hand = check.get<double>("_NO_HAND");
-  rules.better_by = check.get<double>("_BETTER_BY");
-  rules.contradiction = check.get<double>("_CONTRADICTION");
+  read_numbers(check, {{"_NO_HAND", &rules.no_hand}, {"_BETTER_BY", &rules.better_by},
+                       {"_CONTRADICTION", &rules.contradiction}});
   const Fields hand = module_of("handmap_qp.trackers.hand_geometry");
   copy_numbers(hand, "_CENTRES", rules.centres, kPairs);
   copy_numbers(hand, "_WIDTHS", rules.widths, kPairs);
   const Vector sizes = hand.numbers("_FEATURE_SIZES");
   if (sizes.size() != 5) throw std::invalid_argument("wrong size of _FEATURE_SIZES");
   std::copy(sizes.begin(), sizes.end(), rules.feature_sizes);
-  rules.largest_deviation = hand.get<double>("_LARGEST_DEVIATION");
-  rules.rigid_spread = hand.get<double>("_RIGID_SPREAD");
-  rules.quartiles_apart = hand.get<double>("_QUARTILES_APART");
+  read_numbers(hand, {{"_LARGEST_DEVIATION", &rules.largest_deviation},
+                      {"_RIGID_SPREAD", &rules.rigid_spread},
+                      {"_QUARTILES_APART", &rules.quartiles_apart}});
   copy_numbers(hand, "HYPEREXTENSION", range, 2);
   rules.hyperextension = range[0];
-  rules.least_trembling = hand.get<double>("_LEAST_TREMBLING");
-  rules.stuck = hand.get<double>("_STUCK");
-  rules.carried = hand.get<double>("_CARRIED");
-  rules.step = hand.get<double>("_STEP");
-  rules.others_change = hand.get<double>("_OTHERS_CHANGE");
+  read_numbers(hand, {{"_LEAST_TREMBLING", &rules.least_trembling}, {"_STUCK", &rules.stuck},
+                      {"_CARRIED", &rules.carried}, {"_STEP", &rules.step},
+                      {"_OTHERS_CHANGE", &rules.others_change}});
   copy_numbers(hand, "_INSIDE", range, 2);
   rules.most_bent = range[0];
   rules.least_bent = range[1];
@@ -116,11 +118,9 @@ inline std::unique_ptr<InputRules> read_input_rules() {
     std::copy(conventions.data() + 9 * k, conventions.data() + 9 * k + 9, axes.m);
     rules.conventions.push_back(axes);
   }
-  rules.farthest = wrist.get<double>("_FARTHEST");
-  rules.steady = wrist.get<double>("_STEADY");
-  rules.turned = wrist.get<double>("_TURNED");
-  rules.kept = wrist.get<double>("_KEPT");
-  rules.farthest_apart = wrist.get<double>("_FARTHEST_APART");
+  read_numbers(wrist, {{"_FARTHEST", &rules.farthest}, {"_STEADY", &rules.steady},
+                       {"_TURNED", &rules.turned}, {"_KEPT", &rules.kept},
+                       {"_FARTHEST_APART", &rules.farthest_apart}});
   return found;
 }
 
@@ -128,32 +128,26 @@ inline std::unique_ptr<GuardRules> read_guard_rules() {
   auto found = std::make_unique<GuardRules>();
   GuardRules& rules = *found;
   const Fields from = module_of("handmap_qp.stream.guard");
-  rules.longest_step = from.get<double>("LONGEST_STEP");
-  rules.gap = from.get<double>("GAP");
-  rules.set_back = from.get<double>("_SET_BACK");
-  rules.set_forward = from.get<double>("_SET_FORWARD");
+  read_numbers(from, {{"LONGEST_STEP", &rules.longest_step}, {"GAP", &rules.gap},
+                      {"_SET_BACK", &rules.set_back}, {"_SET_FORWARD", &rules.set_forward}});
   rules.late_samples = from.get<int>("_LATE_SAMPLES");
-  rules.period_share = from.get<double>("_PERIOD_SHARE");
-  rules.shortest_step = from.get<double>("_SHORTEST_STEP");
-  rules.rate_window = from.get<double>("_RATE_WINDOW");
-  rules.largest_drift = from.get<double>("_LARGEST_DRIFT");
+  read_numbers(from, {{"_PERIOD_SHARE", &rules.period_share},
+                      {"_SHORTEST_STEP", &rules.shortest_step},
+                      {"_RATE_WINDOW", &rules.rate_window},
+                      {"_LARGEST_DRIFT", &rules.largest_drift}});
   const Indices starts = from.indices("_STARTS"), ends = from.indices("_ENDS");
   if (starts.size() != kFixed || ends.size() != kFixed)
     throw std::invalid_argument("wrong size of _STARTS");
   std::copy(starts.begin(), starts.end(), rules.starts);
   std::copy(ends.begin(), ends.end(), rules.ends);
-  rules.flip = from.get<double>("FLIP");
-  rules.zero_size = from.get<double>("ZERO_SIZE");
-  rules.mirror = from.get<double>("MIRROR");
-  rules.alone = from.get<double>("ALONE");
+  read_numbers(from, {{"FLIP", &rules.flip}, {"ZERO_SIZE", &rules.zero_size},
+                      {"MIRROR", &rules.mirror}, {"ALONE", &rules.alone}});
   copy_numbers(from, "BELIEVED", rules.believed, 4);
   copy_numbers(from, "FASTEST", rules.fastest, 3);
   copy_numbers(from, "_EXCESS", rules.excess, 4);
-  rules.frozen_after = from.get<double>("FROZEN_AFTER");
-  rules.settling = from.get<double>("SETTLING");
-  rules.long_settling = from.get<double>("_LONG_SETTLING");
-  rules.brief = from.get<double>("_BRIEF");
-  rules.rate = from.get<double>("_RATE");
+  read_numbers(from, {{"FROZEN_AFTER", &rules.frozen_after}, {"SETTLING", &rules.settling},
+                      {"_LONG_SETTLING", &rules.long_settling}, {"_BRIEF", &rules.brief},
+                      {"_RATE", &rules.rate}});
   copy_numbers(module_of("handmap_qp.human.sample"), "_PALM_RATIOS", rules.palm_ratios, 2);
   return found;
 }

@@ -114,7 +114,7 @@ class Pairs {
     for (size_t k = 0; k < size(); ++k) {
       const auto [a, b] = all.joints(all.order[k]);
       if (k == 0 || all.joints(all.order[k - 1]) != std::make_pair(a, b))
-        groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}, {}, {}, 0.0});
+        groups_.push_back({k, k, {&all.boxes[a + 1], &all.boxes[b + 1], groups_.size(), {}}});
       ++groups_.back().end;
       group_of_[all.order[k]] = groups_.size() - 1;
       partings_.push_back(
@@ -233,9 +233,9 @@ class Pairs {
   struct Group {
     size_t begin, end;
     Parting parting;           // of the boxes around all shapes of the joints
-    std::vector<int> columns;  // the coordinates that move any of its pairs
-    Vector levers;             // the largest of its pairs for each of them, then those of each pair
-    double bend = 0.0;         // along the path that is looked at
+    std::vector<int> columns = {};  // the coordinates that move any of its pairs
+    Vector levers = {};  // the largest of its pairs for each of them, then those of each pair
+    double bend = 0.0;   // along the path that is looked at
   };
   // A lower bound of a distance where the last path ends, and the key that it may raise.
   struct Low {
