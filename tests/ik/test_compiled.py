@@ -270,13 +270,22 @@ def test_the_solver_says_that_bounds_cannot_hold() -> None:
     assert not core.solve_qp(np.full((1, 1), np.nan), one, -one, one)[0]
 
 
-def _corners(seed: int) -> coal.Convex:
-    """Return a hull of random points on an ellipsoid."""
+def _ellipsoid(seed: int, count: int) -> np.ndarray:
+    """Return random points on an ellipsoid."""
+    points = np.random.default_rng(seed).normal(size=(count, 3))
+    return points * [0.02, 0.03, 0.05] / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def _prism(count: int) -> np.ndarray:
+    """Return the corners of a prism, whose ends are flat and have many corners."""
+    angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
+    end = np.stack([0.02 * np.cos(angles), 0.03 * np.sin(angles)], axis=1)
+    return np.vstack([np.c_[end, np.full(count, z)] for z in (-0.04, 0.04)])
+
+
+def _hull(points: np.ndarray) -> coal.Convex:
     from scipy.spatial import ConvexHull
 
-    rng = np.random.default_rng(seed)
-    points = rng.normal(size=(60, 3))
-    points *= [[0.02, 0.03, 0.05]] / np.linalg.norm(points, axis=1, keepdims=True)
     vertices, faces = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
     vertices.extend([*points])
     faces.extend([coal.Triangle(*t) for t in ConvexHull(points).simplices.tolist()])
@@ -288,7 +297,9 @@ SHAPES = {
     "sphere": coal.Sphere(0.02),
     "capsule": coal.Capsule(0.015, 0.08),
     "cylinder": coal.Cylinder(0.02, 0.07),
-    "convex": _corners(3),
+    "convex": _hull(_ellipsoid(3, 60)),
+    "fine": _hull(_ellipsoid(4, 600)),
+    "prism": _hull(_prism(60)),
 }
 
 
@@ -301,8 +312,9 @@ def test_distances_are_those_of_coal(first: str, second: str) -> None:
     request = coal.DistanceRequest()
     request.gjk_tolerance = request.epa_tolerance = 1e-12
     is_round = "cylinder" in (first, second)
+    is_fine = not {"fine", "prism"}.isdisjoint((first, second))
     depths = []
-    for _ in range(300):
+    for _ in range(60 if is_fine else 300):
         here, there = (pin.exp6(3.0 * rng.normal(size=6)) for _ in range(2))
         here.translation = 0.02 * rng.normal(size=3)
         there.translation = 0.06 * rng.normal(size=3)
