@@ -8,6 +8,7 @@
 
 #include "arrays.hpp"
 #include "build_guard.hpp"
+#include "hdf5.hpp"
 #include "person.hpp"
 #include "posture.hpp"
 #include "run.hpp"
@@ -258,6 +259,46 @@ nb::object approach_from(Ik& ik, const nb::object& solver, const nb::object& tas
   return array_of(ik.motion.q);
 }
 
+// See EgoDexFormat.read, for a path as bytes: points (T, 21, 3), wrist (T, 4, 4), and where the file has
+// them confidences (21, T) and time (T,); None for what libhdf5 has to read.
+nb::object read_poses(const nb::bytes& path, const std::vector<std::string>& names, size_t count) {
+  const size_t joints = names.size();
+  Vector points(3 * count * joints), wrist, shares, time, numbers;
+  try {
+    const Hdf5File file(path.c_str());
+    const Hdf5File::Group root = file.root();
+    const auto header_of = [](const Hdf5File::Group& group, const std::string& name) {
+      const auto found = group.find(name);
+      expect_read(found != group.end());
+      return found->second;
+    };
+    const Hdf5File::Group poses = file.group(header_of(root, "transforms"));
+    for (size_t j = 0; j < joints; ++j) {
+      file.numbers(header_of(poses, names[j]), {count, 4, 4}, numbers);
+      for (size_t t = 0; t < count; ++t)
+        for (size_t i = 0; i < 3; ++i)
+          points[3 * (joints * t + j) + i] = numbers[16 * t + 4 * i + 3];
+      if (j == 0) wrist = numbers;
+    }
+    if (root.count("confidences")) {
+      const Hdf5File::Group given = file.group(header_of(root, "confidences"));
+      for (const std::string& name : names) {
+        file.numbers(header_of(given, name), {count}, numbers);
+        append(numbers, shares);
+      }
+    }
+    if (root.count("time")) file.numbers(header_of(root, "time"), {count}, time);
+  } catch (const Unread&) {
+    return nb::none();
+  }
+  const auto if_any = [](std::initializer_list<size_t> shape, const Vector& from) -> nb::object {
+    return from.empty() ? nb::none() : array_of(shape, from.data());
+  };
+  return nb::make_tuple(array_of({count, joints, 3}, points.data()),
+                        array_of({count, 4, 4}, wrist.data()), if_any({joints, count}, shares),
+                        if_any({count}, time));
+}
+
 // See measure.measure_shape, whose constants and arguments these are.
 nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
   const Fields constants(nb::module_::import_("handmap_qp.human.measure"));
@@ -391,6 +432,7 @@ NB_MODULE(_core, m) {
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);
+  m.def("read_poses", &read_poses);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());
   m.def("measure_shapes", &measure_shapes);
