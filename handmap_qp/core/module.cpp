@@ -357,11 +357,13 @@ nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
   const size_t rows = configurations.size() / tree.nq, columns = starts.size();
   Vector found;
   Placed placed(tree);
+  SmallestDistances smallest(bounds);
   for (size_t t = 0; t < rows; ++t) {
     placed.place(configurations.data() + t * tree.nq);
+    smallest.place(placed);
     for (size_t g = 0; g < columns; ++g) {
       const size_t to = g + 1 < columns ? starts[g + 1] : bounds.pairs.size();
-      found.push_back(smallest_distance(bounds, placed, starts[g], to, most));
+      found.push_back(smallest.among(starts[g], to, most));
     }
   }
   return array_of({rows, columns}, found.data());
