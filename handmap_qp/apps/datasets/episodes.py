@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import file_digest, sha256
-from io import BytesIO
 from pathlib import Path
 from time import process_time
 
@@ -36,7 +35,7 @@ from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.archive import packed, read_archive
 from handmap_qp.trackers.plausibility import check_recording
 
 _READING = 120
@@ -208,17 +207,11 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
     Raises:
         InvalidInputError: If the file cannot be written.
     """
-    left_out = {"versions", "all_q", "all_joint_names", "all_joint_roles"}
-    columns = {
-        name: a for name, a in trajectory.columns.items() if name not in left_out
-    }
-    # Written at once: the parts of an archive, one by one, take twice as long.
-    archive = BytesIO()
-    np.savez(archive, allow_pickle=False, **columns, side=np.array(side))
+    archive = packed(trajectory.columns | {"side": np.array(side)})
     make_folder(file.parent, "--out")
     with replaced_file(file, "--out", is_synced=False) as stream:
-        stream.write(archive.getbuffer())
-    return sha256(archive.getbuffer()).hexdigest()
+        stream.write(archive)
+    return sha256(archive).hexdigest()
 
 
 def synced(folder: Path, lines: Sequence[Line]) -> Sequence[Line]:
