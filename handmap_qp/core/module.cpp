@@ -299,6 +299,48 @@ nb::object read_poses(const nb::bytes& path, const std::vector<std::string>& nam
                         if_any({count}, time));
 }
 
+// See hand_pair._pinching_thumb: of a hand that has the limits of the solver's, pads by their places and
+// the distances at which they touch, the thumb's first.
+nb::object pinching_thumb(const Ik& like, const Tree& tree, const nb::object& solver,
+                          const nb::object& pads, const Array& touching, const nb::object& tip) {
+  const Fields constants = module_of("handmap_qp.mapping.hand_pair");
+  const nb::object hand = nb::getattr(solver, "hand");
+  const Array start = nb::cast<Array>(
+      nb::getattr(hand, "configuration_vector")(nb::getattr(hand, "rest")));
+  const double dt = constants.get<double>("_UNHURRIED");
+  Ik ik(tree);
+  ik.tree.points = like.tree.points;
+  ik.weights = like.weights;
+  ik.settings = like.settings;
+  ik.limits = like.limits;
+  DistanceTask task{attached_at(pads), {}, {}, {}};
+  Goal goal;
+  goal.postures =
+      postures_of(ik, nb::cast<Postures>(nb::getattr(solver, "postures")(dt, nb::none())));
+  const Attached thumb = attached_at(tip)[0];
+  const int count = static_cast<int>(touching.size());
+  for (int k = 0; k < count; ++k) {
+    task.first.push_back(0);
+    task.second.push_back(k + 1);
+  }
+  task.damping.assign(count, constants.get<double>("_GAP_DAMPING"));
+  goal.distances = &task;
+  goal.aims = vector_of(touching);
+  Vec3 sum;
+  for (int k = 0; k < count; ++k) {
+    goal.aim_weights.assign(count, 0.0);
+    goal.aim_weights[k] = constants.get<double>("_GAP_WEIGHT");
+    goal.points.clear();
+    approach(ik, goal, vector_of(start), dt, constants.get<int>("_PINCH_STEPS"),
+             constants.get<double>("_TOUCHING"));
+    Placed placed(ik.tree);
+    placed.place(ik.motion.q.data());
+    sum += inverse(placed.pose(tree.palm_origin.joint) * tree.palm) * placed.point(thumb);
+  }
+  sum *= 1.0 / count;
+  return array_of({3}, &sum.x);
+}
+
 // See measure.measure_shape, whose constants and arguments these are.
 nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
   const Fields constants(nb::module_::import_("handmap_qp.human.measure"));
@@ -309,6 +351,19 @@ nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
     throw std::invalid_argument("wrong size of landmarks");
   const PersonShape shape = meter.measure(points_of(landmarks), points_of(palm));
   return nb::make_tuple(array_of({5, 3}, &shape.bases[0].x), array_of({5}, shape.rolls.data()));
+}
+
+nb::tuple bone_lengths_of(const Array& landmarks) {
+  const Vector found = bone_lengths(points_of(landmarks));
+  return nb::make_tuple(array_of({5, 3}, found.data()), found.back());
+}
+
+double smallest_gap_of(const Array& time, const Array& landmarks) {
+  const Fields constants = module_of("handmap_qp.human.contact_gap");
+  expect_size(landmarks, 3 * kLandmarks * time.size(), "landmarks");
+  if (time.size() == 0) throw std::invalid_argument("no samples");
+  return smallest_gap(time.data(), points_of(landmarks), constants.get<double>("_MEDIAN_TIME"),
+                      constants.get<double>("_PERCENTILE"));
 }
 
 // See matched_posture.nearest_posture, whose constants and arguments these are.
@@ -338,16 +393,32 @@ nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array
   return nb::cast(array_of(problem.solve(vector_of(start))));
 }
 
-nb::object points_of_tree(const Tree& tree, const Array& configuration, const Indices& joints,
-                          const Array& offsets, bool is_in_palm) {
+// Places of points: (joint of Pinocchio, offset).
+nb::list places_of(const Tree& tree, const nb::object& specs) {
+  nb::list places;
+  for (const Attached& point : attached_of(tree, specs))
+    places.append(nb::make_tuple(point.joint + 1, array_of({3}, &point.offset.x)));
+  return places;
+}
+
+// Points by `PointSpec`, and the wrist.
+nb::tuple posture_of(const Tree& tree, const Array& configuration, const nb::object& specs) {
   expect_size(configuration, tree.nq, "configuration");
   Placed placed(tree);
   placed.place(configuration.data());
-  const Pose from =
-      is_in_palm ? inverse(placed.pose(tree.palm_origin.joint) * tree.palm) : Pose{};
   std::vector<Vec3> found;
-  for (const Attached& point : attached_of(joints, offsets))
-    found.push_back(from * placed.point(point));
+  for (const Attached& point : attached_of(tree, specs)) found.push_back(placed.point(point));
+  return nb::make_tuple(array_of(found), array_of(placed.wrist()));
+}
+
+nb::object points_in_palm(const Tree& tree, const Array& configuration,
+                          const std::vector<Attached>& points) {
+  expect_size(configuration, tree.nq, "configuration");
+  Placed placed(tree);
+  placed.place(configuration.data());
+  const Pose from = inverse(placed.pose(tree.palm_origin.joint) * tree.palm);
+  std::vector<Vec3> found;
+  for (const Attached& point : points) found.push_back(from * placed.point(point));
   return array_of(found);
 }
 
@@ -388,6 +459,7 @@ NB_MODULE(_core, m) {
            "margins"_a.none(), "postures"_a)
       .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
       .def("approach", &approach_from)
+      .def("pinching_thumb", &pinching_thumb)
       .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
            "rows"_a);
   nb::class_<Step>(m, "Step")
@@ -428,12 +500,26 @@ NB_MODULE(_core, m) {
       .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
   nb::class_<Tree>(m, "Tree")
       .def("__init__",
-           [](Tree* self, const nb::object& hand) { new (self) Tree(make_tree(Fields(hand))); })
-      .def("points", &points_of_tree)
+           [](Tree* self, const nb::object& hand) {
+             make_frames(*new (self) Tree(make_tree(Fields(hand))), Fields(hand));
+           })
+      .def("moved", &moved_tree)
+      .def("places", &places_of)
+      .def("posture", &posture_of)
+      .def("points",
+           [](const Tree& tree, const Array& configuration, const nb::object& specs) {
+             return points_in_palm(tree, configuration, attached_of(tree, specs));
+           })
+      .def("placed",
+           [](const Tree& tree, const Array& configuration, const nb::object& places) {
+             return points_in_palm(tree, configuration, attached_at(places));
+           })
       .def("nearest_posture", &nearest_posture)
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);
+  m.def("bone_lengths", &bone_lengths_of);
+  m.def("smallest_gap", &smallest_gap_of);
   m.def("read_poses", &read_poses);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());

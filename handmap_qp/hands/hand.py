@@ -106,6 +106,8 @@ class Hand:
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
         unscaled: Of a hand scaled to a person, the one that was scaled; else None.
+        moves: Of a hand scaled to a person, how its joints move from the other's: see
+            `with_joints`.
         stretches: Factors from its shapes to this hand's along the axes of their joint, shape (3,),
             by the joint; for those of the fingers.
 
@@ -128,6 +130,7 @@ class Hand:
         self.spec = spec
         self.contact_gap = CONTACT_GAP
         self.unscaled: Hand | None = None
+        self.moves: dict[str, tuple[np.ndarray, float]] = {}
         self.stretches: dict[int, np.ndarray] = {}
         self.name = spec.name
         self.side = spec.side
@@ -156,6 +159,32 @@ class Hand:
         check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()
         self._take_points(chosen)
+
+    # A hand that is scaled to a person makes its model when asked: the core does without it.
+    @cached_property
+    def model(self) -> pin.Model:
+        """Pinocchio model; see `Hand`."""
+        standard: Any = self.unscaled
+        model = pin.Model(standard.model)
+        for name, (origin, roll) in self.moves.items():
+            move_joint(model, name, origin, roll)
+        return model
+
+    @cached_property
+    def point_frames(self) -> tuple[pin.Frame, ...]:
+        """Pinocchio frames of the reference points; see `Hand`."""
+        # Pinocchio does not add a frame of a name that another one has, so they have their number.
+        return tuple(
+            link_frame(
+                self.model,
+                self.spec,
+                f"/{i}/{point.name}",
+                point.link,
+                affine(np.eye(3), np.array(point.xyz)),
+                f"points[{i}].link",
+            )
+            for i, point in enumerate(self.reference_points)
+        )
 
     @cached_property
     def urdf_text(self) -> str:
@@ -225,7 +254,7 @@ class Hand:
 
     def with_joints(
         self,
-        moves: Mapping[str, tuple[np.ndarray, float]],
+        moves: dict[str, tuple[np.ndarray, float]],
         stretches: Mapping[str, np.ndarray],
         compose: Callable[[], str],
     ) -> Hand:
@@ -240,11 +269,10 @@ class Hand:
         hand = copy(self)
         hand._compose = compose
         hand.unscaled = self
-        hand.model = model = pin.Model(self.model)
-        for name, (origin, roll) in moves.items():
-            move_joint(model, name, origin, roll)
-        hand.stretches = {model.getJointId(name): by for name, by in stretches.items()}
-        hand._take_points(self.reference_points)
+        hand.moves = moves
+        joints = self.model.getJointId
+        hand.stretches = {joints(name): by for name, by in stretches.items()}
+        del hand.model, hand.point_frames
         return hand
 
     def configuration(self) -> Configuration:
@@ -280,7 +308,7 @@ class Hand:
                     value=wrist_pose,
                     advice="mount='floating' frees it",
                 )
-        vector = np.zeros(self.model.nq)
+        vector = np.zeros(self._size)
         self.write_configuration(vector, angles, pose)
         return vector
 
@@ -413,6 +441,7 @@ class Hand:
         self.all_joint_names = (*moving, *locked)
         self.all_joint_roles = tuple(role for role, of in roles.items() for _ in of)
         joints = [model.getJointId(name) for name in moving]
+        self._size = model.nq
         self._moving_q = np.array([model.idx_qs[joint] for joint in joints])
         at_v = np.array([model.idx_vs[joint] for joint in joints])
         self.q_indices = frozen(self._moving_q[:count])
@@ -451,18 +480,9 @@ class Hand:
         """Use reference points."""
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
-        # Pinocchio does not add a frame of a name that another one has, so they have their number.
-        self.point_frames = tuple(
-            link_frame(
-                self.model,
-                self.spec,
-                f"/{i}/{point.name}",
-                point.link,
-                affine(np.eye(3), np.array(point.xyz)),
-                f"points[{i}].link",
-            )
-            for i, point in enumerate(points)
-        )
+        vars(self).pop("point_frames", None)
+        # A link that does not exist is reported here.
+        len(self.point_frames)
 
     @cached_property
     def _placed_model(self) -> pin.Model:

@@ -155,20 +155,21 @@ def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> 
     is_movable = model.existFrame(name, pin.FrameType.JOINT)
     kind = pin.FrameType.JOINT if is_movable else pin.FrameType.FIXED_JOINT
     index = model.getFrameId(name, kind)
-    frame = model.frames[index]
-    place = model.frames[frame.parentFrame].placement.act(origin)
+    frames = model.frames
+    frame = frames[index]
+    place = frames[frame.parentFrame].placement.act(origin)
     if is_movable:
         placement = model.jointPlacements[frame.parentJoint]
         placement.translation = place
-        placement.rotation = placement.rotation @ pin.utils.rotate("x", roll)
+        if roll:
+            placement.rotation = placement.rotation @ pin.utils.rotate("x", roll)
         return
-    before = frame.placement.translation.copy()
+    shift = place - frame.placement.translation
     moved = {index}
-    for i in range(index, len(model.frames)):
-        each = model.frames[i]
-        if i in moved or each.parentFrame in moved:
+    for i in range(index, len(frames)):
+        if i in moved or frames[i].parentFrame in moved:
             moved.add(i)
-            each.placement.translation = place + (each.placement.translation - before)
+            frames[i].placement.translation += shift
 
 
 def link_frame(

@@ -125,6 +125,10 @@ class CompiledIk:
         self._gate.was_set = True
         return self._core.approach(ik, task, dt, samples, near)
 
+    def pinching_thumb(self, *arguments: Any) -> np.ndarray:
+        """Return where the thumb's tip pinches; see `hand_pair._pinching_thumb`."""
+        return self._core.pinching_thumb(*arguments)
+
     def _linearise(
         self, tasks: Sequence[Task], q: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -155,6 +159,9 @@ def _motion_of(step: Any) -> Motion:
 @lru_cache(maxsize=16)
 def core_tree(hand: Hand) -> Any | None:
     """Return the core's kinematics of a hand; None without a core, or if it lacks a joint."""
+    if hand.unscaled is not None:
+        standard = core_tree(hand.unscaled)
+        return standard and standard.moved(hand.moves)
     try:
         return core and core.Tree(hand)
     except ValueError:

@@ -16,6 +16,7 @@ from handmap_qp.hands.fingers import (
     Finger,
     Place,
     find_fingers,
+    finger_tips,
     partner_names,
 )
 from handmap_qp.hands.hand import Hand
@@ -74,7 +75,7 @@ _PINCHING = _OPENING.replaced(
     wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
 )
 _PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
-_GAP_WEIGHT, _UNHURRIED = 3.0, 1e3  # s
+_GAP_WEIGHT, _GAP_DAMPING, _UNHURRIED = 3.0, 1.5, 1e3  # s
 
 
 def finger_landmarks(fingers: Iterable[str]) -> list[str]:
@@ -227,7 +228,7 @@ class HandPair:
         middle = knuckles[others].mean(axis=0)
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
         above = middle + gain * (tip - human_middle)
-        chains = find_fingers(self.human)
+        chains = _human_fingers(self.human)
         pads = find_pads(self.human, chains)
         human_pinching = _pinching_thumb(self.human, chains, pads)
         return (
@@ -250,6 +251,12 @@ class _RobotFingers:
         self.has_jaws = (
             len(used) > 1 and THUMB in self.names and all(c.is_jaw for c in used)
         )
+
+    @cached_property
+    def tips(self) -> list[PointSpec]:
+        """The description's point at the tip of each finger."""
+        named = {point.name: point for point in self.hand.spec.points}
+        return [named[name] for name in finger_tips(self.hand).values()]
 
     @cached_property
     def pads(self) -> dict[str, Pad]:
@@ -363,20 +370,19 @@ def points_in_palm(
         q: Its joint positions [rad or m], shape (n,).
         places: Points on joints; the hand's reference points if omitted.
     """
-    if places is None:
-        points = AttachedPoints.reference_points(hand)
-    else:
-        points = AttachedPoints(hand, places)
     vector = hand.configuration_vector(q)
     if (tree := core_tree(hand)) is not None:
-        return tree.points(vector, points.joints, points.offsets, True)
+        if places is None:
+            return tree.points(vector, hand.reference_points)
+        return tree.placed(vector, places)
+    if places is None:
+        places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
     model = hand.model
     data = model.createData()
     pin.forwardKinematics(model, data, vector)
     palm = model.frames[hand.palm_frame_id]
     to_palm = (data.oMi[palm.parentJoint] * palm.placement).inverse()
-    placed = zip(points.joints, points.offsets, strict=True)
-    return np.array([to_palm * data.oMi[joint] * offset for joint, offset in placed])
+    return np.array([to_palm * data.oMi[joint] * offset for joint, offset in places])
 
 
 def resting_posture(human: Hand) -> np.ndarray:
@@ -395,19 +401,45 @@ def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     return reaches[[FINGERS.index(finger) for finger in fingers]]
 
 
+def _human_fingers(human: Hand) -> dict[str, Finger]:
+    """Find a human's fingers; those of a scaled hand have their tips elsewhere."""
+    standard = human.unscaled
+    tree = core_tree(human)
+    if standard is None or tree is None:
+        return find_fingers(human)
+    measured = _robot_fingers(standard)
+    tips = tree.places(measured.tips)
+    return {
+        finger: Finger(human, chain.joints, tip, name=finger)
+        for (finger, chain), tip in zip(measured.chains.items(), tips, strict=True)
+    }
+
+
 def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
-    pads = {finger: pads[finger] for finger in chains}
+    used = [pads[THUMB], *(pads[finger] for finger in chains if finger != THUMB)]
+    tip = [chains[THUMB].tip]
+    tree = core_tree(hand)
+    ik = _pinching_ik(hand.unscaled or hand)
+    if tree is not None and ik.core is not None:
+        places = [(pad.joint, pad.offset) for pad in used]
+        touching = np.array([used[0].radius + pad.radius for pad in used[1:]])
+        return ik.core.pinching_thumb(tree, ik, places, touching, tip)
     ik = PointIk(hand, _PINCHING)
-    task = _gap_task(hand, pads.pop(THUMB), list(pads.values()), 0.0)
+    task = _gap_task(hand, used[0], used[1:], 0.0)
     tips = []
-    for is_used in np.eye(len(pads)):
+    for is_used in np.eye(len(used) - 1):
         own = task.aimed_at(task.distances, is_used * task.weights)
-        q = approach(ik, own, _PINCH_STEPS)
-        tips.append(points_in_palm(hand, q, [chains[THUMB].tip])[0])
+        tips.append(points_in_palm(hand, approach(ik, own, _PINCH_STEPS), tip)[0])
     return np.mean(tips, axis=0)
+
+
+@lru_cache(maxsize=16)
+def _pinching_ik(hand: Hand) -> PointIk:
+    """Return weights and limits of a hand that pinches."""
+    return PointIk(hand, _PINCHING)
 
 
 def _gap_task(
@@ -417,7 +449,9 @@ def _gap_task(
     points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in (thumb, *pads)])
     pairs = [(0, k) for k in range(1, len(points))]
     touching = np.array([thumb.radius + pad.radius for pad in pads])
-    return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
+    return PointDistances(
+        points, pairs, touching + gaps, _GAP_WEIGHT, damping=_GAP_DAMPING
+    )
 
 
 def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:

@@ -26,6 +26,7 @@ from handmap_qp.human.sample import (
     PALM,
     landmarks_at_rest,
 )
+from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
@@ -716,6 +717,9 @@ def _method_of(
 
 def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
+    if (tree := core_tree(robot)) is not None:
+        places = tree.posture(vector, robot.reference_points)
+        return RobotPosture(vector[robot.q_indices], *places)
     placed = robot.configuration()
     placed.place(vector)
     return RobotPosture(
