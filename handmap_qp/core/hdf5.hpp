@@ -38,6 +38,12 @@ class Bytes {
     std::memcpy(&value, data_.data() + place, sizeof(T));
     return value;
   }
+  Bytes part(size_t from, size_t count) const {
+    expect_read(from <= size() && count <= size() - from);
+    Bytes found(count);
+    std::memcpy(found.data(), data_.data() + from, count);
+    return found;
+  }
   bool has(size_t place, const char* signature) const {
     const size_t length = std::strlen(signature);
     return place <= size() && length <= size() - place &&
@@ -128,6 +134,7 @@ class Hdf5File {
  private:
   static constexpr uint64_t kUndefined = ~uint64_t{0};
   static constexpr int kDeepest = 6;       // levels of a group's tree
+  static constexpr size_t kUsual = 512;         // object header of an array [bytes]
   static constexpr size_t kMost = 1 << 16;     // names of a group
   static constexpr size_t kLargest = 1 << 20;  // block of an object header [bytes]
 
@@ -149,21 +156,23 @@ class Hdf5File {
 
   // Messages of an object header of version 1 with its continuations.
   std::vector<Message> messages(uint64_t header) const {
-    const Bytes prefix = read(header, 16);
-    expect_read(prefix.at<uint8_t>(0) == 1);
-    std::vector<std::pair<uint64_t, uint64_t>> blocks{{header + 16, prefix.at<uint32_t>(8)}};
+    expect_read(header <= size_);
+    const Bytes start = read(header, std::min<uint64_t>(kUsual, size_ - header));
+    expect_read(start.at<uint8_t>(0) == 1);
+    const size_t first = start.at<uint32_t>(8);
+    std::vector<std::pair<uint64_t, uint64_t>> blocks{{header + 16, first}};
     std::vector<Message> found;
-    size_t left = prefix.at<uint16_t>(2);
+    size_t left = start.at<uint16_t>(2);
     for (size_t k = 0; k < blocks.size() && left > 0; ++k) {
       expect_read(blocks[k].second <= kLargest);
-      Bytes block = read(blocks[k].first, blocks[k].second);
+      const bool is_read = k == 0 && 16 + first <= start.size();
+      Bytes block = is_read ? start.part(16, first) : read(blocks[k].first, blocks[k].second);
       for (size_t at = 0; at + 8 <= block.size() && left > 0; --left) {
         const size_t size = block.at<uint16_t>(at + 2);
         expect_read(size <= block.size() - at - 8);
         const int type = block.at<uint16_t>(at);
         expect_read(!(block.at<uint8_t>(at + 4) & 2));  // a shared message is elsewhere
-        Bytes body(size);
-        std::memcpy(body.data(), block.data() + at + 8, size);
+        Bytes body = block.part(at + 8, size);
         if (type == 0x10) blocks.push_back({body.at<uint64_t>(0), body.at<uint64_t>(8)});
         else found.push_back({type, std::move(body)});
         at += 8 + size;

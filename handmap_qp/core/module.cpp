@@ -8,6 +8,7 @@
 
 #include "arrays.hpp"
 #include "build_guard.hpp"
+#include "episode.hpp"
 #include "hdf5.hpp"
 #include "person.hpp"
 #include "posture.hpp"
@@ -308,9 +309,10 @@ nb::object pinching_thumb(const Ik& like, const Tree& tree, const nb::object& so
   const Array start = nb::cast<Array>(
       nb::getattr(hand, "configuration_vector")(nb::getattr(hand, "rest")));
   const double dt = constants.get<double>("_UNHURRIED");
+  // The gaps alone count, and no point.
   Ik ik(tree);
-  ik.tree.points = like.tree.points;
   ik.weights = like.weights;
+  ik.weights.points.clear();
   ik.settings = like.settings;
   ik.limits = like.limits;
   DistanceTask task{attached_at(pads), {}, {}, {}};
@@ -351,6 +353,61 @@ nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
     throw std::invalid_argument("wrong size of landmarks");
   const PersonShape shape = meter.measure(points_of(landmarks), points_of(palm));
   return nb::make_tuple(array_of({5, 3}, &shape.bases[0].x), array_of({5}, shape.rolls.data()));
+}
+
+// See measures.measure_episode.
+nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
+  const Fields recording(recorded), trajectory(moved);
+  const Array time = recording.get<Array>("time");
+  const size_t count = time.size();
+  const Array landmarks = recording.array("landmarks", 3 * kLandmarks * count);
+  const Array errors = trajectory.get<Array>("point_error"), q = trajectory.get<Array>("q");
+  const Flags seen = recording.get<Flags>("valid"),
+                  followed = trajectory.get<Flags>("valid"),
+                  at_limit = trajectory.get<Flags>("at_limit"),
+                  at_speed = trajectory.get<Flags>("at_speed_limit");
+  for (const size_t size : {errors.shape(0), q.shape(0), seen.size(), followed.size(),
+                            at_limit.shape(0), at_speed.shape(0)})
+    if (size != count) throw std::invalid_argument("columns of different lengths");
+  const EpisodeMeter meter{count, time.data(), landmarks.data(), seen.data(), followed.data(),
+                           errors.data(), errors.shape(1), {at_limit.data(), at_limit.shape(1)},
+                           {at_speed.data(), at_speed.shape(1)}, q.data(), q.shape(1)};
+  Vector reaches = meter.reaches();
+  nb::dict found;
+  found["valid"] = static_cast<double>(std::count(seen.data(), seen.data() + count, true)) /
+                   static_cast<double>(count);
+  found["longest_gap_s"] = meter.longest_gap();
+  found["bone_variation"] = meter.bone_variation();
+  found["reach_mm"] = EpisodeMeter::mean_of(reaches);
+  found["reach_p95_mm"] = percentile_of(reaches, 95.0);
+  found["saturation"] = meter.share(meter.at_limit, false);
+  found["speed_limited"] = meter.share(meter.at_speed_limit, true);
+  found["jerk"] = meter.jerk();
+  return found;
+}
+
+// The content of an `.npz` file as of `np.savez`, of plain arrays by name.
+nb::bytes pack(const nb::dict& arrays) {
+  Archive archive;
+  for (const auto& [name, each] : arrays) {
+    const Fields array(nb::borrow(each));
+    const std::string type = array.get<std::string>("dtype.str");
+    const std::string shape = nb::cast<std::string>(nb::str(array.object("shape")));
+    std::string head =
+        "{'descr': '" + type + "', 'fortran_order': False, 'shape': " + shape + ", }";
+    // The array begins at a multiple of 64 bytes behind the ten of this and the end of line.
+    head.resize((head.size() + 11 + 63) / 64 * 64 - 11, ' ');
+    head += '\n';
+    const nb::bytes content = nb::cast<nb::bytes>(array.object("tobytes")());
+    std::string member("\x93NUMPY\1\0", 8);
+    member += static_cast<char>(head.size() & 0xff);
+    member += static_cast<char>(head.size() >> 8);
+    member += head;
+    member.append(content.c_str(), content.size());
+    archive.add(nb::cast<std::string>(name) + ".npy", member);
+  }
+  const std::string whole = archive.finish();
+  return nb::bytes(whole.data(), whole.size());
 }
 
 nb::tuple bone_lengths_of(const Array& landmarks) {
@@ -520,6 +577,8 @@ NB_MODULE(_core, m) {
   m.def("measure_shape", &measure_shape);
   m.def("bone_lengths", &bone_lengths_of);
   m.def("smallest_gap", &smallest_gap_of);
+  m.def("measure_episode", &measure_episode);
+  m.def("pack", &pack);
   m.def("read_poses", &read_poses);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());

@@ -18,6 +18,16 @@ inline double median(Vector& values) {
   return (*std::max_element(values.begin(), middle) + *middle) / 2.0;
 }
 
+// A percentile as of `np.percentile`. Changes the order of `values`.
+inline double percentile_of(Vector& values, double percentile) {
+  const double place = 0.01 * percentile * static_cast<double>(values.size() - 1);
+  const size_t low = static_cast<size_t>(place);
+  std::nth_element(values.begin(), values.begin() + low, values.end());
+  if (low + 1 >= values.size()) return values[low];
+  const double next = *std::min_element(values.begin() + low + 1, values.end());
+  return values[low] + (place - low) * (next - values[low]);
+}
+
 // `samples` of `count` points each; medians of each coordinate.
 inline std::vector<Vec3> medians(const std::vector<Vec3>& samples, size_t count) {
   std::vector<Vec3> found(count);
@@ -118,12 +128,7 @@ inline double smallest_gap(const double* time, const std::vector<Vec3>& landmark
       smallest[t] = std::min(smallest[t], window[before]);
     }
   }
-  const double place = 0.01 * percentile * (count - 1);
-  const int low = static_cast<int>(place);
-  std::nth_element(smallest.begin(), smallest.begin() + low, smallest.end());
-  if (low + 1 >= count) return smallest[low];
-  const double next = *std::min_element(smallest.begin() + low + 1, smallest.end());
-  return smallest[low] + (place - low) * (next - smallest[low]);
+  return percentile_of(smallest, percentile);
 }
 
 struct PersonShape {

@@ -14,10 +14,10 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
+from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec, Side
-from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.core import core
 from handmap_qp.se3 import as_floats, check_pose, frozen, lengths, transform_points
 
@@ -172,7 +172,7 @@ def landmarks_at_rest(human: Hand) -> np.ndarray:
     Raises:
         HandError: If the hand has no landmarks.
     """
-    if (tree := core_tree(human)) is None:
+    if (tree := ik.compiled.core_tree(human)) is None:
         return frozen(human.with_points("landmarks").points(human.rest))
     points = _landmark_points(human.unscaled or human)
     in_palm = tree.points(human.configuration_vector(human.rest), points)

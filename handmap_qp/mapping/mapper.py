@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import structs
 
+from handmap_qp import ik
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.sample import (
@@ -26,7 +27,6 @@ from handmap_qp.human.sample import (
     PALM,
     landmarks_at_rest,
 )
-from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
@@ -717,7 +717,7 @@ def _method_of(
 
 def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
-    if (tree := core_tree(robot)) is not None:
+    if (tree := ik.compiled.core_tree(robot)) is not None:
         places = tree.posture(vector, robot.reference_points)
         return RobotPosture(vector[robot.q_indices], *places)
     placed = robot.configuration()

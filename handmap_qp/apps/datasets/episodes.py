@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from hashlib import file_digest, sha256
+from io import BytesIO
 from pathlib import Path
 from time import process_time
 
@@ -33,9 +34,10 @@ from handmap_qp.errors import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
+from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats.archive import packed, read_archive
+from handmap_qp.trackers.formats.archive import read_archive
 from handmap_qp.trackers.plausibility import check_recording
 
 _READING = 120
@@ -207,7 +209,13 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
     Raises:
         InvalidInputError: If the file cannot be written.
     """
-    archive = packed(trajectory.columns | {"side": np.array(side)})
+    columns = trajectory.columns | {"side": np.array(side)}
+    if core is None:
+        buffer = BytesIO()
+        np.savez(buffer, allow_pickle=False, **columns)
+        archive = buffer.getvalue()
+    else:
+        archive = core.pack(columns)
     make_folder(file.parent, "--out")
     with replaced_file(file, "--out", is_synced=False) as stream:
         stream.write(archive)

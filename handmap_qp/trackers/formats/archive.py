@@ -6,14 +6,12 @@ nothing in it is unpickled.
 
 from __future__ import annotations
 
-import struct
 import warnings
 import zipfile
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numpy.lib import format as npy
@@ -33,8 +31,6 @@ from handmap_qp.trackers.formats.base import (
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
-_DATE = (1 << 5) + 1
-"""The first of January 1980, so that the same arrays are the same bytes."""
 _NEEDED = ("time", "landmarks")
 _KNOWN = (*COLUMNS, "wrist_pose", "source")
 _PREFIXES = tuple(f"{side}_" for side in SIDES)
@@ -100,39 +96,6 @@ class NpzFormat(RecordingFormat):
             }
         with replaced_file(path, "path") as file:
             np.savez_compressed(file, allow_pickle=False, **arrays)
-
-
-def packed(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Return the content of an `.npz` file as of `np.savez`, which takes four times as long.
-
-    Args:
-        arrays: Arrays by name, of less than 4 GB together.
-    """
-    members = bytearray()
-    directory = bytearray()
-    for name, array in arrays.items():
-        head = f"{{'descr': {array.dtype.str!r}, 'fortran_order': False, 'shape': {array.shape}, }}"
-        # The array begins at a multiple of 64 bytes behind the ten of this and the end of line.
-        head = f"{head:{-(-(len(head) + 11) // 64) * 64 - 11}}\n"
-        content = b"\x93NUMPY\1\0%b%b%b" % (
-            len(head).to_bytes(2, "little"),
-            head.encode(),
-            array.tobytes(),
-        )
-        file = f"{name}.npy".encode()
-        size = len(content)
-        # Version, flags, method, time, date, checksum, sizes, and lengths of name and further fields.
-        common = (20, 0, 0, 0, _DATE, crc32(content), size, size, len(file), 0)
-        at = len(members)
-        members += struct.pack("<4s5H3L2H", b"PK\3\4", *common) + file + content
-        directory += struct.pack(
-            "<4s6H3L5H2L", b"PK\1\2", 20, *common, 0, 0, 0, 0, at
-        )
-        directory += file
-    count = len(arrays)
-    sizes = len(directory), len(members)
-    end = struct.pack("<4s4H2LH", b"PK\5\6", 0, 0, count, count, *sizes, 0)
-    return bytes(members + directory + end)
 
 
 def _read(
