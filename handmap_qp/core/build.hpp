@@ -152,7 +152,12 @@ inline Tree make_tree(const Fields& hand) {
   return tree;
 }
 
+// What places a hand by its joint positions, and its frames.
 inline void make_frames(Tree& tree, const Fields& hand) {
+  tree.rest = vector_of(nb::cast<Array>(hand.object("configuration_vector")(hand.object("rest"))));
+  tree.set_by_joints = hand.indices("_moving_q");
+  tree.matrix = hand.numbers("_moving.matrix");
+  tree.offset = hand.numbers("_moving.offset");
   for (const nb::handle& each : hand.object("model.frames")) {
     const Fields frame(nb::borrow(each));
     tree.frames.push_back({frame.get<std::string>("name"), frame.get<int>("type"),

@@ -134,7 +134,8 @@ class Hdf5File {
  private:
   static constexpr uint64_t kUndefined = ~uint64_t{0};
   static constexpr int kDeepest = 6;       // levels of a group's tree
-  static constexpr size_t kUsual = 512;         // object header of an array [bytes]
+  static constexpr uint64_t kUsual = 512;    // object header of an array [bytes]
+  static constexpr uint64_t kWindow = 4096;  // read at once of what is small [bytes]
   static constexpr size_t kMost = 1 << 16;     // names of a group
   static constexpr size_t kLargest = 1 << 20;  // block of an object header [bytes]
 
@@ -145,6 +146,16 @@ class Hdf5File {
 
   Bytes read(uint64_t from, uint64_t count) const {
     expect_read(from <= size_ && count <= size_ - from);
+    if (count > kUsual) return read_whole(from, count);
+    // Headers and nodes lie together.
+    if (from < window_from_ || from + count > window_from_ + window_.size()) {
+      window_ = read_whole(from, std::min(kWindow, size_ - from));
+      window_from_ = from;
+    }
+    return window_.part(from - window_from_, count);
+  }
+
+  Bytes read_whole(uint64_t from, uint64_t count) const {
     Bytes found(count);
     for (size_t done = 0; done < count;) {
       const ssize_t more = pread(file_, found.data() + done, count - done, from + done);
@@ -233,6 +244,8 @@ class Hdf5File {
 
   int file_;
   uint64_t size_ = 0;
+  mutable uint64_t window_from_ = 0;
+  mutable Bytes window_{0};
 };
 
 }  // namespace handmap

@@ -245,21 +245,6 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
-// Of a `PointIk` and a `PointDistances`; see hand_pair.approach.
-nb::object approach_from(Ik& ik, const nb::object& solver, const nb::object& task, double dt,
-                         int samples, double tolerance) {
-  const nb::object hand = nb::getattr(solver, "hand");
-  const nb::object start = nb::getattr(hand, "configuration_vector")(nb::getattr(hand, "rest"));
-  Goal goal;
-  goal.postures =
-      postures_of(ik, nb::cast<Postures>(nb::getattr(solver, "postures")(dt, nb::none())));
-  goal.distances = Fields(task).get<DistanceTask*>("core");
-  goal.aims = Fields(task).numbers("distances");
-  goal.aim_weights = Fields(task).numbers("weights");
-  approach(ik, goal, vector_of(nb::cast<Array>(start)), dt, samples, tolerance);
-  return array_of(ik.motion.q);
-}
-
 // See EgoDexFormat.read, for a path as bytes: points (T, 21, 3), wrist (T, 4, 4), and where the file has
 // them confidences (21, T) and time (T,); None for what libhdf5 has to read.
 nb::object read_poses(const nb::bytes& path, const std::vector<std::string>& names, size_t count) {
@@ -305,9 +290,6 @@ nb::object read_poses(const nb::bytes& path, const std::vector<std::string>& nam
 nb::object pinching_thumb(const Ik& like, const Tree& tree, const nb::object& solver,
                           const nb::object& pads, const Array& touching, const nb::object& tip) {
   const Fields constants = module_of("handmap_qp.mapping.hand_pair");
-  const nb::object hand = nb::getattr(solver, "hand");
-  const Array start = nb::cast<Array>(
-      nb::getattr(hand, "configuration_vector")(nb::getattr(hand, "rest")));
   const double dt = constants.get<double>("_UNHURRIED");
   // The gaps alone count, and no point.
   Ik ik(tree);
@@ -333,7 +315,7 @@ nb::object pinching_thumb(const Ik& like, const Tree& tree, const nb::object& so
     goal.aim_weights.assign(count, 0.0);
     goal.aim_weights[k] = constants.get<double>("_GAP_WEIGHT");
     goal.points.clear();
-    approach(ik, goal, vector_of(start), dt, constants.get<int>("_PINCH_STEPS"),
+    approach(ik, goal, tree.rest, dt, constants.get<int>("_PINCH_STEPS"),
              constants.get<double>("_TOUCHING"));
     Placed placed(ik.tree);
     placed.place(ik.motion.q.data());
@@ -435,8 +417,7 @@ nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array
                       constants.get<double>("_LEAST_CURVATURE")};
   problem.points = reference_points(of);
   const size_t n = tree.joint_columns.size(), m = problem.points.size();
-  problem.configuration =
-      vector_of(nb::cast<Array>(of.object("configuration_vector")(of.object("rest"))));
+  problem.configuration = tree.rest;
   problem.rest = vector_of(of.array("rest", n));
   problem.lower = vector_of(of.array("lower_limits", n));
   problem.upper = vector_of(of.array("upper_limits", n));
@@ -458,7 +439,18 @@ nb::list places_of(const Tree& tree, const nb::object& specs) {
   return places;
 }
 
-// Points by `PointSpec`, and the wrist.
+// Points in palm axes, of joint positions.
+nb::object points_in_palm(const Tree& tree, const Array& q, const std::vector<Attached>& points) {
+  expect_size(q, tree.q_indices.size(), "q");
+  Placed placed(tree);
+  placed.place(tree.configuration(q.data()).data());
+  const Pose from = inverse(placed.pose(tree.palm_origin.joint) * tree.palm);
+  std::vector<Vec3> found;
+  for (const Attached& point : points) found.push_back(from * placed.point(point));
+  return array_of(found);
+}
+
+// Points by `PointSpec`, and the wrist, of a configuration.
 nb::tuple posture_of(const Tree& tree, const Array& configuration, const nb::object& specs) {
   expect_size(configuration, tree.nq, "configuration");
   Placed placed(tree);
@@ -468,26 +460,15 @@ nb::tuple posture_of(const Tree& tree, const Array& configuration, const nb::obj
   return nb::make_tuple(array_of(found), array_of(placed.wrist()));
 }
 
-nb::object points_in_palm(const Tree& tree, const Array& configuration,
-                          const std::vector<Attached>& points) {
-  expect_size(configuration, tree.nq, "configuration");
-  Placed placed(tree);
-  placed.place(configuration.data());
-  const Pose from = inverse(placed.pose(tree.palm_origin.joint) * tree.palm);
-  std::vector<Vec3> found;
-  for (const Attached& point : points) found.push_back(from * placed.point(point));
-  return array_of(found);
-}
-
-// See surface_gaps: of configurations (T, nq), a column for the pairs from each of `starts` on.
+// See surface_gaps: of joint positions (T, n), a column for the pairs from each of `starts` on.
 nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
-                              const Array& configurations, const Indices& starts, double most) {
-  const size_t rows = configurations.size() / tree.nq, columns = starts.size();
+                              const Array& q, const Indices& starts, double most) {
+  const size_t n = tree.q_indices.size(), rows = q.size() / n, columns = starts.size();
   Vector found;
   Placed placed(tree);
   SmallestDistances smallest(bounds);
   for (size_t t = 0; t < rows; ++t) {
-    placed.place(configurations.data() + t * tree.nq);
+    placed.place(tree.configuration(q.data() + t * n).data());
     smallest.place(placed);
     for (size_t g = 0; g < columns; ++g) {
       const size_t to = g + 1 < columns ? starts[g + 1] : bounds.pairs.size();
@@ -515,7 +496,6 @@ NB_MODULE(_core, m) {
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a)
       .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
-      .def("approach", &approach_from)
       .def("pinching_thumb", &pinching_thumb)
       .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
            "rows"_a);
@@ -564,12 +544,12 @@ NB_MODULE(_core, m) {
       .def("places", &places_of)
       .def("posture", &posture_of)
       .def("points",
-           [](const Tree& tree, const Array& configuration, const nb::object& specs) {
-             return points_in_palm(tree, configuration, attached_of(tree, specs));
+           [](const Tree& tree, const Array& q, const nb::object& specs) {
+             return points_in_palm(tree, q, attached_of(tree, specs));
            })
       .def("placed",
-           [](const Tree& tree, const Array& configuration, const nb::object& places) {
-             return points_in_palm(tree, configuration, attached_at(places));
+           [](const Tree& tree, const Array& q, const nb::object& places) {
+             return points_in_palm(tree, q, attached_at(places));
            })
       .def("nearest_posture", &nearest_posture)
       .def("smallest_distances", &smallest_distances);

@@ -60,7 +60,10 @@ struct Tree {
   Attached palm_origin{-1, {}};
   Pose palm;                        // likewise
   std::vector<Attached> points;     // reference points
-  std::vector<Frame> frames;        // where they are needed
+  std::vector<Frame> frames;        // where they are needed, as is what follows
+  Vector rest;                      // configuration at rest, with the wrist at the origin
+  std::vector<int> set_by_joints;   // coordinates that joint positions set, and how: see Expansion
+  Vector matrix, offset;
   std::vector<int> q_indices;       // of the joints, in the user's order
   std::vector<int> joint_columns;   // of the same in the active coordinates
 
@@ -80,6 +83,18 @@ struct Tree {
       active.erase(std::unique(active.begin(), active.end()), active.end());
       moving.push_back(active);
     }
+  }
+
+  // The configuration of joint positions, with the wrist at the origin.
+  Vector configuration(const double* q) const {
+    Vector found = rest;
+    const size_t n = q_indices.size();
+    for (size_t i = 0; i < set_by_joints.size(); ++i) {
+      double sum = 0.0;
+      for (size_t j = 0; j < n; ++j) sum += matrix[i * n + j] * q[j];
+      found[set_by_joints[i]] = sum + offset[i];
+    }
+    return found;
   }
 
   size_t find_frame(const std::string& name, int kind) const {

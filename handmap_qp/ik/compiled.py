@@ -113,18 +113,6 @@ class CompiledIk:
             step.last_step,
         )
 
-    def approach(
-        self,
-        ik: PointIk,
-        task: PointDistances,
-        dt: float,
-        samples: int,
-        near: float,
-    ) -> np.ndarray:
-        """Move the hand from rest for a task; see `hand_pair.approach`."""
-        self._gate.was_set = True
-        return self._core.approach(ik, task, dt, samples, near)
-
     def pinching_thumb(self, *arguments: Any) -> np.ndarray:
         """Return where the thumb's tip pinches; see `hand_pair._pinching_thumb`."""
         return self._core.pinching_thumb(*arguments)

@@ -370,16 +370,15 @@ def points_in_palm(
         q: Its joint positions [rad or m], shape (n,).
         places: Points on joints; the hand's reference points if omitted.
     """
-    vector = hand.configuration_vector(q)
     if (tree := core_tree(hand)) is not None:
         if places is None:
-            return tree.points(vector, hand.reference_points)
-        return tree.placed(vector, places)
+            return tree.points(q, hand.reference_points)
+        return tree.placed(q, places)
     if places is None:
         places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
     model = hand.model
     data = model.createData()
-    pin.forwardKinematics(model, data, vector)
+    pin.forwardKinematics(model, data, hand.configuration_vector(q))
     palm = model.frames[hand.palm_frame_id]
     to_palm = (data.oMi[palm.parentJoint] * palm.placement).inverse()
     return np.array([to_palm * data.oMi[joint] * offset for joint, offset in places])
@@ -466,9 +465,6 @@ def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:
         Joint positions there [rad or m], shape (n,).
     """
     hand = ik.hand
-    if ik.core is not None:
-        q = ik.core.approach(ik, task, _UNHURRIED, steps, _TOUCHING)
-        return q[hand.q_indices]
     ik.place(hand.configuration_vector(hand.rest))
     placed = ik.configuration
     targets = placed.points.copy()
