@@ -94,6 +94,7 @@ class HandPair:
 
     Attributes:
         human: The hand that leads.
+        measured: What is measured on the robot alone.
         robot: The hand that follows. Its reference points are the fingertips and middle joints of
             the common fingers, in the order of `partners`.
         fingers: Names of the common fingers, the thumb first where there is one.
@@ -124,7 +125,7 @@ class HandPair:
         self, human: Hand, robot: Hand, matched: np.ndarray | None = None
     ) -> None:
         self.human = human
-        self._measured = measured = _robot_fingers(robot)
+        self.measured = measured = _robot_fingers(robot)
         self.fingers = measured.names
         self.has_jaws = measured.has_jaws
         if not self.fingers:
@@ -200,7 +201,7 @@ class HandPair:
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
         places = [self.chains[finger].knuckle for finger in self.fingers]
-        knuckles = points_in_palm(self._measured.hand, robot.rest, places)
+        knuckles = points_in_palm(self.measured.hand, robot.rest, places)
         in_palm = np.empty((len(robot.reference_points), 3))
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
@@ -210,13 +211,13 @@ class HandPair:
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
-        palm = self._measured.hand.frame_pose("palm", robot.rest)
+        palm = self.measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
         start = robot.rest
         if (standard := self.human.unscaled) is not None:
             # Near the posture that matches the package's own person, all others' are.
-            start = hand_pair(standard, self._measured.hand).matched
+            start = hand_pair(standard, self.measured.hand).matched
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
@@ -233,12 +234,12 @@ class HandPair:
         human_pinching = _pinching_thumb(self.human, chains, pads)
         return (
             _THUMB_FROM_PINCH
-            * (self._measured.pinching_thumb + gain * (tip - human_pinching))
+            * (self.measured.pinching_thumb + gain * (tip - human_pinching))
             + (1.0 - _THUMB_FROM_PINCH) * above
         )
 
 
-class _RobotFingers:
+class RobotFingers:
     """What is measured on a robot alone, shared by all people: reading meshes takes longest."""
 
     def __init__(self, robot: Hand) -> None:
@@ -281,7 +282,7 @@ class _RobotFingers:
         return all_pairs(self.hand, self.chains)
 
 
-_robot_fingers = lru_cache(maxsize=32)(_RobotFingers)
+_robot_fingers = lru_cache(maxsize=32)(RobotFingers)
 
 
 def require_partners(
