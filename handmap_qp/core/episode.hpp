@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <cstdint>
 #include <string>
@@ -115,12 +114,11 @@ struct EpisodeMeter {
 // An archive of files as they are, of less than 4 GB together (APPNOTE.TXT of PKWARE).
 class Archive {
  public:
-  void add(const std::string& name, const std::string& content) {
+  void add(const std::string& name, const char* content, size_t size, uint32_t checksum) {
     // Version, flags, method, time, first of January 1980, checksum, sizes, lengths of the names.
     std::string common;
     for (const uint32_t part : {20, 0, 0, 0, 33}) put(common, part, 2);
-    put(common, checksum(content), 4);
-    for (int twice = 0; twice < 2; ++twice) put(common, content.size(), 4);
+    for (const size_t part : {size_t{checksum}, size, size}) put(common, part, 4);
     for (const size_t part : {name.size(), size_t{0}}) put(common, part, 2);
     directory_ += "PK\1\2";
     put(directory_, 20, 2);
@@ -128,19 +126,24 @@ class Archive {
     put(directory_, 0, 2);  // comment, disk and attributes
     put(directory_, 0, 4);
     put(directory_, 0, 4);
-    put(directory_, members_.size(), 4);
+    put(directory_, whole_.size(), 4);
     directory_ += name;
-    members_ += "PK\3\4" + common + name + content;
+    whole_ += "PK\3\4";
+    whole_ += common;
+    whole_ += name;
+    whole_.append(content, size);
     ++count_;
   }
 
-  std::string finish() const {
-    std::string end = "PK\5\6";
-    for (const size_t part : {size_t{0}, size_t{0}, count_, count_}) put(end, part, 2);
-    put(end, directory_.size(), 4);
-    put(end, members_.size(), 4);
-    put(end, 0, 2);
-    return members_ + directory_ + end;
+  // The content of the archive, after its last file.
+  const std::string& finish() {
+    const size_t size = whole_.size();
+    whole_ += directory_;
+    whole_ += "PK\5\6";
+    for (const size_t part : {size_t{0}, size_t{0}, count_, count_}) put(whole_, part, 2);
+    for (const size_t part : {directory_.size(), size}) put(whole_, part, 4);
+    put(whole_, 0, 2);
+    return whole_;
   }
 
  private:
@@ -148,35 +151,7 @@ class Archive {
     for (int i = 0; i < bytes; ++i) to.push_back(static_cast<char>(value >> (8 * i) & 0xff));
   }
 
-  // CRC-32, eight bytes at once.
-  static uint32_t checksum(const std::string& content) {
-    static const std::array<std::array<uint32_t, 256>, 8> tables = [] {
-      std::array<std::array<uint32_t, 256>, 8> made{};
-      for (uint32_t i = 0; i < 256; ++i) {
-        uint32_t value = i;
-        for (int bit = 0; bit < 8; ++bit) value = value & 1 ? value >> 1 ^ 0xedb88320u : value >> 1;
-        made[0][i] = value;
-      }
-      for (size_t k = 1; k < 8; ++k)
-        for (uint32_t i = 0; i < 256; ++i)
-          made[k][i] = made[k - 1][i] >> 8 ^ made[0][made[k - 1][i] & 0xff];
-      return made;
-    }();
-    const auto* at = reinterpret_cast<const unsigned char*>(content.data());
-    const auto* end = at + content.size();
-    uint32_t value = ~uint32_t{0};
-    for (; end - at >= 8; at += 8) {
-      for (int i = 0; i < 4; ++i) value ^= static_cast<uint32_t>(at[i]) << (8 * i);
-      uint32_t next = 0;
-      for (int i = 0; i < 4; ++i)
-        next ^= tables[7 - i][value >> (8 * i) & 0xff] ^ tables[3 - i][at[4 + i]];
-      value = next;
-    }
-    for (; at < end; ++at) value = value >> 8 ^ tables[0][(value ^ *at) & 0xff];
-    return ~value;
-  }
-
-  std::string members_, directory_;
+  std::string whole_, directory_;
   size_t count_ = 0;
 };
 

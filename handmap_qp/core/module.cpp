@@ -370,6 +370,7 @@ nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
 
 // The content of an `.npz` file as of `np.savez`, of plain arrays by name.
 nb::bytes pack(const nb::dict& arrays) {
+  const nb::object checksum = nb::module_::import_("zlib").attr("crc32");
   Archive archive;
   for (const auto& [name, each] : arrays) {
     const Fields array(nb::borrow(each));
@@ -380,15 +381,17 @@ nb::bytes pack(const nb::dict& arrays) {
     // The array begins at a multiple of 64 bytes behind the ten of this and the end of line.
     head.resize((head.size() + 11 + 63) / 64 * 64 - 11, ' ');
     head += '\n';
-    const nb::bytes content = nb::cast<nb::bytes>(array.object("tobytes")());
-    std::string member("\x93NUMPY\1\0", 8);
-    member += static_cast<char>(head.size() & 0xff);
-    member += static_cast<char>(head.size() >> 8);
-    member += head;
-    member.append(content.c_str(), content.size());
-    archive.add(nb::cast<std::string>(name) + ".npy", member);
+    const char start[] = {'\x93', 'N', 'U', 'M', 'P', 'Y', 1, 0,
+                          static_cast<char>(head.size() & 0xff),
+                          static_cast<char>(head.size() >> 8)};
+    const nb::bytes numbers = nb::cast<nb::bytes>(array.object("tobytes")());
+    const nb::object member =
+        nb::bytes(start, sizeof start) + nb::bytes(head.data(), head.size()) + numbers;
+    const nb::bytes content = nb::cast<nb::bytes>(member);
+    archive.add(nb::cast<std::string>(name) + ".npy", content.c_str(), content.size(),
+                nb::cast<uint32_t>(checksum(content)));
   }
-  const std::string whole = archive.finish();
+  const std::string& whole = archive.finish();
   return nb::bytes(whole.data(), whole.size());
 }
 
