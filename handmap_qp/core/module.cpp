@@ -287,9 +287,9 @@ nb::object read_poses(const nb::bytes& path, const std::vector<std::string>& nam
 
 // See hand_pair._pinching_thumb: of a hand that has the limits of the solver's, pads by their places and
 // the distances at which they touch, the thumb's first.
-nb::object pinching_thumb(const Ik& like, const Tree& tree, const nb::object& solver,
-                          const nb::object& pads, const Array& touching, const nb::object& tip) {
+nb::object pinching_thumb(const Tree& tree, const nb::object& solver, const nb::object& pads, const Array& touching, const nb::object& tip) {
   const Fields constants = module_of("handmap_qp.mapping.hand_pair");
+  const Ik& like = Fields(solver).get<const Ik&>("core.core");
   const double dt = constants.get<double>("_UNHURRIED");
   // The gaps alone count, and no point.
   Ik ik(tree);
@@ -499,7 +499,6 @@ NB_MODULE(_core, m) {
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a)
       .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
-      .def("pinching_thumb", &pinching_thumb)
       .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
            "rows"_a);
   nb::class_<Step>(m, "Step")
@@ -555,6 +554,7 @@ NB_MODULE(_core, m) {
              return points_in_palm(tree, q, attached_at(places));
            })
       .def("nearest_posture", &nearest_posture)
+      .def("pinching_thumb", &pinching_thumb)
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);

@@ -350,7 +350,6 @@ class CollisionLimit:
                 )
             pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
-        self._pairs = pairs
         self.horizon = horizon
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
         self.shape_distances = ShapeDistances(hand.model, pairs.geometry)
@@ -358,11 +357,6 @@ class CollisionLimit:
         if self._expansion is not None:
             levers = levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
-
-    @property
-    def pairs(self) -> tuple[tuple[str, str], ...]:
-        """The links of each pair; a link with several shapes has several."""
-        return self._pairs.links
 
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).

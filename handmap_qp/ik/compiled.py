@@ -29,7 +29,7 @@ class CompiledIk:
 
     def __init__(self, hand: Hand, core_ik: Any, gate: Gate) -> None:
         self._hand = hand
-        self._core = core_ik
+        self.core = core_ik
         self._gate = gate
         self._pose: Any = getattr(core, "HumanPose", None)
 
@@ -44,7 +44,7 @@ class CompiledIk:
             distances, aims, weights = first.core, first.distances, first.weights
             tasks = tasks[1:]
         step = self._moved(
-            self._core.solve,
+            self.core.solve,
             goal.points,
             goal.wrist,
             dt,
@@ -72,7 +72,7 @@ class CompiledIk:
         """
         kind = self._pose
         pose = pose if isinstance(pose, kind) else kind(pose.points, pose.wrist)
-        return self._moved(self._core.follow, target_map, pose, dt, speed)
+        return self._moved(self.core.follow, target_map, pose, dt, speed)
 
     def run(self, *arguments: Any) -> tuple[int, Any, Any]:
         """Move the hand for samples of a recording; see `stream.follower` and `core/run.hpp`.
@@ -82,7 +82,7 @@ class CompiledIk:
             that one, and the pose that was mapped last, if any.
         """
         self._push_motion()
-        index, verdict, step, seen = self._core.run(*arguments)
+        index, verdict, step, seen = self.core.run(*arguments)
         if step is not None:
             self._gate.leave_to(partial(_motion_of, step))
         return index, verdict, seen
@@ -96,7 +96,7 @@ class CompiledIk:
 
     def _push_motion(self) -> None:
         if self._gate.was_set:
-            self._core.set_motion(*self._gate.motion)
+            self.core.set_motion(*self._gate.motion)
 
     def result(self, step: Any, targets: np.ndarray) -> IkResult:
         """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
@@ -112,10 +112,6 @@ class CompiledIk:
             step.iterations,
             step.last_step,
         )
-
-    def pinching_thumb(self, *arguments: Any) -> np.ndarray:
-        """Return where the thumb's tip pinches; see `hand_pair._pinching_thumb`."""
-        return self._core.pinching_thumb(*arguments)
 
     def _linearise(
         self, tasks: Sequence[Task], q: np.ndarray

@@ -14,9 +14,9 @@ import pinocchio as pin
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import (
     Finger,
+    PalmKinematics,
     Place,
     find_fingers,
-    finger_tips,
     partner_names,
 )
 from handmap_qp.hands.hand import Hand
@@ -34,7 +34,7 @@ from handmap_qp.mapping.palm import (
     point_indices,
     require_points,
 )
-from handmap_qp.se3 import as_floats, frozen, lengths, transform_points
+from handmap_qp.se3 import frozen, lengths, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
 """Landmark at the base of each finger, by the finger's name."""
@@ -89,8 +89,6 @@ class HandPair:
     Args:
         human: The hand that leads; its reference points must hold the fingers' landmarks.
         robot: The hand that follows; its description must name fingers.
-        matched: The robot's joint positions that match the human's rest posture [rad or m], shape
-            (n,); those of the robot's description if omitted, else solved.
 
     Attributes:
         human: The hand that leads.
@@ -107,7 +105,8 @@ class HandPair:
         reach_ratios: Robot's reach over the human's, of each common finger, shape (f,).
         finger_ratio: Their mean without the thumb's.
         has_jaws: True if the thumb and the other fingers are jaws: only their gap can follow.
-        matched: The robot's joint positions that match the human's rest posture, shape (n,).
+        matched: The robot's joint positions that match the human's rest posture [rad or m], shape
+            (n,): those of its description, else solved.
         human_rest: Human reference points at rest, in palm axes [m], shape (n_h, 3).
         robot_rest: Robot reference points in the matched posture, in palm axes [m], shape (m, 3).
         human_knuckles: Centre of the knuckles but the thumb's, in the human's palm axes [m], (3,).
@@ -121,9 +120,7 @@ class HandPair:
             lack a landmark of one.
     """
 
-    def __init__(
-        self, human: Hand, robot: Hand, matched: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, human: Hand, robot: Hand) -> None:
         self.human = human
         self.measured = measured = _robot_fingers(robot)
         self.fingers = measured.names
@@ -159,7 +156,8 @@ class HandPair:
         if not len(self._others):
             self._others = np.array([0])
         self.finger_ratio = float(self.reach_ratios[self._others].mean())
-        self.matched = frozen(self._given_or_solved(matched))
+        given = robot.matched
+        self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
 
     def _measure_robot(self) -> None:
@@ -180,13 +178,6 @@ class HandPair:
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
         spans = lengths(points[:, 1] - points[:, 0])
         self.robot_extension = frozen(spans / self.robot_reach)
-
-    def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
-        given = self.robot.matched if matched is None else matched
-        if given is None:
-            return self.solve_matched()
-        shape = (len(self.robot.joint_names),)
-        return as_floats(given, "matched", shape=shape, is_finite=True)
 
     def solve_matched(self) -> np.ndarray:
         """Solve the robot posture whose finger vectors are the resting human's, scaled.
@@ -252,12 +243,6 @@ class RobotFingers:
         self.has_jaws = (
             len(used) > 1 and THUMB in self.names and all(c.is_jaw for c in used)
         )
-
-    @cached_property
-    def tips(self) -> list[PointSpec]:
-        """The description's point at the tip of each finger."""
-        named = {point.name: point for point in self.hand.spec.points}
-        return [named[name] for name in finger_tips(self.hand).values()]
 
     @cached_property
     def pads(self) -> dict[str, Pad]:
@@ -377,12 +362,7 @@ def points_in_palm(
         return tree.placed(q, places)
     if places is None:
         places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
-    model = hand.model
-    data = model.createData()
-    pin.forwardKinematics(model, data, hand.configuration_vector(q))
-    palm = model.frames[hand.palm_frame_id]
-    to_palm = (data.oMi[palm.parentJoint] * palm.placement).inverse()
-    return np.array([to_palm * data.oMi[joint] * offset for joint, offset in places])
+    return PalmKinematics(hand).points(q, places)
 
 
 def resting_posture(human: Hand) -> np.ndarray:
@@ -407,11 +387,12 @@ def _human_fingers(human: Hand) -> dict[str, Finger]:
     tree = core_tree(human)
     if standard is None or tree is None:
         return find_fingers(human)
-    measured = _robot_fingers(standard)
-    tips = tree.places(measured.tips)
+    chains = _robot_fingers(standard).chains
+    named = {point.name: point for point in standard.spec.points}
+    places = tree.places([named[TIPS[finger]] for finger in chains])
     return {
-        finger: Finger(human, chain.joints, tip, name=finger)
-        for (finger, chain), tip in zip(measured.chains.items(), tips, strict=True)
+        finger: Finger(human, chains[finger].joints, tip, name=finger)
+        for finger, tip in zip(chains, places, strict=True)
     }
 
 
@@ -421,12 +402,11 @@ def _pinching_thumb(
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
     used = [pads[THUMB], *(pads[finger] for finger in chains if finger != THUMB)]
     tip = [chains[THUMB].tip]
-    tree = core_tree(hand)
-    ik = _pinching_ik(hand.unscaled or hand)
-    if tree is not None and ik.core is not None:
+    if (tree := core_tree(hand)) is not None:
         places = [(pad.joint, pad.offset) for pad in used]
         touching = np.array([used[0].radius + pad.radius for pad in used[1:]])
-        return ik.core.pinching_thumb(tree, ik, places, touching, tip)
+        like = _pinching_ik(hand.unscaled or hand)
+        return tree.pinching_thumb(like, places, touching, tip)
     ik = PointIk(hand, _PINCHING)
     task = _gap_task(hand, used[0], used[1:], 0.0)
     tips = []

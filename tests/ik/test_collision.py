@@ -257,8 +257,15 @@ def test_a_link_with_two_shapes_has_two_rows() -> None:
         )
     )
     limit = CollisionLimit(Hand(hand.spec, mount="fixed", urdf_text=text))
-    assert len(limit.pairs) == len(CollisionLimit(hand).pairs) + 4
-    assert limit.pairs.count(("finger1_distal", "finger2_distal")) == 2
+    first, second = (
+        [geometry.geometryObjects[i].name.rpartition("_")[0] for i in indices]
+        for bounds in [limit.shape_distances.bounds]
+        for geometry in [bounds.geometry]
+        for indices in (bounds.first, bounds.second)
+    )
+    pairs = list(zip(first, second, strict=True))
+    assert len(pairs) == len(CollisionLimit(hand).shape_distances.bounds.first) + 4
+    assert pairs.count(("finger1_distal", "finger2_distal")) == 2
 
 
 def test_a_mesh_counts_as_its_convex_hull(tmp_path: Path) -> None:

@@ -105,27 +105,19 @@ class Job:
     digest: str
     folder: Path
 
-    def line(
-        self, status: Status, *, error: str = "", kills: int = 0, cpu_s: float = 0.0
-    ) -> Line:
-        """Return a line of the manifest about this job, without results."""
+    def line(self, status: Status, **results: Any) -> Line:
+        """Return a line of the manifest about this job; results are its fields by name."""
         task = self.task
-        file = self.task.file
-        return Line(
-            key=task.key,
-            status=status,
-            path=str(file.path),
-            size=file.size,
-            mtime_ns=file.mtime_ns,
-            options=self.digest,
-            entries=task.entries,
-            side=task.side or "",
-            robot=self.options.robots.get(task.side, "") if task.side else "",
-            frames=task.frames,
-            cpu_s=round(cpu_s, 6),
-            kills=kills,
-            error=error,
-        )
+        file = task.file
+        side = task.side or ""
+        about = {
+            "entries": task.entries,
+            "side": side,
+            "robot": self.options.robots.get(side, ""),
+            "frames": task.frames,
+        }
+        stamp = (str(file.path), file.size, file.mtime_ns, self.digest)
+        return Line(task.key, status, *stamp, **about | results)
 
 
 def run_job(job: Job) -> Line:
@@ -149,7 +141,7 @@ def run_job(job: Job) -> Line:
         text = " ".join(str(error).split())
     except Exception as error:  # a bug must not end the batch
         text = " ".join(f"{type(error).__name__}: {error}".split())
-    return job.line("failed", error=text, cpu_s=process_time() - started)
+    return job.line("failed", error=text, cpu_s=_since(started))
 
 
 def _run(job: Job, started: float) -> Line:
@@ -171,10 +163,19 @@ def _run(job: Job, started: float) -> Line:
     )
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
     digest = save_episode(job.folder / task.out, trajectory, task.side)
-    line = job.line("done", cpu_s=process_time() - started)
-    return msgspec.structs.replace(
-        line, frames=len(recording), metrics=metrics, out=task.out, sha256=digest
+    return job.line(
+        "done",
+        frames=len(recording),
+        cpu_s=_since(started),
+        metrics=metrics,
+        out=task.out,
+        sha256=digest,
     )
+
+
+def _since(started: float) -> float:
+    """Return the CPU time of this process since an instant of it [s]."""
+    return round(process_time() - started, 6)
 
 
 @lru_cache(maxsize=8)

@@ -111,12 +111,10 @@ def measure_episode(
     values = measure(recording, trajectory)
     if meter is not None:
         values |= _surfaces(recording, trajectory, contact_gap, meter)
-    known = {key: value for key, value in values.items() if np.isfinite(value)}
+    found = {measure.key: values.get(measure.key, np.nan) for measure in MEASURES}
     return {
-        measure.key: float(f"{known[measure.key]:.6g}")
-        if measure.key in known
-        else None
-        for measure in MEASURES
+        key: float(f"{value:.6g}") if np.isfinite(value) else None
+        for key, value in found.items()
     }
 
 

@@ -280,13 +280,11 @@ class EgoDexFormat(RecordingFormat):
         """Read one hand."""
         names = joint_names(entry.side)
         count = entry.samples
-        columns: dict[str, Any] = {}
         read = core and core.read_poses(bytes(path), names, count)
         points, wrist, shares, time = read or _poses(path, names, count)
         is_seen = finite_samples(wrist)
         if shares is not None:
             is_seen &= shares[0] > 0.0
-            columns["confidence"] = shares.mean(axis=0)
         return build_recording(
             path,
             entry,
@@ -296,7 +294,7 @@ class EgoDexFormat(RecordingFormat):
             valid=is_seen,
             source="EgoDex",
             wrist=wrist,
-            **columns,
+            confidence=None if shares is None else shares.mean(axis=0),
         )
 
     def unread(self, path: Path) -> tuple[str, ...]:
