@@ -148,8 +148,6 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises:
             InvalidOptionsError: If there is no such option, or a value has no meaning.
         """
-        if not changes:
-            return self
         check_names(type(self), changes)
         return msgspec.structs.replace(self, **changes)
 

@@ -162,8 +162,7 @@ def replaced_path(
         InvalidInputError: If the file cannot be written.
     """
     with writing(path, argument):
-        name = f".{path.name}.{os.urandom(4).hex()}{_PART}"
-        temporary = path.parent / name
+        temporary = path.with_name(f".{path.name}.{os.urandom(4).hex()}{_PART}")
         temporary.touch(exist_ok=False)
         try:
             yield temporary

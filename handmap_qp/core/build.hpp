@@ -177,10 +177,11 @@ inline Tree moved_tree(const Tree& standard, const nb::dict& moves) {
   return tree;
 }
 
-// Points by their links and places on them, as `PointSpec` has them.
+// Points by their places, or by their links and where they are on them, as `PointSpec` has them.
 inline std::vector<Attached> attached_of(const Tree& tree, const nb::object& specs) {
   std::vector<Attached> points;
   for (const nb::handle& each : specs) {
+    if (nb::isinstance<nb::tuple>(each)) return attached_at(specs);
     const Fields spec(nb::borrow(each));
     const nb::object xyz = spec.object("xyz");
     points.push_back(tree.attached(spec.get<std::string>("link"),

@@ -443,13 +443,14 @@ nb::list places_of(const Tree& tree, const nb::object& specs) {
 }
 
 // Points in palm axes, of joint positions.
-nb::object points_in_palm(const Tree& tree, const Array& q, const std::vector<Attached>& points) {
+nb::object points_in_palm(const Tree& tree, const Array& q, const nb::object& points) {
   expect_size(q, tree.q_indices.size(), "q");
   Placed placed(tree);
   placed.place(tree.configuration(q.data()).data());
   const Pose from = inverse(placed.pose(tree.palm_origin.joint) * tree.palm);
   std::vector<Vec3> found;
-  for (const Attached& point : points) found.push_back(from * placed.point(point));
+  for (const Attached& point : attached_of(tree, points))
+    found.push_back(from * placed.point(point));
   return array_of(found);
 }
 
@@ -545,14 +546,7 @@ NB_MODULE(_core, m) {
       .def("moved", &moved_tree)
       .def("places", &places_of)
       .def("posture", &posture_of)
-      .def("points",
-           [](const Tree& tree, const Array& q, const nb::object& specs) {
-             return points_in_palm(tree, q, attached_of(tree, specs));
-           })
-      .def("placed",
-           [](const Tree& tree, const Array& q, const nb::object& places) {
-             return points_in_palm(tree, q, attached_at(places));
-           })
+      .def("points", &points_in_palm)
       .def("nearest_posture", &nearest_posture)
       .def("pinching_thumb", &pinching_thumb)
       .def("smallest_distances", &smallest_distances);

@@ -103,7 +103,7 @@ struct Tree {
     return frames.size();
   }
 
-  // Place a joint elsewhere on its parent link, turned about its x axis; see hands.model.move_joint.
+  // Place a joint elsewhere on its parent link, turned about its x axis; see hands.human.joint_moves.
   void move_joint(const std::string& name, const Vec3& origin, double roll) {
     size_t i = find_frame(name, Frame::joint_frame);
     const bool is_movable = i < frames.size();

@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.human import CONTACT_GAP
+from handmap_qp.hands.human import CONTACT_GAP, JointMove
 from handmap_qp.hands.model import (
     Expansion,
     build_model,
@@ -29,7 +29,6 @@ from handmap_qp.hands.model import (
     compose_urdf,
     expansion_matrix,
     link_frame,
-    move_joint,
     palm_in_link,
     tighten_model,
     with_frames,
@@ -75,8 +74,6 @@ class Hand:
         side: `right` or `left`.
         mount: `floating` or `fixed`.
         is_floating: Whether the wrist is free to move.
-        model: Pinocchio model: the wrist's six coordinates first where it floats, then the joints
-            in Pinocchio's order. Do not change it.
         joint_names: Joints that are set, in the order of every `q`, those of an arm first; n of
             them. Joints that follow others (mimic) are not among them.
         q_indices: Indices of the joints in a Pinocchio configuration, shape (n,).
@@ -102,7 +99,6 @@ class Hand:
         point_weights: Their weights, shape (m,).
         palm_frame_id: Index of the palm frame in the model.
         wrist_frame_id: Index of the wrist frame in the model.
-        point_frames: Pinocchio frames of the reference points, which the model does not have.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
         unscaled: Of a hand scaled to a person, the one that was scaled; else None.
@@ -130,7 +126,7 @@ class Hand:
         self.spec = spec
         self.contact_gap = CONTACT_GAP
         self.unscaled: Hand | None = None
-        self.moves: dict[str, tuple[np.ndarray, float]] = {}
+        self.moves: dict[str, JointMove] = {}
         self.stretches: dict[int, np.ndarray] = {}
         self.name = spec.name
         self.side = spec.side
@@ -163,16 +159,19 @@ class Hand:
     # A hand that is scaled to a person makes its model when asked: the core does without it.
     @cached_property
     def model(self) -> pin.Model:
-        """Pinocchio model; see `Hand`."""
+        """Pinocchio model: the wrist's six coordinates first where it floats, then the joints.
+
+        They are in Pinocchio's order. Do not change it.
+        """
         standard: Any = self.unscaled
-        model = pin.Model(standard.model)
-        for name, (origin, roll) in self.moves.items():
-            move_joint(model, name, origin, roll)
+        model = build_model(self.spec, self.urdf_text, self.mount, {})
+        for frame in (standard.palm_frame_id, standard.wrist_frame_id):
+            model.addFrame(standard.model.frames[frame])
         return model
 
     @cached_property
     def point_frames(self) -> tuple[pin.Frame, ...]:
-        """Pinocchio frames of the reference points; see `Hand`."""
+        """Pinocchio frames of the reference points, which the model does not have."""
         # Pinocchio does not add a frame of a name that another one has, so they have their number.
         return tuple(
             link_frame(
@@ -220,18 +219,12 @@ class Hand:
         """Return all that is not cached: a copy has a workspace of its own, for another thread."""
         return {key: value for key, value in vars(self).items() if key not in _CACHED}
 
-    def __copy__(self) -> Hand:
-        hand = object.__new__(type(self))
-        vars(hand).update(self.__getstate__())
-        return hand
-
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
         vars(self).update(state)
-        for value in state.values():
-            for array in value if isinstance(value, tuple) else (value,):
-                if isinstance(array, np.ndarray):
-                    array.setflags(write=False)
+        for value in (*state.values(), *(self.expansion or ())):
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
 
     def with_points(self, points: Points | None) -> Hand:
         """Return the same hand, scaled as it is, with other reference points.
@@ -259,7 +252,7 @@ class Hand:
 
     def with_joints(
         self,
-        moves: dict[str, tuple[np.ndarray, float]],
+        moves: dict[str, JointMove],
         stretches: Mapping[str, np.ndarray],
         compose: Callable[[], str],
     ) -> Hand:

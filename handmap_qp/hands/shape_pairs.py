@@ -27,6 +27,13 @@ class ShapePairs(NamedTuple):
     geometry: pin.GeometryModel
     fingers: tuple[str, ...]
 
+    @property
+    def links(self) -> tuple[tuple[str, str], ...]:
+        """Links of both shapes of each pair."""
+        names = _links(self.geometry)
+        pairs = self.geometry.collisionPairs
+        return tuple((names[pair.first], names[pair.second]) for pair in pairs)
+
 
 def _links(geometry: pin.GeometryModel) -> list[str]:
     """Return the link of each shape, which Pinocchio names `LINK_0`, `LINK_1`, and so on."""

@@ -234,7 +234,6 @@ def _expect_each(
     got: str = "{} in sample {}",
 ) -> None:
     """Reject an array if one of its samples is wrong; `got` tells its value and its index."""
-    if not is_right.all():
-        sample = int(np.argmin(is_right))
-        text = got.format(values[sample], sample)
-        expect(False, argument, expected, value=values, got=text)
+    sample = int(np.argmin(is_right))
+    text = got.format(values[sample], sample)
+    expect(is_right[sample], argument, expected, value=values, got=text)

@@ -175,9 +175,8 @@ def landmarks_at_rest(human: Hand) -> np.ndarray:
     if (tree := ik.compiled.core_tree(human)) is None:
         return frozen(human.with_points("landmarks").points(human.rest))
     points = _landmark_points(human.unscaled or human)
-    return frozen(
-        transform_points(human.wrist_to_palm, tree.points(human.rest, points))
-    )
+    in_palm = tree.points(human.rest, points)
+    return frozen(transform_points(human.wrist_to_palm, in_palm))
 
 
 @lru_cache(maxsize=16)

@@ -17,7 +17,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import core
 from handmap_qp.ik.limits import Gate, Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, PointIk, Status
+from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Goal, PointDistances, Task
 from handmap_qp.se3 import frozen
 

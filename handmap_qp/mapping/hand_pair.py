@@ -6,7 +6,7 @@ All of it is measured on the two models, once for each pair of hands.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import pinocchio as pin
@@ -30,10 +30,7 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
-from handmap_qp.mapping.palm import (
-    point_indices,
-    require_points,
-)
+from handmap_qp.mapping.palm import point_indices, require_points
 from handmap_qp.se3 import frozen, lengths, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
@@ -138,7 +135,7 @@ class HandPair:
         # Shapes are read only for hands that can be a pair: it takes longest.
         self.chains = measured.chains
         self.pads = measured.pads
-        self.contacts: ShapePairs = measured.contacts
+        self.contacts = measured.contacts
         self.robot = measured.with_points
         names = point_indices(human)
         wanted = [point.partner or point.name for point in self.robot.reference_points]
@@ -357,9 +354,7 @@ def points_in_palm(
         places: Points on joints; the hand's reference points if omitted.
     """
     if (tree := core_tree(hand)) is not None:
-        if places is None:
-            return tree.points(q, hand.reference_points)
-        return tree.placed(q, places)
+        return tree.points(q, hand.reference_points if places is None else places)
     if places is None:
         places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
     return PalmKinematics(hand).points(q, places)
@@ -405,8 +400,9 @@ def _pinching_thumb(
     if (tree := core_tree(hand)) is not None:
         places = [(pad.joint, pad.offset) for pad in used]
         touching = np.array([used[0].radius + pad.radius for pad in used[1:]])
-        like = _pinching_ik(hand.unscaled or hand)
-        return tree.pinching_thumb(like, places, touching, tip)
+        return tree.pinching_thumb(
+            _pinching_ik(hand.unscaled or hand), places, touching, tip
+        )
     ik = PointIk(hand, _PINCHING)
     task = _gap_task(hand, used[0], used[1:], 0.0)
     tips = []
@@ -416,10 +412,7 @@ def _pinching_thumb(
     return np.mean(tips, axis=0)
 
 
-@lru_cache(maxsize=16)
-def _pinching_ik(hand: Hand) -> PointIk:
-    """Return weights and limits of a hand that pinches."""
-    return PointIk(hand, _PINCHING)
+_pinching_ik = lru_cache(maxsize=16)(partial(PointIk, options=_PINCHING))
 
 
 def _gap_task(

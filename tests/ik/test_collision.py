@@ -380,14 +380,14 @@ def test_pairs_within_the_horizon_have_the_rows_they_have_without_one() -> None:
     hand, rng = load_hand("allegro_right"), np.random.default_rng(8)
     every, limit = CollisionLimit(hand), CollisionLimit(hand, horizon=0.012)
     configuration = hand.configuration()
-    margins = rng.uniform(0.0, 0.003, size=len(every.pairs))
+    margins = rng.uniform(0.0, 0.003, size=len(every.shape_distances.bounds.first))
     for _ in range(20):
         q = rng.uniform(hand.lower_limits, hand.upper_limits)
         configuration.place(hand.configuration_vector(q))
         within = np.flatnonzero(every.distances(configuration) <= margins + 0.012)
         near = limit.measure(configuration.q, margins=margins)
         assert set(within) <= set(near.pairs)
-        assert len(near.pairs) < len(every.pairs)
+        assert len(near.pairs) < len(every.shape_distances.bounds.first)
         G, h = every.rows(configuration, every.measure(configuration.q), margins)
         some_G, some_h = limit.rows(configuration, near, margins)
         # GJK is warm-started, so both agree to its tolerance only.

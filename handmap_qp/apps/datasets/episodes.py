@@ -13,6 +13,7 @@ from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -110,14 +111,10 @@ class Job:
         task = self.task
         file = task.file
         side = task.side or ""
-        about = {
-            "entries": task.entries,
-            "side": side,
-            "robot": self.options.robots.get(side, ""),
-            "frames": task.frames,
-        }
         stamp = (str(file.path), file.size, file.mtime_ns, self.digest)
-        return Line(task.key, status, *stamp, **about | results)
+        about: dict[str, Any] = {"frames": task.frames} | results
+        robot = self.options.robots.get(side, "")
+        return Line(task.key, status, *stamp, task.entries, side, robot, **about)
 
 
 def run_job(job: Job) -> Line:
@@ -133,18 +130,20 @@ def run_job(job: Job) -> Line:
         DiskFullError: If the disk is full: no other recording of the batch can be written either.
     """
     started = process_time()
+    results: dict[str, Any] = {"status": "failed"}
     try:
-        return _run(job, started)
+        results = _run(job)
     except DiskFullError:
         raise
     except HandmapError as error:
-        text = " ".join(str(error).split())
+        results["error"] = " ".join(str(error).split())
     except Exception as error:  # a bug must not end the batch
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-    return job.line("failed", error=text, cpu_s=_since(started))
+        results["error"] = " ".join(f"{type(error).__name__}: {error}".split())
+    return job.line(**results, cpu_s=round(process_time() - started, 6))
 
 
-def _run(job: Job, started: float) -> Line:
+def _run(job: Job) -> dict[str, Any]:
+    """Map one recording, write its episode, and return the results for its line."""
     task = job.task
     if task.source is None or task.side is None:
         raise InvalidInputError(problem=task.error)
@@ -163,19 +162,13 @@ def _run(job: Job, started: float) -> Line:
     )
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
     digest = save_episode(job.folder / task.out, trajectory, task.side)
-    return job.line(
-        "done",
-        frames=len(recording),
-        cpu_s=_since(started),
-        metrics=metrics,
-        out=task.out,
-        sha256=digest,
-    )
-
-
-def _since(started: float) -> float:
-    """Return the CPU time of this process since an instant of it [s]."""
-    return round(process_time() - started, 6)
+    return {
+        "status": "done",
+        "frames": len(recording),
+        "metrics": metrics,
+        "out": task.out,
+        "sha256": digest,
+    }
 
 
 @lru_cache(maxsize=8)

@@ -32,12 +32,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import (
-    PalmMap,
-    PalmMethod,
-    palm_of,
-    point_indices,
-)
+from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of, point_indices
 from handmap_qp.options import number, text
 from handmap_qp.se3 import inverse_pose, lengths, transform_points
 

@@ -75,11 +75,7 @@ def has_group(path: Path, name: str) -> bool:
         return name in file
 
 
-def numbers(
-    group: Any,
-    name: str,
-    shape: tuple[int, ...],
-) -> np.ndarray:
+def numbers(group: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
     """Read an array of numbers.
 
     Args:
@@ -226,12 +222,7 @@ def joint_names(side: Side) -> tuple[str, ...]:
 def _poses(
     path: Path, names: Sequence[str], count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Read what `EgoDexFormat.read` needs; the core does it by itself for most files.
-
-    Args:
-        path: The file.
-        names: Names of the joints, the wrist first.
-        count: Number of samples, T.
+    """Read T samples of 21 joints, the wrist first; the core does it for most files.
 
     Returns:
         Positions of the joints [m], shape (T, 21, 3), poses of the wrist, shape (T, 4, 4),
@@ -280,7 +271,7 @@ class EgoDexFormat(RecordingFormat):
         """Read one hand."""
         names = joint_names(entry.side)
         count = entry.samples
-        read = core and core.read_poses(bytes(path), names, count)
+        read: Any = core and core.read_poses(bytes(path), names, count)
         points, wrist, shares, time = read or _poses(path, names, count)
         is_seen = finite_samples(wrist)
         if shares is not None:
