@@ -156,12 +156,11 @@ class Hand:
         self._add_wrist_and_palm()
         self._take_points(chosen)
 
-    # A hand that is scaled to a person makes its model when asked: the core does without it.
     @cached_property
     def model(self) -> pin.Model:
         """Pinocchio model: the wrist's six coordinates first where it floats, then the joints.
 
-        They are in Pinocchio's order. Do not change it.
+        In Pinocchio's order; do not change it. A scaled hand makes it when asked.
         """
         standard: Any = self.unscaled
         model = build_model(self.spec, self.urdf_text, self.mount, {})

@@ -138,8 +138,9 @@ class HandPair:
         self.contacts = measured.contacts
         self.robot = measured.with_points
         names = point_indices(human)
-        wanted = [point.partner or point.name for point in self.robot.reference_points]
-        self.partners = np.array([names[partner] for partner in wanted])
+        self.partners = np.array(
+            [names[p.partner or p.name] for p in self.robot.reference_points]
+        )
         shape = [table[finger] for finger in FINGERS for table in (TIPS, MIDDLES)]
         self.shape_points = np.array([names[name] for name in shape if name in names])
         self.human_rest = frozen(points_in_palm(human, resting_posture(human)))

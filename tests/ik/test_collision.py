@@ -22,6 +22,7 @@ from scipy.optimize import linprog
 from handmap_qp import HandError, IkOptions, MissingExtraError, load_hand
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.shape_pairs import ShapePairs
 from handmap_qp.hands.sources import read_urdf, urdf_directory
 from handmap_qp.hands.spec import CollisionSpec, Mount, read_hand_spec
 from handmap_qp.ik.collision import CollisionLimit
@@ -242,6 +243,11 @@ def test_far_rows_change_no_step() -> None:
     np.testing.assert_allclose(steps[1], steps[0], atol=1e-9)
 
 
+def links_of(limit: CollisionLimit) -> list[tuple[str, str]]:
+    """Return the links of each pair."""
+    return [*ShapePairs(limit.shape_distances.bounds.geometry, ()).links]
+
+
 def test_a_link_with_two_shapes_has_two_rows() -> None:
     hand = load("three_finger")
     shape = (
@@ -257,14 +263,8 @@ def test_a_link_with_two_shapes_has_two_rows() -> None:
         )
     )
     limit = CollisionLimit(Hand(hand.spec, mount="fixed", urdf_text=text))
-    first, second = (
-        [geometry.geometryObjects[i].name.rpartition("_")[0] for i in indices]
-        for bounds in [limit.shape_distances.bounds]
-        for geometry in [bounds.geometry]
-        for indices in (bounds.first, bounds.second)
-    )
-    pairs = list(zip(first, second, strict=True))
-    assert len(pairs) == len(CollisionLimit(hand).shape_distances.bounds.first) + 4
+    pairs = links_of(limit)
+    assert len(pairs) == len(links_of(CollisionLimit(hand))) + 4
     assert pairs.count(("finger1_distal", "finger2_distal")) == 2
 
 

@@ -111,10 +111,20 @@ class Job:
         task = self.task
         file = task.file
         side = task.side or ""
-        stamp = (str(file.path), file.size, file.mtime_ns, self.digest)
-        about: dict[str, Any] = {"frames": task.frames} | results
-        robot = self.options.robots.get(side, "")
-        return Line(task.key, status, *stamp, task.entries, side, robot, **about)
+        frames = results.pop("frames", task.frames)
+        return Line(
+            task.key,
+            status,
+            str(file.path),
+            file.size,
+            file.mtime_ns,
+            self.digest,
+            task.entries,
+            side,
+            self.options.robots.get(side, ""),
+            frames,
+            **results,
+        )
 
 
 def run_job(job: Job) -> Line:

@@ -111,10 +111,10 @@ def measure_episode(
     values = measure(recording, trajectory)
     if meter is not None:
         values |= _surfaces(recording, trajectory, contact_gap, meter)
-    found = {measure.key: values.get(measure.key, np.nan) for measure in MEASURES}
+    found = ((each.key, values.get(each.key, np.nan)) for each in MEASURES)
     return {
         key: float(f"{value:.6g}") if np.isfinite(value) else None
-        for key, value in found.items()
+        for key, value in found
     }
 
 

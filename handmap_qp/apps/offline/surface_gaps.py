@@ -133,7 +133,7 @@ class GapMeter:
         """
         hand = self._hand
         if (tree := core_tree(hand)) is not None:
-            bounds = pair_bounds(hand.model, geometry).core
-            return tree.smallest_distances(bounds, q, starts, most)
+            pairs = pair_bounds(hand.model, geometry)
+            return tree.smallest_distances(pairs.core, q, starts, most)
         groups = np.split(pair_distances(hand, geometry, q), starts[1:], axis=1)
         return np.array([group.min(axis=1, initial=most) for group in groups]).T

@@ -187,15 +187,15 @@ def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
     places = [place for chain in chains for place in (chain.knuckle, chain.tip)]
     first = len(places)
     pairs = [(k, k + 1) for k in range(0, first, 2)]
-    pairs += [(first, first + k) for k in range(1, len(pinched) + 1)]
     pads = [robot.pads[finger] for finger in (THUMB, *pinched) if pinched]
     places += [(pad.joint, pad.offset) for pad in pads]
-    counts = [len(chains), len(pinched)]
+    pairs += [(first, k) for k in range(first + 1, len(places))]
+    damping = [_EXTENSION_DAMPING] * len(chains) + [_PINCH_DAMPING] * len(pinched)
     return PointDistances(
         AttachedPoints(robot.with_points, places),
         pairs,
         np.zeros(len(pairs)),
-        damping=np.repeat([_EXTENSION_DAMPING, _PINCH_DAMPING], counts),
+        damping=damping,
     )
 
 
