@@ -157,14 +157,13 @@ def stage_times(jobs: tuple[Job, ...]) -> dict[str, float]:
     times: list[dict[str, float]] = []
     for job in jobs:
         clock: dict[str, float] = defaultdict(float)
-        started = thread_time()
         with timed_stages(clock):
+            started = thread_time()
             line = run_job(job)
+            spent = thread_time() - started
         if line.status != "done":
             raise SystemExit(line.error)
-        times.append(
-            dict(clock) | {"other": thread_time() - started - sum(clock.values())}
-        )
+        times.append(dict(clock) | {"other": spent - sum(clock.values())})
     names = [*STAGES, "other"]
     return {
         name: float(np.median([row.get(name, 0.0) for row in times])) for name in names

@@ -9,7 +9,6 @@ from __future__ import annotations
 import errno
 import glob
 import os
-import tempfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -64,7 +63,7 @@ def remove_torn(path: Path) -> None:
     Args:
         path: The file that was to be written.
     """
-    # `mkstemp` puts eight characters between.
+    # `replaced_path` puts eight characters between.
     for torn in path.parent.glob(f".{glob.escape(path.name)}.????????{_PART}"):
         torn.unlink(missing_ok=True)
 
@@ -133,6 +132,8 @@ def make_folder(path: Path, argument: str) -> None:
     Raises:
         InvalidInputError: If it cannot be made.
     """
+    if path.is_dir():
+        return
     with writing(path, argument):
         missing = [folder for folder in (path, *path.parents) if not folder.exists()]
         path.mkdir(parents=True, exist_ok=True)
@@ -161,9 +162,8 @@ def replaced_path(
         InvalidInputError: If the file cannot be written.
     """
     with writing(path, argument):
-        handle, name = tempfile.mkstemp(_PART, f".{path.name}.", path.parent)
-        os.close(handle)
-        temporary = Path(name)
+        temporary = path.with_name(f".{path.name}.{os.urandom(4).hex()}{_PART}")
+        temporary.touch(exist_ok=False)
         try:
             yield temporary
             temporary.chmod(0o644)

@@ -42,6 +42,17 @@ inline std::vector<Attached> attached_of(const Indices& joints, const Array& off
   return points;
 }
 
+// Places of Python: pairs of a joint of Pinocchio and an offset.
+inline std::vector<Attached> attached_at(const nb::object& places) {
+  std::vector<Attached> points;
+  for (const nb::handle& each : places) {
+    const nb::object place = nb::borrow(each);
+    points.push_back({nb::cast<int>(place[nb::int_(0)]) - 1,
+                      points_of(nb::cast<Array>(place[nb::int_(1)]))[0]});
+  }
+  return points;
+}
+
 // Attributes of an object of Python, whose names the core shares; a path goes on by dots.
 class Fields {
  public:
@@ -139,6 +150,45 @@ inline Tree make_tree(const Fields& hand) {
   tree.joint_columns = hand.indices("joint_columns");
   tree.finish();
   return tree;
+}
+
+// What places a hand by its joint positions, and its frames.
+inline void make_frames(Tree& tree, const Fields& hand) {
+  tree.rest = vector_of(nb::cast<Array>(hand.object("configuration_vector")(hand.object("rest"))));
+  tree.set_by_joints = hand.indices("_moving_q");
+  tree.matrix = hand.numbers("_moving.matrix");
+  tree.offset = hand.numbers("_moving.offset");
+  for (const nb::handle& each : hand.object("model.frames")) {
+    const Fields frame(nb::borrow(each));
+    tree.frames.push_back({frame.get<std::string>("name"), frame.get<int>("type"),
+                           frame.get<int>("parentJoint") - 1, frame.get<int>("parentFrame"),
+                           frame.pose("placement.homogeneous")});
+  }
+}
+
+// The tree of a hand with joints in other places; see hands.Hand.with_joints.
+inline Tree moved_tree(const Tree& standard, const nb::dict& moves) {
+  Tree tree = standard;
+  for (const auto& [name, move] : moves) {
+    const nb::object by = nb::borrow(move);
+    tree.move_joint(nb::cast<std::string>(name), points_of(nb::cast<Array>(item(by, 0)))[0],
+                    nb::cast<double>(item(by, 1)));
+  }
+  return tree;
+}
+
+// Points by their places, or by their links and where they are on them, as `PointSpec` has them.
+inline std::vector<Attached> attached_of(const Tree& tree, const nb::object& specs) {
+  std::vector<Attached> points;
+  for (const nb::handle& each : specs) {
+    if (nb::isinstance<nb::tuple>(each)) return attached_at(specs);
+    const Fields spec(nb::borrow(each));
+    const nb::object xyz = spec.object("xyz");
+    points.push_back(tree.attached(spec.get<std::string>("link"),
+                                   {nb::cast<double>(item(xyz, 0)), nb::cast<double>(item(xyz, 1)),
+                                    nb::cast<double>(item(xyz, 2))}));
+  }
+  return points;
 }
 
 inline std::vector<Attached> reference_points(const Fields& hand) {

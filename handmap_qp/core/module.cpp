@@ -8,6 +8,8 @@
 
 #include "arrays.hpp"
 #include "build_guard.hpp"
+#include "episode.hpp"
+#include "hdf5.hpp"
 #include "person.hpp"
 #include "posture.hpp"
 #include "run.hpp"
@@ -243,19 +245,84 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
-// Of a `PointIk` and a `PointDistances`; see hand_pair.approach.
-nb::object approach_from(Ik& ik, const nb::object& solver, const nb::object& task, double dt,
-                         int samples, double tolerance) {
-  const nb::object hand = nb::getattr(solver, "hand");
-  const nb::object start = nb::getattr(hand, "configuration_vector")(nb::getattr(hand, "rest"));
+// See EgoDexFormat.read, for a path as bytes: points (T, 21, 3), wrist (T, 4, 4), and where the file has
+// them confidences (21, T) and time (T,); None for what libhdf5 has to read.
+nb::object read_poses(const nb::bytes& path, const std::vector<std::string>& names, size_t count) {
+  const size_t joints = names.size();
+  Vector points(3 * count * joints), wrist, shares, time, numbers;
+  try {
+    const Hdf5File file(path.c_str());
+    const Hdf5File::Group root = file.root();
+    const auto header_of = [](const Hdf5File::Group& group, const std::string& name) {
+      const auto found = group.find(name);
+      expect_read(found != group.end());
+      return found->second;
+    };
+    const Hdf5File::Group poses = file.group(header_of(root, "transforms"));
+    for (size_t j = 0; j < joints; ++j) {
+      file.numbers(header_of(poses, names[j]), {count, 4, 4}, numbers);
+      for (size_t t = 0; t < count; ++t)
+        for (size_t i = 0; i < 3; ++i)
+          points[3 * (joints * t + j) + i] = numbers[16 * t + 4 * i + 3];
+      if (j == 0) wrist = numbers;
+    }
+    if (root.count("confidences")) {
+      const Hdf5File::Group given = file.group(header_of(root, "confidences"));
+      for (const std::string& name : names) {
+        file.numbers(header_of(given, name), {count}, numbers);
+        append(numbers, shares);
+      }
+    }
+    if (root.count("time")) file.numbers(header_of(root, "time"), {count}, time);
+  } catch (const Unread&) {
+    return nb::none();
+  }
+  const auto if_any = [](std::initializer_list<size_t> shape, const Vector& from) -> nb::object {
+    return from.empty() ? nb::none() : array_of(shape, from.data());
+  };
+  return nb::make_tuple(array_of({count, joints, 3}, points.data()),
+                        array_of({count, 4, 4}, wrist.data()), if_any({joints, count}, shares),
+                        if_any({count}, time));
+}
+
+// See hand_pair._pinching_thumb: of a hand that has the limits of the solver's, pads by their places and
+// the distances at which they touch, the thumb's first.
+nb::object pinching_thumb(const Tree& tree, const nb::object& solver, const nb::object& pads, const Array& touching, const nb::object& tip) {
+  const Fields constants = module_of("handmap_qp.mapping.hand_pair");
+  const Ik& like = Fields(solver).get<const Ik&>("core.core");
+  const double dt = constants.get<double>("_UNHURRIED");
+  // The gaps alone count, and no point.
+  Ik ik(tree);
+  ik.weights = like.weights;
+  ik.weights.points.clear();
+  ik.settings = like.settings;
+  ik.limits = like.limits;
+  DistanceTask task{attached_at(pads), {}, {}, {}};
   Goal goal;
   goal.postures =
       postures_of(ik, nb::cast<Postures>(nb::getattr(solver, "postures")(dt, nb::none())));
-  goal.distances = Fields(task).get<DistanceTask*>("core");
-  goal.aims = Fields(task).numbers("distances");
-  goal.aim_weights = Fields(task).numbers("weights");
-  approach(ik, goal, vector_of(nb::cast<Array>(start)), dt, samples, tolerance);
-  return array_of(ik.motion.q);
+  const Attached thumb = attached_at(tip)[0];
+  const int count = static_cast<int>(touching.size());
+  for (int k = 0; k < count; ++k) {
+    task.first.push_back(0);
+    task.second.push_back(k + 1);
+  }
+  task.damping.assign(count, constants.get<double>("_GAP_DAMPING"));
+  goal.distances = &task;
+  goal.aims = vector_of(touching);
+  Vec3 sum;
+  for (int k = 0; k < count; ++k) {
+    goal.aim_weights.assign(count, 0.0);
+    goal.aim_weights[k] = constants.get<double>("_GAP_WEIGHT");
+    goal.points.clear();
+    approach(ik, goal, tree.rest, dt, constants.get<int>("_PINCH_STEPS"),
+             constants.get<double>("_TOUCHING"));
+    Placed placed(ik.tree);
+    placed.place(ik.motion.q.data());
+    sum += inverse(placed.pose(tree.palm_origin.joint) * tree.palm) * placed.point(thumb);
+  }
+  sum *= 1.0 / count;
+  return array_of({3}, &sum.x);
 }
 
 // See measure.measure_shape, whose constants and arguments these are.
@@ -270,6 +337,77 @@ nb::tuple measure_shape(const Array& landmarks, const Array& palm) {
   return nb::make_tuple(array_of({5, 3}, &shape.bases[0].x), array_of({5}, shape.rolls.data()));
 }
 
+// See measures.measure_episode.
+nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
+  const Fields recording(recorded), trajectory(moved);
+  const Array time = recording.get<Array>("time");
+  const size_t count = time.size();
+  const Array landmarks = recording.array("landmarks", 3 * kLandmarks * count);
+  const Array errors = trajectory.get<Array>("point_error"), q = trajectory.get<Array>("q");
+  const Flags seen = recording.get<Flags>("valid"),
+                  followed = trajectory.get<Flags>("valid"),
+                  at_limit = trajectory.get<Flags>("at_limit"),
+                  at_speed = trajectory.get<Flags>("at_speed_limit");
+  for (const size_t size : {errors.shape(0), q.shape(0), seen.size(), followed.size(),
+                            at_limit.shape(0), at_speed.shape(0)})
+    if (size != count) throw std::invalid_argument("columns of different lengths");
+  const EpisodeMeter meter{count, time.data(), landmarks.data(), seen.data(), followed.data(),
+                           errors.data(), errors.shape(1), {at_limit.data(), at_limit.shape(1)},
+                           {at_speed.data(), at_speed.shape(1)}, q.data(), q.shape(1)};
+  Vector reaches = meter.reaches();
+  nb::dict found;
+  found["valid"] = static_cast<double>(std::count(seen.data(), seen.data() + count, true)) /
+                   static_cast<double>(count);
+  found["longest_gap_s"] = meter.longest_gap();
+  found["bone_variation"] = meter.bone_variation();
+  found["reach_mm"] = EpisodeMeter::mean_of(reaches);
+  found["reach_p95_mm"] = percentile_of(reaches, 95.0);
+  found["saturation"] = meter.share(meter.at_limit, false);
+  found["speed_limited"] = meter.share(meter.at_speed_limit, true);
+  found["jerk"] = meter.jerk();
+  return found;
+}
+
+// The content of an `.npz` file as of `np.savez`, of plain arrays by name.
+nb::bytes pack(const nb::dict& arrays) {
+  const nb::object checksum = nb::module_::import_("zlib").attr("crc32");
+  Archive archive;
+  for (const auto& [name, each] : arrays) {
+    const Fields array(nb::borrow(each));
+    const std::string type = array.get<std::string>("dtype.str");
+    const std::string shape = nb::cast<std::string>(nb::str(array.object("shape")));
+    std::string head =
+        "{'descr': '" + type + "', 'fortran_order': False, 'shape': " + shape + ", }";
+    // The array begins at a multiple of 64 bytes behind the ten of this and the end of line.
+    head.resize((head.size() + 11 + 63) / 64 * 64 - 11, ' ');
+    head += '\n';
+    const char start[] = {'\x93', 'N', 'U', 'M', 'P', 'Y', 1, 0,
+                          static_cast<char>(head.size() & 0xff),
+                          static_cast<char>(head.size() >> 8)};
+    const nb::bytes numbers = nb::cast<nb::bytes>(array.object("tobytes")());
+    const nb::object member =
+        nb::bytes(start, sizeof start) + nb::bytes(head.data(), head.size()) + numbers;
+    const nb::bytes content = nb::cast<nb::bytes>(member);
+    archive.add(nb::cast<std::string>(name) + ".npy", content.c_str(), content.size(),
+                nb::cast<uint32_t>(checksum(content)));
+  }
+  const std::string& whole = archive.finish();
+  return nb::bytes(whole.data(), whole.size());
+}
+
+nb::tuple bone_lengths_of(const Array& landmarks) {
+  const Vector found = bone_lengths(points_of(landmarks));
+  return nb::make_tuple(array_of({5, 3}, found.data()), found.back());
+}
+
+double smallest_gap_of(const Array& time, const Array& landmarks) {
+  const Fields constants = module_of("handmap_qp.human.contact_gap");
+  expect_size(landmarks, 3 * kLandmarks * time.size(), "landmarks");
+  if (time.size() == 0) throw std::invalid_argument("no samples");
+  return smallest_gap(time.data(), points_of(landmarks), constants.get<double>("_MEDIAN_TIME"),
+                      constants.get<double>("_PERCENTILE"));
+}
+
 // See matched_posture.nearest_posture, whose constants and arguments these are.
 nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array& targets,
                            const Array& costs, double rest_cost, const Array& start) {
@@ -282,8 +420,7 @@ nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array
                       constants.get<double>("_LEAST_CURVATURE")};
   problem.points = reference_points(of);
   const size_t n = tree.joint_columns.size(), m = problem.points.size();
-  problem.configuration =
-      vector_of(nb::cast<Array>(of.object("configuration_vector")(of.object("rest"))));
+  problem.configuration = tree.rest;
   problem.rest = vector_of(of.array("rest", n));
   problem.lower = vector_of(of.array("lower_limits", n));
   problem.upper = vector_of(of.array("upper_limits", n));
@@ -297,30 +434,49 @@ nb::object nearest_posture(const Tree& tree, const nb::object& hand, const Array
   return nb::cast(array_of(problem.solve(vector_of(start))));
 }
 
-nb::object points_of_tree(const Tree& tree, const Array& configuration, const Indices& joints,
-                          const Array& offsets, bool is_in_palm) {
-  expect_size(configuration, tree.nq, "configuration");
+// Places of points: (joint of Pinocchio, offset).
+nb::list places_of(const Tree& tree, const nb::object& specs) {
+  nb::list places;
+  for (const Attached& point : attached_of(tree, specs))
+    places.append(nb::make_tuple(point.joint + 1, array_of({3}, &point.offset.x)));
+  return places;
+}
+
+// Points in palm axes, of joint positions.
+nb::object points_in_palm(const Tree& tree, const Array& q, const nb::object& points) {
+  expect_size(q, tree.q_indices.size(), "q");
   Placed placed(tree);
-  placed.place(configuration.data());
-  const Pose from =
-      is_in_palm ? inverse(placed.pose(tree.palm_origin.joint) * tree.palm) : Pose{};
+  placed.place(tree.configuration(q.data()).data());
+  const Pose from = inverse(placed.pose(tree.palm_origin.joint) * tree.palm);
   std::vector<Vec3> found;
-  for (const Attached& point : attached_of(joints, offsets))
+  for (const Attached& point : attached_of(tree, points))
     found.push_back(from * placed.point(point));
   return array_of(found);
 }
 
-// See surface_gaps: of configurations (T, nq), a column for the pairs from each of `starts` on.
+// Points by `PointSpec`, and the wrist, of a configuration.
+nb::tuple posture_of(const Tree& tree, const Array& configuration, const nb::object& specs) {
+  expect_size(configuration, tree.nq, "configuration");
+  Placed placed(tree);
+  placed.place(configuration.data());
+  std::vector<Vec3> found;
+  for (const Attached& point : attached_of(tree, specs)) found.push_back(placed.point(point));
+  return nb::make_tuple(array_of(found), array_of(placed.wrist()));
+}
+
+// See surface_gaps: of joint positions (T, n), a column for the pairs from each of `starts` on.
 nb::object smallest_distances(const Tree& tree, const PairBounds& bounds,
-                              const Array& configurations, const Indices& starts, double most) {
-  const size_t rows = configurations.size() / tree.nq, columns = starts.size();
+                              const Array& q, const Indices& starts, double most) {
+  const size_t n = tree.q_indices.size(), rows = q.size() / n, columns = starts.size();
   Vector found;
   Placed placed(tree);
+  SmallestDistances smallest(bounds);
   for (size_t t = 0; t < rows; ++t) {
-    placed.place(configurations.data() + t * tree.nq);
+    placed.place(tree.configuration(q.data() + t * n).data());
+    smallest.place(placed);
     for (size_t g = 0; g < columns; ++g) {
       const size_t to = g + 1 < columns ? starts[g + 1] : bounds.pairs.size();
-      found.push_back(smallest_distance(bounds, placed, starts[g], to, most));
+      found.push_back(smallest.among(starts[g], to, most));
     }
   }
   return array_of({rows, columns}, found.data());
@@ -344,7 +500,6 @@ NB_MODULE(_core, m) {
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a)
       .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
-      .def("approach", &approach_from)
       .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
            "rows"_a);
   nb::class_<Step>(m, "Step")
@@ -385,12 +540,23 @@ NB_MODULE(_core, m) {
       .def("read", &read_joints, "q"_a.none(), "wrist"_a.none());
   nb::class_<Tree>(m, "Tree")
       .def("__init__",
-           [](Tree* self, const nb::object& hand) { new (self) Tree(make_tree(Fields(hand))); })
-      .def("points", &points_of_tree)
+           [](Tree* self, const nb::object& hand) {
+             make_frames(*new (self) Tree(make_tree(Fields(hand))), Fields(hand));
+           })
+      .def("moved", &moved_tree)
+      .def("places", &places_of)
+      .def("posture", &posture_of)
+      .def("points", &points_in_palm)
       .def("nearest_posture", &nearest_posture)
+      .def("pinching_thumb", &pinching_thumb)
       .def("smallest_distances", &smallest_distances);
   nb::class_<PairBounds>(m, "PairBounds").def("__init__", &make_bounds);
   m.def("measure_shape", &measure_shape);
+  m.def("bone_lengths", &bone_lengths_of);
+  m.def("smallest_gap", &smallest_gap_of);
+  m.def("measure_episode", &measure_episode);
+  m.def("pack", &pack);
+  m.def("read_poses", &read_poses);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());
   m.def("measure_shapes", &measure_shapes);

@@ -18,6 +18,16 @@ inline double median(Vector& values) {
   return (*std::max_element(values.begin(), middle) + *middle) / 2.0;
 }
 
+// A percentile as of `np.percentile`. Changes the order of `values`.
+inline double percentile_of(Vector& values, double percentile) {
+  const double place = 0.01 * percentile * static_cast<double>(values.size() - 1);
+  const size_t low = static_cast<size_t>(place);
+  std::nth_element(values.begin(), values.begin() + low, values.end());
+  if (low + 1 >= values.size()) return values[low];
+  const double next = *std::min_element(values.begin() + low + 1, values.end());
+  return values[low] + (place - low) * (next - values[low]);
+}
+
 // `samples` of `count` points each; medians of each coordinate.
 inline std::vector<Vec3> medians(const std::vector<Vec3>& samples, size_t count) {
   std::vector<Vec3> found(count);
@@ -35,17 +45,7 @@ inline std::vector<Vec3> medians(const std::vector<Vec3>& samples, size_t count)
 class Layer {
  public:
   Pose fit(const Vec3* points, const std::vector<Vec3>& onto) {
-    const double share = 1.0 / static_cast<double>(onto.size());
-    Vec3 centre, centre_onto;
-    for (size_t k = 0; k < onto.size(); ++k) {
-      centre += share * points[k];
-      centre_onto += share * onto[k];
-    }
-    Mat3 covariance = 0.0 * Mat3{};
-    for (size_t k = 0; k < onto.size(); ++k)
-      covariance = covariance + outer(share * (onto[k] - centre_onto), points[k] - centre);
-    const Mat3 R = rotation(covariance);
-    return {R, centre_onto - R * centre};
+    return rigid_fit(points, onto, [this](const Mat3& A) { return rotation(A); });
   }
 
  private:
@@ -92,6 +92,44 @@ class Layer {
 
   Vec3 axes_[3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
 };
+
+// Medians of the bones (5, 3) of landmarks, 21 a sample, and of the palm from wrist to middle finger.
+inline Vector bone_lengths(const std::vector<Vec3>& landmarks) {
+  const size_t count = landmarks.size() / 21;
+  Vector found, column(count);
+  const auto add = [&](int from, int to) {
+    for (size_t t = 0; t < count; ++t)
+      column[t] = norm(landmarks[21 * t + to] - landmarks[21 * t + from]);
+    found.push_back(median(column));
+  };
+  for (int finger = 0; finger < 5; ++finger)
+    for (int i = 1 + 4 * finger; i < 4 + 4 * finger; ++i) add(i, i + 1);
+  add(0, 9);
+  return found;
+}
+
+// See contact_gap.smallest_gap, whose constants these are.
+inline double smallest_gap(const double* time, const std::vector<Vec3>& landmarks,
+                           double median_time, double percentile) {
+  const int count = static_cast<int>(landmarks.size() / 21);
+  Vector steps;
+  for (int t = 1; t < count; ++t) steps.push_back(time[t] - time[t - 1]);
+  const double period = steps.empty() ? median_time : median(steps);
+  const double wanted = 2.0 * std::nearbyint(0.5 * median_time / std::max(period, 1e-6)) + 1.0;
+  const int width = static_cast<int>(std::min<double>(std::max(1.0, wanted), count));
+  const int before = width / 2;
+  Vector smallest(count, kInfinity), gaps(count), window(width);
+  for (int tip = 8; tip < 21; tip += 4) {
+    for (int t = 0; t < count; ++t)
+      gaps[t] = norm(landmarks[21 * t + tip] - landmarks[21 * t + 4]);
+    for (int t = 0; t < count; ++t) {
+      for (int i = 0; i < width; ++i) window[i] = gaps[std::clamp(t - before + i, 0, count - 1)];
+      std::nth_element(window.begin(), window.begin() + before, window.end());
+      smallest[t] = std::min(smallest[t], window[before]);
+    }
+  }
+  return percentile_of(smallest, percentile);
+}
 
 struct PersonShape {
   std::vector<Vec3> bases;

@@ -235,29 +235,74 @@ inline void approach(Ik& ik, Goal& goal, const Vector& start, double dt, int sam
   }
 }
 
-// The smallest distance of the pairs `from` to `to` in one posture, or `most` if none is nearer.
-// Pairs are measured in the order of their balls' distances, up to the first that cannot be nearer.
-inline double smallest_distance(const PairBounds& bounds, const Placed& at, size_t from, size_t to,
-                                double most) {
-  std::vector<Vec3> centres;
-  for (const Body& body : bounds.bodies) centres.push_back(at.pose(body.joint) * body.centre);
-  std::vector<std::pair<double, size_t>> order;
-  for (size_t k = from; k < to; ++k) {
-    const int a = bounds.pairs[k].first, b = bounds.pairs[k].second;
-    const double gap =
-        norm(centres[a] - centres[b]) - bounds.bodies[a].radius - bounds.bodies[b].radius;
-    if (gap < most) order.push_back({gap, k});
+// Smallest distances of pairs in many postures, one after the other. A pair is measured only if it is
+// not known to be farther apart: by its balls, or along the direction that parted it last.
+class SmallestDistances {
+ public:
+  explicit SmallestDistances(const PairBounds& bounds)
+      : bounds_(bounds), partings_(bounds.pairs.size()), centres_(bounds.bodies.size()) {}
+
+  void place(const Placed& at) {
+    at_ = &at;
+    for (size_t i = 0; i < centres_.size(); ++i)
+      centres_[i] = at.pose(bounds_.bodies[i].joint) * bounds_.bodies[i].centre;
   }
-  std::sort(order.begin(), order.end());
-  for (const auto& [gap, k] : order) {
-    if (gap >= most) break;
-    const Body &a = bounds.bodies[bounds.pairs[k].first], &b = bounds.bodies[bounds.pairs[k].second];
+
+  // That of the pairs `from` to `to`, or `most` if none is nearer.
+  double among(size_t from, size_t to, double most) {
+    order_.clear();
+    for (size_t k = from; k < to; ++k) {
+      const int a = bounds_.pairs[k].first, b = bounds_.pairs[k].second;
+      const double reach = bounds_.bodies[a].radius + bounds_.bodies[b].radius;
+      const double gap = norm(centres_[a] - centres_[b]) - reach;
+      if (gap < most) order_.push_back({gap, k});
+    }
+    std::sort(order_.begin(), order_.end());
+    for (const auto& [gap, k] : order_) {
+      if (gap >= most) break;
+      if (parted(k) < most) most = std::min(most, measured(k));
+    }
+    return most;
+  }
+
+ private:
+  struct Parting {
+    Vec3 direction;  // from the first body to the second, in the axes of the first one's joint
+    int index_a = -1, index_b = -1;
+  };
+
+  // A lower bound of the distance; where nothing has parted the bodies yet, along their centres.
+  double parted(size_t k) {
+    const int first = bounds_.pairs[k].first, second = bounds_.pairs[k].second;
+    const Body &a = bounds_.bodies[first], &b = bounds_.bodies[second];
+    const Pose &to_a = at_->pose(a.joint), &to_b = at_->pose(b.joint);
+    Parting& parting = partings_[k];
+    Vec3 d = to_a.R * parting.direction;
+    if (dot(d, d) == 0.0) {
+      d = centres_[second] - centres_[first];
+      const double length = norm(d);
+      if (!(length > 0.0)) return -kInfinity;
+      d *= 1.0 / length;
+    }
+    return dot(d, to_b.p - to_a.p) - reach_of(a, tmul(to_a.R, d), parting.index_a) -
+           reach_of(b, -tmul(to_b.R, d), parting.index_b);
+  }
+
+  double measured(size_t k) {
+    const Body &a = bounds_.bodies[bounds_.pairs[k].first],
+               &b = bounds_.bodies[bounds_.pairs[k].second];
+    const Pose &to_a = at_->pose(a.joint), &to_b = at_->pose(b.joint);
     Warm warm{};
-    const Found found = measure(a.shape, at.pose(a.joint) * a.placement, b.shape,
-                                at.pose(b.joint) * b.placement, warm);
-    most = std::min(most, found.distance);
+    const Found found = measure(a.shape, to_a * a.placement, b.shape, to_b * b.placement, warm);
+    partings_[k].direction = tmul(to_a.R, found.normal);
+    return found.distance;
   }
-  return most;
-}
+
+  const PairBounds& bounds_;
+  std::vector<Parting> partings_;
+  std::vector<Vec3> centres_;
+  std::vector<std::pair<double, size_t>> order_;
+  const Placed* at_ = nullptr;
+};
 
 }  // namespace handmap

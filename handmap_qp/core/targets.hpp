@@ -72,19 +72,24 @@ inline Mat3 nearest_rotation(const Mat3& A) {
   return found.U * transposed(found.V);
 }
 
-// The pose that best lays points onto others; see se3.rigid_fit.
-inline Pose rigid_fit(const std::vector<Vec3>& points, const std::vector<Vec3>& onto) {
-  const double share = 1.0 / static_cast<double>(points.size());
+// The pose that best lays points onto others; see se3.rigid_fit. `nearest` finds the rotation nearest
+// to their covariance.
+template <class Nearest>
+Pose rigid_fit(const Vec3* points, const std::vector<Vec3>& onto, Nearest&& nearest) {
+  const double share = 1.0 / static_cast<double>(onto.size());
   Vec3 centre, centre_onto;
-  for (size_t k = 0; k < points.size(); ++k) {
+  for (size_t k = 0; k < onto.size(); ++k) {
     centre += share * points[k];
     centre_onto += share * onto[k];
   }
   Mat3 covariance = 0.0 * Mat3{};
-  for (size_t k = 0; k < points.size(); ++k)
+  for (size_t k = 0; k < onto.size(); ++k)
     covariance = covariance + outer(share * (onto[k] - centre_onto), points[k] - centre);
-  const Mat3 R = nearest_rotation(covariance);
+  const Mat3 R = nearest(covariance);
   return {R, centre_onto - R * centre};
+}
+inline Pose rigid_fit(const std::vector<Vec3>& points, const std::vector<Vec3>& onto) {
+  return rigid_fit(points.data(), onto, nearest_rotation);
 }
 
 // See estimation.MotionEstimator: what a sample's points are multiplied with.

@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cstring>
+#include <stdexcept>
+#include <string>
 #include <vector>
 
 #include "lie.hpp"
@@ -27,6 +29,22 @@ struct Attached {
   Vec3 offset;
 };
 
+// The turn about a unit axis.
+inline Mat3 turned(const Vec3& a, double angle) {
+  const double s = std::sin(angle), c = std::cos(angle), r = 1.0 - c;
+  return {{c + r * a.x * a.x, r * a.x * a.y - s * a.z, r * a.x * a.z + s * a.y,
+           r * a.x * a.y + s * a.z, c + r * a.y * a.y, r * a.y * a.z - s * a.x,
+           r * a.x * a.z - s * a.y, r * a.y * a.z + s * a.x, c + r * a.z * a.z}};
+}
+
+// A frame of the URDF: of a joint, of a fixed one, or of a link.
+struct Frame {
+  enum Kind { joint_frame = 2, fixed_joint = 4, link = 8 };  // as Pinocchio counts them
+  std::string name;
+  int kind, joint, parent;  // the joint that carries it, and the frame before it
+  Pose placement;           // on the joint
+};
+
 // What never changes of a hand.
 struct Tree {
   int nq = 0, nv = 0, size = 0;  // size: number of active coordinates
@@ -42,6 +60,10 @@ struct Tree {
   Attached palm_origin{-1, {}};
   Pose palm;                        // likewise
   std::vector<Attached> points;     // reference points
+  std::vector<Frame> frames;        // where they are needed, as is what follows
+  Vector rest;                      // configuration at rest, with the wrist at the origin
+  std::vector<int> set_by_joints;   // coordinates that joint positions set, and how: see Expansion
+  Vector matrix, offset;
   std::vector<int> q_indices;       // of the joints, in the user's order
   std::vector<int> joint_columns;   // of the same in the active coordinates
 
@@ -61,6 +83,53 @@ struct Tree {
       active.erase(std::unique(active.begin(), active.end()), active.end());
       moving.push_back(active);
     }
+  }
+
+  // The configuration of joint positions, with the wrist at the origin.
+  Vector configuration(const double* q) const {
+    Vector found = rest;
+    const size_t n = q_indices.size();
+    for (size_t i = 0; i < set_by_joints.size(); ++i) {
+      double sum = 0.0;
+      for (size_t j = 0; j < n; ++j) sum += matrix[i * n + j] * q[j];
+      found[set_by_joints[i]] = sum + offset[i];
+    }
+    return found;
+  }
+
+  size_t find_frame(const std::string& name, int kind) const {
+    for (size_t i = 0; i < frames.size(); ++i)
+      if (frames[i].kind == kind && frames[i].name == name) return i;
+    return frames.size();
+  }
+
+  // Place a joint elsewhere on its parent link, turned about its x axis; see hands.human.joint_moves.
+  void move_joint(const std::string& name, const Vec3& origin, double roll) {
+    size_t i = find_frame(name, Frame::joint_frame);
+    const bool is_movable = i < frames.size();
+    if (!is_movable) i = find_frame(name, Frame::fixed_joint);
+    if (i == frames.size()) throw std::invalid_argument("no joint " + name);
+    const Vec3 place = frames[frames[i].parent].placement * origin;
+    if (is_movable) {
+      Pose& placement = joints[frames[i].joint].placement;
+      placement.p = place;
+      placement.R = placement.R * turned({1.0, 0.0, 0.0}, roll);
+      return;
+    }
+    const Vec3 shift = place - frames[i].placement.p;
+    std::vector<char> is_moved(frames.size(), 0);
+    is_moved[i] = 1;
+    for (; i < frames.size(); ++i) {
+      is_moved[i] |= is_moved[frames[i].parent];
+      if (is_moved[i]) frames[i].placement.p += shift;
+    }
+  }
+
+  // A point of a link.
+  Attached attached(const std::string& link, const Vec3& xyz) const {
+    const size_t i = find_frame(link, Frame::link);
+    if (i == frames.size()) throw std::invalid_argument("no link " + link);
+    return {frames[i].joint, frames[i].placement * xyz};
   }
 
   // The tangent vector of all coordinates, of that of the active ones.
@@ -169,13 +238,6 @@ class Placed {
   const Tree& tree() const { return tree_; }
 
  private:
-  static Mat3 turned(const Vec3& a, double angle) {
-    const double s = std::sin(angle), c = std::cos(angle), r = 1.0 - c;
-    return {{c + r * a.x * a.x, r * a.x * a.y - s * a.z, r * a.x * a.z + s * a.y,
-             r * a.x * a.y + s * a.z, c + r * a.y * a.y, r * a.y * a.z - s * a.x,
-             r * a.x * a.z - s * a.y, r * a.y * a.z + s * a.x, c + r * a.z * a.z}};
-  }
-
   const Tree& tree_;
 
  public:

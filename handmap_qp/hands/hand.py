@@ -19,7 +19,7 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
 from handmap_qp.hands.configuration import Configuration
-from handmap_qp.hands.human import CONTACT_GAP
+from handmap_qp.hands.human import CONTACT_GAP, JointMove
 from handmap_qp.hands.model import (
     Expansion,
     build_model,
@@ -29,7 +29,6 @@ from handmap_qp.hands.model import (
     compose_urdf,
     expansion_matrix,
     link_frame,
-    move_joint,
     palm_in_link,
     tighten_model,
     with_frames,
@@ -75,8 +74,6 @@ class Hand:
         side: `right` or `left`.
         mount: `floating` or `fixed`.
         is_floating: Whether the wrist is free to move.
-        model: Pinocchio model: the wrist's six coordinates first where it floats, then the joints
-            in Pinocchio's order. Do not change it.
         joint_names: Joints that are set, in the order of every `q`, those of an arm first; n of
             them. Joints that follow others (mimic) are not among them.
         q_indices: Indices of the joints in a Pinocchio configuration, shape (n,).
@@ -102,10 +99,11 @@ class Hand:
         point_weights: Their weights, shape (m,).
         palm_frame_id: Index of the palm frame in the model.
         wrist_frame_id: Index of the wrist frame in the model.
-        point_frames: Pinocchio frames of the reference points, which the model does not have.
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
         unscaled: Of a hand scaled to a person, the one that was scaled; else None.
+        moves: Of a hand scaled to a person, how its joints move from the other's: see
+            `with_joints`.
         stretches: Factors from its shapes to this hand's along the axes of their joint, shape (3,),
             by the joint; for those of the fingers.
 
@@ -128,6 +126,7 @@ class Hand:
         self.spec = spec
         self.contact_gap = CONTACT_GAP
         self.unscaled: Hand | None = None
+        self.moves: dict[str, JointMove] = {}
         self.stretches: dict[int, np.ndarray] = {}
         self.name = spec.name
         self.side = spec.side
@@ -156,6 +155,34 @@ class Hand:
         check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()
         self._take_points(chosen)
+
+    @cached_property
+    def model(self) -> pin.Model:
+        """Pinocchio model: the wrist's six coordinates first where it floats, then the joints.
+
+        In Pinocchio's order; do not change it. A scaled hand makes it when asked.
+        """
+        standard: Any = self.unscaled
+        model = build_model(self.spec, self.urdf_text, self.mount, {})
+        for frame in (standard.palm_frame_id, standard.wrist_frame_id):
+            model.addFrame(standard.model.frames[frame])
+        return model
+
+    @cached_property
+    def point_frames(self) -> tuple[pin.Frame, ...]:
+        """Pinocchio frames of the reference points, which the model does not have."""
+        # Pinocchio does not add a frame of a name that another one has, so they have their number.
+        return tuple(
+            link_frame(
+                self.model,
+                self.spec,
+                f"/{i}/{point.name}",
+                point.link,
+                affine(np.eye(3), np.array(point.xyz)),
+                f"points[{i}].link",
+            )
+            for i, point in enumerate(self.reference_points)
+        )
 
     @cached_property
     def urdf_text(self) -> str:
@@ -194,10 +221,9 @@ class Hand:
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the attributes, and write-protect arrays again: pickle drops the flag."""
         vars(self).update(state)
-        for value in state.values():
-            for array in value if isinstance(value, tuple) else (value,):
-                if isinstance(array, np.ndarray):
-                    array.setflags(write=False)
+        for value in (*state.values(), *(self.expansion or ())):
+            if isinstance(value, np.ndarray):
+                value.setflags(write=False)
 
     def with_points(self, points: Points | None) -> Hand:
         """Return the same hand, scaled as it is, with other reference points.
@@ -225,7 +251,7 @@ class Hand:
 
     def with_joints(
         self,
-        moves: Mapping[str, tuple[np.ndarray, float]],
+        moves: dict[str, JointMove],
         stretches: Mapping[str, np.ndarray],
         compose: Callable[[], str],
     ) -> Hand:
@@ -240,11 +266,10 @@ class Hand:
         hand = copy(self)
         hand._compose = compose
         hand.unscaled = self
-        hand.model = model = pin.Model(self.model)
-        for name, (origin, roll) in moves.items():
-            move_joint(model, name, origin, roll)
-        hand.stretches = {model.getJointId(name): by for name, by in stretches.items()}
-        hand._take_points(self.reference_points)
+        hand.moves = moves
+        joints = self.model.getJointId
+        hand.stretches = {joints(name): by for name, by in stretches.items()}
+        del hand.model, hand.point_frames
         return hand
 
     def configuration(self) -> Configuration:
@@ -280,7 +305,7 @@ class Hand:
                     value=wrist_pose,
                     advice="mount='floating' frees it",
                 )
-        vector = np.zeros(self.model.nq)
+        vector = np.zeros(self._size)
         self.write_configuration(vector, angles, pose)
         return vector
 
@@ -413,6 +438,7 @@ class Hand:
         self.all_joint_names = (*moving, *locked)
         self.all_joint_roles = tuple(role for role, of in roles.items() for _ in of)
         joints = [model.getJointId(name) for name in moving]
+        self._size = model.nq
         self._moving_q = np.array([model.idx_qs[joint] for joint in joints])
         at_v = np.array([model.idx_vs[joint] for joint in joints])
         self.q_indices = frozen(self._moving_q[:count])
@@ -451,18 +477,9 @@ class Hand:
         """Use reference points."""
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
-        # Pinocchio does not add a frame of a name that another one has, so they have their number.
-        self.point_frames = tuple(
-            link_frame(
-                self.model,
-                self.spec,
-                f"/{i}/{point.name}",
-                point.link,
-                affine(np.eye(3), np.array(point.xyz)),
-                f"points[{i}].link",
-            )
-            for i, point in enumerate(points)
-        )
+        vars(self).pop("point_frames", None)
+        # A link that does not exist is reported here.
+        len(self.point_frames)
 
     @cached_property
     def _placed_model(self) -> pin.Model:

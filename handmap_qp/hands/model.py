@@ -143,34 +143,6 @@ def build_model(
     return model
 
 
-def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> None:
-    """Place a joint elsewhere on its parent link.
-
-    Args:
-        model: The model, changed in place.
-        name: Name of the joint; a fixed one takes the frames beyond it along, and does not turn.
-        origin: Its position on the parent link [m], shape (3,).
-        roll: Turn about its own x axis [rad].
-    """
-    is_movable = model.existFrame(name, pin.FrameType.JOINT)
-    kind = pin.FrameType.JOINT if is_movable else pin.FrameType.FIXED_JOINT
-    index = model.getFrameId(name, kind)
-    frame = model.frames[index]
-    place = model.frames[frame.parentFrame].placement.act(origin)
-    if is_movable:
-        placement = model.jointPlacements[frame.parentJoint]
-        placement.translation = place
-        placement.rotation = placement.rotation @ pin.utils.rotate("x", roll)
-        return
-    before = frame.placement.translation.copy()
-    moved = {index}
-    for i in range(index, len(model.frames)):
-        each = model.frames[i]
-        if i in moved or each.parentFrame in moved:
-            moved.add(i)
-            each.placement.translation = place + (each.placement.translation - before)
-
-
 def link_frame(
     model: pin.Model,
     spec: HandSpec,

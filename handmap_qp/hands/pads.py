@@ -125,16 +125,14 @@ def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, float]:
     """Return centre and radius of the ball inside convex shapes, given by their supports."""
-    depth = float(_depths(supports, tip))
-    if depth > _DEEP:
-        return tip, depth
     length = np.linalg.norm(tip)
     inwards = -tip / length if length > 1e-6 else np.zeros(3)
     steps = np.arange(0.0, _LONGEST + _STEP, _STEP)
     points = tip + steps[:, None] * inwards
     depths = _depths(supports, points)
-    chosen = int(np.argmax(depths >= _SHARE * depths.max()))
-    return points[chosen], max(float(depths.max()), _SMALLEST)
+    most = float(depths[0] if depths[0] > _DEEP else depths.max())
+    chosen = int(np.argmax(depths >= _SHARE * most))
+    return points[chosen], max(most, _SMALLEST)
 
 
 def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:

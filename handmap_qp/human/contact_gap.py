@@ -15,6 +15,7 @@ import numpy as np
 
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import TIPS
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import lengths
 
 CONTACT_GAPS = (0.012, 0.020)
@@ -53,6 +54,8 @@ def smallest_gap(time: np.ndarray, landmarks: np.ndarray) -> float:
         time: Instants [s], shape (T,).
         landmarks: Landmarks of samples in which the hand was seen [m], shape (T, 21, 3).
     """
+    if core is not None:
+        return core.smallest_gap(time, landmarks)
     gaps = tip_gaps(landmarks)
     period = float(np.median(np.diff(time))) if len(time) > 1 else _MEDIAN_TIME
     width = max(1, 2 * round(0.5 * _MEDIAN_TIME / max(period, 1e-6)) + 1)

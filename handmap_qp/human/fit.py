@@ -254,7 +254,7 @@ def fit_recording(
         InvalidInputError: If the landmarks are not a plausible hand in metres, or no sample's palm
             is of the hand's size.
     """
-    lengths = measure_hand(recording) if lengths is None else lengths
+    lengths = lengths or measure_hand(recording)
     fitter = LandmarkFitter(recording.side, lengths)
     valid = recording.valid.copy()
     valid[valid] = PalmShape(fitter.human).fits(recording.landmarks[valid])

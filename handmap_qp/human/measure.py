@@ -108,8 +108,8 @@ def scaled_human(
         InvalidInputError: If the landmarks are not those of a hand in metres.
         HandError: If there is no such set.
     """
-    own = measure_hand(recording) if lengths is None else lengths
-    return load_hand(human_name(recording.side), points=points, lengths=own)
+    lengths = lengths or measure_hand(recording)
+    return load_hand(human_name(recording.side), points=points, lengths=lengths)
 
 
 @cache

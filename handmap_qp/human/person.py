@@ -109,12 +109,8 @@ def read_person(path: Path | str) -> Person:
         InvalidInputError: If the file cannot be read, a key is unknown, missing or of another type,
             or a number cannot be a hand's. `argument` is the key.
     """
-    is_path = isinstance(path, str | os.PathLike)
     expect(
-        is_path,
-        "path",
-        "the path of a file",
-        value=path,
+        isinstance(path, str | os.PathLike), "path", "the path of a file", value=path
     )
     file = Path(path)
     try:
@@ -177,14 +173,6 @@ def _row(values: np.ndarray) -> str:
     return "[" + ", ".join(f"{value:.{_DECIMALS}f}" for value in values) + "]"
 
 
-def _unreadable(
-    file: Path,
-    key: str,
-    problem: str,
-) -> InvalidInputError:
+def _unreadable(file: Path, key: str, problem: str) -> InvalidInputError:
     text = " ".join(problem.split())
-    return InvalidInputError(
-        argument=key,
-        problem=f"{file}: {text}",
-        value=str(file),
-    )
+    return InvalidInputError(argument=key, problem=f"{file}: {text}", value=str(file))

@@ -216,7 +216,7 @@ def as_flags(values: Any, name: str, count: int) -> np.ndarray:
         InvalidInputError: If they are something else.
     """
     flags = as_floats(values, name, shape=(count,))
-    is_flag = np.isin(flags, (0.0, 1.0)).all()
+    is_flag = ((flags == 0.0) | (flags == 1.0)).all()
     expect(is_flag, name, "truth values, or 0 and 1", value=values)
     return flags.astype(bool)
 

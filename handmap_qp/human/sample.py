@@ -9,16 +9,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Literal, NamedTuple, get_args
-from weakref import WeakKeyDictionary
 
 import numpy as np
-import pinocchio as pin
 
+from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Side
-from handmap_qp.se3 import as_floats, check_pose, frozen, lengths
+from handmap_qp.hands.spec import PointSpec, Side
+from handmap_qp.ik.core import core
+from handmap_qp.se3 import as_floats, check_pose, frozen, lengths, transform_points
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
@@ -164,20 +165,23 @@ class PalmShape:
         )
 
 
-_AT_REST: WeakKeyDictionary[pin.Model, np.ndarray] = WeakKeyDictionary()
-
-
+@lru_cache(maxsize=16)
 def landmarks_at_rest(human: Hand) -> np.ndarray:
     """Return the landmarks of a hand at rest in the frame of its wrist [m], shape (21, 3).
 
     Raises:
         HandError: If the hand has no landmarks.
     """
-    # Hands that differ in their reference points only have one model.
-    if human.model not in _AT_REST:
-        points = human.with_points("landmarks").points(human.rest)
-        _AT_REST[human.model] = frozen(points)
-    return _AT_REST[human.model]
+    if (tree := ik.compiled.core_tree(human)) is None:
+        return frozen(human.with_points("landmarks").points(human.rest))
+    points = _landmark_points(human.unscaled or human)
+    in_palm = tree.points(human.rest, points)
+    return frozen(transform_points(human.wrist_to_palm, in_palm))
+
+
+@lru_cache(maxsize=16)
+def _landmark_points(human: Hand) -> tuple[PointSpec, ...]:
+    return human.with_points("landmarks").reference_points
 
 
 def human_name(side: Side) -> str:
@@ -205,6 +209,10 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
     """
     shape = ("T", LANDMARK_COUNT, 3)
     landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
+    if core is not None:
+        segments, palm = core.bone_lengths(landmarks)
+        expect_hand_length(palm + segments[2].sum(), "landmarks")
+        return segments
     bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
     segments = np.median(bones, axis=0)
     palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))

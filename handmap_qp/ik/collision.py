@@ -327,7 +327,6 @@ class CollisionLimit:
             pair has a row, in an order that never changes.
 
     Attributes:
-        pairs: The links of each pair; a link with several shapes has several.
         margin: Distance to keep [m]; `horizon` as given.
         shape_distances: Measures the distances.
         columns: Which active coordinates move the shapes of any pair against each other, shape
@@ -351,7 +350,6 @@ class CollisionLimit:
                 )
             pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
-        self.pairs = pairs.links
         self.horizon = horizon
         self._expansion = None if hand.expansion is None else hand.expansion.matrix
         self.shape_distances = ShapeDistances(hand.model, pairs.geometry)

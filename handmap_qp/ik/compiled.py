@@ -17,7 +17,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import core
 from handmap_qp.ik.limits import Gate, Motion
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, PointIk, Status
+from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Goal, PointDistances, Task
 from handmap_qp.se3 import frozen
 
@@ -29,7 +29,7 @@ class CompiledIk:
 
     def __init__(self, hand: Hand, core_ik: Any, gate: Gate) -> None:
         self._hand = hand
-        self._core = core_ik
+        self.core = core_ik
         self._gate = gate
         self._pose: Any = getattr(core, "HumanPose", None)
 
@@ -44,7 +44,7 @@ class CompiledIk:
             distances, aims, weights = first.core, first.distances, first.weights
             tasks = tasks[1:]
         step = self._moved(
-            self._core.solve,
+            self.core.solve,
             goal.points,
             goal.wrist,
             dt,
@@ -72,7 +72,7 @@ class CompiledIk:
         """
         kind = self._pose
         pose = pose if isinstance(pose, kind) else kind(pose.points, pose.wrist)
-        return self._moved(self._core.follow, target_map, pose, dt, speed)
+        return self._moved(self.core.follow, target_map, pose, dt, speed)
 
     def run(self, *arguments: Any) -> tuple[int, Any, Any]:
         """Move the hand for samples of a recording; see `stream.follower` and `core/run.hpp`.
@@ -82,7 +82,7 @@ class CompiledIk:
             that one, and the pose that was mapped last, if any.
         """
         self._push_motion()
-        index, verdict, step, seen = self._core.run(*arguments)
+        index, verdict, step, seen = self.core.run(*arguments)
         if step is not None:
             self._gate.leave_to(partial(_motion_of, step))
         return index, verdict, seen
@@ -96,7 +96,7 @@ class CompiledIk:
 
     def _push_motion(self) -> None:
         if self._gate.was_set:
-            self._core.set_motion(*self._gate.motion)
+            self.core.set_motion(*self._gate.motion)
 
     def result(self, step: Any, targets: np.ndarray) -> IkResult:
         """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
@@ -112,18 +112,6 @@ class CompiledIk:
             step.iterations,
             step.last_step,
         )
-
-    def approach(
-        self,
-        ik: PointIk,
-        task: PointDistances,
-        dt: float,
-        samples: int,
-        near: float,
-    ) -> np.ndarray:
-        """Move the hand from rest for a task; see `hand_pair.approach`."""
-        self._gate.was_set = True
-        return self._core.approach(ik, task, dt, samples, near)
 
     def _linearise(
         self, tasks: Sequence[Task], q: np.ndarray
@@ -155,6 +143,9 @@ def _motion_of(step: Any) -> Motion:
 @lru_cache(maxsize=16)
 def core_tree(hand: Hand) -> Any | None:
     """Return the core's kinematics of a hand; None without a core, or if it lacks a joint."""
+    if hand.unscaled is not None:
+        standard = core_tree(hand.unscaled)
+        return standard and standard.moved(hand.moves)
     try:
         return core and core.Tree(hand)
     except ValueError:

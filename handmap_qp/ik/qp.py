@@ -278,7 +278,6 @@ class PointIk:
         Args:
             q: Pinocchio configuration, shape (nq,).
         """
-        self._configuration.place(q)
         self.gate.place(q)
 
     def solve(

@@ -6,7 +6,7 @@ All of it is measured on the two models, once for each pair of hands.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import pinocchio as pin
@@ -14,6 +14,7 @@ import pinocchio as pin
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import (
     Finger,
+    PalmKinematics,
     Place,
     find_fingers,
     partner_names,
@@ -29,11 +30,8 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
-from handmap_qp.mapping.palm import (
-    point_indices,
-    require_points,
-)
-from handmap_qp.se3 import as_floats, frozen, lengths, transform_points
+from handmap_qp.mapping.palm import point_indices, require_points
+from handmap_qp.se3 import frozen, lengths, transform_points
 
 KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
 """Landmark at the base of each finger, by the finger's name."""
@@ -74,7 +72,7 @@ _PINCHING = _OPENING.replaced(
     wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
 )
 _PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
-_GAP_WEIGHT, _UNHURRIED = 3.0, 1e3  # s
+_GAP_WEIGHT, _GAP_DAMPING, _UNHURRIED = 3.0, 1.5, 1e3  # s
 
 
 def finger_landmarks(fingers: Iterable[str]) -> list[str]:
@@ -88,11 +86,10 @@ class HandPair:
     Args:
         human: The hand that leads; its reference points must hold the fingers' landmarks.
         robot: The hand that follows; its description must name fingers.
-        matched: The robot's joint positions that match the human's rest posture [rad or m], shape
-            (n,); those of the robot's description if omitted, else solved.
 
     Attributes:
         human: The hand that leads.
+        measured: What is measured on the robot alone.
         robot: The hand that follows. Its reference points are the fingertips and middle joints of
             the common fingers, in the order of `partners`.
         fingers: Names of the common fingers, the thumb first where there is one.
@@ -105,7 +102,8 @@ class HandPair:
         reach_ratios: Robot's reach over the human's, of each common finger, shape (f,).
         finger_ratio: Their mean without the thumb's.
         has_jaws: True if the thumb and the other fingers are jaws: only their gap can follow.
-        matched: The robot's joint positions that match the human's rest posture, shape (n,).
+        matched: The robot's joint positions that match the human's rest posture [rad or m], shape
+            (n,): those of its description, else solved.
         human_rest: Human reference points at rest, in palm axes [m], shape (n_h, 3).
         robot_rest: Robot reference points in the matched posture, in palm axes [m], shape (m, 3).
         human_knuckles: Centre of the knuckles but the thumb's, in the human's palm axes [m], (3,).
@@ -119,11 +117,9 @@ class HandPair:
             lack a landmark of one.
     """
 
-    def __init__(
-        self, human: Hand, robot: Hand, matched: np.ndarray | None = None
-    ) -> None:
+    def __init__(self, human: Hand, robot: Hand) -> None:
         self.human = human
-        self._measured = measured = _robot_fingers(robot)
+        self.measured = measured = _robot_fingers(robot)
         self.fingers = measured.names
         self.has_jaws = measured.has_jaws
         if not self.fingers:
@@ -139,11 +135,12 @@ class HandPair:
         # Shapes are read only for hands that can be a pair: it takes longest.
         self.chains = measured.chains
         self.pads = measured.pads
-        self.contacts: ShapePairs = measured.contacts
+        self.contacts = measured.contacts
         self.robot = measured.with_points
         names = point_indices(human)
-        wanted = [point.partner or point.name for point in self.robot.reference_points]
-        self.partners = np.array([names[partner] for partner in wanted])
+        self.partners = np.array(
+            [names[p.partner or p.name] for p in self.robot.reference_points]
+        )
         shape = [table[finger] for finger in FINGERS for table in (TIPS, MIDDLES)]
         self.shape_points = np.array([names[name] for name in shape if name in names])
         self.human_rest = frozen(points_in_palm(human, resting_posture(human)))
@@ -157,7 +154,8 @@ class HandPair:
         if not len(self._others):
             self._others = np.array([0])
         self.finger_ratio = float(self.reach_ratios[self._others].mean())
-        self.matched = frozen(self._given_or_solved(matched))
+        given = robot.matched
+        self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
 
     def _measure_robot(self) -> None:
@@ -179,13 +177,6 @@ class HandPair:
         spans = lengths(points[:, 1] - points[:, 0])
         self.robot_extension = frozen(spans / self.robot_reach)
 
-    def _given_or_solved(self, matched: np.ndarray | None) -> np.ndarray:
-        given = self.robot.matched if matched is None else matched
-        if given is None:
-            return self.solve_matched()
-        shape = (len(self.robot.joint_names),)
-        return as_floats(given, "matched", shape=shape, is_finite=True)
-
     def solve_matched(self) -> np.ndarray:
         """Solve the robot posture whose finger vectors are the resting human's, scaled.
 
@@ -199,7 +190,7 @@ class HandPair:
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
         places = [self.chains[finger].knuckle for finger in self.fingers]
-        knuckles = points_in_palm(self._measured.hand, robot.rest, places)
+        knuckles = points_in_palm(self.measured.hand, robot.rest, places)
         in_palm = np.empty((len(robot.reference_points), 3))
         for j, point in enumerate(robot.reference_points):
             i = self.fingers.index(str(point.finger))
@@ -209,13 +200,13 @@ class HandPair:
             else:
                 vector = human - self.human_rest[self.knuckles[i]]
                 in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
-        palm = self._measured.hand.frame_pose("palm", robot.rest)
+        palm = self.measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
         start = robot.rest
         if (standard := self.human.unscaled) is not None:
             # Near the posture that matches the package's own person, all others' are.
-            start = hand_pair(standard, self._measured.hand).matched
+            start = hand_pair(standard, self.measured.hand).matched
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
@@ -227,17 +218,17 @@ class HandPair:
         middle = knuckles[others].mean(axis=0)
         human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
         above = middle + gain * (tip - human_middle)
-        chains = find_fingers(self.human)
+        chains = _human_fingers(self.human)
         pads = find_pads(self.human, chains)
         human_pinching = _pinching_thumb(self.human, chains, pads)
         return (
             _THUMB_FROM_PINCH
-            * (self._measured.pinching_thumb + gain * (tip - human_pinching))
+            * (self.measured.pinching_thumb + gain * (tip - human_pinching))
             + (1.0 - _THUMB_FROM_PINCH) * above
         )
 
 
-class _RobotFingers:
+class RobotFingers:
     """What is measured on a robot alone, shared by all people: reading meshes takes longest."""
 
     def __init__(self, robot: Hand) -> None:
@@ -274,7 +265,7 @@ class _RobotFingers:
         return all_pairs(self.hand, self.chains)
 
 
-_robot_fingers = lru_cache(maxsize=32)(_RobotFingers)
+_robot_fingers = lru_cache(maxsize=32)(RobotFingers)
 
 
 def require_partners(
@@ -363,20 +354,11 @@ def points_in_palm(
         q: Its joint positions [rad or m], shape (n,).
         places: Points on joints; the hand's reference points if omitted.
     """
-    if places is None:
-        points = AttachedPoints.reference_points(hand)
-    else:
-        points = AttachedPoints(hand, places)
-    vector = hand.configuration_vector(q)
     if (tree := core_tree(hand)) is not None:
-        return tree.points(vector, points.joints, points.offsets, True)
-    model = hand.model
-    data = model.createData()
-    pin.forwardKinematics(model, data, vector)
-    palm = model.frames[hand.palm_frame_id]
-    to_palm = (data.oMi[palm.parentJoint] * palm.placement).inverse()
-    placed = zip(points.joints, points.offsets, strict=True)
-    return np.array([to_palm * data.oMi[joint] * offset for joint, offset in placed])
+        return tree.points(q, hand.reference_points if places is None else places)
+    if places is None:
+        places = [(f.parentJoint, f.placement.translation) for f in hand.point_frames]
+    return PalmKinematics(hand).points(q, places)
 
 
 def resting_posture(human: Hand) -> np.ndarray:
@@ -395,19 +377,43 @@ def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
     return reaches[[FINGERS.index(finger) for finger in fingers]]
 
 
+def _human_fingers(human: Hand) -> dict[str, Finger]:
+    """Find a human's fingers; those of a scaled hand have their tips elsewhere."""
+    standard = human.unscaled
+    tree = core_tree(human)
+    if standard is None or tree is None:
+        return find_fingers(human)
+    chains = _robot_fingers(standard).chains
+    named = {point.name: point for point in standard.spec.points}
+    places = tree.places([named[TIPS[finger]] for finger in chains])
+    return {
+        finger: Finger(human, chains[finger].joints, tip, name=finger)
+        for finger, tip in zip(chains, places, strict=True)
+    }
+
+
 def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
-    pads = {finger: pads[finger] for finger in chains}
+    used = [pads[THUMB], *(pads[finger] for finger in chains if finger != THUMB)]
+    tip = [chains[THUMB].tip]
+    if (tree := core_tree(hand)) is not None:
+        places = [(pad.joint, pad.offset) for pad in used]
+        touching = np.array([used[0].radius + pad.radius for pad in used[1:]])
+        return tree.pinching_thumb(
+            _pinching_ik(hand.unscaled or hand), places, touching, tip
+        )
     ik = PointIk(hand, _PINCHING)
-    task = _gap_task(hand, pads.pop(THUMB), list(pads.values()), 0.0)
+    task = _gap_task(hand, used[0], used[1:], 0.0)
     tips = []
-    for is_used in np.eye(len(pads)):
+    for is_used in np.eye(len(used) - 1):
         own = task.aimed_at(task.distances, is_used * task.weights)
-        q = approach(ik, own, _PINCH_STEPS)
-        tips.append(points_in_palm(hand, q, [chains[THUMB].tip])[0])
+        tips.append(points_in_palm(hand, approach(ik, own, _PINCH_STEPS), tip)[0])
     return np.mean(tips, axis=0)
+
+
+_pinching_ik = lru_cache(maxsize=16)(partial(PointIk, options=_PINCHING))
 
 
 def _gap_task(
@@ -417,7 +423,9 @@ def _gap_task(
     points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in (thumb, *pads)])
     pairs = [(0, k) for k in range(1, len(points))]
     touching = np.array([thumb.radius + pad.radius for pad in pads])
-    return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
+    return PointDistances(
+        points, pairs, touching + gaps, _GAP_WEIGHT, damping=_GAP_DAMPING
+    )
 
 
 def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:
@@ -432,9 +440,6 @@ def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:
         Joint positions there [rad or m], shape (n,).
     """
     hand = ik.hand
-    if ik.core is not None:
-        q = ik.core.approach(ik, task, _UNHURRIED, steps, _TOUCHING)
-        return q[hand.q_indices]
     ik.place(hand.configuration_vector(hand.rest))
     placed = ik.configuration
     targets = placed.points.copy()

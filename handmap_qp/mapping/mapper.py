@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec import structs
 
+from handmap_qp import ik
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.sample import (
@@ -716,6 +717,9 @@ def _method_of(
 
 def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
+    if (tree := ik.compiled.core_tree(robot)) is not None:
+        places = tree.posture(vector, robot.reference_points)
+        return RobotPosture(vector[robot.q_indices], *places)
     placed = robot.configuration()
     placed.place(vector)
     return RobotPosture(

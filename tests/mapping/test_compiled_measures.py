@@ -18,9 +18,12 @@ from handmap_qp.apps.offline.surface_gaps import GapMeter, measure_gaps
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.pads import find_pads
+from handmap_qp.human.sample import landmarks_at_rest
 from handmap_qp.ik import core as core_module
+from handmap_qp.ik.compiled import core_tree
 from handmap_qp.mapping import hand_pair, matched_posture
 from handmap_qp.mapping.hand_pair import HandPair
+from handmap_qp.se3 import inverse_pose, transform_points
 
 core: Any = core_module.core
 if core is None:
@@ -172,3 +175,19 @@ def test_pads_of_a_scaled_hand_are_those_of_its_urdf(name: str) -> None:
         for finger, pad in find_pads(read, find_fingers(read)).items():
             np.testing.assert_allclose(pad.offset, found[finger].offset, atol=1e-12)
             assert pad.radius == pytest.approx(found[finger].radius, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", ["human", "human_left"])
+def test_the_core_moves_the_joints_of_a_scaled_hand(name: str) -> None:
+    rng = np.random.default_rng(8)
+    for lengths in people(5):
+        human = load_hand(name, points="landmarks", lengths=lengths)
+        places = [(f.parentJoint, f.placement.translation) for f in human.point_frames]
+        q = rng.uniform(human.lower_limits, human.upper_limits)
+        palm = human.frame_pose("palm", q)
+        expected = transform_points(inverse_pose(palm), human.points(q))
+        tree: Any = core_tree(human)
+        for points in (human.reference_points, places):
+            np.testing.assert_allclose(tree.points(q, points), expected, atol=1e-12)
+        at_rest = human.points(human.rest)
+        np.testing.assert_allclose(landmarks_at_rest(human), at_rest, atol=1e-12)

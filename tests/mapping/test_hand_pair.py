@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from marks import slow
 
-from handmap_qp import HandMapper, InvalidInputError, InvalidOptionsError, load_hand
+from handmap_qp import HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.mapping.hand_pair import (
-    HandPair,
     bone_lengths,
     hand_pair,
     require_partners,
@@ -54,17 +53,6 @@ def test_the_matched_posture_of_the_description_is_used(name: str) -> None:
     )
     targets = transform_points(inverse_pose(palm), step.targets)
     np.testing.assert_allclose(targets, there, atol=1e-9)
-
-
-def test_an_argument_wins_over_the_description() -> None:
-    robot = load_hand("three_finger")
-    own = with_matched(robot, robot.rest)
-    q = 0.5 * (robot.lower_limits + robot.upper_limits)
-    np.testing.assert_array_equal(HandPair(HUMAN, own, q).matched, q)
-    for bad in (q[1:], np.full(len(q), np.nan)):
-        with pytest.raises(InvalidInputError) as caught:
-            HandPair(HUMAN, own, bad)
-        assert caught.value.argument == "matched"
 
 
 def test_jaws_open_and_close_with_thumb_and_index() -> None:

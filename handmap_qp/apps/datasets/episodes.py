@@ -13,6 +13,7 @@ from hashlib import file_digest, sha256
 from io import BytesIO
 from pathlib import Path
 from time import process_time
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -34,6 +35,7 @@ from handmap_qp.errors import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
+from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
@@ -104,26 +106,24 @@ class Job:
     digest: str
     folder: Path
 
-    def line(
-        self, status: Status, *, error: str = "", kills: int = 0, cpu_s: float = 0.0
-    ) -> Line:
-        """Return a line of the manifest about this job, without results."""
+    def line(self, status: Status, **results: Any) -> Line:
+        """Return a line of the manifest about this job; results are its fields by name."""
         task = self.task
-        file = self.task.file
+        file = task.file
+        side = task.side or ""
+        frames = results.pop("frames", task.frames)
         return Line(
-            key=task.key,
-            status=status,
-            path=str(file.path),
-            size=file.size,
-            mtime_ns=file.mtime_ns,
-            options=self.digest,
-            entries=task.entries,
-            side=task.side or "",
-            robot=self.options.robots.get(task.side, "") if task.side else "",
-            frames=task.frames,
-            cpu_s=round(cpu_s, 6),
-            kills=kills,
-            error=error,
+            task.key,
+            status,
+            str(file.path),
+            file.size,
+            file.mtime_ns,
+            self.digest,
+            task.entries,
+            side,
+            self.options.robots.get(side, ""),
+            frames,
+            **results,
         )
 
 
@@ -140,18 +140,20 @@ def run_job(job: Job) -> Line:
         DiskFullError: If the disk is full: no other recording of the batch can be written either.
     """
     started = process_time()
+    results: dict[str, Any] = {"status": "failed"}
     try:
-        return _run(job, started)
+        results = _run(job)
     except DiskFullError:
         raise
     except HandmapError as error:
-        text = " ".join(str(error).split())
+        results["error"] = " ".join(str(error).split())
     except Exception as error:  # a bug must not end the batch
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-    return job.line("failed", error=text, cpu_s=process_time() - started)
+        results["error"] = " ".join(f"{type(error).__name__}: {error}".split())
+    return job.line(**results, cpu_s=round(process_time() - started, 6))
 
 
-def _run(job: Job, started: float) -> Line:
+def _run(job: Job) -> dict[str, Any]:
+    """Map one recording, write its episode, and return the results for its line."""
     task = job.task
     if task.source is None or task.side is None:
         raise InvalidInputError(problem=task.error)
@@ -170,10 +172,13 @@ def _run(job: Job, started: float) -> Line:
     )
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))
     digest = save_episode(job.folder / task.out, trajectory, task.side)
-    line = job.line("done", cpu_s=process_time() - started)
-    return msgspec.structs.replace(
-        line, frames=len(recording), metrics=metrics, out=task.out, sha256=digest
-    )
+    return {
+        "status": "done",
+        "frames": len(recording),
+        "metrics": metrics,
+        "out": task.out,
+        "sha256": digest,
+    }
 
 
 @lru_cache(maxsize=8)
@@ -208,17 +213,17 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
     Raises:
         InvalidInputError: If the file cannot be written.
     """
-    left_out = {"versions", "all_q", "all_joint_names", "all_joint_roles"}
-    columns = {
-        name: a for name, a in trajectory.columns.items() if name not in left_out
-    }
-    # Written at once: the parts of an archive, one by one, take twice as long.
-    archive = BytesIO()
-    np.savez(archive, allow_pickle=False, **columns, side=np.array(side))
+    columns = trajectory.columns | {"side": np.array(side)}
+    if core is None:
+        buffer = BytesIO()
+        np.savez(buffer, allow_pickle=False, **columns)
+        archive = buffer.getvalue()
+    else:
+        archive = core.pack(columns)
     make_folder(file.parent, "--out")
     with replaced_file(file, "--out", is_synced=False) as stream:
-        stream.write(archive.getbuffer())
-    return sha256(archive.getbuffer()).hexdigest()
+        stream.write(archive)
+    return sha256(archive).hexdigest()
 
 
 def synced(folder: Path, lines: Sequence[Line]) -> Sequence[Line]:

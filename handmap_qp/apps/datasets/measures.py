@@ -11,6 +11,7 @@ from handmap_qp.apps.offline.trajectory import Trajectory, rms_derivative
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.human.recording import Recording
+from handmap_qp.ik.core import core
 from handmap_qp.se3 import lengths
 
 MOST_SURFACES = 60
@@ -106,9 +107,22 @@ def measure_episode(
         Values by the keys of `MEASURES`, rounded to six digits; None where a question does not
         arise.
     """
+    measure = _measured if core is None else core.measure_episode
+    values = measure(recording, trajectory)
+    if meter is not None:
+        values |= _surfaces(recording, trajectory, contact_gap, meter)
+    found = ((each.key, values.get(each.key, np.nan)) for each in MEASURES)
+    return {
+        key: float(f"{value:.6g}") if np.isfinite(value) else None
+        for key, value in found
+    }
+
+
+def _measured(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
+    """Measure all but surfaces; see `MEASURES`."""
     seen = trajectory.valid
     errors = 1e3 * trajectory.point_error[seen]
-    values: dict[str, Any] = {
+    return {
         "valid": recording.valid.mean(),
         "longest_gap_s": _longest_gap(recording),
         "bone_variation": _bone_variation(recording.landmarks[recording.valid]),
@@ -117,15 +131,6 @@ def measure_episode(
         "saturation": trajectory.at_limit[seen].mean(),
         "speed_limited": trajectory.at_speed_limit[seen].any(axis=1).mean(),
         "jerk": rms_derivative(trajectory.q, trajectory.time, seen, order=3),
-    }
-    if meter is not None:
-        values |= _surfaces(recording, trajectory, contact_gap, meter)
-    known = {key: value for key, value in values.items() if np.isfinite(value)}
-    return {
-        measure.key: float(f"{known[measure.key]:.6g}")
-        if measure.key in known
-        else None
-        for measure in MEASURES
     }
 
 

@@ -154,7 +154,7 @@ class Map:
             _, trajectory = map_hand(
                 recording, robot, person, self.arguments, progress=advance
             )
-        save_npz(out, trajectory.columns)
+        save_npz(out, trajectory.all_columns)
         return {"recording": recording.name, **summarise(trajectory), "out": str(out)}
 
 

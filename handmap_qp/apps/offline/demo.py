@@ -122,7 +122,7 @@ def run_demo(
         _, trajectory = map_hand(
             recording, robot, person, MappingArguments(), progress=progress
         )
-        save_npz(folder / "trajectory.npz", trajectory.columns)
+        save_npz(folder / "trajectory.npz", trajectory.all_columns)
         columns = [(trajectory.robot.name, trajectory.robot, trajectory.q)]
         save_contact_sheet(
             folder / "gestures.png", recording, find_poses(recording), columns

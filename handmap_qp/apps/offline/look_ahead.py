@@ -23,11 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_qp.apps.offline.trajectory import (
-    Trajectory,
-    map_recording,
-    stretches,
-)
+from handmap_qp.apps.offline.trajectory import Trajectory, map_recording, stretches
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human

@@ -133,10 +133,7 @@ class GapMeter:
         """
         hand = self._hand
         if (tree := core_tree(hand)) is not None:
-            vectors = np.tile(hand.configuration_vector(hand.rest), (len(q), 1))
-            hand.write_configuration(vectors, q)
-            bounds = pair_bounds(hand.model, geometry).core
-            found = tree.smallest_distances(bounds, vectors, starts, most)
-            return found.reshape(len(q), len(starts))
+            pairs = pair_bounds(hand.model, geometry)
+            return tree.smallest_distances(pairs.core, q, starts, most)
         groups = np.split(pair_distances(hand, geometry, q), starts[1:], axis=1)
         return np.array([group.min(axis=1, initial=most) for group in groups]).T

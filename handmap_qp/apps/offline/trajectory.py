@@ -84,17 +84,24 @@ class Trajectory:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """Plain arrays by name, as written to a file; angles in rad, lengths in m."""
+        """Plain arrays by name, without those that follow from them and the robot; rad and m."""
         robot = self.robot
         arrays = {one.name: getattr(self, one.name) for one in fields(self)}
         del arrays["step_cpu"]
         return arrays | {
             "joint_names": np.array(robot.joint_names),
+            "point_names": np.array([point.name for point in robot.reference_points]),
+            "robot": np.array(robot.name),
+        }
+
+    @property
+    def all_columns(self) -> dict[str, np.ndarray]:
+        """Plain arrays by name, as written to a file of one recording; rad and m."""
+        robot = self.robot
+        return self.columns | {
             "all_joint_names": np.array(robot.all_joint_names),
             "all_joint_roles": np.array(robot.all_joint_roles),
             "all_q": robot.all_joints(self.q),
-            "point_names": np.array([point.name for point in robot.reference_points]),
-            "robot": np.array(robot.name),
             "versions": np.array(package_versions()),
         }
 

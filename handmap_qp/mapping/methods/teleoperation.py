@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Self
 
 import numpy as np
@@ -21,7 +22,7 @@ from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
-from handmap_qp.mapping.hand_pair import finger_landmarks, hand_pair
+from handmap_qp.mapping.hand_pair import RobotFingers, finger_landmarks, hand_pair
 from handmap_qp.mapping.method import (
     FOLLOWING,
     Diagnostics,
@@ -31,12 +32,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import (
-    PalmMap,
-    PalmMethod,
-    palm_of,
-    point_indices,
-)
+from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of, point_indices
 from handmap_qp.options import number, text
 from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
@@ -184,6 +180,25 @@ class TeleoperationDiagnostics(Diagnostics):
         return self._estimate.residual_norms
 
 
+@lru_cache(maxsize=32)
+def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
+    """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
+    chains = [robot.chains[finger] for finger in robot.names]
+    places = [place for chain in chains for place in (chain.knuckle, chain.tip)]
+    first = len(places)
+    pairs = [(k, k + 1) for k in range(0, first, 2)]
+    pads = [robot.pads[finger] for finger in (THUMB, *pinched) if pinched]
+    places += [(pad.joint, pad.offset) for pad in pads]
+    pairs += [(first, k) for k in range(first + 1, len(places))]
+    damping = [_EXTENSION_DAMPING] * len(chains) + [_PINCH_DAMPING] * len(pinched)
+    return PointDistances(
+        AttachedPoints(robot.with_points, places),
+        pairs,
+        np.zeros(len(pairs)),
+        damping=damping,
+    )
+
+
 class BoundTeleoperation(PalmMethod):
     """The method for two hands; see `BoundMethod`."""
 
@@ -206,7 +221,8 @@ class BoundTeleoperation(PalmMethod):
         # The thumb comes first.
         self.pinched = pair.fingers[1:] if THUMB in pair.fingers else ()
         self.pads = [pair.pads[f] for f in (THUMB, *self.pinched) if self.pinched]
-        self._prepare_distances()
+        self.distances = _distances(pair.measured, self.pinched)
+        self._prepare_aims()
         self._prepare_margins()
 
     def start_palm(self, sample: HumanPose) -> np.ndarray:
@@ -220,24 +236,6 @@ class BoundTeleoperation(PalmMethod):
     def start(self, sample: HumanPose, robot: RobotPosture) -> TeleoperationMap:
         """Count the palm's displacement from here; the fingers start from the matched posture."""
         return TeleoperationMap(self, sample, robot)
-
-    def _prepare_distances(self) -> None:
-        """Lay out the distance rows: extension of each finger, then a pinch with each finger."""
-        pair = self.pair
-        chains = [pair.chains[finger] for finger in pair.fingers]
-        places = [place for chain in chains for place in (chain.knuckle, chain.tip)]
-        first = len(places)
-        pairs = [(k, k + 1) for k in range(0, first, 2)]
-        pairs += [(first, first + k) for k in range(1, len(self.pads))]
-        places += [(pad.joint, pad.offset) for pad in self.pads]
-        counts = [len(chains), len(self.pinched)]
-        self.distances = PointDistances(
-            AttachedPoints(pair.robot, places),
-            pairs,
-            np.zeros(len(pairs)),
-            damping=np.repeat([_EXTENSION_DAMPING, _PINCH_DAMPING], counts),
-        )
-        self._prepare_aims()
 
     def _prepare_aims(self) -> None:
         """Make the wanted distance of each row a linear function of the human's, within bounds."""
