@@ -431,6 +431,7 @@ class PythonGuard {
         guard(once(&read_guard_rules), once(&read_input_rules),
               sign_of(nb::cast<std::string>(owner.attr("_side"))), explainer) {
     const Fields from(owner);
+    side_ = from.object("_side");
     guard.palm = from.get<double>("_palm._size");
     const Array person = from.array("_lengths", kFixed);
     std::copy(person.data(), person.data() + kFixed, guard.person.begin());
@@ -439,7 +440,7 @@ class PythonGuard {
     verdict_ = sample.object("Verdict");
     new_tuple_ = nb::module_::import_("builtins").attr("tuple").attr("__new__");
     for (const char* name : kRuleNames) rules_.push_back(nb::str(name));
-    for (const char* name : {"time", "landmarks", "wrist", "valid", "confidence"})
+    for (const char* name : {"time", "landmarks", "wrist", "valid", "confidence", "side"})
       names_.push_back(nb::steal(PyUnicode_InternFromString(name)));
     const nb::object saved = from.object("_saved");
     if (saved.is_none()) return;
@@ -454,27 +455,46 @@ class PythonGuard {
                           explainer.save());
   }
 
-  nb::bytes state() const { return bytes_of(guard.state); }
-  void set_state(const nb::object& bytes) { put_back(bytes, guard.state); }
-
-  // Judge a `HumanSample` of Python.
-  nb::object check(const nb::object& sample, const nb::object& arrival) {
-    tidy();
-    const Array landmarks = nb::cast<Array>(field(sample, 1));
-    expect_size(landmarks, 3 * kLandmarks, "landmarks");
+  // A `HumanSample` of Python, whose arrays it keeps.
+  struct Given {
+    Array landmarks;
+    std::optional<Array> wrist;
+    StreamSample sample;
+  };
+  Given given(const nb::object& sample, const nb::object& arrival) const {
+    Given from{nb::cast<Array>(field(sample, 1)), {}, {}};
+    expect_size(from.landmarks, 3 * kLandmarks, "landmarks");
     const nb::object wrist = field(sample, 2);
-    std::optional<Array> pose;
     if (!wrist.is_none()) {
-      pose = nb::cast<Array>(wrist);
-      expect_size(*pose, 16, "wrist");
+      from.wrist = nb::cast<Array>(wrist);
+      expect_size(*from.wrist, 16, "wrist");
     }
     const double now = arrival.is_none() ? std::numeric_limits<double>::quiet_NaN()
                                          : nb::cast<double>(arrival);
     const int is_valid = PyObject_IsTrue(field(sample, 3).ptr());
     if (is_valid < 0) nb::raise_python_error();
-    return verdict_of(guard.check({nb::cast<double>(field(sample, 0)), landmarks.data(),
-                                   pose ? pose->data() : nullptr, is_valid != 0,
-                                   nb::cast<double>(field(sample, 4)), now}));
+    from.sample = {nb::cast<double>(field(sample, 0)), from.landmarks.data(),
+                   from.wrist ? from.wrist->data() : nullptr, is_valid != 0,
+                   nb::cast<double>(field(sample, 4)), now};
+    return from;
+  }
+
+  // Whether a sample is of the guard's own hand.
+  bool is_own(const nb::object& sample) const {
+    const nb::object side = field(sample, 5);
+    return side.is(side_) || side.equal(side_);
+  }
+
+  Verdict judge_one(const StreamSample& sample) {
+    tidy();
+    former_ = guard.state;
+    return guard.check(sample);
+  }
+  // Forget the sample that was judged last.
+  void forget() { guard.state = former_; }
+
+  nb::object check(const nb::object& sample, const nb::object& arrival) {
+    return verdict_of(judge_one(given(sample, arrival).sample));
   }
 
   // Judge a whole `Recording` without its wrist: which samples are held.
@@ -503,7 +523,8 @@ class PythonGuard {
   }
 
  private:
-  nb::object verdict_, new_tuple_;
+  nb::object verdict_, new_tuple_, side_;
+  GuardState former_{};
   std::vector<nb::object> rules_, names_;
 
   std::vector<Verdict> judged(const nb::object& recording) {

@@ -18,8 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -44,7 +43,6 @@ from handmap_qp.se3 import lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
-    from handmap_qp.ik.compiled import CompiledIk
 
 
 class HumanPose(msgspec.Struct, frozen=True, eq=False):
@@ -57,11 +55,6 @@ class HumanPose(msgspec.Struct, frozen=True, eq=False):
 
     points: np.ndarray
     wrist: np.ndarray | None
-
-    @property
-    def has_wrist(self) -> bool:
-        """Whether the pose of the wrist is known."""
-        return self.wrist is not None
 
     @property
     def in_wrist(self) -> np.ndarray:
@@ -283,6 +276,8 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
 class Stages(msgspec.Struct, frozen=True, eq=False):
     """The stages of a step: the human's pose, the targets, the motion towards them, the command.
 
+    The compiled core has its own, which makes them when they are asked for.
+
     Attributes:
         pose: The human hand.
         asked: The method's targets and diagnostics.
@@ -294,47 +289,6 @@ class Stages(msgspec.Struct, frozen=True, eq=False):
     asked: Targets
     ik: IkResult
     command: RobotCommand
-
-
-@dataclass(eq=False)
-class CompiledStages:
-    """`Stages` of a step that the compiled core has made, read from it when they are asked for.
-
-    It has the core that has moved the robot, what that says, the robot hand, the human hand, and
-    what makes the targets of the core's numbers.
-    """
-
-    _ik: CompiledIk
-    _step: Any
-    _robot: Hand
-    pose: HumanPose
-    _asked: Callable[[np.ndarray, bool], Targets]
-    _command: RobotCommand | None = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Another process may have no core, and this one's moves on.
-        pose = HumanPose(self.pose.points, self.pose.wrist)
-        return Stages, (pose, self.asked, self.ik, self.command)
-
-    @cached_property
-    def asked(self) -> Targets:
-        """The method's targets and diagnostics."""
-        return self._asked(self._step.asked, self._step.is_clamped)
-
-    @cached_property
-    def ik(self) -> IkResult:
-        """Result of the inverse kinematics."""
-        return self._ik.result(self._step, self.asked.points)
-
-    @property
-    def command(self) -> RobotCommand:
-        """The robot's next joint angles and wrist pose."""
-        # Every step is asked for it, and `cached_property` of Python 3.11 takes a lock.
-        if self._command is None:
-            step = self._step
-            names = self._robot.joint_names
-            self._command = RobotCommand(names, step.q, step.wrist)
-        return self._command
 
 
 class MapStep(msgspec.Struct, frozen=True, eq=False):
@@ -354,7 +308,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         is_gliding: Whether the robot is still on its way back to the human after a hold.
     """
 
-    stages: Stages | CompiledStages
+    stages: Stages
     out_of_range: tuple[str, ...]
     duration: float
     verdict: Verdict | None = None

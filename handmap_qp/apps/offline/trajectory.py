@@ -141,7 +141,8 @@ def map_recording(
         return _trajectory(mapper.robot, recording.time, table)
     samples = recording_samples(recording, wrist_poses)
     steps = (
-        follower.map(mapper.landmarks.read(sample.landmarks, sample.wrist), float(dt))
+        pose, _ = mapper.landmarks.read(sample.landmarks, sample.wrist)
+        follower.map(pose, float(dt))
         if sample.valid
         else None
         for sample, dt in zip(samples, recording.steps, strict=True)
