@@ -141,8 +141,9 @@ def map_recording(
         return _trajectory(mapper.robot, recording.time, table)
     samples = recording_samples(recording, wrist_poses)
     steps = (
-        pose, _ = mapper.landmarks.read(sample.landmarks, sample.wrist)
-        follower.map(pose, float(dt))
+        follower.map(
+            mapper.landmarks.read(sample.landmarks, sample.wrist)[0], float(dt)
+        )
         if sample.valid
         else None
         for sample, dt in zip(samples, recording.steps, strict=True)
