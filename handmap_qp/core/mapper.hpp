@@ -10,11 +10,6 @@
 
 namespace handmap {
 
-// A name of Python, which is made once for each place that asks for it.
-inline const nb::object& interned(const char* name) {
-  return *new nb::object(nb::steal(PyUnicode_InternFromString(name)));
-}
-
 // -- the motion, which the core shares with a `Gate` of Python
 
 inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double dt,
@@ -54,43 +49,38 @@ inline std::optional<double> plain_dt(const nb::handle& given) {
   return dt > 0.0 && dt < HUGE_VAL ? std::optional(dt) : std::nullopt;
 }
 
-// Numbers as they are, if they have a shape and no coordinate of them is farther than any hand.
-inline std::optional<Array> plain(const nb::handle& given, std::initializer_list<size_t> shape) {
-  Array numbers;
-  if (!nb::try_cast(given, numbers, false) || numbers.ndim() != shape.size()) return {};
-  size_t axis = 0;
-  for (const size_t count : shape)
-    if (numbers.shape(axis++) != count) return {};
-  return is_near(numbers.data(), numbers.size()) ? std::optional(numbers) : std::nullopt;
+// Whether Python has nothing to say about numbers: no coordinate is farther than any hand.
+inline bool is_plain(const Borrowed& numbers, size_t count) {
+  return numbers.data && is_near(numbers.data, count);
 }
 
 // A pose whose rotation is one up to rounding.
 inline std::optional<Pose> plain_pose(const nb::handle& given) {
-  const std::optional<Array> numbers = plain(given, {4, 4});
-  return numbers ? exact_pose(numbers->data()) : std::nullopt;
+  const Borrowed numbers(given, {4, 4});
+  return numbers.data ? exact_pose(numbers.data) : std::nullopt;
 }
 
 // A sample of landmarks, or none for what Python has to look at.
 inline std::optional<HumanPose> read_landmarks(const LandmarkReader* reader,
                                                const nb::handle& landmarks,
                                                const nb::handle& wrist) {
-  const std::optional<Array> points = plain(landmarks, {kLandmarks, 3});
-  if (!reader || !points) return {};
-  if (wrist.is_none()) return reader->read(points->data(), nullptr);
+  const Borrowed points(landmarks, {kLandmarks, 3});
+  if (!reader || !is_plain(points, 3 * kLandmarks)) return {};
+  if (wrist.is_none()) return reader->read(points.data, nullptr);
   const std::optional<Pose> pose = plain_pose(wrist);
   if (!pose) return {};
-  return reader->read(points->data(), &*pose);
+  return reader->read(points.data, &*pose);
 }
 
 // Likewise of joint angles.
 inline std::optional<HumanPose> read_joints(JointReader* reader, const nb::handle& q,
                                             const nb::handle& wrist) {
   if (!reader) return {};
-  const std::optional<Array> angles = plain(q, {reader->size()});
-  if (!angles) return {};
+  const Borrowed angles(q, {static_cast<int>(reader->size())});
+  if (!is_plain(angles, reader->size())) return {};
   const std::optional<Pose> pose = plain_pose(wrist);
   HumanPose found;
-  if (!pose || !reader->read(angles->data(), *pose, found)) return {};
+  if (!pose || !reader->read(angles.data, *pose, found)) return {};
   return found;
 }
 

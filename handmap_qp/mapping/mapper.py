@@ -303,7 +303,7 @@ class HandMapper:
         plan = self._plan
         bound = plan.bound
         reference = self._reference or self._reference_at(sample)
-        core = None if sample.wrist is None else self._core_at(reference)
+        core: Any = None if sample.wrist is None else self._core_at(reference)
         target_map = reference.map
         asked = None if core else target_map.targets(sample)
         if bound.renews_reference:

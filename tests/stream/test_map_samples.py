@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -44,8 +43,8 @@ def columns_of(samples: list[HumanSample]) -> SampleColumns:
 
 
 def part(columns: SampleColumns, which: slice) -> SampleColumns:
-    side, *arrays = columns
-    return SampleColumns(side, *(None if a is None else a[which] for a in arrays))
+    names = ("time", "landmarks", "valid", "confidence")
+    return columns._replace(**{name: getattr(columns, name)[which] for name in names})
 
 
 def samples_with(faults: str) -> list[HumanSample]:
