@@ -112,9 +112,18 @@ inline void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose)
 // What Python needs to read the numbers of a step.
 struct StepReader {
   nb::object joint_names;
-  nb::object targets;  // makes `Targets` of numbers
-  nb::object result;   // makes `IkResult` of a step and its targets
-  nb::object Command = nb::module_::import_("handmap_qp.mapping.method").attr("RobotCommand");
+  nb::object targets;         // makes `Targets` of numbers
+  nb::object result;          // makes `IkResult` of a step and its targets
+  std::vector<Vec3> centred;  // the human points that T is estimated from, at the reference
+  std::vector<int> columns;   // see IkResult.joint_columns
+  nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");
+  nb::object summary = module_of("handmap_qp.mapping.method").object("StepSummary");
+  nb::object statuses = module_of("handmap_qp.ik.compiled").object("STATUSES");
+
+  StepReader(const nb::object& target_map, const nb::object& robot, nb::object make_result)
+      : joint_names(nb::getattr(robot, "joint_names")), targets(nb::getattr(target_map, "asked")),
+        result(std::move(make_result)), centred(Fields(target_map).points("estimator._centred")),
+        columns(Fields(robot).indices("joint_columns")) {}
 };
 
 // `Stages` of a step, whose objects Python gets when it asks for them.
@@ -124,24 +133,51 @@ struct Stages : Step {
   nb::object asked_, ik_, command_;
 
   nb::object read_asked() {
-    if (!asked_.is_valid()) asked_ = reader->targets(numbers_of(*this), asked.is_clamped);
+    if (!asked_.is_valid()) asked_ = reader->targets(numbers(), asked.is_clamped);
     return asked_;
   }
   nb::object read_command() {
     if (!command_.is_valid())
-      command_ = reader->Command(reader->joint_names, array_of(q), array_of(result.wrist));
+      command_ = reader->command(reader->joint_names, array_of(q), array_of(result.wrist));
     return command_;
   }
+  nb::object status() const { return item(reader->statuses, static_cast<size_t>(result.status)); }
 
+  nb::object read_summary() {
+    nb::list errors, at_bound;
+    for (size_t k = 0; k < result.points.size(); ++k)
+      errors.append(norm(asked.points[k] - result.points[k]));
+    for (const int column : reader->columns) at_bound.append(result.active[column] != 0);
+    nb::object flags = asked.is_clamped ? nb::getattr(read_asked(), "flags") : nb::tuple();
+    return reader->summary(errors, at_bound, residual(), flags);
+  }
+
+ private:
   // Points, wrist, aims, weights, margins and diagnostics, one after the other.
-  static NumpyArray numbers_of(const Step& step) {
-    const Asked& asked = step.asked;
-    Vector numbers;
-    append(asked.points, numbers);
-    append(asked.wrist, numbers);
+  NumpyArray numbers() const {
+    Vector found;
+    append(asked.points, found);
+    append(asked.wrist, found);
     for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins, &asked.diagnostics})
-      append(*part, numbers);
-    return array_of(numbers);
+      append(*part, found);
+    return array_of(found);
+  }
+
+  // RMS distance of the points from where T takes them. The diagnostics of every map begin with T's
+  // linear part, the centroid and the points, after the motion.
+  double residual() const {
+    const double* from = asked.diagnostics.data();
+    Mat3 linear;
+    std::copy(from, from + 9, linear.m);
+    const Vec3 centroid{from[9], from[10], from[11]};
+    double sum = 0.0;
+    from += 12;
+    for (const Vec3& point : reader->centred) {
+      const Vec3 off = Vec3{from[0], from[1], from[2]} - centroid - linear * point;
+      sum += dot(off, off);
+      from += 3;
+    }
+    return std::sqrt(sum / static_cast<double>(reader->centred.size()));
   }
 };
 
@@ -179,8 +215,7 @@ class SampleMapper {
       : ik_owner_(std::move(ik)), gate_(std::move(gate)),
         map_owner_(nb::getattr(target_map, "core")), ik_(nb::cast<Ik&>(ik_owner_)),
         map_(nb::cast<const TargetMap&>(map_owner_)),
-        reader_(std::make_shared<StepReader>(StepReader{nb::getattr(robot, "joint_names"),
-                                                        nb::getattr(target_map, "asked"), result})),
+        reader_(std::make_shared<StepReader>(target_map, robot, result)),
         map_step_(nb::module_::import_("handmap_qp.mapping.method").attr("MapStep")) {}
   SampleMapper(const SampleMapper&) = delete;
 

@@ -255,12 +255,14 @@ NB_MODULE(_core, m) {
                      return array_of(Vector(active.begin(), active.end()));
                    })
       .def_prop_ro("dt", [](const Step& step) { return step.motion.dt; })
-      .def_prop_ro("status", [](const Step& step) { return static_cast<int>(step.result.status); })
+      .def_prop_ro("outcome", [](const Step& step) { return static_cast<int>(step.result.status); })
       .def_prop_ro("iterations", [](const Step& step) { return step.result.iterations; })
       .def_prop_ro("last_step", [](const Step& step) { return step.result.last_step; });
   nb::class_<Stages, Step>(m, "Stages")
       .def("__reduce__", &reduced)
       .def_ro("pose", &Stages::pose)
+      .def_prop_ro("status", &Stages::status)
+      .def_prop_ro("summary", &Stages::read_summary)
       .def_prop_ro("asked", &Stages::read_asked)
       .def_prop_ro("ik", &read_ik)
       .def_prop_ro("command", &Stages::read_command);

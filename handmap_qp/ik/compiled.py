@@ -21,7 +21,8 @@ from handmap_qp.ik.qp import IkResult, PointIk, Status
 from handmap_qp.ik.tasks import Goal, PointDistances, Task
 from handmap_qp.se3 import frozen
 
-_STATUSES = get_args(Status)
+STATUSES = get_args(Status)
+"""Outcomes in the order of the core's numbers."""
 
 
 class CompiledIk:
@@ -106,7 +107,7 @@ class CompiledIk:
 def _result_of(columns: np.ndarray, step: Any, targets: np.ndarray) -> IkResult:
     """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
     return IkResult(
-        _STATUSES[step.status],
+        STATUSES[step.outcome],
         step.points,
         targets,
         step.configuration,

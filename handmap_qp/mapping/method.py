@@ -17,7 +17,7 @@ that its entry points of the group `handmap_qp.presets` name (`handmap_qp.mappin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import (
     TYPE_CHECKING,
@@ -272,6 +272,22 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
     wrist: np.ndarray
 
 
+class StepSummary(NamedTuple):
+    """What goes with a command to those who watch the robot.
+
+    Attributes:
+        point_error: Distance between targets and points [m], m numbers.
+        at_bound: True for joints at a position or speed limit, n of them.
+        residual: RMS distance of human points from where T takes them [m]; 0 without T.
+        flags: As of the targets.
+    """
+
+    point_error: Sequence[float]
+    at_bound: Sequence[bool]
+    residual: float
+    flags: tuple[str, ...]
+
+
 class Stages(msgspec.Struct, frozen=True, eq=False):
     """The stages of a step: the human's pose, the targets, the motion towards them, the command.
 
@@ -288,6 +304,22 @@ class Stages(msgspec.Struct, frozen=True, eq=False):
     asked: Targets
     ik: IkResult
     command: RobotCommand
+
+    @property
+    def status(self) -> Status:
+        """Outcome of the inverse kinematics."""
+        return self.ik.status
+
+    @property
+    def summary(self) -> StepSummary:
+        """What goes with the command to those who watch the robot."""
+        norms = self.asked.diagnostics.get("residual_norms", np.zeros(1))
+        return StepSummary(
+            lengths(self.ik.errors).tolist(),
+            (self.ik.active[self.ik.joint_columns] != 0).tolist(),
+            math.sqrt(norms.dot(norms) / len(norms)),
+            self.asked.flags,
+        )
 
 
 class MapStep(msgspec.Struct, frozen=True, eq=False):
@@ -430,9 +462,10 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         the robot is on its way back to the human after a hold. Otherwise the outcome of the inverse
         kinematics (`IkResult.status`), so `converged` means that the sample made sense too.
         """
-        if self.ik.status == "released":
-            return "held" if self.is_held else "released"
-        return "gliding" if self.is_gliding else self.ik.status
+        status = self.stages.status
+        if status == "released":
+            return "held" if self.is_held else status
+        return "gliding" if self.is_gliding else status
 
     @property
     def iterations(self) -> int:

@@ -350,7 +350,7 @@ class Session:
             self._measure_gap(sample.time, landmarks)
         else:
             self._stay(step)
-        flags += step.asked.flags
+        flags += step.stages.summary.flags
         self.counts["steps"] += 1
         status = self._state.mode if self._state.is_stopped else step.status
         diagnostics = self._diagnostics(step, sample, landmarks)
@@ -627,14 +627,14 @@ class Session:
         self, step: MapStep, sample: Step, landmarks: np.ndarray | None
     ) -> dict[str, Any]:
         """Return the fields of a command that describe the mapping."""
-        residuals = step.diagnostics.get("residual_norms", np.zeros(1))
+        error, at_bound, residual, _ = step.stages.summary
         detail = None
         if self._wanted.has_detail and "motion" in step.diagnostics:
             detail = to_detail(step, sample, landmarks)
         return {
-            "point_error": to_row(step.point_error),
-            "residual": math.sqrt(residuals.dot(residuals) / len(residuals)),
-            "at_limit": tuple(compress(self.robot.joint_names, step.at_bound)),
+            "point_error": tuple(error),
+            "residual": residual,
+            "at_limit": tuple(compress(self.robot.joint_names, at_bound)),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
             "detail": detail,
