@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from statistics import median
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -123,15 +123,14 @@ class ContactGapMeter:
         Returns:
             Whether `gap` has changed.
         """
-        self._recent.append((time, tip_gaps(landmarks).tolist()))
+        thumb, *tips = landmarks[TIPS, :].tolist()
+        self._recent.append((time, [math.dist(thumb, tip) for tip in tips]))
         while not 0.0 <= time - self._recent[0][0] <= _MEDIAN_TIME:
             self._recent.popleft()
         if len(self._recent) < 3:
             return False
-        # For few numbers, numpy's median takes ten times longer.
-        smallest = min(
-            map(median, zip(*(gaps for _, gaps in self._recent), strict=True))
-        )
+        columns = zip(*(gaps for _, gaps in self._recent), strict=True)
+        smallest = min(map(_median, columns))
         if smallest < TOUCH_GAP:
             self._least = min(self._least, smallest)
         if smallest > self._least + _RELEASE:
@@ -145,3 +144,10 @@ class ContactGapMeter:
         change = min(max(wanted - self.gap, -_STEP), _STEP)
         self.gap += change
         return change != 0.0
+
+
+def _median(values: Sequence[float]) -> float:
+    """Return the median; for few numbers, numpy and `statistics` take several times longer."""
+    ordered = sorted(values)
+    half = len(ordered) // 2
+    return 0.5 * (ordered[half] + ordered[~half])

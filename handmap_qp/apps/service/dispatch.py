@@ -425,7 +425,7 @@ class Dispatcher:
         if isinstance(request, Step):
             command = session.step(request, now)
             self.metrics.counts["steps"] += 1
-            self.metrics.steps.observe(self.clock() - now)
+            self.metrics.observe(self.clock() - now)
             self._send(session, command)
             return command
         if isinstance(request, Status):
