@@ -15,7 +15,6 @@ import logging
 import os
 import resource
 import time
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -212,7 +211,8 @@ class Metrics:
         counts: Counts of what happened.
         refusals: Counts of refused messages by code.
         gauges: Functions that return present values.
-        steps: Steps by the bucket of their times from a sample to its command.
+        steps: Steps by the bucket (`BUCKETS`) of their times from a sample to its command: the
+            library's histogram takes two locks a step.
         seconds: Sum of these times [s].
     """
 
@@ -224,15 +224,6 @@ class Metrics:
         self._registry.register(self)
         self.steps = [0] * (len(BUCKETS) + 1)
         self.seconds = 0.0
-
-    def observe(self, seconds: float) -> None:
-        """Count a step; the histogram of the library takes two locks for it.
-
-        Args:
-            seconds: Time from the sample to its command [s].
-        """
-        self.steps[bisect_left(BUCKETS, seconds)] += 1
-        self.seconds += seconds
 
     def collect(self) -> Iterator[Metric]:
         """Yield counters and gauges; the registry asks for them."""
