@@ -61,11 +61,7 @@ class CompiledIk:
         return self._result(step, goal.points)
 
     def sample_mapper(self, target_map: Any) -> Any:
-        """Return the core's way from a human sample to the robot's command.
-
-        Args:
-            target_map: A `mapping.method.TargetMap` that the core has too.
-        """
+        """Return the core's way from samples to steps, by a `TargetMap` that it has too."""
         assert core is not None
         return core.SampleMapper(
             self._core, self._gate, target_map, self._hand, self._result

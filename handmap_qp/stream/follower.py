@@ -214,17 +214,15 @@ class Follower:
         """
         found = None
         if self._simply_follows():
-            guard = self._guard.core
-            reader = self.mapper.landmarks.core
+            readers = self._guard.core, self.mapper.landmarks.core
             # The step, or the verdict about a sample that Python has to look at, if it is known.
-            found = self._core.map_sample(guard, reader, sample, dt, arrival)
+            found = self._core.map_sample(*readers, sample, dt, arrival)
         if isinstance(found, MapStep):
             self._last = found
             return found
         dt = None if dt is None else check_dt(dt)
-        return self._judged(
-            sample, found or self._guard.check(sample, arrival=arrival), dt
-        )
+        verdict = found or self._guard.check(sample, arrival=arrival)
+        return self._judged(sample, verdict, dt)
 
     def map_samples(
         self, samples: SampleColumns, progress: Callable[[int], None] | None = None
@@ -286,11 +284,10 @@ class Follower:
         """Map samples in the core; return the first that it leaves, and its verdict if known."""
         if not self._simply_follows():
             return first, None
-        last = min(len(samples.time), first + _RUN)
         readers = self._guard.core, self.mapper.landmarks.core
-        count, verdict, seen = self._core.run(
-            *readers, samples, first, last, table.rows
-        )
+        last = min(len(samples.time), first + _RUN)
+        run = *readers, samples, first, last, table.rows
+        count, verdict, seen = self._core.run(*run)
         if seen is not None:
             self._return = self._return._replace(seen=seen)
             self._last = None
@@ -303,7 +300,7 @@ class Follower:
         started = perf_counter()
         granted = max(verdict.dt, SHORTEST_DT) if dt is None else dt
         back = self._present_return()
-        said = {"verdict": verdict, "confidence": sample.confidence}
+        said: dict[str, Any] = {"verdict": verdict, "confidence": sample.confidence}
         try:
             if verdict.is_held:
                 return structs.replace(self.mapper.hold(granted, back.seen), **said)
@@ -318,10 +315,8 @@ class Follower:
         self._last = None
         is_plain = self.smoothing is None and back.offset is None
         self._core = self.mapper.core if is_plain and self._guard.core else None
-        duration = perf_counter() - started
-        return structs.replace(
-            step, **said, is_gliding=back.is_fading, duration=duration
-        )
+        said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
+        return structs.replace(step, **said)
 
     def _present_return(self) -> Rejoin:
         if self._has_new_reference:

@@ -258,7 +258,7 @@ class Server:
         try:
             for _ in range(_BATCH):
                 # `zmq.Again` would take longer to raise than this to ask.
-                if not self._router.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                if not int(self._router.get(zmq.EVENTS)) & zmq.POLLIN:
                     return
                 frame = self._router.recv(zmq.NOBLOCK, copy=False)
                 self._cost += cost_of(frame)
