@@ -130,7 +130,7 @@ struct StepReader {
 struct Stages : Step {
   std::shared_ptr<const StepReader> reader;
   HumanPose pose;
-  nb::object asked_, ik_, command_;
+  nb::object asked_, ik_, command_, summary_;
 
   nb::object read_asked() {
     if (!asked_.is_valid()) asked_ = reader->targets(numbers(), asked.is_clamped);
@@ -144,12 +144,13 @@ struct Stages : Step {
   nb::object status() const { return item(reader->statuses, static_cast<size_t>(result.status)); }
 
   nb::object read_summary() {
+    if (summary_.is_valid()) return summary_;
     nb::list errors, at_bound;
     for (size_t k = 0; k < result.points.size(); ++k)
       errors.append(norm(asked.points[k] - result.points[k]));
     for (const int column : reader->columns) at_bound.append(result.active[column] != 0);
     nb::object flags = asked.is_clamped ? nb::getattr(read_asked(), "flags") : nb::tuple();
-    return reader->summary(errors, at_bound, residual(), flags);
+    return summary_ = reader->summary(errors, at_bound, residual(), flags);
   }
 
  private:

@@ -300,8 +300,7 @@ class HandMapper:
         """
         started = perf_counter() if started is None else started
         dt = self.dt if dt is None else check_dt(dt)
-        plan = self._plan
-        bound = plan.bound
+        bound = self._plan.bound
         reference = self._reference or self._reference_at(sample)
         core: Any = None if sample.wrist is None else self._core_at(reference)
         target_map = reference.map
@@ -566,7 +565,7 @@ class LandmarkReader(Compiled):
     """
 
     def __init__(self, human: Hand, quat_order: QuatOrder | None = None) -> None:
-        self.quat_order: QuatOrder | None = quat_order
+        self.quat_order = quat_order
         known = {name: i for i, name in enumerate(LANDMARK_NAMES)}
         missing = [
             point.name for point in human.reference_points if point.name not in known
@@ -620,7 +619,7 @@ class JointReader(Compiled):
     ) -> None:
         self.human = human
         self.tolerance = tolerance
-        self.quat_order: QuatOrder | None = quat_order
+        self.quat_order = quat_order
         # The wrist is at the origin; points move with it afterwards.
         self.vector = human.configuration_vector(human.rest)
         self._placed = human.configuration()

@@ -447,12 +447,12 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     @property
     def point_error(self) -> np.ndarray:
         """Distance between targets and points [m], shape (n_r,)."""
-        return lengths(self.ik.errors)
+        return np.array(self.stages.summary.point_error)
 
     @property
     def at_bound(self) -> np.ndarray:
         """True for joints at a position or speed limit, in the order of `command.q`, shape (n,)."""
-        return self.ik.active[self.ik.joint_columns] != 0
+        return np.array(self.stages.summary.at_bound)
 
     @property
     def status(self) -> StepStatus:

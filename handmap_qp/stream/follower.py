@@ -274,9 +274,8 @@ class Follower:
 
     def _simply_follows(self) -> bool:
         """Return whether the core maps the next sample, unless the guard stops it."""
-        core = self._core
-        is_same = core is not None and core is self.mapper.core
-        return is_same and self.smoothing is None
+        is_same = self._core is self.mapper.core
+        return bool(self._core) and is_same and not self.smoothing
 
     def _run(
         self, samples: SampleColumns, first: int, table: StepTable
@@ -313,8 +312,8 @@ class Follower:
             raise
         self._return = back
         self._last = None
-        is_plain = self.smoothing is None and back.offset is None
-        self._core = self.mapper.core if is_plain and self._guard.core else None
+        is_plain = self._guard.core and not (self.smoothing or back.offset)
+        self._core = self.mapper.core if is_plain else None
         said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
         return structs.replace(step, **said)
 

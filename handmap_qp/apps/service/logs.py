@@ -211,8 +211,7 @@ class Metrics:
         counts: Counts of what happened.
         refusals: Counts of refused messages by code.
         gauges: Functions that return present values.
-        steps: Steps by the bucket (`BUCKETS`) of their times from a sample to its command: the
-            library's histogram takes two locks a step.
+        steps: Steps by the bucket (`BUCKETS`) of their times from a sample to its command.
         seconds: Sum of these times [s].
     """
 

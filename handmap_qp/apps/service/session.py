@@ -125,7 +125,10 @@ class SampleForm:
         if sample.values is not None and self._layout is not None:
             return self._layout.read(np.array(sample.values), **common)
         landmarks = UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
-        return HumanSample(landmarks=landmarks, **common)
+        # Messages were checked, except for their number of landmarks.
+        is_hand = landmarks.shape == UNSEEN.shape
+        make = HumanSample.of_checked if is_hand else HumanSample
+        return make(landmarks=landmarks, **common)
 
     def map(
         self,
@@ -158,8 +161,7 @@ class SampleForm:
         wrist = to_matrix(sample.wrist)
         if sample.points is not None:
             return hands.mapper.map_points(sample.points, wrist, dt=dt), None
-        # `check` requires a wrist with q.
-        wrist = np.eye(4) if wrist is None else wrist
+        assert wrist is not None, "`check` requires a wrist with q"
         return hands.mapper.map_step(np.array(sample.q), wrist, dt=dt), None
 
 

@@ -158,10 +158,12 @@ class WebSocketTransport:
             while True:
                 message = await connection.recv()
                 outbox.heard = time.monotonic()
-                is_json = isinstance(message, str)
-                form = _as_json if is_json else bytes
+                form: _Form = bytes
+                if isinstance(message, str):
+                    form = _as_json
+                    message = _from_json(message)
                 is_taken = self.dispatcher.receive(
-                    _from_json(message) if isinstance(message, str) else message,
+                    message,
                     ("web", connection.id),
                     partial(outbox.answer, form),
                     subscribe=partial(outbox.subscribe, form),
@@ -254,7 +256,6 @@ class _Outbox:
 
     async def expire(self, idle: float) -> None:
         """Close the connection once it is silent for too long [s]; with a stream, it may be."""
-        # A timer for each message would take a fifth of its step.
         while (left := self.heard + idle - time.monotonic()) > 0.0 or self.streams:
             await asyncio.sleep(max(left, _ACTIVE))
         await self.connection.close()
