@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from functools import partial
 
 import numpy as np
 
@@ -123,7 +124,7 @@ class ContactGapMeter:
             Whether `gap` has changed.
         """
         thumb, *tips = landmarks[TIPS, :].tolist()
-        self._recent.append((time, [math.dist(thumb, tip) for tip in tips]))
+        self._recent.append((time, [*map(partial(math.dist, thumb), tips)]))
         while not 0.0 <= time - self._recent[0][0] <= _MEDIAN_TIME:
             self._recent.popleft()
         if len(self._recent) < 3:

@@ -257,9 +257,6 @@ class Server:
         self._is_draining = True
         try:
             for _ in range(_BATCH):
-                # `zmq.Again` would take longer to raise than this to ask.
-                if not int(self._router.get(zmq.EVENTS)) & zmq.POLLIN:
-                    return
                 frame = self._router.recv(zmq.NOBLOCK, copy=False)
                 self._cost += cost_of(frame)
                 # Keep one part too many of a message that has too many.
@@ -270,6 +267,8 @@ class Server:
                     self._parts = []
                     self._cost = 0
             self._loop.call_soon(self._drain)
+        except zmq.Again:
+            pass
         finally:
             self._is_draining = False
 

@@ -675,10 +675,10 @@ class Session:
 
 def _trust(step: MapStep) -> dict[str, Any]:
     """Return the fields of a command that say how much a sample is to be trusted."""
-    consistency = None if math.isnan(step.consistency) else step.consistency
+    consistency = step.consistency
     return {
         "rule": step.rule,
-        "consistency": consistency,
+        "consistency": None if math.isnan(consistency) else consistency,
         "confidence": step.confidence,
     }
 
