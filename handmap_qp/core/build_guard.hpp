@@ -457,27 +457,25 @@ class PythonGuard {
 
   // A `HumanSample` of Python, whose arrays it keeps.
   struct Given {
-    Array landmarks;
-    std::optional<Array> wrist;
+    Borrowed landmarks;
+    std::optional<Borrowed> wrist;
     StreamSample sample;
-  };
-  Given given(const nb::object& sample, const nb::object& arrival) const {
-    Given from{nb::cast<Array>(field(sample, 1)), {}, {}};
-    expect_size(from.landmarks, 3 * kLandmarks, "landmarks");
-    const nb::object wrist = field(sample, 2);
-    if (!wrist.is_none()) {
-      from.wrist = nb::cast<Array>(wrist);
-      expect_size(*from.wrist, 16, "wrist");
+
+    Given(const PythonGuard& guard, const nb::object& from, const nb::object& arrival)
+        : landmarks(guard.field(from, 1), {kLandmarks, 3}) {
+      const nb::object pose = guard.field(from, 2);
+      if (!pose.is_none()) wrist.emplace(pose, std::initializer_list<int>{4, 4});
+      if (!landmarks.data || (wrist && !wrist->data))
+        throw std::invalid_argument("wrong size of landmarks or wrist");
+      const double now = arrival.is_none() ? std::numeric_limits<double>::quiet_NaN()
+                                           : nb::cast<double>(arrival);
+      const int is_valid = PyObject_IsTrue(guard.field(from, 3).ptr());
+      if (is_valid < 0) nb::raise_python_error();
+      sample = {nb::cast<double>(guard.field(from, 0)), landmarks.data,
+                wrist ? wrist->data : nullptr, is_valid != 0,
+                nb::cast<double>(guard.field(from, 4)), now};
     }
-    const double now = arrival.is_none() ? std::numeric_limits<double>::quiet_NaN()
-                                         : nb::cast<double>(arrival);
-    const int is_valid = PyObject_IsTrue(field(sample, 3).ptr());
-    if (is_valid < 0) nb::raise_python_error();
-    from.sample = {nb::cast<double>(field(sample, 0)), from.landmarks.data(),
-                   from.wrist ? from.wrist->data() : nullptr, is_valid != 0,
-                   nb::cast<double>(field(sample, 4)), now};
-    return from;
-  }
+  };
 
   // Whether a sample is of the guard's own hand.
   bool is_own(const nb::object& sample) const {
@@ -494,7 +492,7 @@ class PythonGuard {
   void forget() { guard.state = former_; }
 
   nb::object check(const nb::object& sample, const nb::object& arrival) {
-    return verdict_of(judge_one(given(sample, arrival).sample));
+    return verdict_of(judge_one(Given(*this, sample, arrival).sample));
   }
 
   // Judge a whole `Recording` without its wrist: which samples are held.

@@ -243,7 +243,7 @@ class SampleMapper {
                         const nb::object& dt, const nb::object& arrival) {
     const std::optional<double> given = dt.is_none() ? 0.0 : plain_dt(dt);
     if (!given || !guard.is_own(sample)) return nb::none();
-    const PythonGuard::Given from = guard.given(sample, arrival);
+    const PythonGuard::Given from(guard, sample, arrival);
     std::optional<Pose> wrist;
     if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return nb::none();
     if (from.sample.valid && !is_near(from.sample.landmarks, 3 * kLandmarks)) return nb::none();
