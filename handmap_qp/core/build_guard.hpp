@@ -425,6 +425,7 @@ class PythonGuard {
         guard(once(&read_guard_rules), once(&read_input_rules),
               sign_of(nb::cast<std::string>(owner.attr("_side"))), explainer) {
     const Fields from(owner);
+    side_ = from.object("_side");
     guard.palm = from.get<double>("_palm._size");
     const Array person = from.array("_lengths", kFixed);
     std::copy(person.data(), person.data() + kFixed, guard.person.begin());
@@ -433,7 +434,7 @@ class PythonGuard {
     verdict_ = sample.object("Verdict");
     new_tuple_ = nb::module_::import_("builtins").attr("tuple").attr("__new__");
     for (const char* name : kRuleNames) rules_.push_back(nb::str(name));
-    for (const char* name : {"time", "landmarks", "wrist", "valid", "confidence"})
+    for (const char* name : {"time", "landmarks", "wrist", "valid", "confidence", "side"})
       names_.push_back(nb::steal(PyUnicode_InternFromString(name)));
     const nb::object saved = from.object("_saved");
     if (saved.is_none()) return;
@@ -448,27 +449,44 @@ class PythonGuard {
                           explainer.save());
   }
 
-  nb::bytes state() const { return bytes_of(guard.state); }
-  void set_state(const nb::object& bytes) { put_back(bytes, guard.state); }
+  // A `HumanSample` of Python, whose arrays it keeps.
+  struct Given {
+    Borrowed landmarks;
+    std::optional<Borrowed> wrist;
+    StreamSample sample;
 
-  // Judge a `HumanSample` of Python.
-  nb::object check(const nb::object& sample, const nb::object& arrival) {
-    tidy();
-    const Array landmarks = nb::cast<Array>(field(sample, 1));
-    expect_size(landmarks, 3 * kLandmarks, "landmarks");
-    const nb::object wrist = field(sample, 2);
-    std::optional<Array> pose;
-    if (!wrist.is_none()) {
-      pose = nb::cast<Array>(wrist);
-      expect_size(*pose, 16, "wrist");
+    Given(const PythonGuard& guard, const nb::object& from, const nb::object& arrival)
+        : landmarks(guard.field(from, 1), {kLandmarks, 3}) {
+      const nb::object pose = guard.field(from, 2);
+      if (!pose.is_none()) wrist.emplace(pose, std::initializer_list<int>{4, 4});
+      if (!landmarks.data || (wrist && !wrist->data))
+        throw std::invalid_argument("wrong size of landmarks or wrist");
+      const double now = arrival.is_none() ? std::numeric_limits<double>::quiet_NaN()
+                                           : nb::cast<double>(arrival);
+      const int is_valid = PyObject_IsTrue(guard.field(from, 3).ptr());
+      if (is_valid < 0) nb::raise_python_error();
+      sample = {nb::cast<double>(guard.field(from, 0)), landmarks.data,
+                wrist ? wrist->data : nullptr, is_valid != 0,
+                nb::cast<double>(guard.field(from, 4)), now};
     }
-    const double now = arrival.is_none() ? std::numeric_limits<double>::quiet_NaN()
-                                         : nb::cast<double>(arrival);
-    const int is_valid = PyObject_IsTrue(field(sample, 3).ptr());
-    if (is_valid < 0) nb::raise_python_error();
-    return verdict_of(guard.check({nb::cast<double>(field(sample, 0)), landmarks.data(),
-                                   pose ? pose->data() : nullptr, is_valid != 0,
-                                   nb::cast<double>(field(sample, 4)), now}));
+  };
+
+  // Whether a sample is of the guard's own hand.
+  bool is_own(const nb::object& sample) const {
+    const nb::object side = field(sample, 5);
+    return side.is(side_) || side.equal(side_);
+  }
+
+  Verdict judge_one(const StreamSample& sample) {
+    tidy();
+    former_ = guard.state;
+    return guard.check(sample);
+  }
+  // Forget the sample that was judged last.
+  void forget() { guard.state = former_; }
+
+  nb::object check(const nb::object& sample, const nb::object& arrival) {
+    return verdict_of(judge_one(Given(*this, sample, arrival).sample));
   }
 
   // Judge a whole `Recording` without its wrist: which samples are held.
@@ -497,7 +515,8 @@ class PythonGuard {
   }
 
  private:
-  nb::object verdict_, new_tuple_;
+  nb::object verdict_, new_tuple_, side_;
+  GuardState former_{};
   std::vector<nb::object> rules_, names_;
 
   std::vector<Verdict> judged(const nb::object& recording) {

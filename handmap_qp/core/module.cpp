@@ -10,91 +10,23 @@
 #include "build_guard.hpp"
 #include "episode.hpp"
 #include "hdf5.hpp"
+#include "mapper.hpp"
 #include "person.hpp"
 #include "posture.hpp"
-#include "run.hpp"
 
 using namespace nb::literals;
 
 namespace handmap {
 namespace {
 
-void set_motion(Ik& ik, const Array& q, const Array& displacement, double dt,
-                const Array& stop_times) {
-  expect_size(q, ik.tree.nq, "q");
-  expect_size(displacement, ik.tree.size, "displacement");
-  expect_size(stop_times, ik.tree.size, "stop_times");
-  ik.motion.q.assign(q.data(), q.data() + q.size());
-  ik.motion.displacement.assign(displacement.data(), displacement.data() + displacement.size());
-  ik.motion.dt = dt;
-  ik.motion.stop_times.assign(stop_times.data(), stop_times.data() + stop_times.size());
-}
-
-// Points, wrist, aims, weights, margins and diagnostics, one after the other.
-NumpyArray asked_of(const Step& step) {
-  const Asked& asked = step.asked;
-  Vector numbers;
-  append(asked.points, numbers);
-  append(asked.wrist, numbers);
-  for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins, &asked.diagnostics})
-    append(*part, numbers);
-  return array_of(numbers);
-}
-
-void make_pose(HumanPose* self, const Array& points, const std::optional<Array>& wrist) {
-  HumanPose& pose = *new (self) HumanPose{points_of(points), wrist.has_value(), {}};
-  if (wrist) {
-    expect_size(*wrist, 16, "wrist");
-    pose.wrist = pose_of(wrist->data());
-  }
-}
-
 nb::object wrist_of(const HumanPose& pose) {
   return pose.has_wrist ? array_of(pose.wrist) : nb::none();
 }
 
 // A copy of a pose, by copy or pickle, is one of Python.
-nb::tuple reduced(const HumanPose& pose) {
+nb::tuple reduced_pose(const HumanPose& pose) {
   const nb::object kind = nb::module_::import_("handmap_qp.mapping.method").attr("HumanPose");
   return nb::make_tuple(kind, nb::make_tuple(array_of(pose.points), wrist_of(pose)));
-}
-
-// Numbers as they are, if they have a shape and no coordinate of them is farther than any hand.
-std::optional<Array> plain(const nb::handle& given, std::initializer_list<size_t> shape) {
-  Array numbers;
-  if (!nb::try_cast(given, numbers, false) || numbers.ndim() != shape.size()) return {};
-  size_t axis = 0;
-  for (const size_t count : shape)
-    if (numbers.shape(axis++) != count) return {};
-  return is_near(numbers.data(), numbers.size()) ? std::optional(numbers) : std::nullopt;
-}
-
-// A pose whose rotation is one up to rounding.
-std::optional<Pose> plain_pose(const nb::handle& given) {
-  const std::optional<Array> numbers = plain(given, {4, 4});
-  return numbers ? exact_pose(numbers->data()) : std::nullopt;
-}
-
-// A sample of landmarks, or None for what Python has to look at.
-std::optional<HumanPose> read_landmarks(const LandmarkReader& reader, const nb::handle& landmarks,
-                                        const nb::handle& wrist) {
-  const std::optional<Array> points = plain(landmarks, {kLandmarks, 3});
-  if (!points) return {};
-  if (wrist.is_none()) return reader.read(points->data(), nullptr);
-  const std::optional<Pose> pose = plain_pose(wrist);
-  if (!pose) return {};
-  return reader.read(points->data(), &*pose);
-}
-
-// Likewise of joint angles.
-std::optional<HumanPose> read_joints(JointReader& reader, const nb::handle& q,
-                                     const nb::handle& wrist) {
-  const std::optional<Array> angles = plain(q, {reader.size()});
-  if (!angles) return {};
-  const std::optional<Pose> pose = plain_pose(wrist);
-  HumanPose found;
-  if (!pose || !reader.read(angles->data(), *pose, found)) return {};
-  return found;
 }
 
 std::function<void(const Vector&, TaskRows&)> rows_of(const nb::object& linearise, int size) {
@@ -129,10 +61,11 @@ Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
   return vector_of(*margins);
 }
 
-Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrist, double dt,
-                double speed, const std::optional<Array>& margins, const Postures& postures,
-                const DistanceTask* distances, const std::optional<Array>& aims,
-                const std::optional<Array>& aim_weights, const nb::object& linearise) {
+nb::object solve(Ik& ik, const nb::object& gate, const Array& points,
+                 const std::optional<Array>& wrist, double dt, double speed,
+                 const std::optional<Array>& margins, const Postures& postures,
+                 const DistanceTask* distances, const std::optional<Array>& aims,
+                 const std::optional<Array>& aim_weights, const nb::object& linearise) {
   expect_size(points, 3 * ik.tree.points.size(), "points");
   Goal goal;
   goal.points = points_of(points);
@@ -148,10 +81,13 @@ Step solve(Ik& ik, const Array& points, const std::optional<Array>& wrist, doubl
     goal.aim_weights = vector_of(*aim_weights);
   }
   goal.further = rows_of(linearise, ik.tree.size);
+  take_motion(ik, gate);
   Step step;
   ik.solve(goal, dt, margins_of(ik, margins), speed, step.result);
   finish(ik, step);
-  return step;
+  nb::object made = nb::cast(std::move(step));
+  leave_motion(gate, made);
+  return made;
 }
 
 // Many samples of one goal each, one after the other and without the GIL, from where the hand is.
@@ -184,44 +120,6 @@ NumpyArray solve_many(Ik& ik, const Array& points,
     *to++ = static_cast<double>(result.status);
   }
   return numbers;
-}
-
-void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose) {
-  if (map.needs_wrist && !pose.has_wrist) throw std::invalid_argument("no wrist");
-  if (pose.points.size() != map.human_points || map.rest.size() != ik.tree.q_indices.size())
-    throw std::invalid_argument("the map is of other hands");
-}
-
-Step follow_pose(Ik& ik, const TargetMap& map, const HumanPose& pose, double dt, double speed) {
-  check_map(ik, map, pose);
-  Step step;
-  follow(ik, map, pose, dt, speed, step);
-  return step;
-}
-
-// Numbers that Python reads afterwards.
-using Writable = nb::ndarray<double, nb::c_contig, nb::device::cpu>;
-
-// Map samples of a recording; see run.hpp.
-nb::tuple run_samples(Ik& ik, const TargetMap& map, const LandmarkReader& reader,
-                      PythonGuard& guard, const nb::object& columns, size_t first, size_t last,
-                      const Writable& rows) {
-  const Samples samples(columns, true);
-  const size_t width = row_width(ik);
-  if (last > samples.count || rows.ndim() != 2 || rows.shape(0) != samples.count ||
-      rows.shape(1) != width)
-    throw std::invalid_argument("wrong sizes of samples or rows");
-  check_map(ik, map, {std::vector<Vec3>(reader.used.size()), true, {}});
-  const double unproven = module_of("handmap_qp.human.sample").get<double>("UNPROVEN_SPEED");
-  Run run{ik, map, reader, guard.guard, unproven};
-  size_t next = first;
-  {
-    const nb::gil_scoped_release no_gil;
-    while (next < last && run.take(samples.sample(next), rows.data() + next * width)) ++next;
-  }
-  return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),
-                        run.count ? nb::cast(run.step) : nb::none(),
-                        run.has_seen ? nb::cast(run.seen) : nb::none());
 }
 
 nb::tuple solve_qp(const Array& H, const Array& c, const Array& lower, const Array& upper,
@@ -494,19 +392,15 @@ NB_MODULE(_core, m) {
   nb::class_<Ik>(m, "Ik")
       .def("__init__", &make_ik)
       .def("set_motion", &set_motion)
-      .def("solve", &solve, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a, "margins"_a.none(),
-           "postures"_a, "distances"_a.none(), "aims"_a.none(), "aim_weights"_a.none(),
-           "linearise"_a.none())
+      .def("solve", &solve, "gate"_a, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a,
+           "margins"_a.none(), "postures"_a, "distances"_a.none(), "aims"_a.none(),
+           "aim_weights"_a.none(), "linearise"_a.none())
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
-           "margins"_a.none(), "postures"_a)
-      .def("follow", &follow_pose, "map"_a, "pose"_a, "dt"_a, "speed"_a)
-      .def("run", &run_samples, "map"_a, "reader"_a, "guard"_a, "columns"_a, "first"_a, "last"_a,
-           "rows"_a);
+           "margins"_a.none(), "postures"_a);
   nb::class_<Step>(m, "Step")
+      .def("__call__", &motion_of)
       .def_prop_ro("q", [](const Step& step) { return array_of(step.q); })
       .def_prop_ro("wrist", [](const Step& step) { return array_of(step.result.wrist); })
-      .def_prop_ro("asked", &asked_of)
-      .def_prop_ro("is_clamped", [](const Step& step) { return step.asked.is_clamped; })
       .def_prop_ro("points", [](const Step& step) { return array_of(step.result.points); })
       .def_prop_ro("configuration", [](const Step& step) { return array_of(step.motion.q); })
       .def_prop_ro("displacement",
@@ -518,15 +412,34 @@ NB_MODULE(_core, m) {
                      return array_of(Vector(active.begin(), active.end()));
                    })
       .def_prop_ro("dt", [](const Step& step) { return step.motion.dt; })
-      .def_prop_ro("status", [](const Step& step) { return static_cast<int>(step.result.status); })
+      .def_prop_ro("outcome", [](const Step& step) { return static_cast<int>(step.result.status); })
       .def_prop_ro("iterations", [](const Step& step) { return step.result.iterations; })
       .def_prop_ro("last_step", [](const Step& step) { return step.result.last_step; });
-  nb::class_<HumanPose>(m, "HumanPose")
-      .def("__init__", &make_pose, "points"_a, "wrist"_a.none())
+  nb::class_<Stages, Step>(m, "Stages")
       .def("__reduce__", &reduced)
+      .def_ro("pose", &Stages::pose)
+      .def_prop_ro("status", &Stages::status)
+      .def_prop_ro("summary", &Stages::read_summary)
+      .def_prop_ro("asked", &Stages::read_asked)
+      .def_prop_ro("ik", &read_ik)
+      .def_prop_ro("command", &Stages::read_command);
+  nb::class_<SampleMapper>(m, "SampleMapper")
+      .def(nb::init<nb::object, nb::object, const nb::object&, const nb::object&,
+                    const nb::object&>(),
+           "ik"_a, "gate"_a, "target_map"_a, "robot"_a, "result"_a)
+      .def("__reduce__", &without_copy)
+      .def("follow", &SampleMapper::follow)
+      .def("map", &SampleMapper::map_joints, "reader"_a.none(), "q"_a.none(), "wrist"_a.none(),
+           "dt"_a.none())
+      .def("map", &SampleMapper::map_landmarks, "reader"_a.none(), "landmarks"_a.none(),
+           "wrist"_a.none(), "dt"_a.none())
+      .def("map_sample", &SampleMapper::map_sample, "guard"_a, "reader"_a, "sample"_a,
+           "dt"_a.none(), "arrival"_a.none())
+      .def("run", &SampleMapper::run);
+  nb::class_<HumanPose>(m, "HumanPose")
+      .def("__reduce__", &reduced_pose)
       .def_prop_ro("points", [](const HumanPose& pose) { return array_of(pose.points); })
       .def_prop_ro("in_wrist", [](const HumanPose& pose) { return array_of(pose.in_wrist()); })
-      .def_ro("has_wrist", &HumanPose::has_wrist)
       .def_prop_ro("wrist", &wrist_of);
   nb::class_<TargetMap>(m, "TargetMap");
   nb::class_<TeleoperationMap, TargetMap>(m, "TeleoperationMap")
@@ -573,7 +486,7 @@ NB_MODULE(_core, m) {
   nb::class_<PythonGuard>(m, "StreamGuard")
       .def(nb::init<const nb::object&>())
       .def("save", &PythonGuard::save)
-      .def_prop_rw("state", &PythonGuard::state, &PythonGuard::set_state)
+      .def("forget", &PythonGuard::forget)
       .def("check", &PythonGuard::check, "sample"_a, "arrival"_a.none())
       .def("holds", &PythonGuard::holds, "recording"_a)
       .def("judge", &PythonGuard::judge, "recording"_a);

@@ -266,26 +266,20 @@ class SmallestDistances {
   }
 
  private:
-  struct Parting {
-    Vec3 direction;  // from the first body to the second, in the axes of the first one's joint
-    int index_a = -1, index_b = -1;
-  };
-
   // A lower bound of the distance; where nothing has parted the bodies yet, along their centres.
   double parted(size_t k) {
     const int first = bounds_.pairs[k].first, second = bounds_.pairs[k].second;
     const Body &a = bounds_.bodies[first], &b = bounds_.bodies[second];
     const Pose &to_a = at_->pose(a.joint), &to_b = at_->pose(b.joint);
-    Parting& parting = partings_[k];
-    Vec3 d = to_a.R * parting.direction;
+    Vec3 d = to_a.R * partings_[k];
     if (dot(d, d) == 0.0) {
       d = centres_[second] - centres_[first];
       const double length = norm(d);
       if (!(length > 0.0)) return -kInfinity;
       d *= 1.0 / length;
     }
-    return dot(d, to_b.p - to_a.p) - reach_of(a, tmul(to_a.R, d), parting.index_a) -
-           reach_of(b, -tmul(to_b.R, d), parting.index_b);
+    return dot(d, to_b.p - to_a.p) - reach_of(a, tmul(to_a.R, d)) -
+           reach_of(b, -tmul(to_b.R, d));
   }
 
   double measured(size_t k) {
@@ -294,12 +288,12 @@ class SmallestDistances {
     const Pose &to_a = at_->pose(a.joint), &to_b = at_->pose(b.joint);
     Warm warm{};
     const Found found = measure(a.shape, to_a * a.placement, b.shape, to_b * b.placement, warm);
-    partings_[k].direction = tmul(to_a.R, found.normal);
+    partings_[k] = tmul(to_a.R, found.normal);
     return found.distance;
   }
 
   const PairBounds& bounds_;
-  std::vector<Parting> partings_;
+  std::vector<Vec3> partings_;  // from the first body to the second, in the axes of the first one's joint
   std::vector<Vec3> centres_;
   std::vector<std::pair<double, size_t>> order_;
   const Placed* at_ = nullptr;

@@ -33,6 +33,7 @@ struct Run {
   Step step{};
   bool has_seen = false;
   HumanPose seen{};  // the last one that was mapped
+  Goal goal{};
 
   // Map a sample into a row; false for one that Python has to look at.
   bool take(const StreamSample& sample, double* row) {
@@ -40,18 +41,16 @@ struct Run {
     std::optional<Pose> wrist;
     if (sample.valid && !is_near(sample.landmarks, 3 * kLandmarks)) return false;
     if (sample.wrist && sample.valid && !(wrist = exact_pose(sample.wrist))) return false;
+    const GuardState former = guard.state;
     verdict = guard.check(sample);
     // Python leads back to the hand after a hold.
     leaves = verdict.is_return;
     if (leaves) return false;
-    const double dt = std::max(verdict.dt, kShortestDt);
-    if (verdict.is_held) {
-      hold(ik, dt, step);
-    } else {
-      seen = reader.read(sample.landmarks, wrist ? &*wrist : nullptr);
-      has_seen = true;
-      const double speed = verdict.rule == kUnproven ? unproven_speed : 1.0;
-      follow(ik, map, seen, dt, speed, step);
+    try {
+      move(sample, wrist);
+    } catch (...) {
+      guard.state = former;
+      throw;
     }
     ++count;
     write(sample, started, row);
@@ -59,6 +58,19 @@ struct Run {
   }
 
  private:
+  void move(const StreamSample& sample, const std::optional<Pose>& wrist) {
+    const double dt = std::max(verdict.dt, kShortestDt);
+    if (verdict.is_held) {
+      hold(ik, dt, step);
+      return;
+    }
+    HumanPose pose = reader.read(sample.landmarks, wrist ? &*wrist : nullptr);
+    const double speed = verdict.rule == kUnproven ? unproven_speed : 1.0;
+    follow(ik, map, pose, dt, speed, goal, step);
+    seen = std::move(pose);
+    has_seen = true;
+  }
+
   void write(const StreamSample& sample, double started, double* to) const {
     constexpr double kHeld = static_cast<double>(Status::released) + 1.0;
     const Result& result = step.result;

@@ -114,15 +114,14 @@ inline void finish(const Ik& ik, Step& step) {
   for (const int i : ik.tree.q_indices) step.q.push_back(ik.motion.q[i]);
 }
 
-// The targets of a map, and the motion towards them.
+// The targets of a map, and the motion towards them; `goal` is a workspace.
 inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double dt, double speed,
-                   Step& step) {
+                   Goal& goal, Step& step) {
   Asked& asked = step.asked;
   map.targets(pose.points, pose.has_wrist ? &pose.wrist : nullptr, asked);
   if (asked.points.size() != ik.tree.points.size() ||
       (!asked.margins.empty() && (!ik.pairs || asked.margins.size() != ik.pairs->size())))
     throw std::invalid_argument("the map is of another hand");
-  Goal goal;
   goal.points = asked.points;
   goal.has_wrist = true;
   goal.wrist = asked.wrist;

@@ -78,6 +78,14 @@ class HumanSample:
     valid: bool = True
     confidence: float = 1.0
 
+    @classmethod
+    def of_checked(cls, **values: Any) -> HumanSample:
+        """Make a sample of values that were checked before; arrays are not copied."""
+        sample = object.__new__(cls)
+        for name, value in values.items():
+            object.__setattr__(sample, name, value)
+        return sample
+
     def __post_init__(self) -> None:
         """Check the values, and replace arrays by read-only copies."""
         is_number = isinstance(self.time, int | float | np.number)

@@ -6,7 +6,7 @@ rounding: they are its readable reference. It has kinematics, distances and a QP
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property, lru_cache, partial
 from typing import Any, get_args
 
@@ -15,13 +15,14 @@ import numpy as np
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import core
-from handmap_qp.ik.limits import Gate, Motion
+from handmap_qp.ik.limits import Gate
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Goal, PointDistances, Task
 from handmap_qp.se3 import frozen
 
-_STATUSES = get_args(Status)
+STATUSES = get_args(Status)
+"""Outcomes in the order of the core's numbers."""
 
 
 class CompiledIk:
@@ -31,7 +32,8 @@ class CompiledIk:
         self._hand = hand
         self.core = core_ik
         self._gate = gate
-        self._pose: Any = getattr(core, "HumanPose", None)
+        # Without the gate, which refers to the steps.
+        self._result = partial(_result_of, hand.joint_columns)
 
     def solve(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
@@ -43,8 +45,8 @@ class CompiledIk:
         if isinstance(first, PointDistances) and first.core is not None:
             distances, aims, weights = first.core, first.distances, first.weights
             tasks = tasks[1:]
-        step = self._moved(
-            self.core.solve,
+        step = self.core.solve(
+            self._gate,
             goal.points,
             goal.wrist,
             dt,
@@ -56,61 +58,13 @@ class CompiledIk:
             weights,
             partial(self._linearise, tasks) if tasks else None,
         )
-        return self.result(step, goal.points)
+        return self._result(step, goal.points)
 
-    def follow(self, target_map: Any, pose: Any, dt: float, speed: float) -> Any:
-        """Move the hand for one sample of a human, whose targets the core computes too.
-
-        Args:
-            target_map: The core of a `mapping.method.TargetMap`.
-            pose: A `mapping.method.HumanPose`, or one of the core.
-            dt: As of `PointIk.solve`.
-            speed: Likewise.
-
-        Returns:
-            The core's step; `result` reads it.
-        """
-        kind = self._pose
-        pose = pose if isinstance(pose, kind) else kind(pose.points, pose.wrist)
-        return self._moved(self.core.follow, target_map, pose, dt, speed)
-
-    def run(self, *arguments: Any) -> tuple[int, Any, Any]:
-        """Move the hand for samples of a recording; see `stream.follower` and `core/run.hpp`.
-
-        Returns:
-            The index of the first sample that was left out, the core's verdict if it has judged
-            that one, and the pose that was mapped last, if any.
-        """
-        self._push_motion()
-        index, verdict, step, seen = self.core.run(*arguments)
-        if step is not None:
-            self._gate.leave_to(partial(_motion_of, step))
-        return index, verdict, seen
-
-    def _moved(self, move: Callable[..., Any], *arguments: Any) -> Any:
-        """Move from where the gate is, which reads its new motion from the step when asked."""
-        self._push_motion()
-        step = move(*arguments)
-        self._gate.leave_to(partial(_motion_of, step))
-        return step
-
-    def _push_motion(self) -> None:
-        if self._gate.was_set:
-            self.core.set_motion(*self._gate.motion)
-
-    def result(self, step: Any, targets: np.ndarray) -> IkResult:
-        """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
-        return IkResult(
-            _STATUSES[step.status],
-            step.points,
-            targets,
-            step.configuration,
-            step.wrist,
-            frozen(step.displacement),
-            frozen(step.active.astype(np.int8)),
-            self._hand.joint_columns,
-            step.iterations,
-            step.last_step,
+    def sample_mapper(self, target_map: Any) -> Any:
+        """Return the core's way from samples to steps, by a `TargetMap` that it has too."""
+        assert core is not None
+        return core.SampleMapper(
+            self.core, self._gate, target_map, self._hand, self._result
         )
 
     def _linearise(
@@ -134,10 +88,20 @@ class CompiledIk:
         return self._hand.configuration()
 
 
-def _motion_of(step: Any) -> Motion:
-    arrays = step.configuration, step.displacement, step.stop_times
-    q, displacement, stop_times = map(frozen, arrays)
-    return Motion(q, displacement, step.dt, stop_times)
+def _result_of(columns: np.ndarray, step: Any, targets: np.ndarray) -> IkResult:
+    """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
+    return IkResult(
+        STATUSES[step.outcome],
+        step.points,
+        targets,
+        step.configuration,
+        step.wrist,
+        frozen(step.displacement),
+        frozen(step.active.astype(np.int8)),
+        columns,
+        step.iterations,
+        step.last_step,
+    )
 
 
 @lru_cache(maxsize=16)

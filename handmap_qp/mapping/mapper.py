@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
 from time import perf_counter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,7 +34,6 @@ from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import Task
 from handmap_qp.mapping.method import (
     BoundMethod,
-    CompiledStages,
     HumanPose,
     MapStep,
     Method,
@@ -55,9 +54,6 @@ from handmap_qp.se3 import (
     rigid_fit,
     transform_points,
 )
-
-if TYPE_CHECKING:
-    from handmap_qp.ik.compiled import CompiledIk
 
 _PLACING = "placing the robot at the reference (or give reset a robot_wrist)"
 
@@ -91,6 +87,8 @@ class HandMapper:
         human: The hand that leads.
         dt: Time between samples [s].
         joint_tolerance: As given [rad].
+        core: The compiled core's `SampleMapper` from the present reference on; None where Python
+            has to look at the next sample.
 
     Raises:
         InvalidOptionsError: If choices contradict each other or the hands.
@@ -132,6 +130,7 @@ class HandMapper:
         self._start: _Start | None = _Start(robot.rest, None)
         self._reference: _Reference | None = None
         self._is_released = False
+        self.core: Any = None
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -178,7 +177,7 @@ class HandMapper:
         Raises:
             InvalidOptionsError: If a reference point of the human is not a landmark.
         """
-        return LandmarkReader(self.human)
+        return LandmarkReader(self.human, self.quat_order)
 
     @cached_property
     def _joints(self) -> JointReader:
@@ -208,9 +207,7 @@ class HandMapper:
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
-        started = perf_counter()
-        sample, out_of_range = self._joints.read(human_q, wrist_pose)
-        return self.map(sample, dt, out_of_range=out_of_range, started=started)
+        return self._mapped(self._joints, human_q, wrist_pose, dt)
 
     def map_points(
         self,
@@ -275,9 +272,7 @@ class HandMapper:
             DegeneratePointsError: Likewise.
             InvalidOptionsError: If a reference point of the human is not a landmark.
         """
-        started = perf_counter()
-        sample = self.landmarks.read(landmarks, wrist_pose, self.quat_order)
-        return self.map(sample, dt, started=started)
+        return self._mapped(self.landmarks, landmarks, wrist_pose, dt)
 
     def map(
         self,
@@ -306,26 +301,43 @@ class HandMapper:
         """
         started = perf_counter() if started is None else started
         dt = self.dt if dt is None else check_dt(dt)
-        plan = self._plan
+        bound = self._plan.bound
         reference = self._reference or self._reference_at(sample)
-        target_map: Any = reference.map
-        core: Any = self._core_for(target_map)
-        asked = None if core and sample.has_wrist else target_map.targets(sample)
-        if plan.bound.renews_reference:
+        core: Any = None if sample.wrist is None else self._core_at(reference)
+        target_map = reference.map
+        asked = None if core else target_map.targets(sample)
+        if bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
-            plan.bound.start(sample, reference.posture)
+            bound.start(sample, reference.posture)
         if reference is not self._reference:
             self._begin(reference)
-        stages: Stages | CompiledStages
-        if asked is not None:
-            stages = self._moved(sample, asked, target_map.rest, dt, speed)
+        if asked is None:
+            stages = core.follow(sample, dt, speed)
         else:
-            step = core.follow(target_map.core, sample, dt, speed)
-            robot = plan.bound.robot
-            stages = CompiledStages(core, step, robot, sample, target_map.asked)
-        if plan.bound.renews_reference:
+            stages = self._moved(sample, asked, target_map.rest, dt, speed)
+        self.core = core
+        if bound.renews_reference:
+            self.core = None
             self._reference = self._reference_at(sample)
         return MapStep(stages, out_of_range, perf_counter() - started)
+
+    def _mapped(
+        self,
+        reader: JointReader | LandmarkReader,
+        numbers: npt.ArrayLike,
+        wrist: PoseLike | None,
+        dt: float | None,
+    ) -> MapStep:
+        """Map one sample as it comes in."""
+        core = self.core
+        seconds = self.dt if dt is None else dt
+        # None for a sample that Python has to look at.
+        step = core and core.map(reader.core, numbers, wrist, seconds)
+        if step:
+            return step
+        started = perf_counter()
+        sample, out_of_range = reader.read(numbers, wrist)
+        return self.map(sample, dt, out_of_range=out_of_range, started=started)
 
     def _moved(
         self,
@@ -354,23 +366,14 @@ class HandMapper:
         command = RobotCommand(robot.joint_names, q, result.wrist)
         return Stages(sample, asked, result, command)
 
-    def _core_for(self, target_map: Any) -> CompiledIk | None:
-        """Return the core if it takes samples with a wrist from their points to the command."""
+    def _core_at(self, reference: _Reference) -> Any:
+        """Return the core's mapper from a reference on; None if Python has to map."""
         plan = self._plan
-        if self._is_released or plan.tasks or plan.ik.options.tasks:
+        ik = plan.ik
+        is_python = self._is_released or plan.tasks or ik.options.tasks
+        if is_python or ik.core is None or not getattr(reference.map, "core", None):
             return None
-        has_map = getattr(target_map, "core", None) is not None
-        return plan.ik.core if has_map else None
-
-    @property
-    def compiled(self) -> tuple[CompiledIk, Any] | None:
-        """The core and its map of the present reference, where they map samples by themselves."""
-        reference = self._reference
-        if reference is None or self._plan.bound.renews_reference:
-            return None
-        target_map: Any = reference.map
-        core = self._core_for(target_map)
-        return None if core is None else (core, target_map.core)
+        return self.core or ik.core.sample_mapper(reference.map)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Brake, and keep the robot's posture.
@@ -444,19 +447,19 @@ class HandMapper:
                 self._joints.read(human_q, wrist_pose)[0], start
             )
         self._start = start
-        self._is_released = False
-        self._reference = None
+        self.clutch()
         if reference is not None:
             self._begin(reference)
 
     def release(self) -> None:
         """Release the robot: it brakes and holds still until `clutch`, whatever the human does."""
         self._is_released = True
+        self.core = None
 
     def clutch(self) -> None:
         """Make the next sample the reference; the robot continues from its present posture."""
         self._is_released = False
-        self._reference = None
+        self._reference = self.core = None
 
     def configure(
         self,
@@ -499,6 +502,7 @@ class HandMapper:
             plan = plan._replace(tasks=tuple(tasks))
         self._plan = plan
         self._reference = reference
+        self.core = None
 
     # -- the reference
 
@@ -555,12 +559,14 @@ class LandmarkReader(Compiled):
 
     Args:
         human: The human hand, scaled to the person.
+        quat_order: Order of the quaternion in wrist poses of seven numbers.
 
     Raises:
         InvalidOptionsError: If a reference point of the hand is not a landmark.
     """
 
-    def __init__(self, human: Hand) -> None:
+    def __init__(self, human: Hand, quat_order: QuatOrder | None = None) -> None:
+        self.quat_order = quat_order
         known = {name: i for i, name in enumerate(LANDMARK_NAMES)}
         missing = [
             point.name for point in human.reference_points if point.name not in known
@@ -575,33 +581,29 @@ class LandmarkReader(Compiled):
         self.model = landmarks_at_rest(human)[PALM]
 
     def read(
-        self,
-        landmarks: npt.ArrayLike,
-        wrist: PoseLike | None = None,
-        quat_order: QuatOrder | None = None,
-    ) -> HumanPose:
-        """Return a sample.
+        self, landmarks: npt.ArrayLike, wrist: PoseLike | None = None
+    ) -> tuple[HumanPose, tuple[str, ...]]:
+        """Return a sample; landmarks have no limits that they could be outside.
 
         Args:
             landmarks: In MediaPipe's order, in the human's world [m], shape (21, 3).
             wrist: The tracker's own wrist pose; fitted to the landmarks of the palm (Kabsch 1976)
                 if None.
-            quat_order: Order of the quaternion in a wrist pose of seven numbers.
 
         Raises:
             InvalidInputError: If a coordinate is not finite, or `wrist` is not a pose.
         """
         if self.core and (pose := self.core.read(landmarks, wrist)):
-            return pose
+            return pose, ()
         if wrist is not None:
-            wrist = check_pose(wrist, "wrist_pose", quat_order)
+            wrist = check_pose(wrist, "wrist_pose", self.quat_order)
         points = as_floats(landmarks, "landmarks", shape=(LANDMARK_COUNT, 3))
         check_near(points, "landmarks")
         if self.core and (pose := self.core.read(points, wrist)):
-            return pose
+            return pose, ()
         if wrist is None:
             wrist = rigid_fit(self.model, points[PALM])
-        return HumanPose(points[self.used], wrist)
+        return HumanPose(points[self.used], wrist), ()
 
 
 class JointReader(Compiled):
@@ -618,7 +620,7 @@ class JointReader(Compiled):
     ) -> None:
         self.human = human
         self.tolerance = tolerance
-        self.quat_order: QuatOrder | None = quat_order
+        self.quat_order = quat_order
         # The wrist is at the origin; points move with it afterwards.
         self.vector = human.configuration_vector(human.rest)
         self._placed = human.configuration()

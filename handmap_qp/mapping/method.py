@@ -17,12 +17,10 @@ that its entry points of the group `handmap_qp.presets` name (`handmap_qp.mappin
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from functools import cache, cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from typing import (
     TYPE_CHECKING,
-    Any,
     Literal,
     NamedTuple,
     Protocol,
@@ -44,7 +42,6 @@ from handmap_qp.se3 import lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
-    from handmap_qp.ik.compiled import CompiledIk
 
 
 class HumanPose(msgspec.Struct, frozen=True, eq=False):
@@ -57,11 +54,6 @@ class HumanPose(msgspec.Struct, frozen=True, eq=False):
 
     points: np.ndarray
     wrist: np.ndarray | None
-
-    @property
-    def has_wrist(self) -> bool:
-        """Whether the pose of the wrist is known."""
-        return self.wrist is not None
 
     @property
     def in_wrist(self) -> np.ndarray:
@@ -280,8 +272,26 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
     wrist: np.ndarray
 
 
+class StepSummary(NamedTuple):
+    """What goes with a command to those who watch the robot.
+
+    Attributes:
+        point_error: Distance between targets and points [m], m numbers.
+        at_bound: True for joints at a position or speed limit, n of them.
+        residual: RMS distance of human points from where T takes them [m]; 0 without T.
+        flags: As of the targets.
+    """
+
+    point_error: Sequence[float]
+    at_bound: Sequence[bool]
+    residual: float
+    flags: tuple[str, ...]
+
+
 class Stages(msgspec.Struct, frozen=True, eq=False):
     """The stages of a step: the human's pose, the targets, the motion towards them, the command.
+
+    The compiled core has its own, which makes them when they are asked for.
 
     Attributes:
         pose: The human hand.
@@ -295,46 +305,21 @@ class Stages(msgspec.Struct, frozen=True, eq=False):
     ik: IkResult
     command: RobotCommand
 
-
-@dataclass(eq=False)
-class CompiledStages:
-    """`Stages` of a step that the compiled core has made, read from it when they are asked for.
-
-    It has the core that has moved the robot, what that says, the robot hand, the human hand, and
-    what makes the targets of the core's numbers.
-    """
-
-    _ik: CompiledIk
-    _step: Any
-    _robot: Hand
-    pose: HumanPose
-    _asked: Callable[[np.ndarray, bool], Targets]
-    _command: RobotCommand | None = None
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # Another process may have no core, and this one's moves on.
-        pose = HumanPose(self.pose.points, self.pose.wrist)
-        return Stages, (pose, self.asked, self.ik, self.command)
-
-    @cached_property
-    def asked(self) -> Targets:
-        """The method's targets and diagnostics."""
-        return self._asked(self._step.asked, self._step.is_clamped)
-
-    @cached_property
-    def ik(self) -> IkResult:
-        """Result of the inverse kinematics."""
-        return self._ik.result(self._step, self.asked.points)
+    @property
+    def status(self) -> Status:
+        """Outcome of the inverse kinematics."""
+        return self.ik.status
 
     @property
-    def command(self) -> RobotCommand:
-        """The robot's next joint angles and wrist pose."""
-        # Every step is asked for it, and `cached_property` of Python 3.11 takes a lock.
-        if self._command is None:
-            step = self._step
-            names = self._robot.joint_names
-            self._command = RobotCommand(names, step.q, step.wrist)
-        return self._command
+    def summary(self) -> StepSummary:
+        """What goes with the command to those who watch the robot."""
+        norms = self.asked.diagnostics.get("residual_norms", np.zeros(1))
+        return StepSummary(
+            lengths(self.ik.errors).tolist(),
+            (self.ik.active[self.ik.joint_columns] != 0).tolist(),
+            math.sqrt(norms.dot(norms) / len(norms)),
+            self.asked.flags,
+        )
 
 
 class MapStep(msgspec.Struct, frozen=True, eq=False):
@@ -354,7 +339,7 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         is_gliding: Whether the robot is still on its way back to the human after a hold.
     """
 
-    stages: Stages | CompiledStages
+    stages: Stages
     out_of_range: tuple[str, ...]
     duration: float
     verdict: Verdict | None = None
@@ -462,12 +447,12 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     @property
     def point_error(self) -> np.ndarray:
         """Distance between targets and points [m], shape (n_r,)."""
-        return lengths(self.ik.errors)
+        return np.array(self.stages.summary.point_error)
 
     @property
     def at_bound(self) -> np.ndarray:
         """True for joints at a position or speed limit, in the order of `command.q`, shape (n,)."""
-        return self.ik.active[self.ik.joint_columns] != 0
+        return np.array(self.stages.summary.at_bound)
 
     @property
     def status(self) -> StepStatus:
@@ -477,9 +462,10 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         the robot is on its way back to the human after a hold. Otherwise the outcome of the inverse
         kinematics (`IkResult.status`), so `converged` means that the sample made sense too.
         """
-        if self.ik.status == "released":
-            return "held" if self.is_held else "released"
-        return "gliding" if self.is_gliding else self.ik.status
+        status = self.stages.status
+        if status == "released":
+            return "held" if self.is_held else status
+        return "gliding" if self.is_gliding else status
 
     @property
     def iterations(self) -> int:

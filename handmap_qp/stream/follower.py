@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import deepcopy
 from time import perf_counter, thread_time_ns
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -180,6 +180,9 @@ class Follower:
         self._return = Rejoin(rejoin)
         self._smooth: SmoothState | None = None
         self._reference: HumanPose | None = None
+        # That of the mapper while the samples simply follow those before, and their last step.
+        self._core: Any = None
+        self._last: MapStep | None = None
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -209,13 +212,17 @@ class Follower:
             DegeneratePointsError: If the sample becomes the reference and its points do not
                 determine the motion.
         """
+        found = None
+        if self._simply_follows():
+            readers = self._guard.core, self.mapper.landmarks.core
+            # The step, or the verdict about a sample that Python has to look at, if it is known.
+            found = self._core.map_sample(*readers, sample, dt, arrival)
+        if isinstance(found, MapStep):
+            self._last = found
+            return found
         dt = None if dt is None else check_dt(dt)
-        before = self._guard.state
-        try:
-            return self._judged(sample, self._guard.check(sample, arrival=arrival), dt)
-        except HandmapError:
-            self._guard.state = before
-            raise
+        verdict = found or self._guard.check(sample, arrival=arrival)
+        return self._judged(sample, verdict, dt)
 
     def map_samples(
         self, samples: SampleColumns, progress: Callable[[int], None] | None = None
@@ -236,6 +243,7 @@ class Follower:
             InvalidInputError: As of `map_sample`.
             DegeneratePointsError: Likewise.
         """
+        self._guard.check_side(samples)
         count = len(samples.time)
         table = StepTable(self.mapper.robot, count)
         i = 0
@@ -264,60 +272,58 @@ class Follower:
         self._reference = self.mapper.reference
         return step
 
+    def _simply_follows(self) -> bool:
+        """Return whether the core maps the next sample, unless the guard stops it."""
+        is_same = self._core is self.mapper.core
+        return bool(self._core) and is_same and not self.smoothing
+
     def _run(
         self, samples: SampleColumns, first: int, table: StepTable
     ) -> tuple[int, Verdict | None]:
         """Map samples in the core; return the first that it leaves, and its verdict if known."""
-        back = self._return
-        compiled = None
-        if self.smoothing is None and back.offset is None:
-            compiled = self.mapper.compiled
-        if compiled is None or self._guard.core is None or self._has_new_reference:
+        if not self._simply_follows():
             return first, None
-        guard = self._guard.core
-        ik, target_map = compiled
+        readers = self._guard.core, self.mapper.landmarks.core
         last = min(len(samples.time), first + _RUN)
-        reader = self.mapper.landmarks.core
-        count, verdict, seen = ik.run(
-            target_map, reader, guard, samples, first, last, table.rows
-        )
+        run = *readers, samples, first, last, table.rows
+        count, verdict, seen = self._core.run(*run)
         if seen is not None:
-            self._return = back._replace(seen=seen)
+            self._return = self._return._replace(seen=seen)
+            self._last = None
         return count, verdict
 
     def _judged(
         self, sample: HumanSample, verdict: Verdict, dt: float | None
     ) -> MapStep:
-        """Map a sample that makes sense; else hold."""
-        if verdict.is_held:
-            return self._hold(sample, verdict, dt)
+        """Map a sample that makes sense, else hold; an error leaves all as it was before."""
         started = perf_counter()
-        pose = self.mapper.landmarks.read(sample.landmarks, sample.wrist)
+        granted = max(verdict.dt, SHORTEST_DT) if dt is None else dt
         back = self._present_return()
-        back = back.start(pose) if verdict.is_return else back
-        moved, back = back.advance(pose, verdict.dt)
-        step = self.map(moved, _granted(verdict, dt), speed=verdict.speed)
+        said: dict[str, Any] = {"verdict": verdict, "confidence": sample.confidence}
+        try:
+            if verdict.is_held:
+                return structs.replace(self.mapper.hold(granted, back.seen), **said)
+            pose, _ = self.mapper.landmarks.read(sample.landmarks, sample.wrist)
+            back = back.start(pose) if verdict.is_return else back
+            moved, back = back.advance(pose, verdict.dt)
+            step = self.map(moved, granted, speed=verdict.speed)
+        except HandmapError:
+            self._guard.forget()
+            raise
         self._return = back
-        return structs.replace(
-            step,
-            verdict=verdict,
-            confidence=sample.confidence,
-            is_gliding=back.is_fading,
-            duration=perf_counter() - started,
-        )
-
-    def _hold(self, sample: HumanSample, verdict: Verdict, dt: float | None) -> MapStep:
-        step = self.mapper.hold(_granted(verdict, dt), self._present_return().seen)
-        return structs.replace(step, verdict=verdict, confidence=sample.confidence)
+        self._last = None
+        is_plain = self._guard.core and not (self.smoothing or back.offset)
+        self._core = self.mapper.core if is_plain else None
+        said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
+        return structs.replace(step, **said)
 
     def _present_return(self) -> Rejoin:
-        return Rejoin(self.rejoin) if self._has_new_reference else self._return
+        if self._has_new_reference:
+            return Rejoin(self.rejoin)
+        if self._last is None:
+            return self._return
+        return self._return._replace(seen=self._last.stages.pose)
 
     @property
     def _has_new_reference(self) -> bool:
         return self.mapper.reference is not self._reference
-
-
-def _granted(verdict: Verdict, dt: float | None) -> float:
-    """Return the time that a sample accounts for: that of its time stamps if none is given [s]."""
-    return max(verdict.dt, SHORTEST_DT) if dt is None else dt

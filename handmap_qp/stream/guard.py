@@ -13,7 +13,7 @@ samples. `change_between` measures how a hand has moved in that time.
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +21,11 @@ import pinocchio as pin
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.recording import Recording, recording_samples
+from handmap_qp.human.recording import (
+    Recording,
+    SampleColumns,
+    recording_samples,
+)
 from handmap_qp.human.sample import (
     PALM,
     Finding,
@@ -365,24 +369,17 @@ class StreamGuard(Compiled):
     """
 
     def __init__(self, human: Hand) -> None:
-        self._state = GuardState()
+        self._state = self._former = GuardState()
         self._side: Side = "left" if human.side == "left" else "right"
         self._input = InputCheck(self._side)
         self._rate = RateCheck()
         self._palm = PalmShape(human)
         self._lengths = fixed_lengths(landmarks_at_rest(human))
 
-    @property
-    def state(self) -> Any:
-        """What it remembers. Put a former one back to forget the samples since then."""
-        return self._state if self.core is None else self.core.state
-
-    @state.setter
-    def state(self, state: Any) -> None:
-        if self.core is None:
-            self._state = state
-        else:
-            self.core.state = state
+    @in_core
+    def forget(self) -> None:
+        """Forget the sample that was judged last, but not what it said about the input."""
+        self._state = self._former
 
     def check(self, sample: HumanSample, *, arrival: float | None = None) -> Verdict:
         """Judge the next sample of the stream.
@@ -397,16 +394,10 @@ class StreamGuard(Compiled):
         Raises:
             InvalidInputError: If it is of the other hand.
         """
-        if sample.side != self._side:
-            raise InvalidInputError(
-                argument="side",
-                expected=f"samples of a {self._side} hand",
-                value=sample.side,
-                got=f"one of a {sample.side} hand",
-            )
+        self.check_side(sample)
         if self.core is not None:
             return self.core.check(sample, arrival)
-        before = self._state
+        before = self._former = self._state
         tick, clock = before.clock.advance(sample.time)
         state = before._replace(clock=clock, now=before.now + tick.elapsed)
         held = Verdict(tick.rule, True, False, tick.dt, math.nan)
@@ -424,6 +415,20 @@ class StreamGuard(Compiled):
         if sample.wrist is None or self._input.is_wrist_proven or verdict.is_held:
             return verdict
         return verdict._replace(rule="unproven")
+
+    def check_side(self, samples: HumanSample | SampleColumns) -> None:
+        """Reject samples of the other hand.
+
+        Raises:
+            InvalidInputError: If they are.
+        """
+        if samples.side != self._side:
+            raise InvalidInputError(
+                argument="side",
+                expected=f"samples of a {self._side} hand",
+                value=samples.side,
+                got=f"one of a {samples.side} hand",
+            )
 
     @in_core
     def holds(self, recording: Recording) -> np.ndarray:

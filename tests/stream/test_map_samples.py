@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -39,6 +40,11 @@ def columns_of(samples: list[HumanSample]) -> SampleColumns:
         np.array([sample.confidence for sample in samples]),
         None,
     )
+
+
+def part(columns: SampleColumns, which: slice) -> SampleColumns:
+    names = ("time", "landmarks", "valid", "confidence")
+    return columns._replace(**{name: getattr(columns, name)[which] for name in names})
 
 
 def samples_with(faults: str) -> list[HumanSample]:
@@ -118,3 +124,29 @@ def test_a_sample_far_away_is_an_error_that_names_it() -> None:
             columns._replace(valid=np.arange(150) == 100)
         )
     assert caught.value.argument == "landmarks"
+
+
+def test_a_sample_at_fault_is_forgotten() -> None:
+    columns = columns_of(samples_with(""))
+    far = columns.landmarks.copy()
+    far[100, 4] = 1e12
+    bad = columns._replace(landmarks=far, valid=np.arange(150) == 100)
+    whole, single = (Follower(HandMapper(HUMAN, ROBOT)) for _ in range(2))
+    with pytest.raises(InvalidInputError, match="landmarks"):
+        whole.map_samples(bad)
+    one_by_one(single, part(bad, slice(100)))
+    rest = part(columns, slice(101, None))
+    assert_same(whole.map_samples(rest), one_by_one(single, rest))
+
+
+def test_samples_of_the_other_hand_are_an_error_and_change_nothing() -> None:
+    columns = columns_of(samples_with(""))
+    whole, single = (Follower(HandMapper(HUMAN, ROBOT)) for _ in range(2))
+    for follower in (whole, single):
+        follower.map_samples(part(columns, slice(60)))
+    rest = part(columns, slice(60, None))
+    with pytest.raises(InvalidInputError, match="side: expected samples of a right"):
+        whole.map_samples(rest._replace(side="left"))
+    with pytest.raises(InvalidInputError, match="side: expected samples of a right"):
+        whole.map_sample(replace(rest.sample(0), side="left"))
+    assert_same(whole.map_samples(rest), single.map_samples(rest))

@@ -198,6 +198,7 @@ def test_a_step_that_fails_leaves_guard_and_mapper_as_they_were(
         follower.map_sample(replace(samples[10], side="left"))
     with monkeypatch.context() as patch:
         # After the guard has let the sample pass.
+        patch.setattr(follower.mapper, "core", None)
         patch.setattr(follower.mapper, "map", _failing)
         with pytest.raises(InvalidInputError, match="refused"):
             follower.map_sample(samples[10])

@@ -148,7 +148,9 @@ def map_recording(
         return _trajectory(mapper.robot, recording.time, table)
     samples = recording_samples(recording, wrist_poses)
     steps = (
-        follower.map(mapper.landmarks.read(sample.landmarks, sample.wrist), float(dt))
+        follower.map(
+            mapper.landmarks.read(sample.landmarks, sample.wrist)[0], float(dt)
+        )
         if sample.valid
         else None
         for sample, dt in zip(samples, recording.steps, strict=True)

@@ -19,11 +19,17 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from prometheus_client import CollectorRegistry, Histogram, generate_latest
-from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client import CollectorRegistry, generate_latest
+from prometheus_client.core import (
+    CounterMetricFamily,
+    GaugeMetricFamily,
+    HistogramMetricFamily,
+    Metric,
+)
 
 from handmap_qp.apps.service.safety import Bucket
 from handmap_qp.errors import InvalidInputError, without_errno
@@ -205,7 +211,8 @@ class Metrics:
         counts: Counts of what happened.
         refusals: Counts of refused messages by code.
         gauges: Functions that return present values.
-        steps: Histogram of the times from a sample to its command [s].
+        steps: Steps by the bucket (`BUCKETS`) of their times from a sample to its command.
+        seconds: Sum of these times [s].
     """
 
     def __init__(self) -> None:
@@ -214,12 +221,8 @@ class Metrics:
         self.gauges: dict[str, Callable[[], float]] = {"resident_bytes": resident_bytes}
         self._registry = CollectorRegistry()
         self._registry.register(self)
-        self.steps = Histogram(
-            "handmap_step_seconds",
-            "Time from a sample to its command [s].",
-            registry=self._registry,
-            buckets=BUCKETS,
-        )
+        self.steps = [0] * (len(BUCKETS) + 1)
+        self.seconds = 0.0
 
     def collect(self) -> Iterator[Metric]:
         """Yield counters and gauges; the registry asks for them."""
@@ -232,6 +235,12 @@ class Metrics:
         yield refusals
         for name, gauge in self.gauges.items():
             yield GaugeMetricFamily(f"handmap_{name}", _GAUGES[name], gauge())
+        edges = *map(str, BUCKETS), "+Inf"
+        buckets = list(zip(edges, accumulate(self.steps), strict=True))
+        about = "Time from a sample to its command [s]."
+        yield HistogramMetricFamily(
+            "handmap_step_seconds", about, buckets, self.seconds
+        )
 
     def render(self) -> str:
         """Return all values in the text format 0.0.4."""

@@ -52,6 +52,9 @@ class SessionState(Enum):
         is_stopped: Whether an emergency stop is in force.
     """
 
+    # That of `Enum` runs in Python, in every sample.
+    __hash__ = object.__hash__
+
     WAITING = "waiting", False
     """No sample has arrived yet."""
     FOLLOWING = "following", False
@@ -76,6 +79,8 @@ class SessionState(Enum):
 
 class Event(Enum):
     """What changes the state of a session."""
+
+    __hash__ = object.__hash__
 
     SAMPLE = auto()
     """A sample that can be used."""

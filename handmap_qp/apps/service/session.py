@@ -125,7 +125,10 @@ class SampleForm:
         if sample.values is not None and self._layout is not None:
             return self._layout.read(np.array(sample.values), **common)
         landmarks = UNSEEN if sample.landmarks is None else np.array(sample.landmarks)
-        return HumanSample(landmarks=landmarks, **common)
+        # Messages were checked, except for their number of landmarks.
+        is_hand = landmarks.shape == UNSEEN.shape
+        make = HumanSample.of_checked if is_hand else HumanSample
+        return make(landmarks=landmarks, **common)
 
     def map(
         self,
@@ -158,8 +161,7 @@ class SampleForm:
         wrist = to_matrix(sample.wrist)
         if sample.points is not None:
             return hands.mapper.map_points(sample.points, wrist, dt=dt), None
-        # `check` requires a wrist with q.
-        wrist = np.eye(4) if wrist is None else wrist
+        assert wrist is not None, "`check` requires a wrist with q"
         return hands.mapper.map_step(np.array(sample.q), wrist, dt=dt), None
 
 
@@ -350,7 +352,7 @@ class Session:
             self._measure_gap(sample.time, landmarks)
         else:
             self._stay(step)
-        flags += step.asked.flags
+        flags += step.stages.summary.flags
         self.counts["steps"] += 1
         status = self._state.mode if self._state.is_stopped else step.status
         diagnostics = self._diagnostics(step, sample, landmarks)
@@ -627,14 +629,14 @@ class Session:
         self, step: MapStep, sample: Step, landmarks: np.ndarray | None
     ) -> dict[str, Any]:
         """Return the fields of a command that describe the mapping."""
-        residuals = step.diagnostics.get("residual_norms", np.zeros(1))
+        error, at_bound, residual, _ = step.stages.summary
         detail = None
         if self._wanted.has_detail and "motion" in step.diagnostics:
             detail = to_detail(step, sample, landmarks)
         return {
-            "point_error": to_row(step.point_error),
-            "residual": math.sqrt(residuals.dot(residuals) / len(residuals)),
-            "at_limit": tuple(compress(self.robot.joint_names, step.at_bound)),
+            "point_error": tuple(error),
+            "residual": residual,
+            "at_limit": tuple(compress(self.robot.joint_names, at_bound)),
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
             "detail": detail,
@@ -673,10 +675,10 @@ class Session:
 
 def _trust(step: MapStep) -> dict[str, Any]:
     """Return the fields of a command that say how much a sample is to be trusted."""
-    consistency = None if math.isnan(step.consistency) else step.consistency
+    consistency = step.consistency
     return {
         "rule": step.rule,
-        "consistency": consistency,
+        "consistency": None if math.isnan(consistency) else consistency,
         "confidence": step.confidence,
     }
 

@@ -143,26 +143,27 @@ class WebSocketTransport:
         try:
             async with asyncio.TaskGroup() as tasks:
                 writer = tasks.create_task(outbox.write())
+                timer = tasks.create_task(outbox.expire(self.settings.idle))
                 await self._read(connection, outbox)
                 writer.cancel()
+                timer.cancel()
         except* Exception as failures:
             report(ERROR, "failed", failure=failures)
         finally:
             self._connections.discard(outbox)
 
     async def _read(self, connection: ServerConnection, outbox: _Outbox) -> None:
-        """Pass messages to the dispatcher until the connection closes or is silent for too long."""
+        """Pass messages to the dispatcher until the connection closes."""
         with contextlib.suppress(ConnectionClosed, TimeoutError):
             while True:
-                # Connections with a stream may be silent.
-                longest = None if outbox.streams else self.settings.idle
-                async with asyncio.timeout(longest):
-                    message = await connection.recv()
+                message = await connection.recv()
                 outbox.heard = time.monotonic()
-                is_json = isinstance(message, str)
-                form = _as_json if is_json else bytes
+                form: _Form = bytes
+                if isinstance(message, str):
+                    form = _as_json
+                    message = _from_json(message)
                 is_taken = self.dispatcher.receive(
-                    _from_json(message) if isinstance(message, str) else message,
+                    message,
                     ("web", connection.id),
                     partial(outbox.answer, form),
                     subscribe=partial(outbox.subscribe, form),
@@ -170,8 +171,9 @@ class WebSocketTransport:
                 )
                 # Back-pressure: stop reading from clients that do not drain replies, and throttle
                 # those over the rate limit.
-                async with asyncio.timeout(_SEND_TIMEOUT):
-                    await connection.drain()
+                if connection.transport.get_write_buffer_size():
+                    async with asyncio.timeout(_SEND_TIMEOUT):
+                        await connection.drain()
                 if not is_taken:
                     await asyncio.sleep(_PENALTY)
 
@@ -251,6 +253,12 @@ class _Outbox:
         if name in self.streams:
             self._newest[name] = payload
             self._has_work.set()
+
+    async def expire(self, idle: float) -> None:
+        """Close the connection once it is silent for too long [s]; with a stream, it may be."""
+        while (left := self.heard + idle - time.monotonic()) > 0.0 or self.streams:
+            await asyncio.sleep(max(left, _ACTIVE))
+        await self.connection.close()
 
     async def write(self) -> None:
         """Send waiting messages until the connection closes or accepts none for too long."""

@@ -1,0 +1,341 @@
+// One call a sample, from what Python has to the step that it reads: see mapping/mapper.py, and
+// stream/follower.py for samples that a guard judges first.
+#pragma once
+
+#include <chrono>
+
+#include "arrays.hpp"
+#include "build_guard.hpp"
+#include "run.hpp"
+
+namespace handmap {
+
+// -- the motion, which the core shares with a `Gate` of Python
+
+inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double dt,
+                       const Array& stop_times) {
+  expect_size(q, ik.tree.nq, "q");
+  expect_size(displacement, ik.tree.size, "displacement");
+  expect_size(stop_times, ik.tree.size, "stop_times");
+  ik.motion.q = vector_of(q);
+  ik.motion.displacement = vector_of(displacement);
+  ik.motion.dt = dt;
+  ik.motion.stop_times = vector_of(stop_times);
+}
+
+// Take the motion over if something else has moved the hand.
+inline void take_motion(Ik& ik, const nb::object& gate) {
+  static const nb::object &was_set = interned("was_set"), &motion = interned("motion");
+  if (!nb::cast<bool>(nb::getattr(gate, was_set))) return;
+  const nb::object from = nb::getattr(gate, motion);
+  set_motion(ik, nb::cast<Array>(item(from, 0)), nb::cast<Array>(item(from, 1)),
+             nb::cast<double>(item(from, 2)), nb::cast<Array>(item(from, 3)));
+}
+
+// Let the gate read the motion from the step that has moved the hand, when it is asked.
+inline void leave_motion(const nb::object& gate, const nb::object& step) {
+  static const nb::object& leave_to = interned("leave_to");
+  PyObject* arguments[] = {gate.ptr(), step.ptr()};
+  if (!nb::steal(PyObject_VectorcallMethod(leave_to.ptr(), arguments, 2, nullptr)).is_valid())
+    nb::raise_python_error();
+}
+
+// -- samples
+
+// A float that Python takes for a time between samples; see mapper.check_dt.
+inline std::optional<double> plain_dt(const nb::handle& given) {
+  if (!PyFloat_Check(given.ptr())) return {};
+  const double dt = PyFloat_AsDouble(given.ptr());
+  return dt > 0.0 && dt < HUGE_VAL ? std::optional(dt) : std::nullopt;
+}
+
+// Whether Python has nothing to say about numbers: no coordinate is farther than any hand.
+inline bool is_plain(const Borrowed& numbers, size_t count) {
+  return numbers.data && is_near(numbers.data, count);
+}
+
+// A pose whose rotation is one up to rounding.
+inline std::optional<Pose> plain_pose(const nb::handle& given) {
+  const Borrowed numbers(given, {4, 4});
+  return numbers.data ? exact_pose(numbers.data) : std::nullopt;
+}
+
+// A sample of landmarks, or none for what Python has to look at.
+inline std::optional<HumanPose> read_landmarks(const LandmarkReader* reader,
+                                               const nb::handle& landmarks,
+                                               const nb::handle& wrist) {
+  const Borrowed points(landmarks, {kLandmarks, 3});
+  if (!reader || !is_plain(points, 3 * kLandmarks)) return {};
+  if (wrist.is_none()) return reader->read(points.data, nullptr);
+  const std::optional<Pose> pose = plain_pose(wrist);
+  if (!pose) return {};
+  return reader->read(points.data, &*pose);
+}
+
+// Likewise of joint angles.
+inline std::optional<HumanPose> read_joints(JointReader* reader, const nb::handle& q,
+                                            const nb::handle& wrist) {
+  if (!reader) return {};
+  const Borrowed angles(q, {static_cast<int>(reader->size())});
+  if (!is_plain(angles, reader->size())) return {};
+  const std::optional<Pose> pose = plain_pose(wrist);
+  HumanPose found;
+  if (!pose || !reader->read(angles.data, *pose, found)) return {};
+  return found;
+}
+
+inline HumanPose make_pose(const Array& points, const std::optional<Array>& wrist) {
+  HumanPose pose{points_of(points), wrist.has_value(), {}};
+  if (wrist) {
+    expect_size(*wrist, 16, "wrist");
+    pose.wrist = pose_of(wrist->data());
+  }
+  return pose;
+}
+
+// A `HumanPose` of Python, or one of the core.
+inline HumanPose pose_from(const nb::handle& given) {
+  HumanPose* own;
+  if (nb::try_cast(given, own, false)) return *own;
+  return make_pose(nb::cast<Array>(nb::getattr(given, "points")),
+                   nb::cast<std::optional<Array>>(nb::getattr(given, "wrist")));
+}
+
+inline void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose) {
+  if (map.needs_wrist && !pose.has_wrist) throw std::invalid_argument("no wrist");
+  if (pose.points.size() != map.human_points || map.rest.size() != ik.tree.q_indices.size())
+    throw std::invalid_argument("the map is of other hands");
+}
+
+// -- steps
+
+// What Python needs to read the numbers of a step.
+struct StepReader {
+  nb::object joint_names;
+  nb::object targets;         // makes `Targets` of numbers
+  nb::object result;          // makes `IkResult` of a step and its targets
+  std::vector<Vec3> centred;  // the human points that T is estimated from, at the reference
+  std::vector<int> columns;   // see IkResult.joint_columns
+  nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");
+  nb::object summary = module_of("handmap_qp.mapping.method").object("StepSummary");
+  nb::object statuses = module_of("handmap_qp.ik.compiled").object("STATUSES");
+
+  StepReader(const nb::object& target_map, const nb::object& robot, nb::object make_result)
+      : joint_names(nb::getattr(robot, "joint_names")), targets(nb::getattr(target_map, "asked")),
+        result(std::move(make_result)), centred(Fields(target_map).points("estimator._centred")),
+        columns(Fields(robot).indices("joint_columns")) {}
+};
+
+// `Stages` of a step, whose objects Python gets when it asks for them.
+struct Stages : Step {
+  std::shared_ptr<const StepReader> reader;
+  HumanPose pose;
+  nb::object asked_, ik_, command_, summary_;
+
+  nb::object read_asked() {
+    if (!asked_.is_valid()) asked_ = reader->targets(numbers(), asked.is_clamped);
+    return asked_;
+  }
+  nb::object read_command() {
+    if (!command_.is_valid())
+      command_ = reader->command(reader->joint_names, array_of(q), array_of(result.wrist));
+    return command_;
+  }
+  nb::object status() const { return item(reader->statuses, static_cast<size_t>(result.status)); }
+
+  nb::object read_summary() {
+    if (summary_.is_valid()) return summary_;
+    nb::list errors, at_bound;
+    for (size_t k = 0; k < result.points.size(); ++k)
+      errors.append(norm(asked.points[k] - result.points[k]));
+    for (const int column : reader->columns) at_bound.append(result.active[column] != 0);
+    nb::object flags = asked.is_clamped ? nb::getattr(read_asked(), "flags") : nb::tuple();
+    return summary_ = reader->summary(errors, at_bound, residual(), flags);
+  }
+
+ private:
+  // Points, wrist, aims, weights, margins and diagnostics, one after the other.
+  NumpyArray numbers() const {
+    Vector found;
+    append(asked.points, found);
+    append(asked.wrist, found);
+    for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins, &asked.diagnostics})
+      append(*part, found);
+    return array_of(found);
+  }
+
+  // RMS distance of the points from where T takes them. The diagnostics of every map begin with T's
+  // linear part, the centroid and the points, after the motion.
+  double residual() const {
+    const double* from = asked.diagnostics.data();
+    Mat3 linear;
+    std::copy(from, from + 9, linear.m);
+    const Vec3 centroid{from[9], from[10], from[11]};
+    double sum = 0.0;
+    from += 12;
+    for (const Vec3& point : reader->centred) {
+      const Vec3 off = Vec3{from[0], from[1], from[2]} - centroid - linear * point;
+      sum += dot(off, off);
+      from += 3;
+    }
+    return std::sqrt(sum / static_cast<double>(reader->centred.size()));
+  }
+};
+
+inline nb::object read_ik(const nb::object& self) {
+  Stages& stages = nb::cast<Stages&>(self);
+  if (!stages.ik_.is_valid())
+    stages.ik_ = stages.reader->result(self, nb::getattr(stages.read_asked(), "points"));
+  return stages.ik_;
+}
+
+// A copy, by copy or pickle, is one of Python: there may be no core, and this one moves on.
+inline nb::tuple reduced(const nb::object& self) {
+  Stages& stages = nb::cast<Stages&>(self);
+  const nb::object kind = nb::module_::import_("handmap_qp.mapping.method").attr("Stages");
+  return nb::make_tuple(kind, nb::make_tuple(nb::getattr(self, "pose"), stages.read_asked(),
+                                             read_ik(self), stages.read_command()));
+}
+
+// The `Motion` of a gate after a step; its arrays are read-only.
+inline nb::object motion_of(const Step& step) {
+  static const nb::object& frozen = *new nb::object(module_of("handmap_qp.se3").object("frozen"));
+  static const nb::object& Motion =
+      *new nb::object(module_of("handmap_qp.ik.limits").object("Motion"));
+  return Motion(frozen(array_of(step.motion.q)), frozen(array_of(step.motion.displacement)),
+                step.motion.dt, frozen(array_of(step.motion.stop_times)));
+}
+
+// What a `HandMapper` does with the samples after its reference, in one call each.
+class SampleMapper {
+ public:
+  // Of a core's `Ik`, its gate, a map of Python with a core, the robot hand, and a function that
+  // makes `IkResult`.
+  SampleMapper(nb::object ik, nb::object gate, const nb::object& target_map,
+               const nb::object& robot, const nb::object& result)
+      : ik_owner_(std::move(ik)), gate_(std::move(gate)),
+        map_owner_(nb::getattr(target_map, "core")), ik_(nb::cast<Ik&>(ik_owner_)),
+        map_(nb::cast<const TargetMap&>(map_owner_)),
+        reader_(std::make_shared<StepReader>(target_map, robot, result)),
+        map_step_(nb::module_::import_("handmap_qp.mapping.method").attr("MapStep")) {}
+  SampleMapper(const SampleMapper&) = delete;
+
+  // Move the hand for a pose, and return the stages.
+  nb::object follow(const nb::object& pose, double dt, double speed) {
+    return moved(pose_from(pose), dt, speed);
+  }
+
+  // Map a sample as it comes in; None for one that Python has to look at.
+  nb::object map_joints(JointReader* reader, const nb::object& q, const nb::object& wrist,
+                        const nb::object& dt) {
+    const Clock::time_point started = Clock::now();
+    return step_of(read_joints(reader, q, wrist), dt, started);
+  }
+  nb::object map_landmarks(const LandmarkReader* reader, const nb::object& landmarks,
+                           const nb::object& wrist, const nb::object& dt) {
+    const Clock::time_point started = Clock::now();
+    return step_of(read_landmarks(reader, landmarks, wrist), dt, started);
+  }
+
+  // Judge a `HumanSample` and map it. Return the step; only the verdict about a sample that is to be
+  // held, or that the follower returns with; or None for one that Python has to judge.
+  nb::object map_sample(PythonGuard& guard, const LandmarkReader& reader, const nb::object& sample,
+                        const nb::object& dt, const nb::object& arrival) {
+    const std::optional<double> given = dt.is_none() ? 0.0 : plain_dt(dt);
+    if (!given || !guard.is_own(sample)) return nb::none();
+    const PythonGuard::Given from(guard, sample, arrival);
+    std::optional<Pose> wrist;
+    if (from.sample.wrist && !(wrist = exact_pose(from.sample.wrist))) return nb::none();
+    if (from.sample.valid && !is_near(from.sample.landmarks, 3 * kLandmarks)) return nb::none();
+    const Verdict verdict = guard.judge_one(from.sample);
+    nb::object said = guard.verdict_of(verdict);
+    if (verdict.is_held || verdict.is_return) return said;
+    const Clock::time_point started = Clock::now();
+    try {
+      const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
+      const double granted = dt.is_none() ? std::max(verdict.dt, kShortestDt) : *given;
+      nb::object stages =
+          moved(reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr), granted, speed);
+      return map_step_(stages, nb::tuple(), seconds_since(started), said, from.sample.confidence);
+    } catch (...) {
+      guard.forget();
+      throw;
+    }
+  }
+
+  // Map samples of a recording; see run.hpp. Return the first that is left out, the verdict about it
+  // if it was judged, and the pose that was mapped last, if any.
+  nb::tuple run(PythonGuard& guard, const LandmarkReader& reader, const nb::object& columns,
+                size_t first, size_t last,
+                const nb::ndarray<double, nb::c_contig, nb::device::cpu>& rows) {
+    const Samples samples(columns, true);
+    const size_t width = row_width(ik_);
+    if (last > samples.count || rows.ndim() != 2 || rows.shape(0) != samples.count ||
+        rows.shape(1) != width)
+      throw std::invalid_argument("wrong sizes of samples or rows");
+    check_map(ik_, map_, {std::vector<Vec3>(reader.used.size()), true, {}});
+    take_motion(ik_, gate_);
+    Run run{ik_, map_, reader, guard.guard, unproven_speed()};
+    size_t next = first;
+    std::exception_ptr failure;
+    {
+      const nb::gil_scoped_release no_gil;
+      try {
+        while (next < last && run.take(samples.sample(next), rows.data() + next * width)) ++next;
+      } catch (...) {
+        failure = std::current_exception();
+      }
+    }
+    if (run.count) leave_motion(gate_, nb::cast(std::move(run.step)));
+    if (failure) std::rethrow_exception(failure);
+    return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),
+                          run.has_seen ? nb::cast(std::move(run.seen)) : nb::none());
+  }
+
+ private:
+  using Clock = std::chrono::steady_clock;
+
+  nb::object ik_owner_, gate_, map_owner_;
+  Ik& ik_;
+  const TargetMap& map_;
+  std::shared_ptr<const StepReader> reader_;
+  nb::object map_step_;
+  Goal goal_;
+
+  static double seconds_since(Clock::time_point started) {
+    return std::chrono::duration<double>(Clock::now() - started).count();
+  }
+  static double unproven_speed() {
+    static const double speed =
+        module_of("handmap_qp.human.sample").get<double>("UNPROVEN_SPEED");
+    return speed;
+  }
+
+  nb::object moved(HumanPose&& pose, double dt, double speed) {
+    check_map(ik_, map_, pose);
+    take_motion(ik_, gate_);
+    nb::object made = nb::inst_alloc(nb::type<Stages>());
+    Stages& stages = *new (nb::inst_ptr<Stages>(made)) Stages();
+    nb::inst_mark_ready(made);
+    stages.reader = reader_;
+    stages.pose = std::move(pose);
+    handmap::follow(ik_, map_, stages.pose, dt, speed, goal_, stages);
+    leave_motion(gate_, made);
+    return made;
+  }
+
+  nb::object step_of(std::optional<HumanPose>&& pose, const nb::object& given,
+                     Clock::time_point started) {
+    const std::optional<double> dt = plain_dt(given);
+    if (!pose || !dt) return nb::none();
+    nb::object stages = moved(std::move(*pose), *dt, 1.0);
+    return map_step_(stages, nb::tuple(), seconds_since(started));
+  }
+};
+
+// A mapper of Python that is copied makes its own: None takes the place of this one.
+inline nb::tuple without_copy(const SampleMapper&) {
+  return nb::make_tuple(nb::none().type(), nb::tuple());
+}
+
+}  // namespace handmap
