@@ -143,15 +143,10 @@ def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:
         return np.zeros((1, 3)), geometry.radius
     if isinstance(geometry, coal.Capsule):
         return np.outer((1.0, -1.0), (0.0, 0.0, geometry.halfLength)), geometry.radius
-    if isinstance(geometry, coal.Cylinder):
-        radius = geometry.radius
-        return _RIMS * (radius, radius, geometry.halfLength), 0.0
     return np.array([geometry.point(i) for i in range(geometry.num_points)]), 0.0
 
 
 _CUBE = np.array([*product((-1.0, 1.0), repeat=3)])
-_ANGLES = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
-_RIMS = np.array([(np.cos(a), np.sin(a), z) for z in (1.0, -1.0) for a in _ANGLES])
 
 
 def _sphere(count: int) -> np.ndarray:

@@ -121,6 +121,22 @@ def test_a_mesh_that_does_not_exist_is_named(tmp_path: Path) -> None:
         read_collision_shapes(hand)
 
 
+def test_a_cylinder_counts_as_a_prism_that_holds_it(tmp_path: Path) -> None:
+    mesh = '<mesh filename="{mesh}"/>'
+    (tmp_path / "hand.urdf").write_text(
+        FINGER.replace(mesh, '<cylinder radius="0.01" length="0.06"/>')
+    )
+    hand = Hand(msgspec.structs.replace(SPEC, directory=tmp_path))
+    prism = read_collision_shapes(hand).geometryObjects[0].geometry
+    corners = np.array([prism.point(i) for i in range(prism.num_points)])
+    normals = np.random.default_rng(0).normal(size=(500, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    cylinder = 0.01 * np.hypot(*normals.T[:2]) + 0.03 * np.abs(normals[:, 2])
+    excess = (normals @ corners.T).max(axis=1) - cylinder
+    assert excess.min() > -1e-12
+    assert excess.max() < 0.0025 * 0.01
+
+
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj"])
 def test_distances_between_meshes_are_those_of_their_hulls(
     tmp_path: Path, kind: str

@@ -43,8 +43,6 @@ HUMANS = {
 }
 HANDS = [name for name in hand_names() if not name.startswith("human")]
 PRESETS = ("teleoperation", "object", "paper", "fixed_wrist", "joint-to-joint")
-PARTED = {"three_finger": 1e-6, "shadow_left": 1e-4, "shadow_right": 1e-4}
-"""Hands with cylinders: coal's normals on curved surfaces are exact to 1e-5."""
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -80,7 +78,7 @@ def test_a_sample_of_both_paths_from_one_state_has_one_command(
             np.testing.assert_allclose(one.diagnostics[key], value, atol=1e-10)
         worst = max(worst, np.abs(one.command.q - other.command.q).max())
         fast.motion = slow.motion
-    assert worst < PARTED.get(name, 1e-9)
+    assert worst < 1e-9
 
 
 @pytest.mark.parametrize("limit", [None, 25.0], ids=["free", "accelerating"])

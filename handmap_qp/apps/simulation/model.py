@@ -188,9 +188,6 @@ def _shape(spec: Any, shape: Any) -> dict[str, Any]:
         case coal.Capsule():
             size = [shape.radius, shape.halfLength, 0.0]
             return {"type": kinds.mjGEOM_CAPSULE, "size": size}
-        case coal.Cylinder():
-            size = [shape.radius, shape.halfLength, 0.0]
-            return {"type": kinds.mjGEOM_CYLINDER, "size": size}
         case Cylinder():
             size = [shape.radius, shape.length / 2.0, 0.0]
             return {"type": kinds.mjGEOM_CYLINDER, "size": size}
