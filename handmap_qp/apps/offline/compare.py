@@ -35,7 +35,7 @@ from handmap_qp.apps.offline.comparison import (
     own_methods,
     prepare_take,
 )
-from handmap_qp.apps.offline.metrics import GROUPS, METRICS, SUMMARY, Metric
+from handmap_qp.apps.offline.metrics import GROUPS, METRICS, Metric
 from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect
@@ -144,7 +144,7 @@ class Compare:
 def markdown(comparison: Comparison) -> str:
     """Return all tables as Markdown: overall, then every recording."""
     overall = {method: comparison.overall(method) for method in comparison.methods}
-    short = [metric for key in SUMMARY for metric in METRICS if metric.key == key]
+    short = [metric for metric in METRICS if metric.in_short]
     parts = [
         f"# Methods on {comparison.robot.name}",
         _LEGEND,
