@@ -1,4 +1,4 @@
-"""What `handmap compare` measures: names, units and meaning of every metric, from `metrics.yaml`."""
+"""What `handmap compare` measures: names, units and meaning of its metrics (`metrics.yaml`)."""
 
 from __future__ import annotations
 
