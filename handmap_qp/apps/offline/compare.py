@@ -18,6 +18,7 @@ from handmap_qp.apps.arguments import (
     InputArguments,
     InputFlags,
     PersonFile,
+    Recordings,
     hinted,
 )
 from handmap_qp.apps.drawing.hands import require_matplotlib
@@ -89,12 +90,7 @@ class Compare:
         inputs: How the recordings are to be read.
     """
 
-    recordings: tyro.conf.Positional[
-        Annotated[
-            tuple[Path, ...],
-            hinted("RECORDING...", "(required)"),
-        ]
-    ]
+    recordings: Recordings
     robot: HandName
     methods: Annotated[
         tuple[str, ...],
