@@ -20,6 +20,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -235,8 +236,7 @@ def prepare_take(
         recording = mirrored(recording)
     held = held_samples(recording.valid)
     poses = recording.wrist
-    person = person or measure_person(recording)
-    lengths = person.lengths
+    lengths = (person or measure_person(recording)).lengths
     human = load_hand(human_name(side), lengths=lengths)
     wrist = None if poses is None else poses[held]
     trace = trace_human(recording.landmarks[held], lengths, side, wrist)
@@ -295,14 +295,12 @@ def compare_methods(
     workspace = sample_workspace(robot, chains)
     runs = []
     total = len(takes) * len(methods)
-    for take in takes:
-        for method in methods:
-            progress(f"{method.name} on {take.name}", len(runs), total)
-            runs.append(_run(method, take, robot, chains, workspace))
+    for take, method in product(takes, methods):
+        progress(f"{method.name} on {take.name}", len(runs), total)
+        runs.append(_run(method, take, robot, chains, workspace))
     progress("measured", total, total)
-    return Comparison(
-        robot, tuple(takes), tuple(method.name for method in methods), tuple(runs)
-    )
+    names = tuple(method.name for method in methods)
+    return Comparison(robot, tuple(takes), names, tuple(runs))
 
 
 def check_names(
