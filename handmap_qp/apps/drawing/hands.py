@@ -9,10 +9,9 @@ of anything drawn over it.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -52,8 +51,7 @@ _MAX_MESH_TRIANGLES = 4000
 _SMOOTH_ANGLE = np.radians(40.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HandShape:
+class HandShape(NamedTuple):
     """The visual shapes of a hand.
 
     Attributes:
@@ -119,8 +117,7 @@ def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
         for shape in link.iterfind(kind):
             tint = colour or _colour(shape.find("material"), named)
             for solid in shape.iterfind("geometry/*"):
-                found = _geometry(trimesh, solid, hand.spec)
-                if found is not None:
+                if (found := _geometry(trimesh, solid, hand.spec)) is not None:
                     parts.append(_triangles(found, tint).moved(origin_of(shape)))
         if parts:
             links[link.get("name", "")] = merged(parts)
@@ -323,21 +320,17 @@ def _simplified(
     vertices: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
-    low = vertices.min(axis=0)
-    size = float(np.ptp(vertices, axis=0).max())
+    places = vertices - vertices.min(axis=0)
+    places /= places.max()
     cells = 96
     coarse = faces
     cell_of = np.arange(len(vertices))
     while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
-        _, cell_of = np.unique(
-            np.floor((vertices - low) * (cells / size)).astype(np.int64),
-            axis=0,
-            return_inverse=True,
-        )
+        grid = np.floor(places * cells).astype(np.int64)
+        _, cell_of = np.unique(grid, axis=0, return_inverse=True)
         cell_of = cell_of.reshape(-1)
         coarse = cell_of[faces]
-        a, b, c = coarse.T
-        coarse = coarse[(a != b) & (b != c) & (c != a)]
+        coarse = coarse[(coarse != np.roll(coarse, 1, axis=1)).all(axis=1)]
         cells = int(0.85 * cells)
     counts = np.maximum(np.bincount(cell_of), 1)
     means = np.column_stack(

@@ -7,7 +7,6 @@ occlusion in creases. The picture is supersampled and averaged, which smooths al
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
@@ -27,8 +26,8 @@ _CHUNK = 100_000
 
 # Directions towards the lights in camera axes (x right, y down, z forward): key light from the
 # upper left, fill light from the right.
-_KEY_DIRECTION = np.array([-0.45, -0.75, -0.5])
-_FILL_DIRECTION = np.array([0.8, -0.05, -0.45])
+_KEY_DIRECTION = unit(np.array([-0.45, -0.75, -0.5]))
+_FILL_DIRECTION = unit(np.array([0.8, -0.05, -0.45]))
 _KEY = 0.72
 _FILL = 0.16
 _SKY = 0.30
@@ -68,8 +67,7 @@ class Triangles(NamedTuple):
         return Triangles(vertices, self.colours, self.normals @ pose[:3, :3].T)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class Camera(NamedTuple):
     """A pinhole camera with axes x right, y down, z forward; pixel (0, 0) is the upper left corner.
 
     Attributes:
@@ -118,9 +116,8 @@ class Camera:
         )
         right = np.array([-np.sin(turn), np.cos(turn), 0.0])
         rotation = np.array([right, np.cross(right, backward), -backward])
-        world_to_camera = affine(
-            rotation, -rotation @ (middle + distance * radius * backward)
-        )
+        place = middle + distance * radius * backward
+        world_to_camera = affine(rotation, -rotation @ place)
         seen = transform_points(world_to_camera, points)
         tangents = seen[:, :2] / seen[:, 2:]
         low = tangents.min(axis=0)
@@ -150,11 +147,10 @@ class Camera:
         """Return the same view with `factor` times as many pixels along each side."""
         x, y = self.centre
         width, height = self.size
-        return Camera(
-            self.world_to_camera,
-            factor * self.focal_length,
-            (factor * x, factor * y),
-            (factor * width, factor * height),
+        return self._replace(
+            focal_length=factor * self.focal_length,
+            centre=(factor * x, factor * y),
+            size=(factor * width, factor * height),
         )
 
 
@@ -318,21 +314,17 @@ def _shaded(
     corners = triangles.normals[triangle] @ rotation.T
     normals = unit(np.einsum("kc,kcj->kj", surface.shares, corners))
     rays = _centres(x, y) - (*camera.centre, 1.0 - camera.focal_length)
-    key = unit(_KEY_DIRECTION)
-    fill = unit(_FILL_DIRECTION)
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
-    light += _KEY * np.maximum((normals @ key + 0.2) / 1.2, 0.0)
-    light += _FILL * np.maximum(normals @ fill, 0.0)
-    halfway = unit(key - unit(rays))
+    light += _KEY * np.maximum((normals @ _KEY_DIRECTION + 0.2) / 1.2, 0.0)
+    light += _FILL * np.maximum(normals @ _FILL_DIRECTION, 0.0)
+    halfway = unit(_KEY_DIRECTION - unit(rays))
     shine = np.maximum((normals * halfway).sum(axis=1), 0.0)
-    highlight = _HIGHLIGHT * shine**40
-    if has_creases:
-        shade = 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x]
-        light = light * shade
-        highlight = highlight * shade
     albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
-    picture[pixels, :3] = albedo * light[:, None] + highlight[:, None]
+    colours = albedo * light[:, None] + _HIGHLIGHT * shine[:, None] ** 40
+    if has_creases:
+        colours *= 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x, None]
+    picture[pixels, :3] = colours
     picture[pixels, 3] = 1.0
     return picture.reshape(height, width, 4)
 
@@ -353,14 +345,12 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     padded = np.pad(depth, room, mode="edge")
     stride = padded.shape[1]
     padded = padded.ravel()
-    rows, columns = np.nonzero(is_solid)
-    places = (rows + room) * stride + columns + room
+    places = (np.argwhere(is_solid) + room) @ (stride, 1)
     solid = depth[is_solid]
-    total = np.zeros(len(rows))
+    total = np.zeros(len(solid))
     for radius, turn in product((0.3, 0.65, 1.0), range(4)):
-        angle = turn * np.pi / 4 + radius
-        dx, dy = (round(radius * reach * turned(angle)) for turned in (np.cos, np.sin))
-        step = dy * stride + dx
+        way = radius * reach * np.exp(1j * (turn * np.pi / 4 + radius))
+        step = round(way.imag) * stride + round(way.real)
         bump = solid - 0.5 * (padded[places + step] + padded[places - step])
         bump /= radius * _CREASE_RADIUS
         # Ignore large steps: they are outlines of parts in front, not hollows.
