@@ -119,7 +119,7 @@ def _draw_axes(
     ):
         if not direction.any():
             continue
-        place = camera.project(end)[:2]
+        x, y = camera.project(end)[:2]
         arrow = {
             "arrowstyle": "-|>",
             "color": colour,
@@ -127,18 +127,11 @@ def _draw_axes(
             "shrinkA": 0,
             "shrinkB": 0,
         }
-        axes.annotate("", xy=place, xytext=origin, arrowprops=arrow, zorder=4)
+        axes.annotate("", xy=(x, y), xytext=origin, arrowprops=arrow, zorder=4)
         sides = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
-        text = name + sides.get(float(np.round(direction[2], 6)), "")
-        axes.text(
-            place[0] + 5,
-            place[1] + 11,
-            text,
-            fontsize=9,
-            color=colour,
-            zorder=6,
-            **_halo(),
-        )
+        text = name + sides.get(direction[2].round(6), "")
+        style = {"fontsize": 9, "color": colour, "zorder": 6, **_halo()}
+        axes.text(x + 5, y + 11, text, **style)
 
 
 def _halo() -> dict[str, Any]:
@@ -165,38 +158,35 @@ def _entries(
     if not isinstance(layout, PointLayout | MarkerLayout):
         expected = "points, angles or markers"
         raise InvalidInputError(argument="layout", expected=expected, value=layout)
+    side = human.spec.side
     written = layout.write_posture(human, q, np.eye(4))
     # Rows are points, poses, or a position and a quaternion.
     read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
-    frame = layout.world
-    is_used = is_shown = np.ones(len(read), dtype=bool)
-    if isinstance(layout, PointLayout) and layout.table.is_relative:
-        frame = np.linalg.inv(layout.wrist_axes(human.spec.side))
-    places = transform_points(frame, read)
-    if isinstance(layout, PointLayout):
-        index = np.arange(len(places))
-        is_used = np.isin(index, layout.order(human.spec.side))
-        is_near = lengths(places) < _FARTHEST
-        is_shown = is_used | (np.isin(index, list(layout.table.between)) & is_near)
-    shown = np.flatnonzero(is_shown)
-    return places[shown], list(map(str, shown)), is_used[shown]
+    places = transform_points(layout.world, read)
+    index = np.arange(len(places))
+    if isinstance(layout, MarkerLayout):
+        return places, [*map(str, index)], index >= 0
+    if layout.table.is_relative:
+        places = transform_points(np.linalg.inv(layout.wrist_axes(side)), read)
+    is_used = np.isin(index, layout.order(side))
+    is_near = lengths(places) < _FARTHEST
+    is_shown = is_used | (np.isin(index, [*layout.table.between]) & is_near)
+    shown = index[is_shown]
+    return places[shown], [*map(str, shown)], is_used[shown]
 
 
 def _angle_entries(
     layout: AngleLayout, landmarks: np.ndarray
 ) -> tuple[np.ndarray, list[str], np.ndarray]:
     """Return the joints that angles turn, two of which share the first place of a finger."""
-    texts: dict[int, list[str]] = {}
+    texts: dict[int, str] = {}
     for i, entry in enumerate(layout.table.angles):
-        joint = HUMAN_JOINTS.index(entry.joint)
-        finger, k = divmod(joint, 4)
-        texts.setdefault(1 + 4 * finger + max(0, k - 1), []).append(str(i))
+        finger, k = divmod(HUMAN_JOINTS.index(entry.joint), 4)
+        place = 1 + 4 * finger + max(0, k - 1)
+        texts[place] = f"{texts[place]}, {i}" if place in texts else f"{i}"
     shown = sorted(texts)
-    return (
-        landmarks[shown],
-        [", ".join(texts[i]) for i in shown],
-        np.ones(len(shown), dtype=bool),
-    )
+    labels = [texts[place] for place in shown]
+    return landmarks[shown], labels, np.ones(len(shown), dtype=bool)
 
 
 def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:

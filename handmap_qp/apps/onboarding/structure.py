@@ -267,7 +267,7 @@ def _is_at_end(robot: Robot, body: int, place: np.ndarray) -> bool:
         return True
     length = float(lengths(place))
     beyond = float((cloud @ place).max()) / length - length
-    is_centre = (lengths(robot.balls(body) - place) < _AT_CENTRE).any()
+    is_centre = any(lengths(robot.balls(body) - place) < _AT_CENTRE)
     return -_IN_THE_AIR < beyond < _INSIDE or (
         is_centre and 0.0 < beyond < _LARGEST_BALL
     )
