@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import rankdata
@@ -331,15 +332,14 @@ def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
     step = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1], step)
     a, b = (
-        np.array([np.interp(grid, time, column) for tip in tips for column in tip.T])
-        for tips in (_tips_by_finger(hand).values() for hand in (human, robot))
+        make_interp_spline(time, hand.local[:, :, TIP], k=1)(grid)
+        for hand in (human, robot)
     )
-    if min(np.ptp(a, axis=1).max(), np.ptp(b, axis=1).max()) < _STILL:
+    if min(np.ptp(a, axis=0).max(), np.ptp(b, axis=0).max()) < _STILL:
         return np.nan
-    a, b = (rows - rows.mean(axis=1, keepdims=True) for rows in (a, b))
+    a, b = (tips - tips.mean(axis=0) for tips in (a, b))
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
-    lags = range(-most, most + 1)
-    values = np.array([_lagged_correlation(a, b, lag) for lag in lags])
+    values = [_lagged_correlation(a, b, lag) for lag in range(-most, most + 1)]
     best = int(np.argmax(values))
     shift = 0.0
     if 0 < best < 2 * most:
@@ -444,10 +444,10 @@ def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
 
 
 def _lagged_correlation(a: np.ndarray, b: np.ndarray, lag: int) -> float:
-    """Correlation of centred a(t) with b(t + lag), all rows together; shape (n, T) each."""
-    count = a.shape[1] - abs(lag)
-    one = a[:, max(0, -lag) :][:, :count]
-    other = b[:, max(0, lag) :][:, :count]
+    """Correlation of centred a(t) with b(t + lag), all coordinates together; shape (T, k, 3)."""
+    count = len(a) - abs(lag)
+    one = a[max(0, -lag) :][:count]
+    other = b[max(0, lag) :][:count]
     return float(_cosines(one.ravel(), other.ravel()))
 
 
