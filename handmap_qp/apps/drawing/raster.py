@@ -138,9 +138,8 @@ class Camera(NamedTuple):
         """
         seen = transform_points(self.world_to_camera, points)
         with np.errstate(divide="ignore", invalid="ignore"):
-            seen[..., :2] = (
-                self.focal_length * seen[..., :2] / seen[..., 2:] + self.centre
-            )
+            seen[..., :2] *= self.focal_length / seen[..., 2:]
+        seen[..., :2] += self.centre
         return seen
 
     def magnified(self, factor: int) -> Camera:
@@ -219,7 +218,7 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     # Barycentric coordinates are linear in the pixel: coefficients of x, y, and the constant.
     flat = corners.copy()
     flat[..., 2] = 1.0
-    planes = np.cross(flat[:, [1, 2, 0]], flat[:, [2, 0, 1]])
+    planes = np.cross(np.roll(flat, -1, axis=1), np.roll(flat, 1, axis=1))
     area = planes[..., 2].sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         planes /= area[:, None, None]

@@ -179,7 +179,7 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> dict[str, np.ndarray]:
     """
     one = human.extension
     other = robot.extension
-    is_still = np.minimum(np.ptp(one, axis=0), np.ptp(other, axis=0)) < _STILL
+    is_still = np.ptp([one, other], axis=1).min(axis=0) < _STILL
     low, high = np.percentile(one, (2.0, 98.0), axis=0)
     h = human.local
     r = robot.local
@@ -254,9 +254,7 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
         Spearman's correlation over all samples and thumb-finger pairs in which the human's tips are
         less than 80 mm apart; NaN with fewer than three.
     """
-    a, b = (
-        np.array(list(pinch_gaps(hand).values())).ravel() for hand in (human, robot)
-    )
+    a, b = (np.array([*pinch_gaps(hand).values()]).ravel() for hand in (human, robot))
     a, b = a[a < NEAR], b[a < NEAR]
     if len(a) < 3 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return np.nan
@@ -269,8 +267,8 @@ def gap_metrics(
     """Return how many samples of pairs the human pinches, and metrics of the robot's surfaces."""
     wanted = pinch_gaps(human)
     shared = [name for name in wanted if name in gaps.pinches]
-    h = np.array([wanted[name] for name in shared]).ravel()
-    r = np.array([gaps.pinches[name][counts] for name in shared]).ravel()
+    h = np.array([wanted[name] for name in shared])
+    r = np.array([gaps.pinches[name][counts] for name in shared])
     pinched = r[h < PINCH]
     apart = r[h > OPEN]
     nearest = gaps.nearest[counts]
@@ -428,9 +426,8 @@ def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def _palm_points(hand: HandTrace) -> np.ndarray:
     """Palm origin, tips and knuckles in the palm frame [m], shape (T, 1 + 2 k, 3)."""
-    local = hand.local
-    origin = np.zeros((len(local), 1, 3))
-    return np.concatenate([origin, local[:, :, TIP], local[:, :, KNUCKLE]], axis=1)
+    local = hand.local[:, :, [TIP, KNUCKLE]].swapaxes(1, 2)
+    return np.pad(local.reshape(len(local), -1, 3), ((0, 0), (1, 0), (0, 0)))
 
 
 def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:

@@ -22,7 +22,13 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import FIRST_JOINTS, PALM, TIPS
-from handmap_qp.se3 import affine, nearest_rotation, rigid_fit
+from handmap_qp.se3 import (
+    affine,
+    inverse_pose,
+    nearest_rotation,
+    rigid_fit,
+    transform_points,
+)
 from handmap_qp.se3 import lengths as norms
 
 MIDDLES = np.array([3, 6, 10, 14, 18])
@@ -52,9 +58,7 @@ class HandTrace(NamedTuple):
     @property
     def local(self) -> np.ndarray:
         """The points in the palm frame [m], shape (T, k, 3, 3)."""
-        rotations = self.palm[:, None, :3, :3]
-        origins = self.palm[:, None, None, :3, 3]
-        return (self.points - origins) @ rotations
+        return transform_points(inverse_pose(self.palm)[:, None], self.points)
 
     @property
     def extension(self) -> np.ndarray:
@@ -89,17 +93,14 @@ def trace_human(
     Returns:
         The trace.
     """
-    template = np.vstack([np.zeros(3), lengths.bases[1:]])
-    if side == "left":
-        template = template * (-1.0, 1.0, 1.0)
+    sign = -1.0 if side == "left" else 1.0
+    template = np.vstack([np.zeros(3), lengths.bases[1:]]) * (sign, 1.0, 1.0)
     palm = rigid_fit(template, landmarks[:, PALM])
     if wrist_poses is not None:
-        on_wrist = np.linalg.inv(wrist_poses) @ palm
+        on_wrist = inverse_pose(wrist_poses) @ palm
         rotation = nearest_rotation(on_wrist[:, :3, :3].mean(axis=0))
         palm = wrist_poses @ affine(rotation, np.median(on_wrist[:, :3, 3], axis=0))
-    points = np.stack(
-        [landmarks[:, index] for index in (FIRST_JOINTS, MIDDLES, TIPS)], axis=2
-    )
+    points = landmarks[:, np.column_stack([FIRST_JOINTS, MIDDLES, TIPS])]
     reach = lengths.segments.sum(axis=1)
     size = float(norms(lengths.bases[1:].mean(axis=0)) + reach[1:].mean())
     return HandTrace(tuple(FINGERS), points, reach, palm, size)

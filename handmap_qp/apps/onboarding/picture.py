@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -98,9 +99,8 @@ def draw_match(match: Match, path: Path) -> None:
     human = match.human
     robot = match.robot
     q = resting_posture(human)
-    landmarks = transform_points(
-        inverse_pose(human.frame_pose("palm", q)), human.points(q)
-    )
+    to_palm = inverse_pose(human.frame_pose("palm", q))
+    landmarks = transform_points(to_palm, human.points(q))
     rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
     columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
     figure = contact_sheet(columns, rows, side=robot.spec.side)
@@ -112,11 +112,15 @@ class _Scene:
 
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
-        to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
-        points = transform_points(to_palm, hand.points(hand.rest))
-        self.points = transform_points(UPRIGHT, points)
-        self.size = lengths(points).max()
-        self.triangles = self._solid().moved(UPRIGHT)
+        pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", hand.rest))
+        self.points = transform_points(pose, hand.points(hand.rest))
+        self.size = lengths(self.points).max()
+        shape = load_shape(hand).without_arm()
+        self.triangles = (
+            shape.triangles(hand.rest).moved(pose)
+            if shape.links
+            else self._sticks().moved(UPRIGHT)
+        )
         self.axes = 0.28 * self.size * UPRIGHT[:3, :3].T
         self.marks = self._marks()
 
@@ -181,33 +185,27 @@ class _Scene:
 
     def _marks(self) -> Triangles:
         parts = [
-            spheres(self.points[i : i + 1], 0.022 * self.size, self._colour(i))
-            for i in range(len(self.points))
+            spheres(point, 0.022 * self.size, self._colour(i))
+            for i, point in enumerate(self.points)
         ]
         for tip, colour in zip(self.axes, AXIS_COLOURS, strict=True):
             axis = tube([np.zeros(3), tip], 0.008 * self.size, colour)
             parts += [axis, spheres(tip, 0.016 * self.size, colour)]
         return merged(parts)
 
-    def _solid(self) -> Triangles:
-        """Return the hand's surface without its arm; sticks between joints if it has no shapes."""
-        hand = self.hand
-        shape = load_shape(hand).without_arm()
-        if shape.links:
-            to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
-            return shape.triangles(hand.rest).moved(to_palm)
-        return self._sticks()
-
     def _sticks(self) -> Triangles:
-        """Return sticks between the joints beyond the wrist, and from joints to points."""
+        """Return sticks between the joints beyond the wrist, and from joints to points.
+
+        They stand for the surface of a hand without shapes, in palm axes.
+        """
         hand = self.hand
-        model = self.hand.model
+        model = hand.model
         _, *beyond = model.subtrees[model.frames[hand.wrist_frame_id].parentJoint]
         origin = np.zeros(3)
         tips = [place_of(hand, p) for p in hand.reference_points]
         sticks = [((model.parents[joint], origin), (joint, origin)) for joint in beyond]
         sticks += [((tip[0], origin), tip) for tip in tips]
-        places = [place for stick in sticks for place in stick]
+        places = [*chain.from_iterable(sticks)]
         ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)
         ends = ends[lengths(ends[:, 1] - ends[:, 0]) > 1e-4]
         return merged([tube(pair, 0.015 * self.size, GREY) for pair in ends])
