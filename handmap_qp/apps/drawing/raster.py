@@ -268,16 +268,14 @@ def _spans(
     rows = np.maximum(bottom - top, 0)
     triangle = np.repeat(np.arange(len(rows)), rows)
     row = np.repeat(top, rows) + _ramps(rows)
-    low = np.full(len(row), 0.5)
-    high = np.full(len(row), width - 0.5)
-    for corner in range(3):
-        slope, across, constant = planes[triangle, corner].T
-        level = across * (row + 0.5) + constant
-        with np.errstate(divide="ignore", invalid="ignore"):
-            edge = -level / slope
-        low = np.where(slope > 0.0, np.maximum(low, edge), low)
-        high = np.where(slope < 0.0, np.minimum(high, edge), high)
-        high = np.where((slope == 0.0) & (level < 0.0), -1.0, high)
+    slope, across, constant = np.moveaxis(planes[triangle], 2, 0)
+    level = across * (row[:, None] + 0.5) + constant
+    with np.errstate(divide="ignore", invalid="ignore"):
+        edge = -level / slope
+    # The slopes of a triangle's three coordinates have the sum 0.
+    low = np.where(slope > 0.0, edge, 0.5).max(axis=1)
+    high = np.where(slope < 0.0, edge, width - 0.5).min(axis=1)
+    high[((slope == 0.0) & (level < 0.0)).any(axis=1)] = -1.0
     # The tolerance assigns a pixel on a shared edge to at least one of its triangles: no holes.
     first = np.ceil(low - 0.5 - 1e-6).astype(np.int64)
     count = np.floor(high - 0.5 + 1e-6).astype(np.int64) - first + 1
