@@ -9,6 +9,7 @@ of anything drawn over it.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -44,6 +45,8 @@ GREY = (0.62, 0.64, 0.67)
 AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 """Colours of the axes x, y and z."""
 
+# Height of a title above panels [pixel].
+_TITLE = 48
 _TUBE_SIDES = 10
 # Most triangles kept per mesh file.
 _MAX_MESH_TRIANGLES = 4000
@@ -252,6 +255,37 @@ def require_matplotlib() -> ModuleType:
         MissingExtraError: If it is not installed.
     """
     return require("matplotlib", "plot")
+
+
+def save_panels(
+    path: Path,
+    title: str,
+    size: tuple[int, int],
+    panels: Mapping[str, Callable[[Axes], None]],
+) -> None:
+    """Draw panels side by side under a title into the file that `--picture` names.
+
+    Args:
+        path: The file.
+        title: The title.
+        size: Width and height of a panel [pixel].
+        panels: What draws each panel, by its caption.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+        MissingExtraError: If matplotlib is not installed.
+    """
+    width, height = size
+    share = 1.0 / len(panels)
+    figure = require("matplotlib.figure", "plot").Figure(
+        figsize=(0.01 * width / share, 0.01 * (height + _TITLE)), dpi=100
+    )
+    for i, (caption, draw) in enumerate(panels.items()):
+        axes = figure.add_axes((i * share, 0.0, share, height / (height + _TITLE)))
+        draw(axes)
+        axes.text(0.5 * width, 13, caption, ha="center", va="top", color="0.35")
+    figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=12)
+    save_picture(figure, path, facecolor="white")
 
 
 def save_picture(figure: Figure, path: Path, **settings: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,7 @@ from handmap_qp.apps.drawing.hands import (
     UPRIGHT,
     draw_hands,
     load_shape,
-    require_matplotlib,
-    save_picture,
+    save_panels,
 )
 from handmap_qp.apps.drawing.raster import Camera
 from handmap_qp.errors import InvalidInputError
@@ -22,6 +22,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import lengths, transform_points, unit
+from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.base import Layout, sized_human
 from handmap_qp.trackers.layouts.markers import MarkerLayout
@@ -51,31 +52,15 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
         InvalidInputError: If the file cannot be written.
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure
-
-    width, height = _PANEL
-    figure = Figure(figsize=(2 * width / 100, height / 100 + 0.45), dpi=100)
-    share = height / (height + 45)
-    sides: tuple[Side, ...] = ("left", "right")
-    for i, side in enumerate(sides):
-        axes = figure.add_axes((0.5 * i, 0.0, 0.5, share))
-        _draw_side(axes, layout, side)
-        axes.text(
-            width / 2,
-            12,
-            f"{side} hand, from its back",
-            ha="center",
-            va="top",
-            color="0.35",
-        )
-    unit = layout.table.unit
-    title = f"{layout.name}: {layout.title} ({unit})"
-    figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=11)
-    save_picture(figure, path, facecolor="white")
+    panels = {
+        f"{side} hand, from its back": partial(_draw_side, layout, side)
+        for side in SIDES
+    }
+    title = f"{layout.name}: {layout.title} ({layout.table.unit})"
+    save_panels(path, title, _PANEL, panels)
 
 
-def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
+def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
     human = sized_human(side)
     q = _open_posture(human)
     solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from handmap_qp.apps.drawing.hands import (
     draw_hands,
     load_shape,
     require_matplotlib,
+    save_panels,
     save_picture,
     spheres,
     tube,
@@ -36,8 +38,11 @@ _PANEL = (760, 820)
 _AXIS_GAP = np.array([38.0, -14.0])
 _OTHER_COLOUR = (0.25, 0.25, 0.28)
 _AXES = ("x, across", "y, distal", "z, dorsal")
-# Title and azimuth [deg] of the two views; the second azimuth is that of a right hand.
-_VIEWS = {"back of the hand": 90.0, "palm, from the thumb's side": 215.0}
+# Caption and azimuth [deg] of both views of each hand.
+_VIEWS = {
+    "right": {"back of the hand": 90.0, "palm, from the thumb's side": 215.0},
+    "left": {"back of the hand": 90.0, "palm, from the thumb's side": -35.0},
+}
 _ELEVATION = 12.0
 # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
 _BOX = {
@@ -68,21 +73,13 @@ def draw_hand(hand: Hand, path: Path) -> None:
         MissingExtraError: If matplotlib is not installed.
     """
     require_matplotlib()
-    from matplotlib.figure import Figure
-
     scene = _Scene(hand.with_points([point.name for point in hand.spec.points]))
-    size = (2 * _PANEL[0] / 100, _PANEL[1] / 100 + 0.5)
-    figure = Figure(figsize=size, dpi=100)
-    height = _PANEL[1] / (_PANEL[1] + 50)
-    for i, (title, azimuth) in enumerate(_VIEWS.items()):
-        axes = figure.add_axes((0.5 * i, 0.0, 0.5, height))
-        scene.draw(axes, 180.0 - azimuth if i and hand.side == "left" else azimuth)
-        axes.text(
-            _PANEL[0] / 2, 14, title, ha="center", va="top", fontsize=11, color="0.35"
-        )
-    what = f"{hand.name}: a {hand.side} hand, {len(hand.joint_names)} joints; at rest"
-    figure.text(0.5, 0.975, what, ha="center", va="center", fontsize=14)
-    save_picture(figure, path, facecolor="white")
+    panels = {
+        caption: partial(scene.draw, azimuth=azimuth)
+        for caption, azimuth in _VIEWS[hand.side].items()
+    }
+    title = f"{hand.name}: a {hand.side} hand, {len(hand.joint_names)} joints; at rest"
+    save_panels(path, title, _PANEL, panels)
 
 
 def draw_match(match: Match, path: Path) -> None:
