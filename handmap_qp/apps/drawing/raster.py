@@ -18,9 +18,6 @@ from handmap_qp.se3 import affine, lengths, transform_points, unit
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
 _NEAR = 1e-3
-# The z-buffer's key: nearness in the high bits, triangle index in the low bits.
-_NEARNESS_STEPS = 2**31 - 1
-_INDEX_BITS = 32
 # Rows of triangles per chunk; bounds the memory of a picture.
 _CHUNK = 100_000
 
@@ -228,10 +225,8 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     planes = planes[seen]
     inverse = 1.0 / depths[seen]
     nearness = np.einsum("nc,ncj->nj", inverse, planes)
-    # Nearness and triangle index share one integer, so that one maximum updates both.
-    farthest = inverse.min(initial=np.inf)
-    scale = _NEARNESS_STEPS / max(inverse.max(initial=0.0) - farthest, 1e-9)
-    keys = np.full(width * height, -1, dtype=np.int64)
+    nearest = np.zeros(width * height)
+    front = np.zeros(width * height, dtype=np.int64)
     triangle, row, first, count = _spans(corners[seen, :, 1], planes, camera.size)
     for start in range(0, len(count), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -239,12 +234,12 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
         column = first[span] + _ramps(count[part])
         owner = triangle[span]
         near = (nearness[owner] * _centres(column, row[span])).sum(axis=1)
-        rank = scale * (near - farthest)
-        steps = np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64)
         pixel = row[span] * width + column
-        np.maximum.at(keys, pixel, (steps << _INDEX_BITS) | owner)
-    pixels = np.flatnonzero(keys >= 0)
-    owner = keys[pixels] & (2**_INDEX_BITS - 1)
+        np.maximum.at(nearest, pixel, near)
+        is_front = near == nearest[pixel]
+        front[pixel[is_front]] = owner[is_front]
+    pixels = np.flatnonzero(nearest)
+    owner = front[pixels]
     centres = _centres(pixels % width, pixels // width)
     shares = np.einsum("kcj,kj->kc", planes[owner], centres)
     depth = np.full(width * height, np.inf)
