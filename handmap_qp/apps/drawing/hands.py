@@ -189,14 +189,15 @@ def tube(
     tangents = unit(np.gradient(points, axis=0))
     # Propagate the first normal and project it at right angles to each tangent: no twist.
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
-    rings = np.empty((len(points), _TUBE_SIDES, 3))
     angles = 2.0 * np.pi * np.arange(_TUBE_SIDES) / _TUBE_SIDES
-    for ring, tangent in zip(rings, tangents, strict=True):
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    rings = []
+    for tangent in tangents:
         normal = unit(normal - (normal @ tangent) * tangent)
-        ring[:] = np.outer(np.cos(angles), normal)
-        ring += np.outer(np.sin(angles), np.cross(tangent, normal))
-    surface = points[:, None] + radius * rings
-    return Triangles.painted(_between_rings(surface), _between_rings(rings), colour)
+        rings.append(circle @ [normal, np.cross(tangent, normal)])
+    normals = np.array(rings)
+    surface = points[:, None] + radius * normals
+    return Triangles.painted(_between_rings(surface), _between_rings(normals), colour)
 
 
 def _between_rings(rings: np.ndarray) -> np.ndarray:

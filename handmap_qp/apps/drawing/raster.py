@@ -228,9 +228,8 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     nearest = np.zeros(width * height)
     front = np.zeros(width * height, dtype=np.int64)
     triangle, row, first, count = _spans(corners[seen, :, 1], planes, camera.size)
-    for start in range(0, len(count), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        span = start + np.repeat(np.arange(len(count[part])), count[part])
+    for part in np.array_split(np.arange(len(count)), len(count) // _CHUNK + 1):
+        span = np.repeat(part, count[part])
         column = first[span] + _ramps(count[part])
         owner = triangle[span]
         near = (nearness[owner] * _centres(column, row[span])).sum(axis=1)
