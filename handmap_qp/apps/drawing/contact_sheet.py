@@ -193,12 +193,12 @@ def contact_sheet(
         axes.set_axis_off()
         bold: dict[str, Any] = {"color": _INK, "fontweight": "bold", "va": "center"}
         pale: dict[str, Any] = {"color": _PALE, "va": "center"}
-        for column, name in enumerate(["human", *(name for name, _ in columns)]):
-            middle = cell_of(column, 0, 0)[0] + 0.5 * span
+        for i, name in enumerate(["human", *(name for name, _ in columns)]):
+            middle = _LEFT + (i + 0.5) * span
             axes.text(middle, 24, name, ha="center", fontsize=10, **bold)
             axes.text(middle, 43, _VIEW_NAMES, ha="center", fontsize=6.5, **pale)
-        for k, row in enumerate(rows):
-            centre = cell_of(0, k, 0)[1] + 0.5 * CELL[1]
+        for i, row in enumerate(rows):
+            centre = _TOP + (i + 0.5) * CELL[1]
             axes.text(10, centre - 8, row.label, fontsize=9.5, **bold)
             axes.text(10, centre + 4, row.note, fontsize=7.5, color=_PALE, va="top")
         axes.text(10, 24, title, fontsize=7, **pale)
@@ -229,16 +229,16 @@ def pose_pictures(
     """
     _check(columns, rows)
     humans = [_human_triangles(row.landmarks) for row in rows]
-    pictures = [_pictures(humans, side, _HUMAN_BACKGROUND)] * (1 + len(columns))
+    human = _pictures(humans, side, _HUMAN_BACKGROUND)
+    pictures = np.stack([human] * (1 + len(columns)))
     # Columns of the same hand have the same scale.
     for hand in {id(hand): hand for _, hand in columns}.values():
         shape = _coloured(load_shape(hand))
         own = [i for i, (_, other) in enumerate(columns) if other is hand]
         solids = [_robot_triangles(shape, row.q[i]) for i in own for row in rows]
-        drawn = np.split(_pictures(solids, hand.spec.side, 1.0), len(own))
-        for i, column in zip(own, drawn, strict=True):
-            pictures[1 + i] = column
-    return np.stack(pictures, axis=1)
+        drawn = _pictures(solids, hand.spec.side, 1.0)
+        pictures[1:][own] = drawn.reshape(-1, *human.shape)
+    return pictures.swapaxes(0, 1)
 
 
 def save_contact_sheet(
@@ -295,7 +295,7 @@ def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> Non
 
 def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
-    points = merged(list(solids)).vertices.reshape(-1, 3)
+    points = merged([*solids]).vertices.reshape(-1, 3)
     cameras = [
         Camera.framing(
             points,
@@ -306,9 +306,7 @@ def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.
         )
         for azimuth, elevation in VIEWS
     ]
-    images = np.array(
-        [[render(solid, camera) for camera in cameras] for solid in solids]
-    )
+    images = np.array([[render(one, camera) for camera in cameras] for one in solids])
     return background + images[..., 3:] * (images[..., :3] - background)
 
 

@@ -446,8 +446,8 @@ def _confirmed(dorsal: _Found) -> _Found:
     if dorsal.sign <= 0.05:
         return dorsal
     is_likely = dorsal.sign > 0.6 and dorsal.confidence >= _LIKELY
-    least = max(dorsal.confidence, _CERTAIN if is_likely else _LIKELY)
-    return dorsal._replace(how=f"{dorsal.how}; the side agrees", confidence=least)
+    sure = max(dorsal.confidence, _CERTAIN if is_likely else _LIKELY)
+    return dorsal._replace(how=f"{dorsal.how}; the side agrees", confidence=sure)
 
 
 # -- geometry
@@ -497,4 +497,4 @@ def _shown(direction: np.ndarray) -> str:
     nearest = int(np.argmax(np.abs(direction)))
     if abs(direction[nearest]) > 0.9999:
         return f"{'+' if direction[nearest] > 0 else '-'}{'xyz'[nearest]}"
-    return "[" + ", ".join(f"{value:.3f}" for value in direction) + "]"
+    return f"[{', '.join(f'{value:.3f}' for value in direction)}]"
