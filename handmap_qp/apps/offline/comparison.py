@@ -33,7 +33,12 @@ from handmap_qp.apps.offline.fidelity import (
     assess_fidelity,
     sample_workspace,
 )
-from handmap_qp.apps.offline.hand_trace import HandTrace, trace_human, trace_robot
+from handmap_qp.apps.offline.hand_trace import (
+    HandTrace,
+    fingers_of,
+    trace_human,
+    trace_robot,
+)
 from handmap_qp.apps.offline.look_ahead import (
     LookAhead,
     look_ahead,
@@ -43,7 +48,6 @@ from handmap_qp.apps.offline.metrics import mean_values
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.apps.offline.trajectory import held_samples, map_recording
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
-from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -285,19 +289,18 @@ def compare_methods(
             got=f"{take.name} ({take.recording.side})",
             advice="prepare_take mirrors it",
         )
-    chains = find_fingers(robot)
-    if not chains:
+    if not fingers_of(robot):
         raise InvalidInputError(
             argument="robot",
             problem=f"{robot.name} has no finger with a human name, so nothing can be compared",
             advice="name the fingers of its points in hand.yaml",
         )
-    workspace = sample_workspace(robot, chains)
+    workspace = sample_workspace(robot)
     runs = []
     total = len(takes) * len(methods)
     for take, method in product(takes, methods):
         progress(f"{method.name} on {take.name}", len(runs), total)
-        runs.append(_run(method, take, robot, chains, workspace))
+        runs.append(_run(method, take, robot, workspace))
     progress("measured", total, total)
     names = tuple(method.name for method in methods)
     return Comparison(robot, tuple(takes), names, tuple(runs))
@@ -453,7 +456,6 @@ def _run(
     method: ComparedMethod,
     take: Take,
     robot: Hand,
-    chains: dict[str, Finger],
     workspace: dict[str, np.ndarray],
 ) -> Run:
     try:
@@ -464,10 +466,10 @@ def _run(
     wrist = motion.wrist_in(take, robot) if robot.is_floating else None
     fidelity = assess_fidelity(
         take.trace,
-        trace_robot(robot, motion.q, wrist, chains),
+        trace_robot(robot, motion.q, wrist),
         take.recording.time,
         valid=take.recording.valid,
-        gaps=measure_gaps(robot, motion.q, chains),
+        gaps=measure_gaps(robot, motion.q),
         hand=robot,
         q=motion.q,
         human_q=take.q,

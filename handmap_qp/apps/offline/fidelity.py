@@ -31,7 +31,6 @@ from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
 from handmap_qp.apps.offline.trajectory import rms_derivative
 from handmap_qp.errors import expect
-from handmap_qp.hands.fingers import Finger
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.mapping.decomposition import polar
@@ -384,17 +383,11 @@ def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float
     return _mean(np.array(distances) <= WORKSPACE_RADIUS)
 
 
-def sample_workspace(
-    hand: Hand,
-    chains: dict[str, Finger] | None = None,
-    *,
-    count: int = 20_000,
-) -> dict[str, np.ndarray]:
+def sample_workspace(hand: Hand, *, count: int = 20_000) -> dict[str, np.ndarray]:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 
     Args:
         hand: The robot hand.
-        chains: Its fingers, if they have been found before.
         count: Number of postures.
 
     Returns:
@@ -404,7 +397,7 @@ def sample_workspace(
     q = random.uniform(
         hand.lower_limits, hand.upper_limits, (count, len(hand.joint_names))
     )
-    return _tips_by_finger(trace_robot(hand, q, None, chains))
+    return _tips_by_finger(trace_robot(hand, q))
 
 
 def _tips_by_finger(hand: HandTrace) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ whatever mapping found those. So every mapping is measured in the same way.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +36,10 @@ MIDDLES = np.array([3, 6, 10, 14, 18])
 """Landmarks of the middle joints: the thumb's IP and the other fingers' PIP."""
 KNUCKLE, MIDDLE, TIP = range(3)
 """Indices of a finger's points: the thumb's CMC or MCP, its IP or PIP, and its tip."""
+
+
+fingers_of = lru_cache(maxsize=32)(find_fingers)
+"""The fingers of a hand, which are found once: a reach takes a search."""
 
 
 class HandTrace(NamedTuple):
@@ -123,7 +128,7 @@ def trace_robot(
     Returns:
         The trace.
     """
-    chains = chains or find_fingers(hand)
+    chains = chains or fingers_of(hand)
     wrists = np.broadcast_to(np.eye(4), (len(q), 4, 4)) if wrist is None else wrist
     data = hand.model.createData()
     vector = np.zeros(hand.model.nq)
