@@ -101,7 +101,9 @@ class SheetRow:
 
 
 def sheet_rows(
-    recording: Recording, poses: Mapping[str, int | None], motions: Sequence[np.ndarray]
+    recording: Recording,
+    poses: Mapping[str, int | None],
+    motions: Sequence[np.ndarray],
 ) -> list[SheetRow]:
     """Pick samples out of a recording and the motions that were mapped from it.
 
@@ -273,7 +275,11 @@ def save_contact_sheet(
     return Path(file)
 
 
-def cell_of(column: int, row: int, view: int) -> tuple[int, int]:
+def cell_of(
+    column: int,
+    row: int,
+    view: int,
+) -> tuple[int, int]:
     """Left and upper edge of a view in the picture [pixel]; column 0 is the human's."""
     width, height = CELL
     return _LEFT + (column * len(VIEWS) + view) * width, _TOP + row * height
@@ -293,7 +299,11 @@ def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> Non
         )
 
 
-def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
+def _pictures(
+    solids: Sequence[Triangles],
+    side: Side,
+    background: float,
+) -> np.ndarray:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
     points = merged([*solids]).vertices.reshape(-1, 3)
     cameras = [

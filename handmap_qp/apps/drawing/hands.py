@@ -127,7 +127,11 @@ def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
     return HandShape(hand, links)
 
 
-def solid(vertices: np.ndarray, faces: np.ndarray, colour: Colour) -> Triangles:
+def solid(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    colour: Colour,
+) -> Triangles:
     """Return a mesh of one colour, with normals that are smooth except at edges.
 
     Args:
@@ -143,7 +147,11 @@ def solid(vertices: np.ndarray, faces: np.ndarray, colour: Colour) -> Triangles:
     )
 
 
-def spheres(centres: npt.ArrayLike, radius: float, colour: Colour) -> Triangles:
+def spheres(
+    centres: npt.ArrayLike,
+    radius: float,
+    colour: Colour,
+) -> Triangles:
     """Return small spheres that mark points.
 
     Args:
@@ -310,7 +318,11 @@ def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
         ) from error
 
 
-def _geometry(trimesh: Any, solid: ET.Element, spec: HandSpec) -> Any:
+def _geometry(
+    trimesh: Any,
+    solid: ET.Element,
+    spec: HandSpec,
+) -> Any:
     """Return a URDF geometry as a mesh of trimesh; None for an unreadable one."""
     made = trimesh.creation
     match solid.tag:
@@ -326,7 +338,11 @@ def _geometry(trimesh: Any, solid: ET.Element, spec: HandSpec) -> Any:
     return None
 
 
-def _mesh(trimesh: Any, mesh: ET.Element, spec: HandSpec) -> Any:
+def _mesh(
+    trimesh: Any,
+    mesh: ET.Element,
+    spec: HandSpec,
+) -> Any:
     """Read a mesh with outward faces only, or with both sides if it is not closed."""
     try:
         found = trimesh.load_mesh(mesh_file(mesh.get("filename", ""), spec))

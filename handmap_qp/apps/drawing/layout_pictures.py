@@ -60,7 +60,11 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
     save_panels(path, title, _PANEL, panels)
 
 
-def _draw_side(layout: Layout, side: Side, axes: Any) -> None:
+def _draw_side(
+    layout: Layout,
+    side: Side,
+    axes: Any,
+) -> None:
     human = sized_human(side)
     q = _open_posture(human)
     solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)
@@ -135,7 +139,9 @@ def _open_posture(human: Hand) -> np.ndarray:
 
 
 def _entries(
-    layout: Layout, human: Hand, q: np.ndarray
+    layout: Layout,
+    human: Hand,
+    q: np.ndarray,
 ) -> tuple[np.ndarray, list[str], np.ndarray]:
     """Return places [m], indices as text, and whether they are landmarks."""
     if isinstance(layout, AngleLayout):

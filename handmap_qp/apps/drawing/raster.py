@@ -53,7 +53,10 @@ class Triangles(NamedTuple):
 
     @classmethod
     def painted(
-        cls, vertices: np.ndarray, normals: np.ndarray, colour: Colour
+        cls,
+        vertices: np.ndarray,
+        normals: np.ndarray,
+        colour: Colour,
     ) -> Triangles:
         """Return triangles of one colour."""
         return cls(vertices, np.tile(colour, (len(vertices), 1)), normals)
@@ -247,7 +250,9 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
 
 
 def _spans(
-    y: np.ndarray, planes: np.ndarray, size: tuple[int, int]
+    y: np.ndarray,
+    planes: np.ndarray,
+    size: tuple[int, int],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the spans of pixels inside triangles: triangle, row, first column, length.
 

@@ -149,7 +149,12 @@ class Map:
             make_folder(out.parent, "--out")
         return check_output("--out", out, (".npz",))
 
-    def _map(self, recording: Recording, robot: Hand, out: Path) -> dict[str, Any]:
+    def _map(
+        self,
+        recording: Recording,
+        robot: Hand,
+        out: Path,
+    ) -> dict[str, Any]:
         """Map one hand, write its trajectory, and return the summary."""
         person = person_of(recording, self.person)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:

@@ -121,7 +121,11 @@ class Compare:
             make_folder(self.out, "--out")
         with progress("comparing") as advance:
 
-            def say(what: str, done: int, total: int) -> None:
+            def say(
+                what: str,
+                done: int,
+                total: int,
+            ) -> None:
                 advance(done, f"{what} ({done} of {total})")
 
             takes = _takes(self, robot, person, say)
@@ -292,7 +296,9 @@ def _print_tables(comparison: Comparison) -> None:
 
 
 def _write(
-    out: Path, comparison: Comparison, say: Callable[[str, int, int], None]
+    out: Path,
+    comparison: Comparison,
+    say: Callable[[str, int, int], None],
 ) -> list[Path]:
     """Write all files, and return those that were written."""
     table, results, metrics, poses = (out / name for name in FILES)
@@ -328,7 +334,9 @@ def _tables(values: dict[str, dict[str, float]]) -> list[str]:
 
 
 def _table(
-    title: str, metrics: Sequence[Metric], values: dict[str, dict[str, float]]
+    title: str,
+    metrics: Sequence[Metric],
+    values: dict[str, dict[str, float]],
 ) -> str:
     """Return a table with a row for every method."""
     columns = [(title, *values)]

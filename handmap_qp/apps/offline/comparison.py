@@ -212,7 +212,10 @@ class Comparison(NamedTuple):
 
 
 def prepare_take(
-    recording: Recording, side: Side = "right", *, person: Person | None = None
+    recording: Recording,
+    side: Side = "right",
+    *,
+    person: Person | None = None,
 ) -> Take:
     """Describe what the human did in a recording.
 
@@ -307,7 +310,9 @@ def compare_methods(
 
 
 def check_names(
-    argument: str, names: Sequence[str], expected: str = "different names"
+    argument: str,
+    names: Sequence[str],
+    expected: str = "different names",
 ) -> None:
     """Reject an empty list and a name that occurs twice."""
     expect(names, argument, "at least one", got="none")
@@ -379,7 +384,11 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
     ]
 
 
-def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
+def _map_own(
+    name: str,
+    take: Take,
+    robot: Hand,
+) -> RobotMotion:
     """Map the landmarks of a take, with the palm that it is measured against."""
     _, method, ik = preset_choice(base_name(name), take.human)
     recording = take.recording

@@ -71,7 +71,9 @@ class Demo:
 
 
 def run_demo(
-    name: str, directory: Path, progress: Callable[[int], None] | None = None
+    name: str,
+    directory: Path,
+    progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Map the recording that comes with the package, and write `FILES`: all of them, or none.
 

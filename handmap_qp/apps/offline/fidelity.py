@@ -261,7 +261,9 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
 
 
 def gap_metrics(
-    human: HandTrace, gaps: SurfaceGaps, counts: np.ndarray
+    human: HandTrace,
+    gaps: SurfaceGaps,
+    counts: np.ndarray,
 ) -> tuple[int, Values]:
     """Return how many samples of pairs the human pinches, and metrics of the robot's surfaces."""
     wanted = pinch_gaps(human)
@@ -309,7 +311,11 @@ def joint_metrics(
     return found
 
 
-def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
+def latency(
+    human: HandTrace,
+    robot: HandTrace,
+    time: np.ndarray,
+) -> float:
     """Lag of the robot's fingertips behind the human's, both in palm frames.
 
     The cross-correlation of all coordinates together, over all lags up to 0.3 s, is refined by a
@@ -433,7 +439,11 @@ def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     return fit / np.maximum(size, _LEAST**2) * turned + centre
 
 
-def _lagged_correlation(a: np.ndarray, b: np.ndarray, lag: int) -> float:
+def _lagged_correlation(
+    a: np.ndarray,
+    b: np.ndarray,
+    lag: int,
+) -> float:
     """Correlation of centred a(t) with b(t + lag), all coordinates together; shape (T, k, 3)."""
     count = len(a) - abs(lag)
     one = a[max(0, -lag) :][:count]

@@ -227,7 +227,11 @@ def _smoothed(
     return transform_points(poses, inside.reshape(local.shape))
 
 
-def _filled(time: np.ndarray, valid: np.ndarray, longest: float) -> np.ndarray:
+def _filled(
+    time: np.ndarray,
+    valid: np.ndarray,
+    longest: float,
+) -> np.ndarray:
     """Tell which samples are valid or in a gap that is filled, shape (T,)."""
     filled = valid.copy()
     for gap in stretches(~valid):

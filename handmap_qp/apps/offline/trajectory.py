@@ -178,7 +178,11 @@ def trajectory_of(
     return _trajectory(robot, time, table)
 
 
-def _trajectory(robot: Hand, time: np.ndarray, table: StepTable) -> Trajectory:
+def _trajectory(
+    robot: Hand,
+    time: np.ndarray,
+    table: StepTable,
+) -> Trajectory:
     """Fill the samples without a step, and measure; see `trajectory_of`."""
     status, rule, is_held, consistency, confidence, step_cpu = table.columns[6:]
     rule = np.array(RULE_NAMES)[rule.astype(int)]

@@ -146,7 +146,10 @@ class _Evidence:
     """
 
     def __init__(
-        self, flexion: HandFlexion, names: list[list[str]], thumb: int | None
+        self,
+        flexion: HandFlexion,
+        names: list[list[str]],
+        thumb: int | None,
     ) -> None:
         self.flexion = flexion
         self.names = names

@@ -421,7 +421,11 @@ def _compare_detection(hand: Hand, tables: Tables) -> Findings:
         yield warning("side", what, f"side: {side}")
 
 
-def _compare_axes(hand: Hand, found: HandSpec, clues: dict[str, Clue]) -> Findings:
+def _compare_axes(
+    hand: Hand,
+    found: HandSpec,
+    clues: dict[str, Clue],
+) -> Findings:
     """Find axes of the palm that point elsewhere than the detected ones."""
     links = [hand.spec.palm.link, found.palm.link]
     own, theirs = hand.link_poses(links, hand.rest)[:, :3, :3]

@@ -91,7 +91,11 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     return CollisionSpec(found, MARGIN) if found else None
 
 
-def _owner(hand: Hand, fingers: dict[str, Finger], link: str) -> str:
+def _owner(
+    hand: Hand,
+    fingers: dict[str, Finger],
+    link: str,
+) -> str:
     """Return the finger that a link is on; `palm`, or `bar` of a linkage, which is on none."""
     model = hand.model
     joint = carrier_of(hand, link)
@@ -127,7 +131,11 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     return [*dict.fromkeys(itertools.compress(pairs, found))]
 
 
-def _neighbours(model: pin.Model, joint: int, with_shape: list[int]) -> list[int]:
+def _neighbours(
+    model: pin.Model,
+    joint: int,
+    with_shape: list[int],
+) -> list[int]:
     """Return a joint and those above it up to the next one with a body that is not short.
 
     Bodies on these joints may overlap where they meet.

@@ -135,7 +135,12 @@ class _FoundHand:
         clues: Evidence for each part of the description; complete after `describe`.
     """
 
-    def __init__(self, robot: Robot, side: Side | None, thumb: str | None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        side: Side | None,
+        thumb: str | None,
+    ) -> None:
         self.robot = robot
         self.structure = find_structure(robot)
         fingers = self.structure.fingers
@@ -294,7 +299,13 @@ class _FoundHand:
         self._add("palm origin", answer, how, min(sure, self._sure["distal"]))
         return knuckles - likely * distal
 
-    def _add(self, what: str, answer: str, how: str, confidence: float) -> None:
+    def _add(
+        self,
+        what: str,
+        answer: str,
+        how: str,
+        confidence: float,
+    ) -> None:
         self.clues.append(Clue(what, answer, how, confidence))
 
 

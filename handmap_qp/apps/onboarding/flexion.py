@@ -212,7 +212,10 @@ class HandFlexion:
         return 0.0 if abs(height) < least else np.sign(height)
 
     def _nearing(
-        self, i: int, columns: np.ndarray | list[int], signs: np.ndarray | float = 1.0
+        self,
+        i: int,
+        columns: np.ndarray | list[int],
+        signs: np.ndarray | float = 1.0,
     ) -> float:
         """Return how much joints bring a tip to another on average from end to end [m]."""
         ends = ends_of(self._robot, self.q_open, columns, signs)

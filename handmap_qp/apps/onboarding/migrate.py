@@ -66,7 +66,12 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     """
     table = _read_table(path)
 
-    def setting(key: str, kind: Any, what: str, value: Any = None) -> Any:
+    def setting(
+        key: str,
+        kind: Any,
+        what: str,
+        value: Any = None,
+    ) -> Any:
         given = table.get(key)
         try:
             return msgspec.convert(given if value is None else value, kind)
@@ -122,7 +127,10 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 
 def migrate(
-    configuration: DexConfiguration, urdf: Path, *, name: str | None = None
+    configuration: DexConfiguration,
+    urdf: Path,
+    *,
+    name: str | None = None,
 ) -> Detection:
     """Find the hand in its URDF, with the configuration's links as reference points.
 

@@ -89,7 +89,11 @@ class Robot:
     """
 
     def __init__(
-        self, text: str | bytes, file: Path, *, root: str | None = None
+        self,
+        text: str | bytes,
+        file: Path,
+        *,
+        root: str | None = None,
     ) -> None:
         self.file = file
         self._remarks = dict[str, list[str]]()

@@ -70,7 +70,12 @@ class RobotFinger(Finger):
         length: Length from its first joint to its tip at zero [m].
     """
 
-    def __init__(self, robot: Robot, leaf: int, palm: int) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        leaf: int,
+        palm: int,
+    ) -> None:
         joints = robot.path(leaf, palm)
         self.end = find_tip(robot, joints)
         super().__init__(robot, joints, robot.place_of(self.end.link, self.end.xyz))
@@ -257,7 +262,11 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
     return Tip(link, np.zeros(3), f"{how}: its origin", 0.1)
 
 
-def _is_at_end(robot: Robot, body: int, place: np.ndarray) -> bool:
+def _is_at_end(
+    robot: Robot,
+    body: int,
+    place: np.ndarray,
+) -> bool:
     """Return whether an end frame is at the end of its body's surface, or there is none.
 
     The centre of a ball is the end of a round fingertip.
@@ -273,7 +282,11 @@ def _is_at_end(robot: Robot, body: int, place: np.ndarray) -> bool:
     )
 
 
-def _poses(robot: Robot, finger: RobotFinger, other: int) -> np.ndarray:
+def _poses(
+    robot: Robot,
+    finger: RobotFinger,
+    other: int,
+) -> np.ndarray:
     """Return poses of a finger's last body on another body, shape (5, 4, 4).
 
     The finger's joints cross their ranges together.
@@ -293,14 +306,22 @@ def _travel(finger: RobotFinger, poses: np.ndarray) -> float:
     return float(np.ptp(tips, axis=0).max())
 
 
-def _idleness(robot: Robot, finger: RobotFinger, _: list[RobotFinger]) -> str:
+def _idleness(
+    robot: Robot,
+    finger: RobotFinger,
+    _: list[RobotFinger],
+) -> str:
     """Return what is wrong with a chain that does not move its own end."""
     poses = _poses(robot, finger, robot.model.parents[finger.joints[0]])
     is_idle = _travel(finger, poses) < _LEAST_TRAVEL
     return "does not move the end of its chain, so not a finger" if is_idle else ""
 
 
-def _second_end(_: Robot, finger: RobotFinger, fingers: list[RobotFinger]) -> str:
+def _second_end(
+    _: Robot,
+    finger: RobotFinger,
+    fingers: list[RobotFinger],
+) -> str:
     """Return what is wrong with a chain that shares most joints with a longer one."""
     for other in sorted(fingers, key=lambda one: -len(one.joints)):
         if other is finger:
@@ -310,7 +331,11 @@ def _second_end(_: Robot, finger: RobotFinger, fingers: list[RobotFinger]) -> st
     return ""
 
 
-def _linkage(robot: Robot, bar: RobotFinger, fingers: list[RobotFinger]) -> str:
+def _linkage(
+    robot: Robot,
+    bar: RobotFinger,
+    fingers: list[RobotFinger],
+) -> str:
     """Return what is wrong with a bar: hinged to a finger that the same joint drives."""
     for host in fingers:
         if (
