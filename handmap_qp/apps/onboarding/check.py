@@ -1,7 +1,7 @@
 """Check a `hand.yaml`: `check_hand` reports findings and advice, and tables of what was measured.
 
 The checks close a fist and pinch, compare the description with a detection, look for files, and map
-a motion. Each yields its findings, and may add a table.
+a motion. Each yields its findings, and may yield tables.
 """
 
 from __future__ import annotations
@@ -99,6 +99,8 @@ class Finding(NamedTuple):
 
 
 Findings = Iterator[Finding]
+Measures = Iterator[Finding | tuple[str, list[dict[str, Any]]]]
+"""Findings, and tables: a title and rows."""
 warning, advice, fine = (partial(Finding, level) for level in LEVELS[1:])
 
 
@@ -167,7 +169,11 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
         report.measured["Joints"] = _joint_rows(built)
         for check in _CHECKS[: None if has_motion else -1]:
             try:
-                report.findings += check(built, report.measured)
+                for found in check(built):
+                    if isinstance(found, Finding):
+                        report.findings.append(found)
+                    else:
+                        report.measured |= dict([found])
             except HandmapError as error:
                 where = getattr(error, "key", None) or "hand"
                 report.findings.append(advice(where, f"not checked: {error}"))
@@ -197,7 +203,7 @@ def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
     return rows
 
 
-def _check_joints(hand: Hand, tables: Tables) -> Findings:
+def _check_joints(hand: Hand) -> Findings:
     """Check limits, rest angles, speeds and followers."""
     change = "correct the URDF, or give the rule in `mimic` or the limits in `limits`"
     yield from (warning("mimic", note, change) for note in hand.notes)
@@ -217,7 +223,7 @@ def _check_joints(hand: Hand, tables: Tables) -> Findings:
             yield advice(f"limits.{joint}", what, "check its unit")
 
 
-def _check_ranges(hand: Hand, tables: Tables) -> Findings:
+def _check_ranges(hand: Hand) -> Findings:
     """Find ranges in degrees or millimetres; joints of an arm may turn twice."""
     width = np.where(moves_wrist(hand), 0.0, hand.upper_limits - hand.lower_limits)
     joints = [hand.model.getJointId(joint) for joint in hand.joint_names]
@@ -236,7 +242,7 @@ def _check_ranges(hand: Hand, tables: Tables) -> Findings:
             yield warning(where, what, "give limits in rad and m")
 
 
-def _check_speeds(hand: Hand, tables: Tables) -> Findings:
+def _check_speeds(hand: Hand) -> Findings:
     """Find joints of the fingers that are too slow for a fist in half a second."""
     stretched = zero_posture(hand)
     travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
@@ -253,7 +259,7 @@ def _check_speeds(hand: Hand, tables: Tables) -> Findings:
         yield advice(f"limits.{hand.joint_names[worst]}", what, change)
 
 
-def _check_followers(hand: Hand, tables: Tables) -> Findings:
+def _check_followers(hand: Hand) -> Findings:
     followers = hand.all_joint_roles.count("follower")
     if not followers:
         return
@@ -271,7 +277,7 @@ def _check_followers(hand: Hand, tables: Tables) -> Findings:
     yield fine("mimic", f"{followers} joints follow others{within}")
 
 
-def _check_points(hand: Hand, tables: Tables) -> Findings:
+def _check_points(hand: Hand) -> Findings:
     """Check partners, places and weights of the reference points."""
     points = hand.points(hand.rest)
     names = {point.name for point in load_hand("human").spec.points}
@@ -293,7 +299,7 @@ def _check_points(hand: Hand, tables: Tables) -> Findings:
         yield advice("sets", what, "add points of the same links")
 
 
-def _check_places(hand: Hand, tables: Tables) -> Findings:
+def _check_places(hand: Hand) -> Findings:
     """Find reference points far outside the shape of their body."""
     try:
         robot = Robot(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
@@ -312,7 +318,7 @@ def _check_places(hand: Hand, tables: Tables) -> Findings:
             yield warning(f"points.{point.name}", what, change)
 
 
-def _check_meshes(hand: Hand, tables: Tables) -> Findings:
+def _check_meshes(hand: Hand) -> Findings:
     robot = parse_with_meshes(hand)
     for tag, use in (
         ("collision", "self-collision and pinches"),
@@ -327,7 +333,7 @@ def _check_meshes(hand: Hand, tables: Tables) -> Findings:
             yield warning("urdf", f"{what}{use} do without them", change)
 
 
-def _check_wrist(hand: Hand, tables: Tables) -> Findings:
+def _check_wrist(hand: Hand) -> Findings:
     """Find actuated wrist joints that the description leaves out."""
     spec = hand.spec
     is_on_arm = hand.has_moving_wrist and not hand.is_floating
@@ -340,7 +346,7 @@ def _check_wrist(hand: Hand, tables: Tables) -> Findings:
         yield advice("root", what, f"keep them with `hands init --base {base}`")
 
 
-def _check_order(hand: Hand, tables: Tables) -> Findings:
+def _check_order(hand: Hand) -> Findings:
     """Compare the row of the knuckles with the side: thumb and index are at the radial edge."""
     chains = find_fingers(hand)
     row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
@@ -357,7 +363,7 @@ def _check_order(hand: Hand, tables: Tables) -> Findings:
         yield warning("points", what, "rename them")
 
 
-def _check_fist(hand: Hand, tables: Tables) -> Findings:
+def _check_fist(hand: Hand) -> Findings:
     """Close the fingers: their tips must go to the palm, about an axis across it."""
     if (fist := make_fist(hand)) is None:
         return
@@ -376,10 +382,10 @@ def _check_fist(hand: Hand, tables: Tables) -> Findings:
         yield fine("palm", what)
 
 
-def _check_opposition(hand: Hand, tables: Tables) -> Findings:
+def _check_opposition(hand: Hand) -> Measures:
     """Find which fingers the thumb can touch."""
     fingers = find_fingers(hand)
-    tables["Pads"] = [
+    pads = [
         {
             "finger": finger,
             "on the link of": hand.model.names[pad.joint],
@@ -388,8 +394,9 @@ def _check_opposition(hand: Hand, tables: Tables) -> Findings:
         }
         for finger, pad in fingertip_pads(hand, fingers).items()
     ]
+    yield "Pads", pads
     pinches = measure_pinches(hand)
-    tables["Pinches"] = msgspec.to_builtins(pinches)
+    yield "Pinches", msgspec.to_builtins(pinches)
     touched = [pinch.finger for pinch in pinches if pinch.touch == "yes"]
     if THUMB not in fingers:
         yield advice("points", "no point is on a thumb: pinches are not mapped")
@@ -402,7 +409,7 @@ def _check_opposition(hand: Hand, tables: Tables) -> Findings:
         yield finding("points", what, "check the thumb, the tips, and the limits")
 
 
-def _compare_detection(hand: Hand, tables: Tables) -> Findings:
+def _compare_detection(hand: Hand) -> Findings:
     """Compare the description with a detection from the URDF."""
     try:
         found = detect_text(
@@ -453,17 +460,17 @@ def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Findings
             yield warning(f"points.{point.name}", what, change)
 
 
-def _check_reach(hand: Hand, tables: Tables) -> Findings:
+def _check_reach(hand: Hand) -> Measures:
     """Find fingers whose point no joint moves."""
     rows = measure_reach(hand)
-    tables["Fingers"] = msgspec.to_builtins(rows)
+    yield "Fingers", msgspec.to_builtins(rows)
     for row in rows:
         if row.moves_in.startswith("0"):
             change = "put it on a link that moves, or leave it out"
             yield warning("points", f"no joint moves {row.point}", change)
 
 
-def _check_collisions(hand: Hand, tables: Tables) -> Findings:
+def _check_collisions(hand: Hand) -> Findings:
     if hand.spec.collision is not None:
         try:
             named_pairs(hand, hand.spec.collision.pairs)
@@ -476,7 +483,7 @@ def _check_collisions(hand: Hand, tables: Tables) -> Findings:
         yield fine("rest", "no links overlap at rest, except neighbours at a joint")
 
 
-def _check_size(hand: Hand, tables: Tables) -> Findings:
+def _check_size(hand: Hand) -> Measures:
     tips = hand.with_points("fingertips") if "fingertips" in hand.spec.sets else hand
     size = measure_size(tips)
     ratio = f"{size.ratio:.2f}"
@@ -487,14 +494,14 @@ def _check_size(hand: Hand, tables: Tables) -> Findings:
         "suggested scale": "1 (translations as the human's), or "
         f"{ratio} (in proportion to the hand)",
     }
-    tables["Size"] = [{"what": what, "value": value} for what, value in rows.items()]
+    yield "Size", [{"what": what, "value": value} for what, value in rows.items()]
     if not 0.3 < size.ratio < 4.0:
         what = f"palm to fingertip is {size.length:.3g} m, {size.ratio:.2g} of a human hand"
         change = "check the URDF's unit (metres) and the palm's origin"
         yield warning("palm.xyz", what, change)
 
 
-def _check_arm(hand: Hand, tables: Tables) -> Findings:
+def _check_arm(hand: Hand) -> Findings:
     """Compare the reach of an arm with that of a person's hand in front of the body."""
     if (reach := measure_arm(hand)) is None:
         return
@@ -514,9 +521,9 @@ def _check_arm(hand: Hand, tables: Tables) -> Findings:
     yield advice("rest", what, change)
 
 
-def _check_motion(hand: Hand, tables: Tables) -> Findings:
+def _check_motion(hand: Hand) -> Measures:
     motion = try_motion(hand)
-    tables["A standard motion"] = msgspec.to_builtins(motion)
+    yield "A standard motion", msgspec.to_builtins(motion)
     for part in motion:
         if part.error_mm > _OUT_OF_REACH:
             far = f"{part.worst_point} stays {part.error_mm:.0f} mm from its target"
