@@ -18,6 +18,8 @@ from handmap_qp.se3 import affine, lengths, transform_points, unit
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
 _NEAR = 1e-3
+# Relative difference of distances that rounding makes.
+_ROUNDING = 1e-9
 # Rows of triangles per chunk; bounds the memory of a picture.
 _CHUNK = 100_000
 
@@ -238,7 +240,8 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
         near = (nearness[owner] * _centres(column, row[span])).sum(axis=1)
         pixel = row[span] * width + column
         np.maximum.at(nearest, pixel, near)
-        is_front = near == nearest[pixel]
+        # Of surfaces that lie in one plane, the last one is in front everywhere.
+        is_front = near > nearest[pixel] * (1.0 - _ROUNDING)
         front[pixel[is_front]] = owner[is_front]
     pixels = np.flatnonzero(nearest)
     owner = front[pixels]
