@@ -308,11 +308,10 @@ def _shaded(
     pixels = surface.pixels
     triangle = surface.triangle
     rotation = camera.world_to_camera[:3, :3]
-    x = pixels % width
-    y = pixels // width
     corners = triangles.normals[triangle] @ rotation.T
     normals = unit(np.einsum("kc,kcj->kj", surface.shares, corners))
-    rays = _centres(x, y) - (*camera.centre, 1.0 - camera.focal_length)
+    centres = _centres(pixels % width, pixels // width)
+    rays = centres - (*camera.centre, 1.0 - camera.focal_length)
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
     light += _KEY * np.maximum((normals @ _KEY_DIRECTION + 0.2) / 1.2, 0.0)
@@ -322,7 +321,8 @@ def _shaded(
     albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
     colours = albedo * light[:, None] + _HIGHLIGHT * shine[:, None] ** 40
     if has_creases:
-        colours *= 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x, None]
+        hollow = _creases(surface.depth, camera).reshape(-1, 1)[pixels]
+        colours *= 1.0 - _CREASE_DEPTH * hollow
     picture[pixels, :3] = colours
     picture[pixels, 3] = 1.0
     return picture.reshape(height, width, 4)

@@ -240,8 +240,8 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     known = {name: own_method(name) for name in map("".join, endings)} | outside
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
+    some = ", ".join([*own_methods(), *outside])
     for name in names:
-        some = ", ".join([*own_methods(), *outside])
         expect(
             name in known,
             "--methods",

@@ -335,12 +335,9 @@ def own_method(name: str) -> ComparedMethod:
     Raises:
         InvalidInputError: If there is no such method.
     """
-    expect(
-        base_name(name) in own_methods(),
-        "--methods",
-        f"some of {', '.join(own_methods())}",
-        value=name,
-    )
+    known = own_methods()
+    expected = f"some of {', '.join(known)}"
+    expect(base_name(name) in known, "--methods", expected, value=name)
     return ComparedMethod(name, partial(_map_own, name))
 
 
@@ -375,9 +372,8 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
     try:
         listed = msgspec.json.decode(answer, type=list[_Listed])
     except msgspec.DecodeError as error:
-        raise OutsideError(
-            f"{folder / PROGRAM}: expected a JSON list of methods: {error}"
-        ) from error
+        problem = f"{folder / PROGRAM}: expected a JSON list of methods: {error}"
+        raise OutsideError(problem) from error
     return [
         ComparedMethod(one.name, partial(_map_outside, folder, one, hand))
         for one in listed
@@ -420,7 +416,7 @@ def _map_outside(
 ) -> RobotMotion:
     """Run an outside program on a take."""
     recording = take.recording
-    count = len(take.recording)
+    count = len(recording)
     with tempfile.TemporaryDirectory(prefix="handmap-") as temporary:
         given = Path(temporary) / f"{take.name}.npz"
         made = Path(temporary) / "made.npz"
@@ -442,9 +438,8 @@ def _map_outside(
                 shape = (count, 4, 4)
                 wrist = as_floats(wrist, "wrist", shape=shape, is_finite=True)
         except (KeyError, ValueError) as error:
-            raise OutsideError(
-                f"{folder / PROGRAM}: {listed.name}: bad result: {error}"
-            ) from error
+            problem = f"{folder / PROGRAM}: {listed.name}: bad result: {error}"
+            raise OutsideError(problem) from error
     return RobotMotion(q, wrist, step_time, listed.about)
 
 

@@ -138,7 +138,7 @@ class HandFlexion:
             senses = {i: np.sign(slopes[i] @ slopes[alike[0]]) or 1.0 for i in alike}
             signs = {i: senses[i] * self._groups[i].signs for i in alike}
             slope = sum(senses[i] * slopes[i] for i in alike)
-            vote, confidence = self._vote(alike, signs, slope, (palmar, known))
+            vote, confidence = self._vote(signs, slope, palmar, known)
             for i in alike:
                 columns = self._groups[i].columns
                 given = self.sign[columns]
@@ -148,18 +148,18 @@ class HandFlexion:
 
     def _vote(
         self,
-        alike: list[int],
         signs: dict[int, np.ndarray],
         slope: np.ndarray,
-        towards: tuple[np.ndarray, np.ndarray],
+        palmar: np.ndarray,
+        known: np.ndarray,
     ) -> tuple[float, float]:
         """Return a number with the sense in which fingers flex alike, and the confidence in it."""
-        columns = {i: self._groups[i].columns for i in alike}
+        nearer = (self._nearing(i, self._groups[i].columns, signs[i]) for i in signs)
         votes = (
-            (float(slope @ towards[0]), 0.7),
-            (0.5 * float(slope @ towards[1]), 0.6),
-            (self._side_of_others(alike, slope), 0.5),
-            (sum(self._nearing(i, columns[i], signs[i]) for i in alike), 0.4),
+            (float(slope @ palmar), 0.7),
+            (0.5 * float(slope @ known), 0.6),
+            (self._side_of_others([*signs], slope), 0.5),
+            (sum(nearer), 0.4),
             (1.0, 0.1),
         )
         clear = min(0.1 * lengths(slope), 0.5)
