@@ -155,10 +155,10 @@ def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:
     ranked = [rank_poses(take.recording) for take in comparison.takes]
     places = {}
     for pose in POSES:
-        shown = [(found, k) for k, poses in enumerate(ranked) if (found := poses[pose])]
+        shown = {k: found for k, poses in enumerate(ranked) if (found := poses[pose])}
         if shown:
-            (index, _), k = max(shown, key=lambda place: place[0][1])
-            places[pose] = (k, index)
+            k = max(shown, key=lambda take: shown[take][1])
+            places[pose] = (k, shown[k][0])
     return places
 
 

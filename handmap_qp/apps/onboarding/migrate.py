@@ -167,13 +167,12 @@ def _carrier(robot: Robot, link: str) -> str:
     Raises:
         HandError: If there is no such link, or no joint moves it.
     """
-    if link not in robot.frames:
-        problem = f"has no link {link!r} of the configuration"
-        raise HandError(problem, file=robot.file, value=link)
-    if not (body := robot.body(link)):
+    problem = f"has no link {link!r} of the configuration"
+    if link in robot.frames:
+        if body := robot.body(link):
+            return robot.model.names[body]
         problem = f"no joint moves the link {link!r}"
-        raise HandError(problem, file=robot.file, value=link)
-    return robot.model.names[body]
+    raise HandError(problem, file=robot.file, value=link)
 
 
 def _renamed(found: Detection, carriers: dict[str, str]) -> list[PointSpec]:

@@ -204,15 +204,14 @@ class Robot:
         """Return the links of a body out to the one that carries a joint."""
         frames = self.model.frames
         body = self.model.parents[joint]
-        found = list[str]()
         index = self.model.getFrameId(self.model.names[joint], pin.FrameType.JOINT)
-        index = frames[index].parentFrame
-        while index and frames[index].parentJoint == body:
-            # Between two links is the frame of their joint.
-            if frames[index].type == pin.FrameType.BODY:
-                found.insert(0, frames[index].name)
-            index = frames[index].parentFrame
-        return found
+        passed = list[pin.Frame]()
+        while (index := frames[index].parentFrame) and frames[
+            index
+        ].parentJoint == body:
+            passed.insert(0, frames[index])
+        # Between two links is the frame of their joint.
+        return [frame.name for frame in passed if frame.type == pin.FrameType.BODY]
 
     def driver(self, joint: str) -> str:
         """Return the active joint that moves a joint: itself, or its mimic leader."""
