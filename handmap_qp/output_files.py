@@ -53,6 +53,27 @@ def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
     return path
 
 
+def check_new(
+    argument: str,
+    path: Path,
+    *,
+    overwrite: bool = False,
+    advice: str = "give --overwrite to replace it",
+) -> None:
+    """Reject a file that exists, unless it may be replaced.
+
+    Raises:
+        InvalidInputError: If it exists; `advice` says what to do.
+    """
+    if path.exists() and not overwrite:
+        raise InvalidInputError(
+            argument=argument,
+            problem=f"{path} exists already",
+            value=str(path),
+            advice=advice,
+        )
+
+
 _PART = ".part"
 """Suffix of a file that is being written; its name begins with a dot."""
 

@@ -64,6 +64,10 @@ KeyFiles = Annotated[
 _HANDED = (
     3  # fingers with human names; a robot with fewer is neither a left nor a right hand
 )
+Recordings = tyro.conf.Positional[
+    Annotated[tuple[Path, ...], hinted("RECORDING...", "(required)")]
+]
+"""Recordings of human hands."""
 PointSet = Annotated[
     str | None,
     hinted("SET", "(default: the hand's own)"),

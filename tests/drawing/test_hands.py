@@ -387,3 +387,22 @@ def test_depth_is_measured_along_the_axis_of_the_camera() -> None:
     slope = ((x - 79.5) / 2.0 + (y - 59.5)) / 1000.0
     assert len(x) > 1000
     np.testing.assert_allclose(surface.depth[y, x], 2.0 / (1.0 - slope))
+
+
+def test_of_two_faces_in_one_plane_the_last_one_is_seen() -> None:
+    corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+    flat = np.hstack([corners, np.zeros((4, 1))])
+    tilted = transform_points(WRIST, flat)
+    faces = tilted[[[0, 1, 2], [0, 2, 3], [0, 1, 3], [1, 2, 3]]]
+    normals = np.broadcast_to(WRIST[:3, 2], (2, 3, 3))
+    both = merged(
+        [
+            Triangles.painted(part, normals, colour)
+            for part, colour in zip(np.split(faces, 2), (GREEN, RED), strict=True)
+        ]
+    )
+    camera = Camera.framing(tilted, (120, 90), azimuth=20.0, elevation=70.0)
+    picture = render(both, camera)
+    inside = picture[picture[..., 3] > 0.99]
+    assert len(inside) > 1000
+    assert (inside[:, 0] > inside[:, 1]).all()

@@ -125,11 +125,11 @@ def test_exchanged_fingers_are_found(made: MadeHand, tmp_path: Path) -> None:
 def test_axes_of_fingers_around_a_centre_are_compared_too() -> None:
     """Detection only guesses the palm of such a hand: a palm turned over differs enough."""
     spec = load_hand("three_finger").spec
-    assert not [*_compare_detection(load_hand(spec), {})]
+    assert not [*_compare_detection(load_hand(spec))]
     x, y, z = spec.palm.dorsal
     palm = msgspec.structs.replace(spec.palm, dorsal=(-x, -y, -z))
     turned = load_hand(msgspec.structs.replace(spec, palm=palm))
-    assert "palm.dorsal" in {found.where for found in _compare_detection(turned, {})}
+    assert "palm.dorsal" in {found.where for found in _compare_detection(turned)}
 
 
 def test_limits_in_degrees_are_one_finding(made: MadeHand, tmp_path: Path) -> None:
@@ -210,7 +210,7 @@ def test_a_xacro_file_is_named_as_such(tmp_path: Path) -> None:
 
 
 def test_wrist_joints_above_the_root_are_advice() -> None:
-    (found,) = _check_wrist(load_hand("g1_right"), {})
+    (found,) = _check_wrist(load_hand("g1_right"))
     assert found.where == "root"
     assert "right_wrist_yaw_joint" in found.what
     assert "--base" in found.change
@@ -337,6 +337,6 @@ def test_the_reach_of_an_arm_is_a_line_with_a_scale() -> None:
     short = measure_arm(load_hand("g1_arm_left"))
     assert short is not None
     assert np.median(short) < np.median(reach)
-    (line,) = _check_arm(load_hand("g1_arm_left"), {})
+    (line,) = _check_arm(load_hand("g1_arm_left"))
     assert line.level == "advice"
     assert "directions from rest" in line.what

@@ -229,7 +229,7 @@ def test_joints_too_slow_for_a_fist_are_found(speed: float, count: int) -> None:
         if "spread" in j
     }
     hand = load_hand(msgspec.structs.replace(spec, limits=limits | spread))
-    findings = [*_check_speeds(hand, {})]
+    findings = [*_check_speeds(hand)]
     if count == 0:
         assert findings == []
         return

@@ -29,12 +29,18 @@ from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, re
 from handmap_qp.errors import expect
 from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.human import FINGERS
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import LANDMARK_COUNT, PALM
-from handmap_qp.se3 import as_floats, inverse_pose, rigid_fit, transform_points, unit
+from handmap_qp.human.sample import LANDMARK_COUNT, PALM, TIPS
+from handmap_qp.se3 import (
+    as_floats,
+    inverse_pose,
+    lengths,
+    rigid_fit,
+    transform_points,
+    unit,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,7 +101,9 @@ class SheetRow:
 
 
 def sheet_rows(
-    recording: Recording, poses: Mapping[str, int | None], motions: Sequence[np.ndarray]
+    recording: Recording,
+    poses: Mapping[str, int | None],
+    motions: Sequence[np.ndarray],
 ) -> list[SheetRow]:
     """Pick samples out of a recording and the motions that were mapped from it.
 
@@ -187,12 +195,12 @@ def contact_sheet(
         axes.set_axis_off()
         bold: dict[str, Any] = {"color": _INK, "fontweight": "bold", "va": "center"}
         pale: dict[str, Any] = {"color": _PALE, "va": "center"}
-        for column, name in enumerate(["human", *(name for name, _ in columns)]):
-            middle = cell_of(column, 0, 0)[0] + 0.5 * span
+        for i, name in enumerate(["human", *(name for name, _ in columns)]):
+            middle = _LEFT + (i + 0.5) * span
             axes.text(middle, 24, name, ha="center", fontsize=10, **bold)
             axes.text(middle, 43, _VIEW_NAMES, ha="center", fontsize=6.5, **pale)
-        for k, row in enumerate(rows):
-            centre = cell_of(0, k, 0)[1] + 0.5 * CELL[1]
+        for i, row in enumerate(rows):
+            centre = _TOP + (i + 0.5) * CELL[1]
             axes.text(10, centre - 8, row.label, fontsize=9.5, **bold)
             axes.text(10, centre + 4, row.note, fontsize=7.5, color=_PALE, va="top")
         axes.text(10, 24, title, fontsize=7, **pale)
@@ -223,16 +231,16 @@ def pose_pictures(
     """
     _check(columns, rows)
     humans = [_human_triangles(row.landmarks) for row in rows]
-    pictures = [_pictures(humans, side, _HUMAN_BACKGROUND)] * (1 + len(columns))
+    human = _pictures(humans, side, _HUMAN_BACKGROUND)
+    pictures = np.stack([human] * (1 + len(columns)))
     # Columns of the same hand have the same scale.
     for hand in {id(hand): hand for _, hand in columns}.values():
         shape = _coloured(load_shape(hand))
         own = [i for i, (_, other) in enumerate(columns) if other is hand]
         solids = [_robot_triangles(shape, row.q[i]) for i in own for row in rows]
-        drawn = np.split(_pictures(solids, hand.spec.side, 1.0), len(own))
-        for i, column in zip(own, drawn, strict=True):
-            pictures[1 + i] = column
-    return np.stack(pictures, axis=1)
+        drawn = _pictures(solids, hand.spec.side, 1.0)
+        pictures[1:][own] = drawn.reshape(-1, *human.shape)
+    return pictures.swapaxes(0, 1)
 
 
 def save_contact_sheet(
@@ -267,7 +275,11 @@ def save_contact_sheet(
     return Path(file)
 
 
-def cell_of(column: int, row: int, view: int) -> tuple[int, int]:
+def cell_of(
+    column: int,
+    row: int,
+    view: int,
+) -> tuple[int, int]:
     """Left and upper edge of a view in the picture [pixel]; column 0 is the human's."""
     width, height = CELL
     return _LEFT + (column * len(VIEWS) + view) * width, _TOP + row * height
@@ -287,9 +299,13 @@ def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> Non
         )
 
 
-def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.ndarray:
+def _pictures(
+    solids: Sequence[Triangles],
+    side: Side,
+    background: float,
+) -> np.ndarray:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
-    points = merged(list(solids)).vertices.reshape(-1, 3)
+    points = merged([*solids]).vertices.reshape(-1, 3)
     cameras = [
         Camera.framing(
             points,
@@ -300,58 +316,50 @@ def _pictures(solids: Sequence[Triangles], side: Side, background: float) -> np.
         )
         for azimuth, elevation in VIEWS
     ]
-    images = np.array(
-        [[render(solid, camera) for camera in cameras] for solid in solids]
-    )
-    opacity = images[..., 3:]
-    return opacity * images[..., :3] + (1.0 - opacity) * background
+    images = np.array([[render(one, camera) for camera in cameras] for one in solids])
+    return background + images[..., 3:] * (images[..., :3] - background)
 
 
 def _human_triangles(landmarks: np.ndarray) -> Triangles:
     """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
     points = transform_points(UPRIGHT, landmarks)
-    parts = [_faces(points), spheres(points[[0, 5, 9, 13, 17]], _JOINT, _PALM_COLOUR)]
+    parts = [_faces(points), spheres(points[PALM], _JOINT, _PALM_COLOUR)]
     bones = [(pair, _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
-    for i, finger in enumerate(FINGERS):
-        base, middle, last, tip = range(1 + 4 * i, 5 + 4 * i)
-        colour = FINGER_COLOURS[finger]
-        chain = ((base, middle), (middle, last), (last, tip))
-        bones += [(pair, _BONE, colour) for pair in chain]
-        joints = spheres(points[[middle, last]], _JOINT, colour)
-        parts += [joints, spheres(points[[tip]], _TIP, colour)]
-    for (one, other), radius, colour in bones:
+    for tip, colour in zip(TIPS, FINGER_COLOURS.values(), strict=True):
+        bones += [((i, i + 1), _BONE, colour) for i in range(tip - 3, tip)]
+        joints = spheres(points[tip - 2 : tip], _JOINT, colour)
+        parts += [joints, spheres(points[tip], _TIP, colour)]
+    for pair, radius, colour in bones:
         # Landmarks that coincide have no bone between them.
-        if np.linalg.norm(points[one] - points[other]) > 1e-5:
-            parts.append(tube(points[[one, other]], radius, colour))
+        if lengths(np.subtract(*points[[*pair]])) > 1e-5:
+            parts.append(tube(points[[*pair]], radius, colour))
     return merged(parts)
 
 
 def _faces(points: np.ndarray) -> Triangles:
     """The palm as flat triangles, seen from both sides."""
-    corners = points[np.array(_PALM_FACES)]
+    corners = points[_PALM_FACES]
     corners = np.concatenate([corners, corners[:, ::-1]])
-    a, b, c = np.moveaxis(corners, 1, 0)
-    normals = np.repeat(unit(np.cross(b - a, c - a))[:, None], 3, axis=1)
-    return Triangles.painted(corners, normals, _PALM_COLOUR)
+    sides = np.diff(corners, axis=1)
+    normals = unit(np.cross(sides[:, :1], sides[:, 1:]))
+    return Triangles.painted(corners, normals.repeat(3, axis=1), _PALM_COLOUR)
 
 
 def _coloured(shape: HandShape) -> HandShape:
     """The same shape without an arm, grey, with every finger's links in the finger's colour."""
     links = {}
-    for link, triangles in shape.without_arm().links.items():
-        finger = _finger_of(shape.hand, link) or ""
-        colour = FINGER_COLOURS.get(finger, _ROBOT_COLOUR)
-        colours = np.broadcast_to(colour, triangles.colours.shape)
-        links[link] = triangles._replace(colours=colours)
+    for link, solid in shape.without_arm().links.items():
+        colour = FINGER_COLOURS.get(_finger_of(shape.hand, link), _ROBOT_COLOUR)
+        links[link] = Triangles.painted(solid.vertices, solid.normals, colour)
     return HandShape(shape.hand, links)
 
 
-def _finger_of(hand: Hand, link: str) -> str | None:
+def _finger_of(hand: Hand, link: str) -> str:
     """The finger that a link moves with: the one whose points alone lie on or beyond its joint."""
     carried = hand.model.subtrees[carrier_of(hand, link)]
     points = hand.spec.points
-    beyond = {p.finger for p in points if carrier_of(hand, p.link) in carried}
-    return beyond.pop() if len(beyond) == 1 else None
+    beyond = {p.finger or "" for p in points if carrier_of(hand, p.link) in carried}
+    return beyond.pop() if len(beyond) == 1 else ""
 
 
 def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:

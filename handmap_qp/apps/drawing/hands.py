@@ -9,10 +9,10 @@ of anything drawn over it.
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -45,6 +45,8 @@ GREY = (0.62, 0.64, 0.67)
 AXIS_COLOURS = ((0.80, 0.10, 0.10), (0.10, 0.55, 0.15), (0.10, 0.25, 0.80))
 """Colours of the axes x, y and z."""
 
+# Height of a title above panels [pixel].
+_TITLE = 48
 _TUBE_SIDES = 10
 # Most triangles kept per mesh file.
 _MAX_MESH_TRIANGLES = 4000
@@ -52,8 +54,7 @@ _MAX_MESH_TRIANGLES = 4000
 _SMOOTH_ANGLE = np.radians(40.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class HandShape:
+class HandShape(NamedTuple):
     """The visual shapes of a hand.
 
     Attributes:
@@ -119,15 +120,18 @@ def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
         for shape in link.iterfind(kind):
             tint = colour or _colour(shape.find("material"), named)
             for solid in shape.iterfind("geometry/*"):
-                found = _geometry(trimesh, solid, hand.spec)
-                if found is not None:
+                if (found := _geometry(trimesh, solid, hand.spec)) is not None:
                     parts.append(_triangles(found, tint).moved(origin_of(shape)))
         if parts:
             links[link.get("name", "")] = merged(parts)
     return HandShape(hand, links)
 
 
-def solid(vertices: np.ndarray, faces: np.ndarray, colour: Colour) -> Triangles:
+def solid(
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    colour: Colour,
+) -> Triangles:
     """Return a mesh of one colour, with normals that are smooth except at edges.
 
     Args:
@@ -143,7 +147,11 @@ def solid(vertices: np.ndarray, faces: np.ndarray, colour: Colour) -> Triangles:
     )
 
 
-def spheres(centres: npt.ArrayLike, radius: float, colour: Colour) -> Triangles:
+def spheres(
+    centres: npt.ArrayLike,
+    radius: float,
+    colour: Colour,
+) -> Triangles:
     """Return small spheres that mark points.
 
     Args:
@@ -189,14 +197,15 @@ def tube(
     tangents = unit(np.gradient(points, axis=0))
     # Propagate the first normal and project it at right angles to each tangent: no twist.
     normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
-    rings = np.empty((len(points), _TUBE_SIDES, 3))
     angles = 2.0 * np.pi * np.arange(_TUBE_SIDES) / _TUBE_SIDES
-    for ring, tangent in zip(rings, tangents, strict=True):
+    circle = np.column_stack([np.cos(angles), np.sin(angles)])
+    rings = []
+    for tangent in tangents:
         normal = unit(normal - (normal @ tangent) * tangent)
-        ring[:] = np.outer(np.cos(angles), normal)
-        ring += np.outer(np.sin(angles), np.cross(tangent, normal))
-    surface = points[:, None] + radius * rings
-    return Triangles.painted(_between_rings(surface), _between_rings(rings), colour)
+        rings.append(circle @ [normal, np.cross(tangent, normal)])
+    normals = np.array(rings)
+    surface = points[:, None] + radius * normals
+    return Triangles.painted(_between_rings(surface), _between_rings(normals), colour)
 
 
 def _between_rings(rings: np.ndarray) -> np.ndarray:
@@ -257,6 +266,37 @@ def require_matplotlib() -> ModuleType:
     return require("matplotlib", "plot")
 
 
+def save_panels(
+    path: Path,
+    title: str,
+    size: tuple[int, int],
+    panels: Mapping[str, Callable[[Axes], None]],
+) -> None:
+    """Draw panels side by side under a title into the file that `--picture` names.
+
+    Args:
+        path: The file.
+        title: The title.
+        size: Width and height of a panel [pixel].
+        panels: What draws each panel, by its caption.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+        MissingExtraError: If matplotlib is not installed.
+    """
+    width, height = size
+    share = 1.0 / len(panels)
+    figure = require("matplotlib.figure", "plot").Figure(
+        figsize=(0.01 * width / share, 0.01 * (height + _TITLE)), dpi=100
+    )
+    for i, (caption, draw) in enumerate(panels.items()):
+        axes = figure.add_axes((i * share, 0.0, share, height / (height + _TITLE)))
+        draw(axes)
+        axes.text(0.5 * width, 13, caption, ha="center", va="top", color="0.35")
+    figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=12)
+    save_picture(figure, path, facecolor="white")
+
+
 def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
     """Write a figure into the file that `--picture` names.
 
@@ -278,7 +318,11 @@ def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
         ) from error
 
 
-def _geometry(trimesh: Any, solid: ET.Element, spec: HandSpec) -> Any:
+def _geometry(
+    trimesh: Any,
+    solid: ET.Element,
+    spec: HandSpec,
+) -> Any:
     """Return a URDF geometry as a mesh of trimesh; None for an unreadable one."""
     made = trimesh.creation
     match solid.tag:
@@ -294,7 +338,11 @@ def _geometry(trimesh: Any, solid: ET.Element, spec: HandSpec) -> Any:
     return None
 
 
-def _mesh(trimesh: Any, mesh: ET.Element, spec: HandSpec) -> Any:
+def _mesh(
+    trimesh: Any,
+    mesh: ET.Element,
+    spec: HandSpec,
+) -> Any:
     """Read a mesh with outward faces only, or with both sides if it is not closed."""
     try:
         found = trimesh.load_mesh(mesh_file(mesh.get("filename", ""), spec))
@@ -323,21 +371,17 @@ def _simplified(
     vertices: np.ndarray, faces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simplify a mesh: merge vertices in each cell of the finest grid that gives few triangles."""
-    low = vertices.min(axis=0)
-    size = float(np.ptp(vertices, axis=0).max())
+    places = vertices - vertices.min(axis=0)
+    places /= places.max()
     cells = 96
     coarse = faces
     cell_of = np.arange(len(vertices))
     while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
-        _, cell_of = np.unique(
-            np.floor((vertices - low) * (cells / size)).astype(np.int64),
-            axis=0,
-            return_inverse=True,
-        )
+        grid = np.floor(places * cells).astype(np.int64)
+        _, cell_of = np.unique(grid, axis=0, return_inverse=True)
         cell_of = cell_of.reshape(-1)
         coarse = cell_of[faces]
-        a, b, c = coarse.T
-        coarse = coarse[(a != b) & (b != c) & (c != a)]
+        coarse = coarse[(coarse != np.roll(coarse, 1, axis=1)).all(axis=1)]
         cells = int(0.85 * cells)
     counts = np.maximum(np.bincount(cell_of), 1)
     means = np.column_stack(

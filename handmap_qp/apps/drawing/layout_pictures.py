@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,7 @@ from handmap_qp.apps.drawing.hands import (
     UPRIGHT,
     draw_hands,
     load_shape,
-    require_matplotlib,
-    save_picture,
+    save_panels,
 )
 from handmap_qp.apps.drawing.raster import Camera
 from handmap_qp.errors import InvalidInputError
@@ -22,6 +22,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS
 from handmap_qp.hands.spec import Side
 from handmap_qp.se3 import lengths, transform_points, unit
+from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.layouts.angles import AngleLayout
 from handmap_qp.trackers.layouts.base import Layout, sized_human
 from handmap_qp.trackers.layouts.markers import MarkerLayout
@@ -51,31 +52,19 @@ def save_layout_picture(layout: Layout, path: Path) -> None:
         InvalidInputError: If the file cannot be written.
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
-    require_matplotlib()
-    from matplotlib.figure import Figure
-
-    width, height = _PANEL
-    figure = Figure(figsize=(2 * width / 100, height / 100 + 0.45), dpi=100)
-    share = height / (height + 45)
-    sides: tuple[Side, ...] = ("left", "right")
-    for i, side in enumerate(sides):
-        axes = figure.add_axes((0.5 * i, 0.0, 0.5, share))
-        _draw_side(axes, layout, side)
-        axes.text(
-            width / 2,
-            12,
-            f"{side} hand, from its back",
-            ha="center",
-            va="top",
-            color="0.35",
-        )
-    unit = layout.table.unit
-    title = f"{layout.name}: {layout.title} ({unit})"
-    figure.text(0.5, 0.975, title, ha="center", va="center", fontsize=11)
-    save_picture(figure, path, facecolor="white")
+    panels = {
+        f"{side} hand, from its back": partial(_draw_side, layout, side)
+        for side in SIDES
+    }
+    title = f"{layout.name}: {layout.title} ({layout.table.unit})"
+    save_panels(path, title, _PANEL, panels)
 
 
-def _draw_side(axes: Any, layout: Layout, side: Side) -> None:
+def _draw_side(
+    layout: Layout,
+    side: Side,
+    axes: Any,
+) -> None:
     human = sized_human(side)
     q = _open_posture(human)
     solid = load_shape(human, colour=_SKIN).triangles(q).moved(UPRIGHT)
@@ -119,7 +108,7 @@ def _draw_axes(
     ):
         if not direction.any():
             continue
-        place = camera.project(end)[:2]
+        x, y = camera.project(end)[:2]
         arrow = {
             "arrowstyle": "-|>",
             "color": colour,
@@ -127,18 +116,11 @@ def _draw_axes(
             "shrinkA": 0,
             "shrinkB": 0,
         }
-        axes.annotate("", xy=place, xytext=origin, arrowprops=arrow, zorder=4)
+        axes.annotate("", xy=(x, y), xytext=origin, arrowprops=arrow, zorder=4)
         sides = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
-        text = name + sides.get(float(np.round(direction[2], 6)), "")
-        axes.text(
-            place[0] + 5,
-            place[1] + 11,
-            text,
-            fontsize=9,
-            color=colour,
-            zorder=6,
-            **_halo(),
-        )
+        text = name + sides.get(direction[2].round(6), "")
+        style = {"fontsize": 9, "color": colour, "zorder": 6, **_halo()}
+        axes.text(x + 5, y + 11, text, **style)
 
 
 def _halo() -> dict[str, Any]:
@@ -157,7 +139,9 @@ def _open_posture(human: Hand) -> np.ndarray:
 
 
 def _entries(
-    layout: Layout, human: Hand, q: np.ndarray
+    layout: Layout,
+    human: Hand,
+    q: np.ndarray,
 ) -> tuple[np.ndarray, list[str], np.ndarray]:
     """Return places [m], indices as text, and whether they are landmarks."""
     if isinstance(layout, AngleLayout):
@@ -165,38 +149,35 @@ def _entries(
     if not isinstance(layout, PointLayout | MarkerLayout):
         expected = "points, angles or markers"
         raise InvalidInputError(argument="layout", expected=expected, value=layout)
+    side = human.spec.side
     written = layout.write_posture(human, q, np.eye(4))
     # Rows are points, poses, or a position and a quaternion.
     read = written[:, :3, 3] if written.shape[1:] == (4, 4) else written[:, :3]
-    frame = layout.world
-    is_used = is_shown = np.ones(len(read), dtype=bool)
-    if isinstance(layout, PointLayout) and layout.table.is_relative:
-        frame = np.linalg.inv(layout.wrist_axes(human.spec.side))
-    places = transform_points(frame, read)
-    if isinstance(layout, PointLayout):
-        index = np.arange(len(places))
-        is_used = np.isin(index, layout.order(human.spec.side))
-        is_near = lengths(places) < _FARTHEST
-        is_shown = is_used | (np.isin(index, list(layout.table.between)) & is_near)
-    shown = np.flatnonzero(is_shown)
-    return places[shown], list(map(str, shown)), is_used[shown]
+    places = transform_points(layout.world, read)
+    index = np.arange(len(places))
+    if isinstance(layout, MarkerLayout):
+        return places, [*map(str, index)], index >= 0
+    if layout.table.is_relative:
+        places = transform_points(np.linalg.inv(layout.wrist_axes(side)), read)
+    is_used = np.isin(index, layout.order(side))
+    is_near = lengths(places) < _FARTHEST
+    is_shown = is_used | (np.isin(index, [*layout.table.between]) & is_near)
+    shown = index[is_shown]
+    return places[shown], [*map(str, shown)], is_used[shown]
 
 
 def _angle_entries(
     layout: AngleLayout, landmarks: np.ndarray
 ) -> tuple[np.ndarray, list[str], np.ndarray]:
     """Return the joints that angles turn, two of which share the first place of a finger."""
-    texts: dict[int, list[str]] = {}
+    texts: dict[int, str] = {}
     for i, entry in enumerate(layout.table.angles):
-        joint = HUMAN_JOINTS.index(entry.joint)
-        finger, k = divmod(joint, 4)
-        texts.setdefault(1 + 4 * finger + max(0, k - 1), []).append(str(i))
+        finger, k = divmod(HUMAN_JOINTS.index(entry.joint), 4)
+        place = 1 + 4 * finger + max(0, k - 1)
+        texts[place] = f"{texts[place]}, {i}" if place in texts else f"{i}"
     shown = sorted(texts)
-    return (
-        landmarks[shown],
-        [", ".join(texts[i]) for i in shown],
-        np.ones(len(shown), dtype=bool),
-    )
+    labels = [texts[place] for place in shown]
+    return landmarks[shown], labels, np.ones(len(shown), dtype=bool)
 
 
 def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:

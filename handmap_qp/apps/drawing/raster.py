@@ -7,7 +7,6 @@ occlusion in creases. The picture is supersampled and averaged, which smooths al
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
@@ -19,16 +18,15 @@ from handmap_qp.se3 import affine, lengths, transform_points, unit
 Colour = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
 _NEAR = 1e-3
-# The z-buffer's key: nearness in the high bits, triangle index in the low bits.
-_NEARNESS_STEPS = 2**31 - 1
-_INDEX_BITS = 32
+# Relative difference of distances that rounding makes.
+_ROUNDING = 1e-9
 # Rows of triangles per chunk; bounds the memory of a picture.
 _CHUNK = 100_000
 
 # Directions towards the lights in camera axes (x right, y down, z forward): key light from the
 # upper left, fill light from the right.
-_KEY_DIRECTION = np.array([-0.45, -0.75, -0.5])
-_FILL_DIRECTION = np.array([0.8, -0.05, -0.45])
+_KEY_DIRECTION = unit(np.array([-0.45, -0.75, -0.5]))
+_FILL_DIRECTION = unit(np.array([0.8, -0.05, -0.45]))
 _KEY = 0.72
 _FILL = 0.16
 _SKY = 0.30
@@ -57,7 +55,10 @@ class Triangles(NamedTuple):
 
     @classmethod
     def painted(
-        cls, vertices: np.ndarray, normals: np.ndarray, colour: Colour
+        cls,
+        vertices: np.ndarray,
+        normals: np.ndarray,
+        colour: Colour,
     ) -> Triangles:
         """Return triangles of one colour."""
         return cls(vertices, np.tile(colour, (len(vertices), 1)), normals)
@@ -68,8 +69,7 @@ class Triangles(NamedTuple):
         return Triangles(vertices, self.colours, self.normals @ pose[:3, :3].T)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Camera:
+class Camera(NamedTuple):
     """A pinhole camera with axes x right, y down, z forward; pixel (0, 0) is the upper left corner.
 
     Attributes:
@@ -118,9 +118,8 @@ class Camera:
         )
         right = np.array([-np.sin(turn), np.cos(turn), 0.0])
         rotation = np.array([right, np.cross(right, backward), -backward])
-        world_to_camera = affine(
-            rotation, -rotation @ (middle + distance * radius * backward)
-        )
+        place = middle + distance * radius * backward
+        world_to_camera = affine(rotation, -rotation @ place)
         seen = transform_points(world_to_camera, points)
         tangents = seen[:, :2] / seen[:, 2:]
         low = tangents.min(axis=0)
@@ -141,20 +140,18 @@ class Camera:
         """
         seen = transform_points(self.world_to_camera, points)
         with np.errstate(divide="ignore", invalid="ignore"):
-            seen[..., :2] = (
-                self.focal_length * seen[..., :2] / seen[..., 2:] + self.centre
-            )
+            seen[..., :2] *= self.focal_length / seen[..., 2:]
+        seen[..., :2] += self.centre
         return seen
 
     def magnified(self, factor: int) -> Camera:
         """Return the same view with `factor` times as many pixels along each side."""
         x, y = self.centre
         width, height = self.size
-        return Camera(
-            self.world_to_camera,
-            factor * self.focal_length,
-            (factor * x, factor * y),
-            (factor * width, factor * height),
+        return self._replace(
+            focal_length=factor * self.focal_length,
+            centre=(factor * x, factor * y),
+            size=(factor * width, factor * height),
         )
 
 
@@ -223,7 +220,7 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     # Barycentric coordinates are linear in the pixel: coefficients of x, y, and the constant.
     flat = corners.copy()
     flat[..., 2] = 1.0
-    planes = np.cross(flat[:, [1, 2, 0]], flat[:, [2, 0, 1]])
+    planes = np.cross(np.roll(flat, -1, axis=1), np.roll(flat, 1, axis=1))
     area = planes[..., 2].sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         planes /= area[:, None, None]
@@ -233,23 +230,21 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     planes = planes[seen]
     inverse = 1.0 / depths[seen]
     nearness = np.einsum("nc,ncj->nj", inverse, planes)
-    # Nearness and triangle index share one integer, so that one maximum updates both.
-    farthest = inverse.min(initial=np.inf)
-    scale = _NEARNESS_STEPS / max(inverse.max(initial=0.0) - farthest, 1e-9)
-    keys = np.full(width * height, -1, dtype=np.int64)
+    nearest = np.zeros(width * height)
+    front = np.zeros(width * height, dtype=np.int64)
     triangle, row, first, count = _spans(corners[seen, :, 1], planes, camera.size)
-    for start in range(0, len(count), _CHUNK):
-        part = slice(start, start + _CHUNK)
-        span = start + np.repeat(np.arange(len(count[part])), count[part])
+    for part in np.array_split(np.arange(len(count)), len(count) // _CHUNK + 1):
+        span = np.repeat(part, count[part])
         column = first[span] + _ramps(count[part])
         owner = triangle[span]
         near = (nearness[owner] * _centres(column, row[span])).sum(axis=1)
-        rank = scale * (near - farthest)
-        steps = np.clip(rank, 0, _NEARNESS_STEPS).astype(np.int64)
         pixel = row[span] * width + column
-        np.maximum.at(keys, pixel, (steps << _INDEX_BITS) | owner)
-    pixels = np.flatnonzero(keys >= 0)
-    owner = keys[pixels] & (2**_INDEX_BITS - 1)
+        np.maximum.at(nearest, pixel, near)
+        # Of surfaces that lie in one plane, the last one is in front everywhere.
+        is_front = near > nearest[pixel] * (1.0 - _ROUNDING)
+        front[pixel[is_front]] = owner[is_front]
+    pixels = np.flatnonzero(nearest)
+    owner = front[pixels]
     centres = _centres(pixels % width, pixels // width)
     shares = np.einsum("kcj,kj->kc", planes[owner], centres)
     depth = np.full(width * height, np.inf)
@@ -258,7 +253,9 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
 
 
 def _spans(
-    y: np.ndarray, planes: np.ndarray, size: tuple[int, int]
+    y: np.ndarray,
+    planes: np.ndarray,
+    size: tuple[int, int],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the spans of pixels inside triangles: triangle, row, first column, length.
 
@@ -273,16 +270,14 @@ def _spans(
     rows = np.maximum(bottom - top, 0)
     triangle = np.repeat(np.arange(len(rows)), rows)
     row = np.repeat(top, rows) + _ramps(rows)
-    low = np.full(len(row), 0.5)
-    high = np.full(len(row), width - 0.5)
-    for corner in range(3):
-        slope, across, constant = planes[triangle, corner].T
-        level = across * (row + 0.5) + constant
-        with np.errstate(divide="ignore", invalid="ignore"):
-            edge = -level / slope
-        low = np.where(slope > 0.0, np.maximum(low, edge), low)
-        high = np.where(slope < 0.0, np.minimum(high, edge), high)
-        high = np.where((slope == 0.0) & (level < 0.0), -1.0, high)
+    slope, across, constant = np.moveaxis(planes[triangle], 2, 0)
+    level = across * (row[:, None] + 0.5) + constant
+    with np.errstate(divide="ignore", invalid="ignore"):
+        edge = -level / slope
+    # The slopes of a triangle's three coordinates have the sum 0.
+    low = np.where(slope > 0.0, edge, 0.5).max(axis=1)
+    high = np.where(slope < 0.0, edge, width - 0.5).min(axis=1)
+    high[((slope == 0.0) & (level < 0.0)).any(axis=1)] = -1.0
     # The tolerance assigns a pixel on a shared edge to at least one of its triangles: no holes.
     first = np.ceil(low - 0.5 - 1e-6).astype(np.int64)
     count = np.floor(high - 0.5 + 1e-6).astype(np.int64) - first + 1
@@ -313,26 +308,22 @@ def _shaded(
     pixels = surface.pixels
     triangle = surface.triangle
     rotation = camera.world_to_camera[:3, :3]
-    x = pixels % width
-    y = pixels // width
     corners = triangles.normals[triangle] @ rotation.T
     normals = unit(np.einsum("kc,kcj->kj", surface.shares, corners))
-    rays = _centres(x, y) - (*camera.centre, 1.0 - camera.focal_length)
-    key = unit(_KEY_DIRECTION)
-    fill = unit(_FILL_DIRECTION)
+    centres = _centres(pixels % width, pixels // width)
+    rays = centres - (*camera.centre, 1.0 - camera.focal_length)
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
-    light += _KEY * np.maximum((normals @ key + 0.2) / 1.2, 0.0)
-    light += _FILL * np.maximum(normals @ fill, 0.0)
-    halfway = unit(key - unit(rays))
+    light += _KEY * np.maximum((normals @ _KEY_DIRECTION + 0.2) / 1.2, 0.0)
+    light += _FILL * np.maximum(normals @ _FILL_DIRECTION, 0.0)
+    halfway = unit(_KEY_DIRECTION - unit(rays))
     shine = np.maximum((normals * halfway).sum(axis=1), 0.0)
-    highlight = _HIGHLIGHT * shine**40
-    if has_creases:
-        shade = 1.0 - _CREASE_DEPTH * _creases(surface.depth, camera)[y, x]
-        light = light * shade
-        highlight = highlight * shade
     albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
-    picture[pixels, :3] = albedo * light[:, None] + highlight[:, None]
+    colours = albedo * light[:, None] + _HIGHLIGHT * shine[:, None] ** 40
+    if has_creases:
+        hollow = _creases(surface.depth, camera).reshape(-1, 1)[pixels]
+        colours *= 1.0 - _CREASE_DEPTH * hollow
+    picture[pixels, :3] = colours
     picture[pixels, 3] = 1.0
     return picture.reshape(height, width, 4)
 
@@ -353,14 +344,12 @@ def _creases(depth: np.ndarray, camera: Camera) -> np.ndarray:
     padded = np.pad(depth, room, mode="edge")
     stride = padded.shape[1]
     padded = padded.ravel()
-    rows, columns = np.nonzero(is_solid)
-    places = (rows + room) * stride + columns + room
+    places = (np.argwhere(is_solid) + room) @ (stride, 1)
     solid = depth[is_solid]
-    total = np.zeros(len(rows))
+    total = np.zeros(len(solid))
     for radius, turn in product((0.3, 0.65, 1.0), range(4)):
-        angle = turn * np.pi / 4 + radius
-        dx, dy = (round(radius * reach * turned(angle)) for turned in (np.cos, np.sin))
-        step = dy * stride + dx
+        way = radius * reach * np.exp(1j * (turn * np.pi / 4 + radius))
+        step = round(way.imag) * stride + round(way.real)
         bump = solid - 0.5 * (padded[places + step] + padded[places - step])
         bump /= radius * _CREASE_RADIUS
         # Ignore large steps: they are outlines of parts in front, not hollows.

@@ -15,6 +15,7 @@ from handmap_qp.apps.arguments import (
     MappingArguments,
     MappingFlags,
     PersonFile,
+    Recordings,
     fit_side,
     hinted,
     person_of,
@@ -27,7 +28,7 @@ from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.person import write_person
 from handmap_qp.human.recording import Recording
-from handmap_qp.output_files import check_output, make_folder
+from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream.measurement import measure_person
 
 SIDES = ("left", "right")
@@ -141,13 +142,19 @@ class Map:
 
     def _out(self, recording: Recording, robot: Hand) -> Path:
         """Check the file to write, before any work is done."""
-        name = Path(f"{recording.name}_{robot.name}.npz")
-        if self.robots is None or self.out is None:
-            return check_output("--out", self.out or name, (".npz",))
-        make_folder(self.out, "--out")
-        return check_output("--out", self.out / name, (".npz",))
+        out = Path(f"{recording.name}_{robot.name}.npz")
+        if self.out is not None:
+            out = self.out / out if self.robots else self.out
+        if self.robots:
+            make_folder(out.parent, "--out")
+        return check_output("--out", out, (".npz",))
 
-    def _map(self, recording: Recording, robot: Hand, out: Path) -> dict[str, Any]:
+    def _map(
+        self,
+        recording: Recording,
+        robot: Hand,
+        out: Path,
+    ) -> dict[str, Any]:
         """Map one hand, write its trajectory, and return the summary."""
         person = person_of(recording, self.person)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
@@ -181,12 +188,7 @@ class Calibrate:
         inputs: How the recording is to be read.
     """
 
-    recordings: tyro.conf.Positional[
-        Annotated[
-            tuple[Path, ...],
-            hinted("RECORDING...", "(required)"),
-        ]
-    ]
+    recordings: Recordings
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")] = Path("person.yaml")
     overwrite: bool = False
     json: bool = False
@@ -195,13 +197,7 @@ class Calibrate:
     def run(self) -> None:
         """Measure the person, write the file, and print the measures."""
         out = check_output("--out", self.out, (".yaml", ".yml"))
-        if out.exists() and not self.overwrite:
-            raise InvalidInputError(
-                argument="--out",
-                problem=f"{out} exists already",
-                value=str(out),
-                advice="give --overwrite to replace it",
-            )
+        check_new("--out", out, overwrite=self.overwrite)
         expect(self.recordings, "RECORDING", "at least one file", got="none")
         recordings = [self.inputs.read(file) for file in self.recordings]
         person = measure_person(*recordings)

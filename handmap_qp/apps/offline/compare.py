@@ -18,6 +18,7 @@ from handmap_qp.apps.arguments import (
     InputArguments,
     InputFlags,
     PersonFile,
+    Recordings,
     hinted,
 )
 from handmap_qp.apps.drawing.hands import require_matplotlib
@@ -35,7 +36,7 @@ from handmap_qp.apps.offline.comparison import (
     own_methods,
     prepare_take,
 )
-from handmap_qp.apps.offline.metrics import GROUPS, METRICS, SUMMARY, Metric
+from handmap_qp.apps.offline.metrics import GROUPS, METRICS, Metric
 from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect
@@ -89,12 +90,7 @@ class Compare:
         inputs: How the recordings are to be read.
     """
 
-    recordings: tyro.conf.Positional[
-        Annotated[
-            tuple[Path, ...],
-            hinted("RECORDING...", "(required)"),
-        ]
-    ]
+    recordings: Recordings
     robot: HandName
     methods: Annotated[
         tuple[str, ...],
@@ -125,7 +121,11 @@ class Compare:
             make_folder(self.out, "--out")
         with progress("comparing") as advance:
 
-            def say(what: str, done: int, total: int) -> None:
+            def say(
+                what: str,
+                done: int,
+                total: int,
+            ) -> None:
                 advance(done, f"{what} ({done} of {total})")
 
             takes = _takes(self, robot, person, say)
@@ -144,7 +144,7 @@ class Compare:
 def markdown(comparison: Comparison) -> str:
     """Return all tables as Markdown: overall, then every recording."""
     overall = {method: comparison.overall(method) for method in comparison.methods}
-    short = [metric for key in SUMMARY for metric in METRICS if metric.key == key]
+    short = [metric for metric in METRICS if metric.in_short]
     parts = [
         f"# Methods on {comparison.robot.name}",
         _LEGEND,
@@ -173,19 +173,16 @@ def markdown(comparison: Comparison) -> str:
 def notes_of(comparison: Comparison) -> list[str]:
     """Return footnotes: what methods did not do, and what was done to recordings."""
     notes = comparison.notes()
-    robot = comparison.robot
     if turned := [take.name for take in comparison.takes if take.is_mirrored]:
-        side = robot.spec.side
-        notes.append(
-            f"mirrored, because {robot.name} is a {side} hand: {', '.join(turned)}"
-        )
+        notes.append(f"{_mirrored(comparison.robot)}: {', '.join(turned)}")
     if fitted := [take.name for take in comparison.takes if not take.has_wrist]:
         text = "palm fitted to its landmarks, without a tracker's wrist"
         notes.append(f"{text}: {', '.join(fitted)}")
     if pinches := _pinch_samples(comparison):
-        found = "samples of pinches (tips nearer than 15 mm) of fingers that"
-        shown = (f"{count} in {name}" for name, count in pinches.items() if count)
-        notes.append(f"{found} {robot.name} has: {', '.join(shown) or 'none'}")
+        what = "samples of pinches (tips nearer than 15 mm) of fingers that"
+        found = [f"{count} in {name}" for name, count in pinches.items() if count]
+        shown = ", ".join(found) or "none"
+        notes.append(f"{what} {comparison.robot.name} has: {shown}")
     return notes
 
 
@@ -199,11 +196,11 @@ def results_of(comparison: Comparison) -> dict[str, Any]:
     """
     pinches = _pinch_samples(comparison)
     methods = {method: {"about": ""} for method in comparison.methods}
-    runs: dict[str, dict[str, Any]] = {}
+    runs: dict[str, dict[str, Any]] = {take.name: {} for take in comparison.takes}
     for run in comparison.runs:
         if run.motion is not None:
             methods[run.method] = {"about": run.motion.about}
-        runs.setdefault(run.take.name, {})[run.method] = {
+        runs[run.take.name][run.method] = {
             "values": run.values,
             "fingers": run.fidelity.fingers if run.motion else None,
             "problem": run.problem,
@@ -243,8 +240,8 @@ def _methods(request: Compare) -> list[ComparedMethod]:
     known = {name: own_method(name) for name in map("".join, endings)} | outside
     first, *others = own_methods()
     names = request.methods or (first, first + SMOOTH, *others)
+    some = ", ".join([*own_methods(), *outside])
     for name in names:
-        some = ", ".join([*own_methods(), *outside])
         expect(
             name in known,
             "--methods",
@@ -252,9 +249,9 @@ def _methods(request: Compare) -> list[ComparedMethod]:
             got=name,
             advice="" if request.peers else "peers need --peers",
         )
-    if outside.keys() & set(names):
-        outside = {}
-    return [*map(known.__getitem__, names), *outside.values()]
+    if not outside.keys() & {*names}:
+        names = (*names, *outside)
+    return [known[name] for name in names]
 
 
 def _takes(
@@ -269,10 +266,8 @@ def _takes(
     check_names(
         "RECORDING", [one.name for one in recordings], "files of different names"
     )
-    turned = [recording.name for recording in recordings if recording.side != side]
-    if turned:
-        text = f"handmap: mirrored, because {robot.name} is a {side} hand: {', '.join(turned)}"
-        print(text, file=sys.stderr)
+    if turned := [one.name for one in recordings if one.side != side]:
+        print(f"handmap: {_mirrored(robot)}: {', '.join(turned)}", file=sys.stderr)
     takes = []
     for i, recording in enumerate(recordings):
         say(f"measuring the hand of {recording.name}", i, len(recordings))
@@ -301,10 +296,13 @@ def _print_tables(comparison: Comparison) -> None:
 
 
 def _write(
-    out: Path, comparison: Comparison, say: Callable[[str, int, int], None]
+    out: Path,
+    comparison: Comparison,
+    say: Callable[[str, int, int], None],
 ) -> list[Path]:
     """Write all files, and return those that were written."""
     table, results, metrics, poses = (out / name for name in FILES)
+    written = [table, results, metrics]
     with writing(out, "--out"):
         table.write_text(markdown(comparison), encoding="utf-8")
         text = msgspec.json.encode(results_of(comparison))
@@ -313,14 +311,12 @@ def _write(
         comparison_pictures.draw_metrics(metrics, comparison)
         say("drawing poses", 1, 2)
         sheet, missing = comparison_pictures.draw_poses(poses, comparison)
-    if sheet is None:
-        poses.unlink(missing_ok=True)
-        print(
-            f"handmap: no contact sheet; not shown: {', '.join(missing)}",
-            file=sys.stderr,
-        )
-        return [table, results, metrics]
-    return [table, results, metrics, sheet]
+    if sheet is not None:
+        return [*written, sheet]
+    poses.unlink(missing_ok=True)
+    shown = f"handmap: no contact sheet; not shown: {', '.join(missing)}"
+    print(shown, file=sys.stderr)
+    return written
 
 
 def _pinch_samples(comparison: Comparison) -> dict[str, int]:
@@ -338,20 +334,25 @@ def _tables(values: dict[str, dict[str, float]]) -> list[str]:
 
 
 def _table(
-    title: str, metrics: Sequence[Metric], values: dict[str, dict[str, float]]
+    title: str,
+    metrics: Sequence[Metric],
+    values: dict[str, dict[str, float]],
 ) -> str:
     """Return a table with a row for every method."""
-    columns = []
+    columns = [(title, *values)]
     for metric in metrics:
         numbers = [row[metric.key] for row in values.values()]
-        best = metric.best(numbers)
-        texts = map(metric.text, numbers)
-        columns.append([f"**{t}**" if i in best else t for i, t in enumerate(texts)])
-    heading = [title, *(metric.label for metric in metrics)]
-    lines = [heading, *zip(values, *columns, strict=True)]
-    rows = [f"| {' | '.join(line)} |" for line in lines]
+        texts = [metric.text(number) for number in numbers]
+        for i in metric.best(numbers):
+            texts[i] = f"**{texts[i]}**"
+        columns.append((metric.label, *texts))
+    rows = [f"| {' | '.join(line)} |" for line in zip(*columns, strict=True)]
     rows.insert(1, "|---|" + "---:|" * len(metrics))
     return "\n".join(rows)
+
+
+def _mirrored(robot: Hand) -> str:
+    return f"mirrored, because {robot.name} is a {robot.spec.side} hand"
 
 
 def _palm(take: Take) -> str:

@@ -20,6 +20,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,7 +33,12 @@ from handmap_qp.apps.offline.fidelity import (
     assess_fidelity,
     sample_workspace,
 )
-from handmap_qp.apps.offline.hand_trace import HandTrace, trace_human, trace_robot
+from handmap_qp.apps.offline.hand_trace import (
+    HandTrace,
+    fingers_of,
+    trace_human,
+    trace_robot,
+)
 from handmap_qp.apps.offline.look_ahead import (
     LookAhead,
     look_ahead,
@@ -42,7 +48,6 @@ from handmap_qp.apps.offline.metrics import mean_values
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.apps.offline.trajectory import held_samples, map_recording
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
-from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -207,7 +212,10 @@ class Comparison(NamedTuple):
 
 
 def prepare_take(
-    recording: Recording, side: Side = "right", *, person: Person | None = None
+    recording: Recording,
+    side: Side = "right",
+    *,
+    person: Person | None = None,
 ) -> Take:
     """Describe what the human did in a recording.
 
@@ -235,8 +243,7 @@ def prepare_take(
         recording = mirrored(recording)
     held = held_samples(recording.valid)
     poses = recording.wrist
-    person = person or measure_person(recording)
-    lengths = person.lengths
+    lengths = (person or measure_person(recording)).lengths
     human = load_hand(human_name(side), lengths=lengths)
     wrist = None if poses is None else poses[held]
     trace = trace_human(recording.landmarks[held], lengths, side, wrist)
@@ -285,28 +292,27 @@ def compare_methods(
             got=f"{take.name} ({take.recording.side})",
             advice="prepare_take mirrors it",
         )
-    chains = find_fingers(robot)
-    if not chains:
+    if not fingers_of(robot):
         raise InvalidInputError(
             argument="robot",
             problem=f"{robot.name} has no finger with a human name, so nothing can be compared",
             advice="name the fingers of its points in hand.yaml",
         )
-    workspace = sample_workspace(robot, chains)
+    workspace = sample_workspace(robot)
     runs = []
     total = len(takes) * len(methods)
-    for take in takes:
-        for method in methods:
-            progress(f"{method.name} on {take.name}", len(runs), total)
-            runs.append(_run(method, take, robot, chains, workspace))
+    for take, method in product(takes, methods):
+        progress(f"{method.name} on {take.name}", len(runs), total)
+        runs.append(_run(method, take, robot, workspace))
     progress("measured", total, total)
-    return Comparison(
-        robot, tuple(takes), tuple(method.name for method in methods), tuple(runs)
-    )
+    names = tuple(method.name for method in methods)
+    return Comparison(robot, tuple(takes), names, tuple(runs))
 
 
 def check_names(
-    argument: str, names: Sequence[str], expected: str = "different names"
+    argument: str,
+    names: Sequence[str],
+    expected: str = "different names",
 ) -> None:
     """Reject an empty list and a name that occurs twice."""
     expect(names, argument, "at least one", got="none")
@@ -329,12 +335,9 @@ def own_method(name: str) -> ComparedMethod:
     Raises:
         InvalidInputError: If there is no such method.
     """
-    expect(
-        base_name(name) in own_methods(),
-        "--methods",
-        f"some of {', '.join(own_methods())}",
-        value=name,
-    )
+    known = own_methods()
+    expected = f"some of {', '.join(known)}"
+    expect(base_name(name) in known, "--methods", expected, value=name)
     return ComparedMethod(name, partial(_map_own, name))
 
 
@@ -369,16 +372,19 @@ def outside_methods(folder: Path, hand: str) -> list[ComparedMethod]:
     try:
         listed = msgspec.json.decode(answer, type=list[_Listed])
     except msgspec.DecodeError as error:
-        raise OutsideError(
-            f"{folder / PROGRAM}: expected a JSON list of methods: {error}"
-        ) from error
+        problem = f"{folder / PROGRAM}: expected a JSON list of methods: {error}"
+        raise OutsideError(problem) from error
     return [
         ComparedMethod(one.name, partial(_map_outside, folder, one, hand))
         for one in listed
     ]
 
 
-def _map_own(name: str, take: Take, robot: Hand) -> RobotMotion:
+def _map_own(
+    name: str,
+    take: Take,
+    robot: Hand,
+) -> RobotMotion:
     """Map the landmarks of a take, with the palm that it is measured against."""
     _, method, ik = preset_choice(base_name(name), take.human)
     recording = take.recording
@@ -410,7 +416,7 @@ def _map_outside(
 ) -> RobotMotion:
     """Run an outside program on a take."""
     recording = take.recording
-    count = len(take.recording)
+    count = len(recording)
     with tempfile.TemporaryDirectory(prefix="handmap-") as temporary:
         given = Path(temporary) / f"{take.name}.npz"
         made = Path(temporary) / "made.npz"
@@ -432,9 +438,8 @@ def _map_outside(
                 shape = (count, 4, 4)
                 wrist = as_floats(wrist, "wrist", shape=shape, is_finite=True)
         except (KeyError, ValueError) as error:
-            raise OutsideError(
-                f"{folder / PROGRAM}: {listed.name}: bad result: {error}"
-            ) from error
+            problem = f"{folder / PROGRAM}: {listed.name}: bad result: {error}"
+            raise OutsideError(problem) from error
     return RobotMotion(q, wrist, step_time, listed.about)
 
 
@@ -455,7 +460,6 @@ def _run(
     method: ComparedMethod,
     take: Take,
     robot: Hand,
-    chains: dict[str, Finger],
     workspace: dict[str, np.ndarray],
 ) -> Run:
     try:
@@ -466,10 +470,10 @@ def _run(
     wrist = motion.wrist_in(take, robot) if robot.is_floating else None
     fidelity = assess_fidelity(
         take.trace,
-        trace_robot(robot, motion.q, wrist, chains),
+        trace_robot(robot, motion.q, wrist),
         take.recording.time,
         valid=take.recording.valid,
-        gaps=measure_gaps(robot, motion.q, chains),
+        gaps=measure_gaps(robot, motion.q),
         hand=robot,
         q=motion.q,
         human_q=take.q,

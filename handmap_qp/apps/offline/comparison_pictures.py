@@ -93,20 +93,24 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     shown = _clearest(comparison)
-    motions = _motions(comparison, {k for k, _ in shown.values()})
+    used = {k for k, _ in shown.values()}
+    motions = {}
+    for method in comparison.methods:
+        runs = comparison.of_method(method)
+        found = {k: motion for k in used if (motion := runs[k].motion)}
+        if len(found) == len(used):
+            motions[method] = found
     names = (*POSES, *comparison.methods)
     missing = [name for name in names if name not in {*shown, *motions}]
     if not shown or not motions:
         return None, missing
-    rows = _rows(comparison, shown, motions)
-    columns = [(method, comparison.robot) for method in motions]
     footnote = f"Not shown: {', '.join(missing)}." if missing else ""
     bands = []
-    for first in range(0, len(columns), _BAND):
-        band = slice(first, first + _BAND)
+    for first in range(0, len(motions), _BAND):
+        methods = [*motions][first : first + _BAND]
         figure = contact_sheet(
-            columns[band],
-            [replace(row, q=row.q[band]) for row in rows],
+            [(method, comparison.robot) for method in methods],
+            _rows(comparison, shown, [motions[method] for method in methods]),
             side=comparison.robot.spec.side,
             title=comparison.robot.name,
             footnote=footnote,
@@ -122,30 +126,16 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     return file, missing
 
 
-def _motions(
-    comparison: Comparison, used: set[int]
-) -> dict[str, dict[int, RobotMotion]]:
-    """Return motions by method and take, of the methods that did not fail on the takes used."""
-    motions = {}
-    for method in comparison.methods:
-        runs = enumerate(comparison.of_method(method))
-        found = {k: run.motion for k, run in runs if run.motion is not None}
-        if used <= found.keys():
-            motions[method] = found
-    return motions
-
-
 def _rows(
     comparison: Comparison,
     shown: dict[str, tuple[int, int]],
-    motions: dict[str, dict[int, RobotMotion]],
+    motions: list[dict[int, RobotMotion]],
 ) -> list[SheetRow]:
     """Return the rows of poses, each of which a sample of a take shows."""
     rows = []
     for pose, (k, index) in shown.items():
         recording = comparison.takes[k].recording
-        angles = [found[k].q for found in motions.values()]
-        (row,) = sheet_rows(recording, {pose: index}, angles)
+        (row,) = sheet_rows(recording, {pose: index}, [found[k].q for found in motions])
         name = recording.name.replace("_", " ").removesuffix(f" {recording.side}")
         rows.append(replace(row, note=f"{name}\n{row.note}"))
     return rows
@@ -165,10 +155,10 @@ def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:
     ranked = [rank_poses(take.recording) for take in comparison.takes]
     places = {}
     for pose in POSES:
-        shown = [(found, k) for k, poses in enumerate(ranked) if (found := poses[pose])]
+        shown = {k: found for k, poses in enumerate(ranked) if (found := poses[pose])}
         if shown:
-            (index, _), k = max(shown, key=lambda place: place[0][1])
-            places[pose] = (k, index)
+            k = max(shown, key=lambda take: shown[take][1])
+            places[pose] = (k, shown[k][0])
     return places
 
 
@@ -181,13 +171,11 @@ def _draw_panel(
 ) -> None:
     """Draw one metric: methods from top to bottom."""
     methods = comparison.methods
-    own = set(own_methods())
     means = [comparison.overall(method)[metric.key] for method in methods]
     best = metric.best(means)
     low, high = _range(metric, means)
     for y, method in enumerate(methods):
-        is_own = base_name(method) in own
-        colour = _OWN if is_own else _OUTSIDE
+        colour = _OWN if base_name(method) in own_methods() else _OUTSIDE
         values = [run.values[metric.key] for run in comparison.of_method(method)]
         panel.plot(
             np.clip(values, low, high),

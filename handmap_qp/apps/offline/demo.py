@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import tyro
@@ -32,32 +32,7 @@ FILES = ("errors.png", "gestures.png", "joints.png", "trajectory.npz")
 
 _INK, _PALE = "#222831", "#8a929c"
 _COLOURS = ("#c8452f", "#2f7d6b", "#3f6fb5", "#c48a1d", "#7a56a6")
-_STYLE: dict[str, Any] = {
-    "font.family": "DejaVu Sans",
-    "font.size": 9.0,
-    "text.color": _INK,
-    "axes.labelcolor": _INK,
-    "axes.edgecolor": _PALE,
-    "axes.linewidth": 0.8,
-    "axes.titlesize": 9.5,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#e4e7eb",
-    "grid.linewidth": 0.8,
-    "axes.axisbelow": True,
-    "xtick.color": _PALE,
-    "ytick.color": _PALE,
-    "xtick.labelcolor": _INK,
-    "ytick.labelcolor": _INK,
-    "lines.linewidth": 1.8,
-    "legend.frameon": False,
-    "figure.dpi": 160,
-    "savefig.dpi": 160,
-    "figure.facecolor": "white",
-}
+_STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
 @dataclass(frozen=True)
@@ -96,7 +71,9 @@ class Demo:
 
 
 def run_demo(
-    name: str, directory: Path, progress: Callable[[int], None] | None = None
+    name: str,
+    directory: Path,
+    progress: Callable[[int], None] | None = None,
 ) -> Trajectory:
     """Map the recording that comes with the package, and write `FILES`: all of them, or none.
 
@@ -127,7 +104,7 @@ def run_demo(
         save_contact_sheet(
             folder / "gestures.png", recording, find_poses(recording), columns
         )
-        with matplotlib.rc_context(_STYLE):
+        with matplotlib.rc_context(fname=_STYLE):
             errors_figure(trajectory).savefig(folder / "errors.png")
             joints_figure(trajectory).savefig(folder / "joints.png")
     return trajectory
@@ -143,9 +120,9 @@ def errors_figure(trajectory: Trajectory) -> Figure:
     )
     time = trajectory.time
     cpu = 1e6 * trajectory.step_cpu
-    specs = zip(trajectory.robot.reference_points, _COLOURS, strict=False)
-    for point, (spec, colour) in enumerate(specs):
-        error = 1e3 * trajectory.point_error[:, point]
+    errors = 1e3 * trajectory.point_error.T
+    specs = trajectory.robot.reference_points
+    for spec, error, colour in zip(specs, errors, _COLOURS, strict=False):
         points.plot(time, error, color=colour, label=spec.name.replace("_", " "))
     points.legend(loc="upper right", bbox_to_anchor=(1.0, 0.98))
     points.set(title="Reference points: distance from their targets", ylabel="mm")
@@ -155,7 +132,7 @@ def errors_figure(trajectory: Trajectory) -> Figure:
         axes.set_ylim(bottom=0.0)
     step.plot(time, cpu, color=_PALE, linewidth=1.0)
     step.set(title="CPU time of a step", ylabel="µs", xlabel="time [s]")
-    step.set_ylim(0.0, 2.0 * float(np.nanpercentile(cpu, 95)))
+    step.set_ylim(0.0, 2.0 * np.nanpercentile(cpu, 95))
     step.set_xlim(time[0], time[-1])
     return figure
 

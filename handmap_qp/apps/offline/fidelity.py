@@ -15,6 +15,7 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from scipy.stats import rankdata
@@ -30,12 +31,11 @@ from handmap_qp.apps.offline.metrics import METRICS
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
 from handmap_qp.apps.offline.trajectory import rms_derivative
 from handmap_qp.errors import expect
-from handmap_qp.hands.fingers import Finger
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimator
-from handmap_qp.se3 import inverse_pose, lengths, rigid_fit
+from handmap_qp.se3 import inverse_pose, lengths, rigid_fit, transform_points
 
 SETTLING = 0.5
 """Time at the start that does not count [s]."""
@@ -116,8 +116,15 @@ def assess_fidelity(
     shared = [name for name in human.names if name in robot.names]
     seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid)
     sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
-    _check(sizes, len(time), shared)
-    counts = _settled(seen.astype(bool), time)
+    for name, size in sizes.items():
+        expect(
+            size == len(time), name, f"{len(time)} samples as in time", got=str(size)
+        )
+    expect(shared, "robot", "a finger that the human has too", got="none")
+    counts = seen.astype(bool) & (time >= time[0] + SETTLING)
+    expect(
+        counts.any(), "time", "valid samples after the first half second", got="none"
+    )
     h = human.part(counts, shared)
     r = robot.part(counts, shared)
     fingers = finger_metrics(h, r)
@@ -137,37 +144,23 @@ def assess_fidelity(
     values["workspace"] = workspace_share(r, workspace or {})
     if step_time is not None:
         values["step_time_ms"] = 1e3 * step_time[counts].mean()
-    by_finger = zip(*fingers.values(), strict=True)
-    found = [dict(zip(fingers, map(float, row), strict=True)) for row in by_finger]
-    values = {key: float(value) for key, value in values.items()}
-    return Fidelity(values, dict(zip(shared, found, strict=True)), pinch_samples)
-
-
-def _check(sizes: dict[str, int], count: int, shared: list[str]) -> None:
-    for name, size in sizes.items():
-        expect(size == count, name, f"{count} samples as in time", got=str(size))
-    expect(shared, "robot", "a finger that the human has too", got="none")
-
-
-def _settled(seen: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return which samples count, shape (T,)."""
-    counts = seen & (time >= time[0] + SETTLING)
-    expect(
-        counts.any(), "time", "valid samples after the first half second", got="none"
+    by_finger = {
+        name: {key: float(column[i]) for key, column in fingers.items()}
+        for i, name in enumerate(shared)
+    }
+    return Fidelity(
+        {key: float(value) for key, value in values.items()}, by_finger, pinch_samples
     )
-    return counts
 
 
 def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> Values:
     """Return metrics of the whole hand: correlations weighted by the human's range, and means."""
     correlations = fingers["extension_correlation"]
     weights = fingers["extension_range"]
-    found: Values = {
-        "extension_rms": _rms(fingers["extension_rms"]),
-        "finger_direction_deg": fingers["direction_deg"].mean(),
-    }
-    for key in ("wrist_direction_deg", "tip_error_mm", "tip_error_knuckles_mm"):
-        found[key] = fingers[key].mean()
+    means = ("wrist_direction_deg", "tip_error_mm", "tip_error_knuckles_mm")
+    found: Values = {key: fingers[key].mean() for key in means}
+    found["extension_rms"] = _rms(fingers["extension_rms"])
+    found["finger_direction_deg"] = fingers["direction_deg"].mean()
     if weights.any():
         found["extension_correlation"] = np.average(correlations, weights=weights)
     if THUMB in names:
@@ -185,25 +178,30 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> dict[str, np.ndarray]:
     """
     one = human.extension
     other = robot.extension
-    is_still = np.minimum(np.ptp(one, axis=0), np.ptp(other, axis=0)) < _STILL
+    is_still = np.ptp([one, other], axis=1).min(axis=0) < _STILL
     low, high = np.percentile(one, (2.0, 98.0), axis=0)
-    knuckle_h, tip_h = (human.local[:, :, place] for place in (KNUCKLE, TIP))
-    knuckle_r, tip_r = (robot.local[:, :, place] for place in (KNUCKLE, TIP))
+    h = human.local
+    r = robot.local
+    tip_h = h[:, :, TIP]
+    tip_r = r[:, :, TIP]
     ratio = (robot.reach / human.reach).mean()
     # The thumb's knuckle does not count if there are others.
     others = [i for i, name in enumerate(human.names) if name != THUMB] or [0]
-    from_centre_h, from_centre_r = (
-        tips - knuckles[:, others].mean(axis=1, keepdims=True)
-        for tips, knuckles in ((tip_h, knuckle_h), (tip_r, knuckle_r))
+    centre_h, centre_r = (
+        points[:, others, KNUCKLE].mean(axis=1, keepdims=True) for points in (h, r)
     )
     return {
         "extension_correlation": np.where(is_still, 0.0, _correlations(one, other)),
         "extension_rms": _rms(one - other),
         "extension_range": high - low,
-        "direction_deg": angles_between(tip_h - knuckle_h, tip_r - knuckle_r).mean(0),
+        "direction_deg": angles_between(
+            tip_h - h[:, :, KNUCKLE], tip_r - r[:, :, KNUCKLE]
+        ).mean(axis=0),
         "wrist_direction_deg": angles_between(tip_h, tip_r).mean(axis=0),
         "tip_error_mm": _distance_mm(tip_r * (human.size / robot.size), tip_h),
-        "tip_error_knuckles_mm": _distance_mm(from_centre_r / ratio, from_centre_h),
+        "tip_error_knuckles_mm": _distance_mm(
+            (tip_r - centre_r) / ratio, tip_h - centre_h
+        ),
     }
 
 
@@ -234,22 +232,18 @@ def object_metrics(human: HandTrace, robot: HandTrace) -> Values:
 def palm_metrics(human: HandTrace, robot: HandTrace) -> Values:
     """Compare the palms' motions since the first sample, each in its own axes there, as RMS."""
     one, other = (inverse_pose(hand.palm[0]) @ hand.palm for hand in (human, robot))
+    turns = _turns(one[:, :3, :3], other[:, :3, :3])
     distances = lengths(one[:, :3, 3] - other[:, :3, 3])
-    return {
-        "palm_deg": np.degrees(_rms(_turns(one[:, :3, :3], other[:, :3, :3]))),
-        "palm_mm": 1e3 * _rms(distances),
-    }
+    return {"palm_deg": np.degrees(_rms(turns)), "palm_mm": 1e3 * _rms(distances)}
 
 
 def pinch_gaps(hand: HandTrace) -> dict[str, np.ndarray]:
     """Distances from the thumb's tip to the other fingertips [m], shape (T,) each."""
     if THUMB not in hand.names:
         return {}
-    tips = hand.points[:, :, TIP]
-    gaps = lengths(tips - tips[:, [hand.names.index(THUMB)]])
-    return {
-        name: gap for name, gap in zip(hand.names, gaps.T, strict=True) if name != THUMB
-    }
+    tips = dict(zip(hand.names, hand.points[:, :, TIP].swapaxes(0, 1), strict=True))
+    thumb = tips.pop(THUMB)
+    return {name: lengths(tip - thumb) for name, tip in tips.items()}
 
 
 def pinch_order(human: HandTrace, robot: HandTrace) -> float:
@@ -259,9 +253,7 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
         Spearman's correlation over all samples and thumb-finger pairs in which the human's tips are
         less than 80 mm apart; NaN with fewer than three.
     """
-    a, b = (
-        np.array(list(pinch_gaps(hand).values())).ravel() for hand in (human, robot)
-    )
+    a, b = (np.array([*pinch_gaps(hand).values()]).ravel() for hand in (human, robot))
     a, b = a[a < NEAR], b[a < NEAR]
     if len(a) < 3 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
         return np.nan
@@ -269,13 +261,15 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
 
 
 def gap_metrics(
-    human: HandTrace, gaps: SurfaceGaps, counts: np.ndarray
+    human: HandTrace,
+    gaps: SurfaceGaps,
+    counts: np.ndarray,
 ) -> tuple[int, Values]:
     """Return how many samples of pairs the human pinches, and metrics of the robot's surfaces."""
     wanted = pinch_gaps(human)
     shared = [name for name in wanted if name in gaps.pinches]
-    h = np.array([wanted[name] for name in shared]).ravel()
-    r = np.array([gaps.pinches[name][counts] for name in shared]).ravel()
+    h = np.array([wanted[name] for name in shared])
+    r = np.array([gaps.pinches[name][counts] for name in shared])
     pinched = r[h < PINCH]
     apart = r[h > OPEN]
     nearest = gaps.nearest[counts]
@@ -317,7 +311,11 @@ def joint_metrics(
     return found
 
 
-def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
+def latency(
+    human: HandTrace,
+    robot: HandTrace,
+    time: np.ndarray,
+) -> float:
     """Lag of the robot's fingertips behind the human's, both in palm frames.
 
     The cross-correlation of all coordinates together, over all lags up to 0.3 s, is refined by a
@@ -337,15 +335,14 @@ def latency(human: HandTrace, robot: HandTrace, time: np.ndarray) -> float:
     step = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1], step)
     a, b = (
-        np.array([np.interp(grid, time, column) for column in tips.T])
-        for tips in (_tip_columns(human), _tip_columns(robot))
+        make_interp_spline(time, hand.local[:, :, TIP], k=1)(grid)
+        for hand in (human, robot)
     )
-    if min(np.ptp(a, axis=1).max(), np.ptp(b, axis=1).max()) < _STILL:
+    if min(np.ptp(a, axis=0).max(), np.ptp(b, axis=0).max()) < _STILL:
         return np.nan
-    a, b = (rows - rows.mean(axis=1, keepdims=True) for rows in (a, b))
+    a, b = (tips - tips.mean(axis=0) for tips in (a, b))
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
-    lags = range(-most, most + 1)
-    values = np.array([_lagged_correlation(a, b, lag) for lag in lags])
+    values = [_lagged_correlation(a, b, lag) for lag in range(-most, most + 1)]
     best = int(np.argmax(values))
     shift = 0.0
     if 0 < best < 2 * most:
@@ -360,20 +357,19 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
 
     Key vectors go from the palm's origin to each tip, and from the thumb's tip to each other tip.
     """
-    count = len(human.names)
     other = _palm_points(robot)
     aligned = _laid_on(_palm_points(human), other)
-    starts = [0] * count
-    ends = list(range(1, 1 + count))
+    tips = [*range(1, 1 + len(human.names))]
+    pairs = [(0, tip) for tip in tips]
     if THUMB in human.names:
         thumb = 1 + human.names.index(THUMB)
-        ends += [i for i in range(1, 1 + count) if i != thumb]
-        starts += [thumb] * (count - 1)
+        pairs += [(thumb, tip) for tip in tips if tip != thumb]
+    starts, ends = np.transpose(pairs)
     a, b = (points[:, ends] - points[:, starts] for points in (aligned, other))
     cosine = _cosines(a, b)
-    tips, tips_other = (points[:, 1 : 1 + count] for points in (aligned, other))
-    moves = _cosines(np.diff(tips, axis=0), np.diff(tips_other, axis=0))
-    bends = np.diff(tips_other, 2, axis=0)
+    steps, steps_other = (np.diff(p[:, tips], axis=0) for p in (aligned, other))
+    moves = _cosines(steps, steps_other)
+    bends = np.diff(steps_other, axis=0)
     return {
         "key_cosine": cosine.mean(),
         "key_angle_deg": np.degrees(np.arccos(cosine)).mean(),
@@ -385,27 +381,19 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
 
 def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float:
     """Share of the reachable points that the fingertips came near, mean over the fingers."""
-    shares = []
-    for name, tips in zip(
-        robot.names, robot.local[:, :, TIP].swapaxes(0, 1), strict=True
-    ):
-        if name in workspace:
-            distances, _ = KDTree(tips).query(workspace[name])
-            shares.append((distances <= WORKSPACE_RADIUS).mean())
-    return float(np.mean(shares)) if shares else np.nan
+    distances = [
+        KDTree(tips).query(workspace[name])[0]
+        for name, tips in _tips_by_finger(robot).items()
+        if name in workspace
+    ]
+    return _mean(np.array(distances) <= WORKSPACE_RADIUS)
 
 
-def sample_workspace(
-    hand: Hand,
-    chains: dict[str, Finger] | None = None,
-    *,
-    count: int = 20_000,
-) -> dict[str, np.ndarray]:
+def sample_workspace(hand: Hand, *, count: int = 20_000) -> dict[str, np.ndarray]:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 
     Args:
         hand: The robot hand.
-        chains: Its fingers, if they have been found before.
         count: Number of postures.
 
     Returns:
@@ -415,9 +403,13 @@ def sample_workspace(
     q = random.uniform(
         hand.lower_limits, hand.upper_limits, (count, len(hand.joint_names))
     )
-    trace = trace_robot(hand, q, None, chains)
-    tips = trace.local[:, :, TIP].swapaxes(0, 1)
-    return dict(zip(trace.names, tips, strict=True))
+    return _tips_by_finger(trace_robot(hand, q))
+
+
+def _tips_by_finger(hand: HandTrace) -> dict[str, np.ndarray]:
+    """Fingertips in the palm frame [m], shape (T, 3) each."""
+    tips = hand.local[:, :, TIP].swapaxes(0, 1)
+    return dict(zip(hand.names, tips, strict=True))
 
 
 def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -433,31 +425,29 @@ def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def _palm_points(hand: HandTrace) -> np.ndarray:
     """Palm origin, tips and knuckles in the palm frame [m], shape (T, 1 + 2 k, 3)."""
-    local = hand.local
-    origin = np.zeros((len(local), 1, 3))
-    return np.concatenate([origin, local[:, :, TIP], local[:, :, KNUCKLE]], axis=1)
-
-
-def _tip_columns(hand: HandTrace) -> np.ndarray:
-    """Coordinates of all fingertips in the palm frame [m], shape (T, 3 k)."""
-    return hand.local[:, :, TIP].reshape(len(hand.palm), -1)
+    local = hand.local[:, :, [TIP, KNUCKLE]].swapaxes(1, 2)
+    return np.pad(local.reshape(len(local), -1, 3), ((0, 0), (1, 0), (0, 0)))
 
 
 def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     """Points of every sample moved by the similarity that lays them best on others (Umeyama)."""
-    centre, centre_onto = (one.mean(axis=1, keepdims=True) for one in (points, onto))
-    rotations = rigid_fit(points, onto)[:, :3, :3]
-    turned = (points - centre) @ rotations.swapaxes(1, 2)
-    fit = (turned * (onto - centre_onto)).sum(axis=(1, 2), keepdims=True)
+    turned = transform_points(rigid_fit(points, onto), points)
+    centre = turned.mean(axis=1, keepdims=True)
+    turned -= centre
+    fit = (turned * (onto - centre)).sum(axis=(1, 2), keepdims=True)
     size = (turned**2).sum(axis=(1, 2), keepdims=True)
-    return fit / np.maximum(size, _LEAST**2) * turned + centre_onto
+    return fit / np.maximum(size, _LEAST**2) * turned + centre
 
 
-def _lagged_correlation(a: np.ndarray, b: np.ndarray, lag: int) -> float:
-    """Correlation of centred a(t) with b(t + lag), all rows together; shape (n, T) each."""
-    count = a.shape[1] - abs(lag)
-    one = a[:, max(0, -lag) :][:, :count]
-    other = b[:, max(0, lag) :][:, :count]
+def _lagged_correlation(
+    a: np.ndarray,
+    b: np.ndarray,
+    lag: int,
+) -> float:
+    """Correlation of centred a(t) with b(t + lag), all coordinates together; shape (T, k, 3)."""
+    count = len(a) - abs(lag)
+    one = a[max(0, -lag) :][:count]
+    other = b[max(0, lag) :][:count]
     return float(_cosines(one.ravel(), other.ravel()))
 
 

@@ -7,6 +7,7 @@ whatever mapping found those. So every mapping is measured in the same way.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -22,13 +23,23 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import FIRST_JOINTS, PALM, TIPS
-from handmap_qp.se3 import affine, nearest_rotation, rigid_fit
+from handmap_qp.se3 import (
+    affine,
+    inverse_pose,
+    nearest_rotation,
+    rigid_fit,
+    transform_points,
+)
 from handmap_qp.se3 import lengths as norms
 
 MIDDLES = np.array([3, 6, 10, 14, 18])
 """Landmarks of the middle joints: the thumb's IP and the other fingers' PIP."""
 KNUCKLE, MIDDLE, TIP = range(3)
 """Indices of a finger's points: the thumb's CMC or MCP, its IP or PIP, and its tip."""
+
+
+fingers_of = lru_cache(maxsize=32)(find_fingers)
+"""The fingers of a hand, which are found once: a reach takes a search."""
 
 
 class HandTrace(NamedTuple):
@@ -52,9 +63,7 @@ class HandTrace(NamedTuple):
     @property
     def local(self) -> np.ndarray:
         """The points in the palm frame [m], shape (T, k, 3, 3)."""
-        rotations = self.palm[:, None, :3, :3]
-        origins = self.palm[:, None, None, :3, 3]
-        return (self.points - origins) @ rotations
+        return transform_points(inverse_pose(self.palm)[:, None], self.points)
 
     @property
     def extension(self) -> np.ndarray:
@@ -89,17 +98,14 @@ def trace_human(
     Returns:
         The trace.
     """
-    template = np.vstack([np.zeros(3), lengths.bases[1:]])
-    if side == "left":
-        template = template * (-1.0, 1.0, 1.0)
+    sign = -1.0 if side == "left" else 1.0
+    template = np.vstack([np.zeros(3), lengths.bases[1:]]) * (sign, 1.0, 1.0)
     palm = rigid_fit(template, landmarks[:, PALM])
     if wrist_poses is not None:
-        on_wrist = np.linalg.inv(wrist_poses) @ palm
+        on_wrist = inverse_pose(wrist_poses) @ palm
         rotation = nearest_rotation(on_wrist[:, :3, :3].mean(axis=0))
         palm = wrist_poses @ affine(rotation, np.median(on_wrist[:, :3, 3], axis=0))
-    points = np.stack(
-        [landmarks[:, index] for index in (FIRST_JOINTS, MIDDLES, TIPS)], axis=2
-    )
+    points = landmarks[:, np.column_stack([FIRST_JOINTS, MIDDLES, TIPS])]
     reach = lengths.segments.sum(axis=1)
     size = float(norms(lengths.bases[1:].mean(axis=0)) + reach[1:].mean())
     return HandTrace(tuple(FINGERS), points, reach, palm, size)
@@ -122,7 +128,7 @@ def trace_robot(
     Returns:
         The trace.
     """
-    chains = chains or find_fingers(hand)
+    chains = chains or fingers_of(hand)
     wrists = np.broadcast_to(np.eye(4), (len(q), 4, 4)) if wrist is None else wrist
     data = hand.model.createData()
     vector = np.zeros(hand.model.nq)

@@ -13,7 +13,7 @@ from handmap_qp.apps.arguments import hinted
 from handmap_qp.apps.drawing.layout_pictures import save_layout_picture
 from handmap_qp.apps.tables import print_rows, print_table
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.output_files import check_output, replaced_file
+from handmap_qp.output_files import check_new, check_output, replaced_file
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.base import Layout
 from handmap_qp.trackers.layouts.tables import load_layout, table_text
@@ -62,7 +62,14 @@ class Layouts:
             self._list(list(map(_summary, LAYOUTS.values())))
             return
         layout = load_layout(self.layout)
-        written = (self._template(layout), self._picture(layout))
+        if self.template is not None:
+            out = check_output("--template", self.template, (".yaml", ".yml"))
+            check_new("--template", out, advice="name another file")
+            with replaced_file(out, "--template") as file:
+                file.write(table_text(self.layout).encode())
+        if self.picture is not None:
+            out = check_output("--picture", self.picture, (".png",))
+            save_layout_picture(layout, out)
         facts = _facts(layout)
         if self.json:
             print(json.dumps({**facts, "entries": layout.rows()}))
@@ -73,8 +80,8 @@ class Layouts:
         }
         print_table(layout.name, texts)
         print_rows("Order", layout.rows())
-        for file in filter(None, written):
-            print(f"wrote {file}")
+        for written in filter(None, (self.template, self.picture)):
+            print(f"wrote {written}")
 
     def _list(self, rows: list[dict[str, Any]]) -> None:
         """Print all layouts."""
@@ -90,35 +97,12 @@ class Layouts:
         else:
             print_rows("Layouts", rows)
 
-    def _template(self, layout: Layout) -> Path | None:
-        """Copy the table, with its comments."""
-        if self.template is None:
-            return None
-        out = check_output("--template", self.template, (".yaml", ".yml"))
-        if out.exists():
-            raise InvalidInputError(
-                argument="--template",
-                problem=f"{out} exists already",
-                advice="name another file",
-            )
-        with replaced_file(out, "--template") as file:
-            file.write(table_text(self.layout or layout.name).encode())
-        return out
-
-    def _picture(self, layout: Layout) -> Path | None:
-
-        if self.picture is None:
-            return None
-        out = check_output("--picture", self.picture, (".png",))
-        save_layout_picture(layout, out)
-        return out
-
 
 def _summary(layout: Layout) -> dict[str, Any]:
     """Return one row of the list."""
-    wrist = "in the values" if layout.has_wrist else ""
-    if not wrist:
-        wrist = "beside them" if layout.wrist_table is not None else "none"
+    wrist = "none" if layout.wrist_table is None else "beside them"
+    if layout.has_wrist:
+        wrist = "in the values"
     return {
         "name": layout.name,
         "tracker": layout.title,
@@ -140,24 +124,19 @@ def _facts(layout: Layout) -> dict[str, Any]:
     if layout.table.mirror:
         facts["left-handed"] = f"{layout.table.mirror} is negated"
     wrist = layout.wrist_table
-    if wrist is None:
-        facts["wrist pose"] = (
-            "fitted" if layout.has_wrist else "none; fitted to the palm"
-        )
-    else:
-        axes = [
+    where = "fitted" if layout.has_wrist else "none; fitted to the palm"
+    facts["wrist pose"] = where
+    if wrist is not None:
+        own = f"of the joint {wrist.joint}"
+        facts["wrist pose"] = [own if layout.has_wrist else "given beside the values"]
+        facts["wrist pose"] += [
             f"{side}: fingers along {found.distal}, back of the hand along {found.dorsal}"
             for side, found in (("right", wrist.right), ("left", wrist.left))
             if found is not None
         ]
-        where = (
-            f"of the joint {wrist.joint}"
-            if layout.has_wrist
-            else "given beside the values"
-        )
-        facts["wrist pose"] = [where, *axes]
         facts["quaternions"] = getattr(layout.table, "quaternion", wrist.quaternion)
-    facts["not given"] = list(layout.table.missing)
-    facts["arrays in .npz"] = list(layout.table.arrays)
-    facts["sources"] = list(layout.table.sources)
-    return facts
+    return facts | {
+        "not given": [*layout.table.missing],
+        "arrays in .npz": [*layout.table.arrays],
+        "sources": [*layout.table.sources],
+    }

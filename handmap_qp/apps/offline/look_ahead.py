@@ -18,7 +18,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -135,24 +134,20 @@ def whittaker(
         The smoothed columns, shape (T, n).
     """
     # Imported when used: it takes a quarter of the start of a worker, and most look at the past.
-    from scipy.linalg import solveh_banded
+    from scipy.sparse import diags_array
+    from scipy.sparse.linalg import splu
 
     before = np.diff(time)[:-1]
     after = np.diff(time)[1:]
+    span = before + after
     # Second derivative by divided differences: rows of three factors over three samples.
-    first = 2.0 / (before * (before + after))
-    last = 2.0 / (after * (before + after))
-    factors = (first, -(first + last), last)
-    penalty = 0.5 * (before + after) * (2.0 * np.pi * cutoff) ** -4
+    factors = 2.0 / (before * span), -2.0 / (before * after), 2.0 / (after * span)
+    second = diags_array(factors, offsets=(0, 1, 2), shape=(len(span), len(time)))
+    penalty = diags_array(0.5 * span * (2.0 * np.pi * cutoff) ** -4)
     weights = weight * np.gradient(time)
-    bands = np.zeros((3, len(time)))
-    bands[2] = weights
-    for row, column in combinations_with_replacement(range(3), 2):
-        places = slice(column, len(time) - 2 + column)
-        bands[2 + row - column, places] += penalty * factors[row] * factors[column]
+    matrix = diags_array(weights) + second.T @ penalty @ second
     known = np.where(weight[:, None] > 0.0, values, 0.0)
-    right = weights[:, None] * known
-    return np.asarray(solveh_banded(bands, right, check_finite=False))
+    return splu(matrix.tocsc()).solve(weights[:, None] * known)
 
 
 def map_hand(
@@ -223,13 +218,16 @@ def _smoothed(
     palms[valid] = affine(turns, points.mean(axis=1))
     local[valid] = transform_points(inverse_pose(palms[valid]), seen)
     columns = local.reshape(len(time), -1)
-    weight = valid.astype(float)
-    inside = whittaker(time, columns, weight, options.cutoff)
+    inside = whittaker(time, columns, valid.astype(float), options.cutoff)
     poses = smooth_poses(time, palms, valid, options)
     return transform_points(poses, inside.reshape(local.shape))
 
 
-def _filled(time: np.ndarray, valid: np.ndarray, longest: float) -> np.ndarray:
+def _filled(
+    time: np.ndarray,
+    valid: np.ndarray,
+    longest: float,
+) -> np.ndarray:
     """Tell which samples are valid or in a gap that is filled, shape (T,)."""
     filled = valid.copy()
     for gap in stretches(~valid):

@@ -1,16 +1,19 @@
-"""What `handmap compare` measures: names, units and meaning of every metric."""
+"""What `handmap compare` measures: names, units and meaning of its metrics (`metrics.yaml`)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal, NamedTuple
+from itertools import chain
+from pathlib import Path
+from typing import Literal
 
+import msgspec
 import numpy as np
 
 Better = Literal["high", "low", "zero", "one"]
 
 
-class Metric(NamedTuple):
+class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number about how a robot follows a hand.
 
     Attributes:
@@ -21,6 +24,7 @@ class Metric(NamedTuple):
         about: What it says, in a few words.
         digits: Decimals to print.
         enough: Where `low` is better, values up to this are equally good.
+        in_short: Whether it is one of those that say most, for one table.
     """
 
     key: str
@@ -30,6 +34,7 @@ class Metric(NamedTuple):
     about: str
     digits: int = 2
     enough: float = 0.0
+    in_short: bool = False
 
     @property
     def label(self) -> str:
@@ -71,190 +76,12 @@ class Metric(NamedTuple):
         return costs[self.better]
 
 
-GROUPS: dict[str, tuple[Metric, ...]] = {
-    "Gestures": (
-        Metric(
-            "extension_correlation",
-            "ext. corr.",
-            "",
-            "high",
-            "correlation of finger extensions, weighted by the human's range",
-        ),
-        Metric(
-            "thumb_extension_correlation",
-            "thumb corr.",
-            "",
-            "high",
-            "the same of the thumb",
-        ),
-        Metric(
-            "extension_rms",
-            "ext. RMS",
-            "",
-            "low",
-            "RMS difference of extensions [reach]",
-            3,
-        ),
-        Metric(
-            "finger_direction_deg",
-            "finger dir.",
-            "deg",
-            "low",
-            "knuckle-to-tip directions",
-            1,
-        ),
-        Metric(
-            "wrist_direction_deg",
-            "wrist dir.",
-            "deg",
-            "low",
-            "wrist-to-tip directions",
-            1,
-        ),
-        Metric(
-            "tip_error_knuckles_mm",
-            "tips",
-            "mm",
-            "low",
-            "fingertips from the knuckles' centre",
-            1,
-        ),
-        Metric(
-            "tip_error_mm", "tips, palm", "mm", "low", "fingertips in the palm frame", 1
-        ),
-    ),
-    "Object and palm": (
-        Metric("object_rotation_deg", "obj. turn", "deg", "low", "rotation of T", 1),
-        Metric("object_stretch", "obj. stretch", "", "low", "log-stretch of T"),
-        Metric(
-            "object_translation_mm",
-            "obj. shift",
-            "mm",
-            "low",
-            "centroid displacement",
-            1,
-        ),
-        Metric("palm_deg", "palm", "deg", "low", "rotation of the palm", 1),
-        Metric("palm_mm", "palm", "mm", "low", "displacement of the palm", 1),
-    ),
-    "Pinches": (
-        Metric(
-            "pinch_closed",
-            "closed",
-            "",
-            "high",
-            "share of pinches with a gap below 3 mm",
-        ),
-        Metric(
-            "pinch_gap_mm",
-            "gap",
-            "mm",
-            "zero",
-            "median gap of surfaces in a pinch, negative where they overlap",
-            1,
-        ),
-        Metric("pinch_gap_p95_mm", "gap p95", "mm", "zero", "95th percentile of it", 1),
-        Metric(
-            "pinch_depth_mm",
-            "depth",
-            "mm",
-            "low",
-            "95th percentile of the penetration",
-            1,
-        ),
-        Metric(
-            "pinch_false",
-            "false",
-            "",
-            "low",
-            "share of open samples with surfaces touching",
-            4,
-        ),
-        Metric("pinch_order", "order", "", "high", "rank correlation of tip gaps"),
-    ),
-    "Motion": (
-        Metric("jerk_ratio", "jerk", "", "low", "RMS joint jerk over the human's"),
-        Metric(
-            "speed_ratio",
-            "speed",
-            "",
-            "low",
-            "largest joint speed over its limit",
-            enough=1.0,
-        ),
-        Metric(
-            "outside_limits",
-            "limits",
-            "",
-            "low",
-            "share of samples outside joint limits",
-        ),
-        Metric("latency_ms", "lag", "ms", "zero", "lag behind the human", 0),
-        Metric(
-            "self_penetration",
-            "penetr.",
-            "",
-            "low",
-            "share of samples deeper than 1 mm",
-            3,
-        ),
-    ),
-    "Key vectors (mimic)": (
-        Metric("key_cosine", "cosine", "", "high", "cosine of key vectors", 3),
-        Metric("key_angle_deg", "angle", "deg", "low", "angle of key vectors", 1),
-        Metric(
-            "key_scale", "scale", "", "one", "length of key vectors, robot over human"
-        ),
-        Metric(
-            "motion_preservation",
-            "motion",
-            "",
-            "high",
-            "cosine of tip displacements",
-            3,
-        ),
-        Metric(
-            "flatness_mm2",
-            "flat",
-            "mm2",
-            "low",
-            "second difference of tips, squared",
-            2,
-        ),
-        Metric(
-            "colliding", "coll.", "", "low", "share of samples in self-collision", 3
-        ),
-        Metric(
-            "workspace", "space", "", "high", "share of the reachable points used", 3
-        ),
-        Metric("step_time_ms", "time", "ms", "low", "CPU time of one sample", 2),
-    ),
-}
+GROUPS: dict[str, tuple[Metric, ...]] = msgspec.yaml.decode(
+    Path(__file__).with_suffix(".yaml").read_bytes(), type=dict[str, tuple[Metric, ...]]
+)
 """All metrics by subject: those of `fidelity`, then the eight of mimic_retargeter_lab."""
-METRICS: tuple[Metric, ...] = tuple(
-    metric for group in GROUPS.values() for metric in group
-)
+METRICS = (*chain.from_iterable(GROUPS.values()),)
 """The same in one row."""
-SUMMARY: tuple[str, ...] = (
-    "extension_correlation",
-    "thumb_extension_correlation",
-    "finger_direction_deg",
-    "tip_error_knuckles_mm",
-    "object_rotation_deg",
-    "object_translation_mm",
-    "pinch_closed",
-    "pinch_gap_p95_mm",
-    "pinch_depth_mm",
-    "pinch_false",
-    "pinch_order",
-    "jerk_ratio",
-    "speed_ratio",
-    "outside_limits",
-    "latency_ms",
-    "self_penetration",
-    "step_time_ms",
-)
-"""Keys of the metrics that say most, for one table."""
 
 
 def mean_values(rows: Sequence[dict[str, float]]) -> dict[str, float]:

@@ -13,7 +13,7 @@ import numpy as np
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
 from handmap_qp.human.recording import Recording
-from handmap_qp.se3 import as_floats
+from handmap_qp.se3 import as_floats, lengths
 
 STRAIGHT = 60.0
 """A finger whose bones turn by less than this from wrist to tip is straight [deg]."""
@@ -64,26 +64,23 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
         InvalidInputError: On a wrong shape.
     """
     points = as_floats(landmarks, "landmarks", shape=("T", 21, 3))
-    # Chains of wrist, MCP, PIP, DIP and tip, shape (T, 4, 5, 3).
-    wrist = points[:, 0]
-    fingers = points[:, 5:].reshape(-1, 4, 4, 3)
-    starts = np.broadcast_to(wrist[:, None, None], (len(points), 4, 1, 3))
-    bones = np.diff(np.concatenate([starts, fingers], axis=2), axis=2)
+    # Chains of wrist, MCP, PIP, DIP and tip.
+    chains = [[0, *range(first, first + 4)] for first in (5, 9, 13, 17)]
+    bones = np.diff(points[:, chains], axis=2)
     normal = np.cross(bones[:, 0, 0], bones[:, 3, 0])
     with np.errstate(invalid="ignore", divide="ignore"):
-        bones /= np.linalg.norm(bones, axis=3, keepdims=True)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        cosines = (bones[:, :, 1:] * bones[:, :, :-1]).sum(axis=3)
-        flexion = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).sum(axis=2)
+        bones /= lengths(bones)[..., None]
+        normal /= lengths(normal)[:, None]
+    cosines = (bones[:, :, 1:] * bones[:, :, :-1]).sum(axis=3)
+    flexion = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).sum(axis=2)
     # The turn about the normal from index to little finger: on both hands, the normal is such
     # that the little finger's side is the positive one.
-    index = bones[:, 0, 1]
-    little = bones[:, 3, 1]
+    index = np.cross(normal, bones[:, 0, 1])
+    little = np.cross(normal, bones[:, 3, 1])
     sine = (np.cross(index, little) * normal).sum(axis=1)
-    along = (index * normal).sum(axis=1) * (little * normal).sum(axis=1)
-    cosine = (index * little).sum(axis=1) - along
-    gaps = tip_gaps(points)
-    return Posture(flexion, gaps, np.degrees(np.arctan2(sine, cosine)))
+    cosine = (index * little).sum(axis=1)
+    spread = np.degrees(np.arctan2(sine, cosine))
+    return Posture(flexion, tip_gaps(points), spread)
 
 
 POSES = (
@@ -97,7 +94,7 @@ POSES = (
 
 
 def _scores(posture: Posture) -> dict[str, np.ndarray]:
-    """Return how clearly every sample shows each of `POSES`, shape (T,); NaN where it does not."""
+    """Return how clearly every sample shows each of `POSES`, shape (T,); 0 where it does not."""
     flexion, gaps, spread = posture
     most = flexion.max(axis=1)
     least = flexion.min(axis=1)
@@ -115,7 +112,7 @@ def _scores(posture: Posture) -> dict[str, np.ndarray]:
         apart = np.delete(gaps, finger, axis=1).min(axis=1) > gap + PINCH_LEAD
         is_pinch = (gap < PINCH_GAP) & apart & ~is_fist
         found[f"{FINGERS[1 + finger]} pinch"] = (is_pinch, PINCH_GAP - gap)
-    return {name: np.where(*shown, np.nan) for name, shown in found.items()}
+    return {name: np.where(*shown, 0.0) for name, shown in found.items()}
 
 
 def find_poses(recording: Recording) -> dict[str, int | None]:
@@ -159,21 +156,22 @@ def rank_poses(recording: Recording) -> dict[str, tuple[int, float] | None]:
     is_usable = recording.valid & (recording.time >= start)
     found: dict[str, tuple[int, float] | None] = {}
     for name, scores in _scores(posture).items():
-        held = _held(np.where(is_usable, scores, np.nan), recording.time)
-        best = None if np.isnan(held).all() else int(np.nanargmax(held))
-        found[name] = None if best is None else (best, float(held[best]))
+        held = _held(np.where(is_usable, scores, 0.0), recording.time)
+        best = int(np.argmax(held))
+        found[name] = (best, float(held[best])) if held[best] > 0.0 else None
     return found
 
 
 def _held(scores: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Lower each score to the least of the `HOLD` before it; NaN where the sample has none.
+    """Lower each score to the least of the `HOLD` before it; 0 where the sample has none.
 
-    Scores are positive. A pose that was not held throughout counts half.
+    A pose that was not held throughout counts half.
     """
-    held = np.full(len(scores), np.nan)
+    held = scores.copy()
     first = np.searchsorted(time, time - HOLD)
-    for i in np.flatnonzero(~np.isnan(scores)):
+    for i in np.flatnonzero(scores):
         before = scores[first[i] : i + 1]
-        is_held = not np.isnan(before).any() and time[i] - time[0] >= HOLD
-        held[i] = np.nanmin(before) * (1.0 if is_held else 0.5)
+        shown = before[before > 0.0]
+        is_held = len(shown) == len(before) and time[i] - time[0] >= HOLD
+        held[i] = shown.min() * (1.0 if is_held else 0.5)
     return held

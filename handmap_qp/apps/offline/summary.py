@@ -98,7 +98,6 @@ def notes(summary: dict[str, Any]) -> list[str]:
     """
     lines = []
     share = summary["speed_limited_share"]
-    arm = summary["arm_out_of_reach"]
     if share > SLOW_SHARE:
         joints = ", ".join(
             f"{row['joint']} ({row['limit']:.3g} per s)"
@@ -109,7 +108,7 @@ def notes(summary: dict[str, Any]) -> list[str]:
             f"{joints}: move more slowly, or give the robot's true limits in `limits` of its "
             "hand.yaml"
         )
-    if arm is not None:
+    if arm := summary["arm_out_of_reach"]:
         lines.append(
             f"the arm does not reach the motion of about {arm['motion_mm']:.0f} mm: the wrist is "
             f"up to {arm['error_mm']:.0f} mm off its target, in {100.0 * arm['share']:.0f} % of "
@@ -165,17 +164,16 @@ def _arm(trajectory: Trajectory) -> dict[str, float] | None:
     got.
     """
     robot = trajectory.robot
-    seen = trajectory.valid
-    if robot.is_floating or not robot.has_moving_wrist or not seen.any():
-        return None
-    places = trajectory.wrist[seen, :3, 3]
-    errors = trajectory.wrist_error[seen]
+    places = trajectory.wrist[trajectory.valid, :3, 3]
+    errors = trajectory.wrist_error[trajectory.valid]
     late = errors > _WRIST_OFF
-    if not late.mean() > _LATE_SHARE:
+    is_on_arm = robot.has_moving_wrist and not robot.is_floating
+    # Without a sample that was followed, the mean is NaN.
+    if not (is_on_arm and late.any() and late.mean() > _LATE_SHARE):
         return None
     moved = lengths(places - places[0])
-    wanted = np.maximum(moved + errors, 1e-6)
-    scale = float((moved[late] / wanted[late]).min())
+    wanted = moved + errors
+    scale = (moved[late] / wanted[late]).min()
     return {
         "share": float(late.mean()),
         "error_mm": 1e3 * float(errors.max()),

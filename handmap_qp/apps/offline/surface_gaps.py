@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.apps.offline.hand_trace import fingers_of
 from handmap_qp.hands.collision_shapes import read_collision_shapes
-from handmap_qp.hands.fingers import Finger, find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.shape_pairs import all_pairs, distal_shapes, pair_distances
@@ -35,9 +35,7 @@ class SurfaceGaps(NamedTuple):
     nearest: np.ndarray
 
 
-def measure_gaps(
-    hand: Hand, q: np.ndarray, chains: dict[str, Finger] | None = None
-) -> SurfaceGaps:
+def measure_gaps(hand: Hand, q: np.ndarray) -> SurfaceGaps:
     """Measure a robot's gaps from the collision shapes of its URDF; meshes are their convex hulls.
 
     Pairs of shapes on one joint, on neighbouring joints, or that overlap at rest or with the hand
@@ -46,7 +44,6 @@ def measure_gaps(
     Args:
         hand: The robot hand.
         q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
-        chains: Its fingers, if they have been found before.
 
     Returns:
         The gaps. Fingers whose distal links have no shapes are left out.
@@ -54,7 +51,7 @@ def measure_gaps(
     Raises:
         HandError: If a shape cannot be read.
     """
-    meter = GapMeter(hand, chains)
+    meter = GapMeter(hand)
     return SurfaceGaps(meter.pinches(q), meter.nearest(q))
 
 
@@ -65,21 +62,19 @@ class GapMeter:
 
     Args:
         hand: The robot hand.
-        chains: Its fingers, if they have been found before.
 
     Raises:
         HandError: If a shape cannot be read.
     """
 
-    def __init__(self, hand: Hand, chains: dict[str, Finger] | None = None) -> None:
+    def __init__(self, hand: Hand) -> None:
         self._hand = hand
-        self._chains = chains or find_fingers(hand)
         self._geometry = read_collision_shapes(hand)
         # First pair of each finger that pinches.
         self._groups: dict[str, int] = {}
         shapes = {
             finger: distal_shapes(chain, self._geometry)
-            for finger, chain in self._chains.items()
+            for finger, chain in fingers_of(hand).items()
         }
         thumb = shapes.pop(THUMB, [])
         for finger, others in shapes.items():
@@ -111,7 +106,7 @@ class GapMeter:
 
     @cached_property
     def _colliding(self) -> pin.GeometryModel:
-        return all_pairs(self._hand, self._chains).geometry
+        return all_pairs(self._hand, fingers_of(self._hand)).geometry
 
     def _smallest(
         self,

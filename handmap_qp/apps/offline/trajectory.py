@@ -77,10 +77,9 @@ class Trajectory:
     @property
     def limit_violation(self) -> float:
         """Largest excess over a position limit [rad or m]; 0 if all limits hold."""
-        outside = np.maximum(
-            self.robot.lower_limits - self.q, self.q - self.robot.upper_limits
-        )
-        return max(0.0, float(outside.max()))
+        robot = self.robot
+        outside = np.maximum(robot.lower_limits - self.q, self.q - robot.upper_limits)
+        return float(outside.max(initial=0.0))
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -188,13 +187,14 @@ def trajectory_of(
     return _trajectory(robot, time, table)
 
 
-def _trajectory(robot: Hand, time: np.ndarray, table: StepTable) -> Trajectory:
+def _trajectory(
+    robot: Hand,
+    time: np.ndarray,
+    table: StepTable,
+) -> Trajectory:
     """Fill the samples without a step, and measure; see `trajectory_of`."""
-    *judged, is_held, consistency, confidence, step_cpu = table.columns[6:]
-    status, rule = (
-        np.array(names)[column.astype(int)]
-        for names, column in zip((STATUS_NAMES, RULE_NAMES), judged, strict=True)
-    )
+    status, rule, is_held, consistency, confidence, step_cpu = table.columns[6:]
+    rule = np.array(RULE_NAMES)[rule.astype(int)]
     is_held = is_held > 0.0
     if is_held.all():
         raise _nothing_followed(rule.tolist())
@@ -217,7 +217,7 @@ def _trajectory(robot: Hand, time: np.ndarray, table: StepTable) -> Trajectory:
         valid=~is_held,
         at_limit=at_limit,
         at_speed_limit=(at_bound > 0.0) & ~at_limit & ~is_held[:, None],
-        status=status,
+        status=np.array(STATUS_NAMES)[status.astype(int)],
         step_cpu=np.where(is_held, np.nan, step_cpu),
         rule=rule,
         consistency=consistency,

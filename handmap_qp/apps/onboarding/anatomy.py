@@ -146,7 +146,10 @@ class _Evidence:
     """
 
     def __init__(
-        self, flexion: HandFlexion, names: list[list[str]], thumb: int | None
+        self,
+        flexion: HandFlexion,
+        names: list[list[str]],
+        thumb: int | None,
     ) -> None:
         self.flexion = flexion
         self.names = names
@@ -163,7 +166,7 @@ class _Evidence:
     def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:
         """Find the finger that differs from the others, or that the names call a thumb."""
         names = self.names
-        count = len(self.names)
+        count = len(names)
         if given is not None:
             return given, Clue("thumb", names[given][-1], "as given", 1.0)
         if count < 2:
@@ -171,15 +174,13 @@ class _Evidence:
         parts = _differences(self.flexion)
         # A different number of joints counts, but less than any of the others; a name counts as
         # much as a clear margin.
-        sizes = np.array([len(one) for one in names])
-        is_named = np.array([label == "thumb" for label in self.labels])
+        sizes = np.array([*map(len, names)])
+        is_named = np.array(self.labels) == "thumb"
         scores = _stands_out(0.5 * sum(parts) + 0.15 * (sizes[:, None] != sizes))
         scores += _CLEAR * is_named
         best = int(np.argmax(scores))
-        ranked = np.sort(scores)
-        margin = (
-            float(ranked[-1] - ranked[-2]) if count > 2 else _CLEAR * is_named.sum()
-        )
+        lead = np.diff(np.sort(scores))[-1]
+        margin = lead if count > 2 else _CLEAR * is_named.sum()
         peaks = [_stands_out(part) for part in parts]
         agreeing = is_named[best] + sum(
             np.argmax(peak) == best and max(peak) > _VISIBLE for peak in peaks
@@ -191,7 +192,7 @@ class _Evidence:
             sure = 0.3
             best = best if margin > 1e-6 else 0
         elif is_named.any() and not is_named[best]:
-            how = f"{how}; the names suggest another finger"
+            how += "; the names suggest another finger"
             sure = _DISPUTED
         return best, Clue("thumb", names[best][-1], how, sure)
 
@@ -200,11 +201,10 @@ class _Evidence:
         flexion = self.flexion
         axis = self.axis
         # Two jaws lean to opposite sides: take the middle of both.
-        count = len(flexion.bases)
-        chosen = self.rest if count > 2 else [*range(count)]
+        chosen = self.rest if len(flexion.bases) > 2 else slice(None)
         mean = flexion.directions[chosen].mean(axis=0)
         knuckles = flexion.bases[chosen]
-        agreement = float(lengths(mean))
+        agreement = lengths(mean)
         if agreement < 0.2:
             mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
         if lengths(_beside(mean, axis)) > 0.2:
@@ -214,12 +214,12 @@ class _Evidence:
         if agreement <= _AGREED:
             return self._unless_opposed(_Found(mean, how, 0.4))
         confidence = _LIKELY
-        row = _widest(knuckles) if len(chosen) > 2 and axis.any() else mean
+        row = _widest(knuckles) if len(knuckles) > 2 and axis.any() else mean
         if angle_between(mean, knuckles.mean(axis=0)) < _AGREEING:
-            how = f"{how}; the knuckles lie in this direction from the palm's origin"
+            how += "; the knuckles lie in this direction from the palm's origin"
             confidence = _CERTAIN
         elif abs(mean @ row) < np.sin(np.radians(_AGREEING)):
-            how = f"{how}; at right angles to the row of the knuckles"
+            how += "; at right angles to the row of the knuckles"
             confidence = _CERTAIN
         return self._unless_opposed(_Found(mean, how, confidence))
 
@@ -232,17 +232,16 @@ class _Evidence:
             return distal
         if self.flexion.directions[self.thumb] @ distal.direction >= _OPPOSED:
             return distal
-        what = "the thumb points the other way: the palm's direction may be better"
-        return distal._replace(how=f"{distal.how}; {what}", confidence=_DISPUTED)
+        how = f"{distal.how}; the thumb points the other way: the palm's direction may be better"
+        return distal._replace(how=how, confidence=_DISPUTED)
 
     def find_dorsal(self, distal: _Found) -> _Found:
         """Find the back of the hand: opposite to the way in which the fingertips flex."""
         flexion = self.flexion
         rest = self.rest
-        thumb = self.thumb
         ahead = distal.direction
         mean = flexion.ways[rest].mean(axis=0)
-        agreement = float(lengths(mean))
+        agreement = lengths(mean)
         palmar = _beside(mean, ahead)
         how = f"opposite to the fingertips' motion in flexion (agreement {agreement:.2f} of 1)"
         sign = float(np.median(flexion.certainty[rest]))
@@ -250,8 +249,9 @@ class _Evidence:
         if abs(palmar @ upright) > 0.2:
             # The axes of flexion are exact; the way of the tips depends on the posture.
             palmar = np.sign(palmar @ upright) * upright
-        if lengths(palmar) < 0.2 and thumb is not None:
-            to_thumb = flexion.tips_open[thumb] - flexion.tips_open[rest].mean(axis=0)
+        if lengths(palmar) < 0.2 and self.thumb is not None:
+            tips = flexion.tips_open
+            to_thumb = tips[self.thumb] - tips[rest].mean(axis=0)
             palmar = _beside(to_thumb, ahead)
             sign = 0.5
             how = "away from the thumb, because the other fingertips flex in different directions"
@@ -288,11 +288,10 @@ class _Evidence:
         """Return how far before the knuckles the thumb closes, in lengths of the fingers."""
         flexion = self.flexion
         thumb = self.thumb
-        rest = self.rest
         if thumb is None or flexion.certainty[thumb] <= 0.6:
             return 0.0
-        before = flexion.bases[rest].mean(axis=0) - flexion.tips_closed[thumb]
-        return float(before @ dorsal / flexion.reach[rest].mean())
+        before = flexion.bases[self.rest].mean(axis=0) - flexion.tips_closed[thumb]
+        return float(before @ dorsal / flexion.reach[self.rest].mean())
 
     def find_radial(self, across: np.ndarray) -> _Found:
         """Find the thumb's side of the palm: by its place, or by the other fingers' names.
@@ -302,25 +301,22 @@ class _Evidence:
         """
         place, is_outside = self._thumb_place(across)
         bases = {self.labels[i]: self.flexion.bases[i] @ across for i in self.rest}
-        steps = np.diff([bases[label] for label in FINGERS if label in bases])
-        named = 0.0
-        if len(steps) and abs(np.sign(steps).sum()) == len(steps):
-            is_apart = np.abs(steps).min() > 0.5 * _NARROW
-            named = -np.sign(steps[0]) * is_apart
+        steps = -np.diff([bases[label] for label in FINGERS if label in bases])
+        # Names count if all steps are to one side, and none is too small to tell.
+        named = np.sign(steps.sum())
+        if not (named * steps > 0.5 * _NARROW).all():
+            named = 0.0
         if not place and not named:
             return _Found(across, "", 0.0)
         how = "the thumb's place"
-        confidence = _LIKELY if abs(place) > _CLEAR else 0.65
+        is_clear = abs(place) > _CLEAR
+        confidence = _CERTAIN if is_outside else _LIKELY if is_clear else 0.65
         if named * place > 0.0:
             how = "the thumb's place and the fingers' names"
             confidence = _CERTAIN
-        elif named and abs(place) < _CLEAR:
-            how = "the fingers' names"
-            confidence = _LIKELY
         elif named:
-            confidence = _DISPUTED
-        elif is_outside:
-            confidence = _CERTAIN
+            how = how if is_clear else "the fingers' names"
+            confidence = _DISPUTED if is_clear else _LIKELY
         # Names count as much as a clear place.
         return _Found(np.sign(place + _CLEAR * named) * across, how, confidence)
 
@@ -335,13 +331,11 @@ class _Evidence:
         if thumb is None or len(rest) < 2:
             return 0.0, False
         row = flexion.bases[rest] @ across
-        least = 0.25 * float(flexion.reach[rest].mean())
-        width = max(float(np.ptp(row)) / 2.0, least)
+        width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[rest].mean())
         ends = np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
         ends = (ends - row.mean()) / width
-        place = float(ends.mean())
-        is_far = abs(place) > 2.0 * _CLEAR
-        is_outside = is_far and bool((ends * place > 0.0).all())
+        place = ends.mean()
+        is_outside = abs(place) > 2.0 * _CLEAR and (ends * place > 0.0).all()
         return place if abs(place) > _VISIBLE else 0.0, is_outside
 
     def name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
@@ -360,22 +354,20 @@ class _Evidence:
             # Nothing is left to choose but the thumb.
             confidence = max(confidence, min(0.9, sure))
         called = [*FINGERS, *(f"finger{k}" for k in range(6, 6 + len(order)))]
-        own = [label for label in FINGERS if label in labels]
-        by_name = [labels.index(label) for label in own]
+        own = {labels.index(label): label for label in FINGERS if label in labels}
+        named = dict(zip(order, called, strict=False))
         if 0 < len(order) == len(own):
-            if by_name == order:
-                how = f"{how}; the names agree"
-                called = own
+            if [*own] == order:
+                how += "; the names agree"
+                named = own
                 confidence = _CERTAIN if sure >= _LIKELY else _LIKELY
             elif apart < 2.0 * _NARROW or confidence < _LIKELY:
                 how = "from the names; their places are ambiguous"
-                called = own
-                order = by_name
+                named = own
                 confidence = _LIKELY
             else:
-                how = f"{how}; the names say {', '.join(own)}"
+                how += f"; the names say {', '.join(own.values())}"
                 confidence = min(confidence, _DISPUTED)
-        named = dict(zip(order, called, strict=False))
         if self.thumb is not None:
             named = {self.thumb: "thumb", **named}
         return named, Clue("fingers", ", ".join(named.values()), how, confidence)
@@ -422,12 +414,12 @@ def _find_side(
     source = "as given" if given else "from the names"
     declared = given or named
     if radial.confidence == 0.0:
-        if declared is None:
-            return dorsal, Clue(
-                "side", "right", "undetermined; right by convention", 0.2
-            )
         how = f"{source}; the thumb is in the middle"
-        return dorsal, Clue("side", declared, how, 1.0 if given else 0.65)
+        sure = 1.0 if given else 0.65
+        if declared is None:
+            how = "undetermined; right by convention"
+            sure = 0.2
+        return dorsal, Clue("side", declared or "right", how, sure)
     is_right = radial.direction @ np.cross(distal.direction, dorsal.direction) < 0.0
     found, place = ("right", "left") if is_right else ("left", "right")
     seen = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
@@ -457,8 +449,8 @@ def _confirmed(dorsal: _Found) -> _Found:
     if dorsal.sign <= 0.05:
         return dorsal
     is_likely = dorsal.sign > 0.6 and dorsal.confidence >= _LIKELY
-    least = max(dorsal.confidence, _CERTAIN if is_likely else _LIKELY)
-    return dorsal._replace(how=f"{dorsal.how}; the side agrees", confidence=least)
+    sure = max(dorsal.confidence, _CERTAIN if is_likely else _LIKELY)
+    return dorsal._replace(how=f"{dorsal.how}; the side agrees", confidence=sure)
 
 
 # -- geometry
@@ -497,10 +489,9 @@ def _snapped(
     if angle < _SNAP:
         return ahead
     if knuckles is not None and axis is not None and angle < _SNAP_WITH_PALM:
-        lateral = np.delete(np.abs(axis), nearest).max() > np.cos(
-            np.radians(_SNAP_AXIS)
-        )
-        if lateral and angle_between(_beside(knuckles, axis), ahead) < angle:
+        lateral = np.delete(np.abs(axis), nearest).max()
+        is_lateral = lateral > np.cos(np.radians(_SNAP_AXIS))
+        if is_lateral and angle_between(_beside(knuckles, axis), ahead) < angle:
             return ahead
     return unit(direction)
 
@@ -509,4 +500,4 @@ def _shown(direction: np.ndarray) -> str:
     nearest = int(np.argmax(np.abs(direction)))
     if abs(direction[nearest]) > 0.9999:
         return f"{'+' if direction[nearest] > 0 else '-'}{'xyz'[nearest]}"
-    return "[" + ", ".join(f"{value:.3f}" for value in direction) + "]"
+    return f"[{', '.join(f'{value:.3f}' for value in direction)}]"

@@ -1,7 +1,7 @@
 """Check a `hand.yaml`: `check_hand` reports findings and advice, and tables of what was measured.
 
 The checks close a fist and pinch, compare the description with a detection, look for files, and map
-a motion. Each yields its findings, and may add a table.
+a motion. Each yields its findings, and may yield tables.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import zip_longest
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -99,6 +99,9 @@ class Finding(NamedTuple):
 
 
 Findings = Iterator[Finding]
+Measures = Iterator[Finding | tuple[str, list[dict[str, Any]]]]
+"""Findings, and tables: a title and rows."""
+warning, advice, fine = (partial(Finding, level) for level in LEVELS[1:])
 
 
 @dataclass(eq=False)
@@ -166,16 +169,19 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
         report.measured["Joints"] = _joint_rows(built)
         for check in _CHECKS[: None if has_motion else -1]:
             try:
-                report.findings += check(built, report.measured)
+                for found in check(built):
+                    if isinstance(found, Finding):
+                        report.findings.append(found)
+                    else:
+                        report.measured |= dict([found])
             except HandmapError as error:
                 where = getattr(error, "key", None) or "hand"
-                what = f"not checked: {error}"
-                report.findings.append(Finding("advice", where, what))
-    if not {"error", "warning"} & {finding.level for finding in report.findings}:
+                report.findings.append(advice(where, f"not checked: {error}"))
+    if "warning" not in {finding.level for finding in report.findings}:
         what = (
             "no contradiction between description, names, limits, shapes and gestures"
         )
-        report.findings.append(Finding("fine", "", what))
+        report.findings.append(fine("", what))
     report.measured = {title: rows for title, rows in report.measured.items() if rows}
     report.findings.sort(key=lambda finding: LEVELS.index(finding.level))
     return report
@@ -183,28 +189,24 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
 
 def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
     """Return a row per joint of the URDF: role, limits of active joints, rest angle."""
-    limits = (hand.lower_limits, hand.upper_limits, hand.velocity_limits)
-    own = [
-        (f"[{lower:.3g}, {upper:.3g}]", f"{speed:.3g}")
-        for lower, upper, speed in zip(*limits, strict=True)
-    ]
     rest = hand.all_joints(hand.rest).tolist()
-    every = (hand.all_joint_names, hand.all_joint_roles, rest, own)
-    return [
-        {"joint": joint, "role": role, "limits": limit, "speed": speed, "rest": angle}
-        for joint, role, angle, (limit, speed) in zip_longest(
-            *every, fillvalue=("", "")
+    rows = [
+        {"joint": joint, "role": role, "limits": "", "speed": "", "rest": angle}
+        for joint, role, angle in zip(
+            hand.all_joint_names, hand.all_joint_roles, rest, strict=True
         )
     ]
+    limits = (hand.lower_limits, hand.upper_limits, hand.velocity_limits)
+    # Followers come last.
+    for row, lower, upper, speed in zip(rows, *limits, strict=False):
+        row.update(limits=f"[{lower:.3g}, {upper:.3g}]", speed=f"{speed:.3g}")
+    return rows
 
 
-def _check_joints(hand: Hand, tables: Tables) -> Findings:
+def _check_joints(hand: Hand) -> Findings:
     """Check limits, rest angles, speeds and followers."""
-    for note in hand.notes:
-        change = (
-            "correct the URDF, or give the rule in `mimic` or the limits in `limits`"
-        )
-        yield Finding("warning", "mimic", note, change)
+    change = "correct the URDF, or give the rule in `mimic` or the limits in `limits`"
+    yield from (warning("mimic", note, change) for note in hand.notes)
     columns = (hand.rest, hand.lower_limits, hand.upper_limits, hand.velocity_limits)
     for joint, rest, lower, upper, speed in zip(
         hand.joint_names, *columns, strict=True
@@ -212,16 +214,16 @@ def _check_joints(hand: Hand, tables: Tables) -> Findings:
         width = upper - lower
         if min(rest - lower, upper - rest) < 0.01 * width:
             what = "rests at its limit, so it can move in one direction only"
-            yield Finding("advice", f"rest.{joint}", what, "move it inwards")
+            yield advice(f"rest.{joint}", what, "move it inwards")
         if width < 0.002:
             what = f"{joint} has a range of {width:.2g}"
-            yield Finding("warning", "limits", what, "give its true limits, or lock it")
+            yield warning("limits", what, "give its true limits, or lock it")
         if not 0.02 <= speed <= 60.0:
             what = f"a speed of {speed:.3g} per second is unusual"
-            yield Finding("advice", f"limits.{joint}", what, "check its unit")
+            yield advice(f"limits.{joint}", what, "check its unit")
 
 
-def _check_ranges(hand: Hand, tables: Tables) -> Findings:
+def _check_ranges(hand: Hand) -> Findings:
     """Find ranges in degrees or millimetres; joints of an arm may turn twice."""
     width = np.where(moves_wrist(hand), 0.0, hand.upper_limits - hand.lower_limits)
     joints = [hand.model.getJointId(joint) for joint in hand.joint_names]
@@ -232,33 +234,32 @@ def _check_ranges(hand: Hand, tables: Tables) -> Findings:
     ):
         wide = np.flatnonzero((width > largest) & kind)
         if len(wide):
-            count = (
+            have = (
                 f"{len(wide)} joints have ranges" if len(wide) > 1 else "it has a range"
             )
-            what = f"{count} of up to {width[wide].max():.3g}: in {unit}?"
+            what = f"{have} of up to {width[wide].max():.3g}: in {unit}?"
             where = f"limits.{hand.joint_names[wide[0]]}"
-            yield Finding("warning", where, what, "give limits in rad and m")
+            yield warning(where, what, "give limits in rad and m")
 
 
-def _check_speeds(hand: Hand, tables: Tables) -> Findings:
+def _check_speeds(hand: Hand) -> Findings:
     """Find joints of the fingers that are too slow for a fist in half a second."""
     stretched = zero_posture(hand)
     travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
     times[moves_wrist(hand)] = 0.0
     worst = int(np.argmax(times))
-    count = int((times > _FIST_TIME).sum())
-    if count:
+    if count := int((times > _FIST_TIME).sum()):
         what = (
             f"{count} {'joints are' if count > 1 else 'joint is'} too slow for a fist in half a "
             f"second; at {hand.velocity_limits[worst]:.3g} per second this one needs "
             f"{times[worst]:.2g} s"
         )
         change = "give the true speeds in `limits`, or move more slowly than people do"
-        yield Finding("advice", f"limits.{hand.joint_names[worst]}", what, change)
+        yield advice(f"limits.{hand.joint_names[worst]}", what, change)
 
 
-def _check_followers(hand: Hand, tables: Tables) -> Findings:
+def _check_followers(hand: Hand) -> Findings:
     followers = hand.all_joint_roles.count("follower")
     if not followers:
         return
@@ -266,17 +267,17 @@ def _check_followers(hand: Hand, tables: Tables) -> Findings:
     at = [plain.idx_qs[plain.getJointId(joint)] for joint in hand.joint_names]
     limits = (plain.lowerPositionLimit[at], plain.upperPositionLimit[at])
     own = (hand.lower_limits, hand.upper_limits)
-    for joint, *ends in zip(hand.joint_names, *limits, *own, strict=True):
-        lower, upper, low, high = ends
+    for joint, lower, upper, low, high in zip(
+        hand.joint_names, *limits, *own, strict=True
+    ):
         if max(low - lower, upper - high) > 0.005 * (upper - lower):
-            now = f"[{low:.3g}, {high:.3g}]"
-            what = f"its followers narrow [{lower:.3g}, {upper:.3g}] to {now}"
-            yield Finding("fine", f"limits.{joint}", what)
+            what = f"its followers narrow [{lower:.3g}, {upper:.3g}] to [{low:.3g}, {high:.3g}]"
+            yield fine(f"limits.{joint}", what)
     within = "" if hand.notes else ", within their own limits"
-    yield Finding("fine", "mimic", f"{followers} joints follow others{within}")
+    yield fine("mimic", f"{followers} joints follow others{within}")
 
 
-def _check_points(hand: Hand, tables: Tables) -> Findings:
+def _check_points(hand: Hand) -> Findings:
     """Check partners, places and weights of the reference points."""
     points = hand.points(hand.rest)
     names = {point.name for point in load_hand("human").spec.points}
@@ -285,20 +286,20 @@ def _check_points(hand: Hand, tables: Tables) -> Findings:
         where = f"points.{point.name}"
         if partners[i] not in names:
             what = f"the human hand has no point {partners[i]!r}"
-            yield Finding("advice", where, what, "name a partner")
+            yield advice(where, what, "name a partner")
         for j in np.flatnonzero(lengths(points[:i] - points[i]) < 1e-3):
             what = f"lies on {hand.reference_points[j].name}"
-            yield Finding("warning", where, what, "one of them will do")
+            yield warning(where, what, "one of them will do")
     ratio = hand.point_weights.max() / hand.point_weights.min()
     if ratio > 100.0:
         what = f"weights are {ratio:.0f}-fold apart"
-        yield Finding("advice", "points.weight", what, "stay within 100")
+        yield advice("points.weight", what, "stay within 100")
     if len(points) < 3:
         what = f"{len(points)} points leave some of the hand's motion open"
-        yield Finding("advice", "sets", what, "add points of the same links")
+        yield advice("sets", what, "add points of the same links")
 
 
-def _check_places(hand: Hand, tables: Tables) -> Findings:
+def _check_places(hand: Hand) -> Findings:
     """Find reference points far outside the shape of their body."""
     try:
         robot = Robot(hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link)
@@ -308,36 +309,31 @@ def _check_places(hand: Hand, tables: Tables) -> Findings:
         if point.link not in robot.frames:
             continue
         body, place = robot.place_of(point.link, np.array(point.xyz))
-        cloud = robot.surface(body)
-        if not len(cloud):
+        if not len(cloud := robot.surface(body)):
             continue
-        outside = np.maximum(cloud.min(axis=0) - place, place - cloud.max(axis=0))
-        distance = float(lengths(np.maximum(outside, 0.0)))
+        distance = lengths(place - place.clip(cloud.min(axis=0), cloud.max(axis=0)))
         if distance > _OFF_THE_LINK:
             what = f"lies {1e3 * distance:.0f} mm outside the shape of {point.link}"
             change = "check its xyz, in metres in that link's frame"
-            yield Finding("warning", f"points.{point.name}", what, change)
+            yield warning(f"points.{point.name}", what, change)
 
 
-def _check_meshes(hand: Hand, tables: Tables) -> Findings:
+def _check_meshes(hand: Hand) -> Findings:
     robot = parse_with_meshes(hand)
     for tag, use in (
         ("collision", "self-collision and pinches"),
         ("visual", "pictures"),
     ):
         meshes = (mesh for shape in robot.iter(tag) for mesh in shape.iter("mesh"))
-        names = dict.fromkeys(mesh.get("filename", "") for mesh in meshes)
-        missing = [name for name in names if not Path(name).is_file()]
-        if missing:
-            shown = _listed([Path(name).name for name in missing])
-            what = f"{len(missing)} of {len(names)} {tag} meshes are missing: {shown}; "
-            change = (
-                f"put them where the URDF looks for them: {Path(missing[0]).parent}"
-            )
-            yield Finding("warning", "urdf", f"{what}{use} do without them", change)
+        files = {Path(mesh.get("filename", "")): None for mesh in meshes}
+        if missing := [file for file in files if not file.is_file()]:
+            shown = _listed([file.name for file in missing])
+            what = f"{len(missing)} of {len(files)} {tag} meshes are missing: {shown}; "
+            change = f"put them where the URDF looks for them: {missing[0].parent}"
+            yield warning("urdf", f"{what}{use} do without them", change)
 
 
-def _check_wrist(hand: Hand, tables: Tables) -> Findings:
+def _check_wrist(hand: Hand) -> Findings:
     """Find actuated wrist joints that the description leaves out."""
     spec = hand.spec
     is_on_arm = hand.has_moving_wrist and not hand.is_floating
@@ -347,54 +343,49 @@ def _check_wrist(hand: Hand, tables: Tables) -> Findings:
     joints, base = left_out_wrist(robot, spec.root)
     if joints:
         what = f"wrist joints are left out: {joints}"
-        yield Finding(
-            "advice", "root", what, f"keep them with `hands init --base {base}`"
-        )
+        yield advice("root", what, f"keep them with `hands init --base {base}`")
 
 
-def _check_order(hand: Hand, tables: Tables) -> Findings:
+def _check_order(hand: Hand) -> Findings:
     """Compare the row of the knuckles with the side: thumb and index are at the radial edge."""
     chains = find_fingers(hand)
     row = [chains[finger].knuckle for finger in FINGERS if finger in chains]
     places = PalmKinematics(hand).points(zero_posture(hand), row).reshape(-1, 3)
     is_back = np.diff(places[:, 0]) * (-1.0 if hand.side == "right" else 1.0) > _NARROW
     if len(is_back) and is_back.all():
-        row = "fingers run from little to index, seen from the thumb's side"
-        what = f"the {hand.side} hand's {row}"
-        yield Finding(
-            "warning", "side", what, "change side, or the sign of palm.dorsal"
+        what = (
+            f"the {hand.side} hand's fingers run from little to index, "
+            "seen from the thumb's side"
         )
+        yield warning("side", what, "change side, or the sign of palm.dorsal")
     elif is_back.any():
         what = "the fingers are not in the order of their knuckles"
-        yield Finding("warning", "points", what, "rename them")
+        yield warning("points", what, "rename them")
 
 
-def _check_fist(hand: Hand, tables: Tables) -> Findings:
+def _check_fist(hand: Hand) -> Findings:
     """Close the fingers: their tips must go to the palm, about an axis across it."""
-    fist = make_fist(hand)
-    if fist is None:
+    if (fist := make_fist(hand)) is None:
         return
     across = f"{fist.across_deg:.0f} degrees off"
     if fist.across_deg > 180.0 - _ACROSS:
         what = "a fist brings the fingertips to the back of the hand"
-        yield Finding(
-            "warning", "palm.dorsal", what, "turn dorsal over, or change side"
-        )
+        yield warning("palm.dorsal", what, "turn dorsal over, or change side")
     elif fist.across_deg > _ACROSS:
         what = f"the fingers close about an axis {across} the palm's x axis"
-        yield Finding("warning", "palm.dorsal", what, "correct distal and dorsal")
+        yield warning("palm.dorsal", what, "correct distal and dorsal")
     elif fist.distal_deg > _DISTAL:
         what = f"the straight fingers point {fist.distal_deg:.0f} degrees off it"
-        yield Finding("warning", "palm.distal", what, "correct distal")
+        yield warning("palm.distal", what, "correct distal")
     else:
         what = f"{len(fist.fingers)} fingers close to the palm, {across} its x axis"
-        yield Finding("fine", "palm", what)
+        yield fine("palm", what)
 
 
-def _check_opposition(hand: Hand, tables: Tables) -> Findings:
+def _check_opposition(hand: Hand) -> Measures:
     """Find which fingers the thumb can touch."""
     fingers = find_fingers(hand)
-    tables["Pads"] = [
+    pads = [
         {
             "finger": finger,
             "on the link of": hand.model.names[pad.joint],
@@ -403,33 +394,29 @@ def _check_opposition(hand: Hand, tables: Tables) -> Findings:
         }
         for finger, pad in fingertip_pads(hand, fingers).items()
     ]
+    yield "Pads", pads
     pinches = measure_pinches(hand)
-    tables["Pinches"] = msgspec.to_builtins(pinches)
+    yield "Pinches", msgspec.to_builtins(pinches)
     touched = [pinch.finger for pinch in pinches if pinch.touch == "yes"]
     if THUMB not in fingers:
-        yield Finding(
-            "advice", "points", "no point is on a thumb: pinches are not mapped"
-        )
+        yield advice("points", "no point is on a thumb: pinches are not mapped")
     elif touched:
-        yield Finding("fine", "points", f"the thumb can touch {', '.join(touched)}")
+        yield fine("points", f"the thumb can touch {', '.join(touched)}")
     elif pinches:
-        nearest = min(pinches, key=lambda pinch: pinch.gap)
-        gap = f"{nearest.gap:.0f} mm away"
-        what = f"the thumb touches no finger; nearest is the {nearest.finger}, {gap}"
-        level: Level = "warning" if nearest.gap > _OPPOSING else "advice"
-        yield Finding(
-            level, "points", what, "check the thumb, the tips, and the limits"
-        )
+        near = min(pinches, key=lambda pinch: pinch.gap)
+        what = f"the thumb touches no finger; nearest is the {near.finger}, {near.gap:.0f} mm away"
+        finding = warning if near.gap > _OPPOSING else advice
+        yield finding("points", what, "check the thumb, the tips, and the limits")
 
 
-def _compare_detection(hand: Hand, tables: Tables) -> Findings:
+def _compare_detection(hand: Hand) -> Findings:
     """Compare the description with a detection from the URDF."""
     try:
         found = detect_text(
             hand.urdf_text, urdf_path(hand.spec), root=hand.spec.wrist.link
         )
     except HandError as error:
-        yield Finding("advice", "palm", f"not compared with the URDF: {error.problem}")
+        yield advice("palm", f"not compared with the URDF: {error.problem}")
         return
     clues = {clue.what: clue for clue in found.clues}
     yield from _compare_axes(hand, found.spec, clues)
@@ -438,10 +425,14 @@ def _compare_detection(hand: Hand, tables: Tables) -> Findings:
         yield from _compare_fingers(hand, found.chains)
     elif side != hand.side and clues["side"].confidence > _SURE:
         what = f"{clues['side'].how}: a {side} hand"
-        yield Finding("warning", "side", what, f"side: {side}")
+        yield warning("side", what, f"side: {side}")
 
 
-def _compare_axes(hand: Hand, found: HandSpec, clues: dict[str, Clue]) -> Findings:
+def _compare_axes(
+    hand: Hand,
+    found: HandSpec,
+    clues: dict[str, Clue],
+) -> Findings:
     """Find axes of the palm that point elsewhere than the detected ones."""
     links = [hand.spec.palm.link, found.palm.link]
     own, theirs = hand.link_poses(links, hand.rest)[:, :3, :3]
@@ -451,9 +442,9 @@ def _compare_axes(hand: Hand, found: HandSpec, clues: dict[str, Clue]) -> Findin
         other = own.T @ theirs @ np.array(getattr(found.palm, name))
         angle = angle_between(np.array(getattr(hand.spec.palm, name)), other)
         if clue.confidence > _WORTH and angle > _ANGLES[clue.certainty]:
-            better = ", ".join(f"{value:.3f}" for value in other)
             what = f"is {angle:.0f} degrees from the detected one: {clue.how}"
-            yield Finding("warning", f"palm.{name}", what, f"try [{better}]")
+            better = ", ".join(f"{value:.3f}" for value in other)
+            yield warning(f"palm.{name}", what, f"try [{better}]")
 
 
 def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Findings:
@@ -466,39 +457,33 @@ def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Findings
         if owner is not None and point.finger not in (None, owner):
             what = f"is on the finger at the position of the {owner}, but names {point.finger}"
             change = f"finger: {owner}, with a matching name and partner"
-            yield Finding("warning", f"points.{point.name}", what, change)
+            yield warning(f"points.{point.name}", what, change)
 
 
-def _check_reach(hand: Hand, tables: Tables) -> Findings:
+def _check_reach(hand: Hand) -> Measures:
     """Find fingers whose point no joint moves."""
     rows = measure_reach(hand)
-    tables["Fingers"] = msgspec.to_builtins(rows)
+    yield "Fingers", msgspec.to_builtins(rows)
     for row in rows:
         if row.moves_in.startswith("0"):
             change = "put it on a link that moves, or leave it out"
-            yield Finding("warning", "points", f"no joint moves {row.point}", change)
+            yield warning("points", f"no joint moves {row.point}", change)
 
 
-def _check_collisions(hand: Hand, tables: Tables) -> Findings:
+def _check_collisions(hand: Hand) -> Findings:
     if hand.spec.collision is not None:
         try:
             named_pairs(hand, hand.spec.collision.pairs)
         except HandError as error:
-            yield Finding(
-                "warning", error.key or "collision", error.problem, "correct the pair"
-            )
-    pairs = [f"{one} and {other}" for one, other in colliding_links(hand, hand.rest)]
-    if pairs:
-        shown = _listed(pairs)
+            yield warning(error.key or "collision", error.problem, "correct the pair")
+    if pairs := [*map(" and ".join, colliding_links(hand, hand.rest))]:
         change = "open the hand or spread its fingers more"
-        yield Finding("warning", "rest", f"at rest {shown} overlap", change)
+        yield warning("rest", f"at rest {_listed(pairs)} overlap", change)
     else:
-        yield Finding(
-            "fine", "rest", "no links overlap at rest, except neighbours at a joint"
-        )
+        yield fine("rest", "no links overlap at rest, except neighbours at a joint")
 
 
-def _check_size(hand: Hand, tables: Tables) -> Findings:
+def _check_size(hand: Hand) -> Measures:
     tips = hand.with_points("fingertips") if "fingertips" in hand.spec.sets else hand
     size = measure_size(tips)
     ratio = f"{size.ratio:.2f}"
@@ -509,17 +494,16 @@ def _check_size(hand: Hand, tables: Tables) -> Findings:
         "suggested scale": "1 (translations as the human's), or "
         f"{ratio} (in proportion to the hand)",
     }
-    tables["Size"] = [{"what": what, "value": value} for what, value in rows.items()]
+    yield "Size", [{"what": what, "value": value} for what, value in rows.items()]
     if not 0.3 < size.ratio < 4.0:
         what = f"palm to fingertip is {size.length:.3g} m, {size.ratio:.2g} of a human hand"
         change = "check the URDF's unit (metres) and the palm's origin"
-        yield Finding("warning", "palm.xyz", what, change)
+        yield warning("palm.xyz", what, change)
 
 
-def _check_arm(hand: Hand, tables: Tables) -> Findings:
+def _check_arm(hand: Hand) -> Findings:
     """Compare the reach of an arm with that of a person's hand in front of the body."""
-    reach = measure_arm(hand)
-    if reach is None:
+    if (reach := measure_arm(hand)) is None:
         return
     far = int((reach >= _ARM_MOTION).sum())
     what = (
@@ -527,27 +511,25 @@ def _check_arm(hand: Hand, tables: Tables) -> Findings:
         f"directions from rest, and by {1e3 * np.median(reach):.0f} mm in half of them"
     )
     if far >= _MOST_DIRECTIONS * len(reach):
-        yield Finding("fine", "rest", what)
+        yield fine("rest", what)
         return
     change = "rest in the middle of the arm's range"
-    scale = float(
-        np.floor(20.0 * min(1.0, np.quantile(reach, 0.2) / _ARM_MOTION)) / 20.0
-    )
+    scale = np.floor(20.0 * min(1.0, np.quantile(reach, 0.2) / _ARM_MOTION)) / 20.0
     if scale >= 0.05:
         what += f"; a scale of {scale:.2g} fits"
         change += f", or map with --scale {scale:.2g}"
-    yield Finding("advice", "rest", what, change)
+    yield advice("rest", what, change)
 
 
-def _check_motion(hand: Hand, tables: Tables) -> Findings:
+def _check_motion(hand: Hand) -> Measures:
     motion = try_motion(hand)
-    tables["A standard motion"] = msgspec.to_builtins(motion)
+    yield "A standard motion", msgspec.to_builtins(motion)
     for part in motion:
         if part.error_mm > _OUT_OF_REACH:
             far = f"{part.worst_point} stays {part.error_mm:.0f} mm from its target"
             if stops := part.joints_at_a_position_limit:
                 far += f", {_listed(stops.split(', '))} at a position limit"
-            yield Finding("advice", "reach", f"{part.posture}: {far}")
+            yield advice("reach", f"{part.posture}: {far}")
 
 
 def _listed(names: list[str]) -> str:

@@ -33,7 +33,11 @@ OutFile = Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")]
 _WROTE = "wrote {0}; check it with: handmap hands check {0}"
 
 
-def _print_found(hand: Hand, found: Detection, rows: list[dict[str, Any]]) -> None:
+def _print_found(
+    hand: Hand,
+    found: Detection,
+    rows: list[dict[str, Any]],
+) -> None:
     """Print what was found of a hand."""
     followers = hand.all_joint_roles.count("follower")
     print_rows(

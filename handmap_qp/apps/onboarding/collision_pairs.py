@@ -68,24 +68,21 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     fingers = find_fingers(hand)
     pairs = all_pairs(hand, fingers)
     others = [finger for finger in fingers if finger != THUMB]
-    beside = [*map(set, itertools.pairwise(others))]
-
-    def is_wanted(links: tuple[str, str]) -> bool:
-        owners = {_owner(hand, fingers, link) for link in links}
-        if len(owners) == 1 or "bar" in owners:
-            return False
-        return THUMB in owners or owners in beside
-
+    beside = [{THUMB, other} for other in ("palm", *others)]
+    beside += map(set, itertools.pairwise(others))
     postures = np.vstack([hand.rest, random_postures(hand, _SAMPLES)])
     distances = pair_distances(hand, pairs.geometry, postures)
-    pinches = np.array(pairs.fingers, dtype=object).astype(bool)
-    is_near = pinches | (distances.min(axis=0) < _NEAR)
+    is_near = np.array(pairs.fingers) != ""
+    is_near |= distances.min(axis=0) < _NEAR
     overlaps = (distances <= 0.0).mean(axis=0) > _BY_DESIGN
     named = [(min(links), max(links)) for links in pairs.links]
-    near = dict.fromkeys(itertools.compress(named, is_near))
-    for bad in itertools.compress(named, overlaps):
-        near.pop(bad, None)
-    wanted = [*filter(is_wanted, near)]
+    by_design = {*itertools.compress(named, overlaps)}
+    wanted = [
+        links
+        for links in dict.fromkeys(itertools.compress(named, is_near))
+        if {_owner(hand, fingers, link) for link in links} in beside
+        and links not in by_design
+    ]
     # A link has several shapes: its pair is left out if one pair of them touches at rest.
     every = named_pairs(hand, wanted)
     (at_rest,) = pair_distances(hand, every.geometry, hand.rest[None])
@@ -94,7 +91,11 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
     return CollisionSpec(found, MARGIN) if found else None
 
 
-def _owner(hand: Hand, fingers: dict[str, Finger], link: str) -> str:
+def _owner(
+    hand: Hand,
+    fingers: dict[str, Finger],
+    link: str,
+) -> str:
     """Return the finger that a link is on; `palm`, or `bar` of a linkage, which is on none."""
     model = hand.model
     joint = carrier_of(hand, link)
@@ -118,12 +119,9 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
         HandError: If a shape cannot be read.
     """
     geometry = read_collision_shapes(hand)
-    model = hand.model
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
-    near = {joint: _neighbours(model, joint, joints) for joint in joints}
-    for i, j in itertools.combinations(range(len(joints)), 2):
-        one = joints[i]
-        other = joints[j]
+    near = {joint: _neighbours(hand.model, joint, joints) for joint in joints}
+    for (i, one), (j, other) in itertools.combinations(enumerate(joints), 2):
         if one not in near[other] and other not in near[one]:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
     postures = np.vstack([q, random_postures(hand, _FEW)])
@@ -133,7 +131,11 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     return [*dict.fromkeys(itertools.compress(pairs, found))]
 
 
-def _neighbours(model: pin.Model, joint: int, with_shape: list[int]) -> list[int]:
+def _neighbours(
+    model: pin.Model,
+    joint: int,
+    with_shape: list[int],
+) -> list[int]:
     """Return a joint and those above it up to the next one with a body that is not short.
 
     Bodies on these joints may overlap where they meet.

@@ -43,7 +43,7 @@ _WRIST_REACH = 0.25
 # this share away from it.
 _AT_LIMIT, _SPREAD = 0.05, 0.3
 # Range of a person's wrist-to-knuckle distance, in lengths of the longest finger.
-_PALM_RATIO = (0.4, 1.4)
+_PALM_RATIO = np.array([0.4, 1.4])
 
 
 class Detection(NamedTuple):
@@ -135,7 +135,12 @@ class _FoundHand:
         clues: Evidence for each part of the description; complete after `describe`.
     """
 
-    def __init__(self, robot: Robot, side: Side | None, thumb: str | None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        side: Side | None,
+        thumb: str | None,
+    ) -> None:
         self.robot = robot
         self.structure = find_structure(robot)
         fingers = self.structure.fingers
@@ -171,9 +176,9 @@ class _FoundHand:
         origin = self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
         points, sets = point_sets(tips, self._middles())
-        rest, idle = (_positions(robot, q) for q in (self._rest(), robot.zero))
+        rest, zero = (_positions(robot, q) for q in (self._rest(), robot.zero))
         locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
-        locked |= {joint: idle[joint] for joint in idle if joint not in joints}
+        locked |= {joint: q for joint, q in zero.items() if joint not in joints}
         return HandSpec(
             name=name or self._name(),
             urdf=str(robot.file),
@@ -227,35 +232,27 @@ class _FoundHand:
         of_thumb = flexion.moves[self._thumbs].any(axis=0)
         one_sided = of_thumb & ((lower > -0.1) | (upper < 0.1))
         # Joints that spread the fingers to one side only rest away from that limit, fingers apart.
-        spreads = flexion.moves.any(axis=0)
-        margin = _AT_LIMIT * (upper - lower)
-        width = _SPREAD * (upper - lower)
-        q = np.select(
-            [
-                flexion.sign != 0.0,
-                one_sided,
-                spreads & (upper - zero < margin),
-                spreads & (zero - lower < margin),
-            ],
-            [
-                flexion.q_open + step,
-                0.5 * (lower + upper),
-                upper - width,
-                lower + width,
-            ],
-            zero,
+        width = flexion.moves.any(axis=0) * (upper - lower)
+        near = _AT_LIMIT * width
+        spread = _SPREAD * width
+        choices = (
+            (flexion.sign != 0.0, flexion.q_open + step),
+            (one_sided, 0.5 * (lower + upper)),
+            (upper - zero < near, upper - spread),
+            (zero - lower < near, lower + spread),
         )
+        q = np.select(*map(list, zip(*choices, strict=True)), zero)
         q = np.clip(q.round(4) + 0.0, lower, upper)
         tips = [finger.tip for finger in self.fingers]
         points = PalmKinematics(robot).points(np.array([q, flexion.q_open]), tips)
         heights = (points[0] - points[1]) @ self.anatomy.dorsal
-        share = float(np.mean(heights < 0.0))
+        sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
         self._add(
             "rest",
             "half open",
             f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
             "per joint; other joints near zero, or at mid-range on the thumb",
-            min(0.9 if share > 0.5 else 0.6, self._sure["dorsal"]),
+            min(sure, self._sure["dorsal"]),
         )
         return q
 
@@ -281,7 +278,7 @@ class _FoundHand:
         robot = self.robot
         palm = self.structure.palm
         distal = self.anatomy.distal
-        chosen = ~self._thumbs if not self._thumbs.all() else self._thumbs
+        chosen = ~self._thumbs | self._thumbs.all()
         knuckles = self.flexion.bases[chosen].mean(axis=0)
         body = robot.body(palm)
         cloud = robot.surface(body)
@@ -293,18 +290,22 @@ class _FoundHand:
             back -= float((cloud @ distal).min())
             how = "the proximal end of the palm's surface"
         how += ", behind the centre of the knuckles"
-        reach = float(self.flexion.reach[chosen].max())
         sure = 0.8
-        likely = min(max(back, _PALM_RATIO[0] * reach), _PALM_RATIO[1] * reach)
+        likely = np.clip(back, *_PALM_RATIO * self.flexion.reach[chosen].max())
         if back != likely:
-            back = likely
             sure = 0.5
             how += "; moved to a distance as in a person's proportions"
-        answer = f"{1e3 * back:.0f} mm behind the knuckles"
+        answer = f"{1e3 * likely:.0f} mm behind the knuckles"
         self._add("palm origin", answer, how, min(sure, self._sure["distal"]))
-        return knuckles - back * distal
+        return knuckles - likely * distal
 
-    def _add(self, what: str, answer: str, how: str, confidence: float) -> None:
+    def _add(
+        self,
+        what: str,
+        answer: str,
+        how: str,
+        confidence: float,
+    ) -> None:
         self.clues.append(Clue(what, answer, how, confidence))
 
 
@@ -350,8 +351,8 @@ def _on_arm(
     middle = 0.5 * (robot.lower_limits + robot.upper_limits)
     rest = _positions(robot, middle.round(4) + 0.0)
     joints = (*arm, *spec.joints)
-    still = _positions(robot, robot.zero)
-    still = {joint: still[joint] for joint in still if joint not in joints}
+    zero = _positions(robot, robot.zero)
+    still = {joint: q for joint, q in zero.items() if joint not in joints}
     changed = msgspec.structs.replace(
         spec,
         root=None if robot.is_whole else base,

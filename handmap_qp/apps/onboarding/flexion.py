@@ -83,7 +83,7 @@ class HandFlexion:
         self.bases = self.roots.copy()
         for i, finger in enumerate(fingers):
             self.moves[i, finger.columns] = True
-            if (group := finger.flexion) is not None and group.curls:
+            if (group := finger.flexion) and group.curls:
                 self._groups[i] = group
                 self.bases[i] = group.knuckle
                 straight[i, group.columns] = group.straight
@@ -138,7 +138,7 @@ class HandFlexion:
             senses = {i: np.sign(slopes[i] @ slopes[alike[0]]) or 1.0 for i in alike}
             signs = {i: senses[i] * self._groups[i].signs for i in alike}
             slope = sum(senses[i] * slopes[i] for i in alike)
-            vote, confidence = self._vote(alike, signs, slope, (palmar, known))
+            vote, confidence = self._vote(signs, slope, palmar, known)
             for i in alike:
                 columns = self._groups[i].columns
                 given = self.sign[columns]
@@ -148,32 +148,30 @@ class HandFlexion:
 
     def _vote(
         self,
-        alike: list[int],
         signs: dict[int, np.ndarray],
         slope: np.ndarray,
-        towards: tuple[np.ndarray, np.ndarray],
+        palmar: np.ndarray,
+        known: np.ndarray,
     ) -> tuple[float, float]:
         """Return a number with the sense in which fingers flex alike, and the confidence in it."""
-        columns = {i: self._groups[i].columns for i in alike}
+        nearer = (self._nearing(i, self._groups[i].columns, signs[i]) for i in signs)
         votes = (
-            (float(slope @ towards[0]), 0.7),
-            (0.5 * float(slope @ towards[1]), 0.6),
-            (self._side_of_others(alike, slope), 0.5),
-            (sum(self._nearing(i, columns[i], signs[i]) for i in alike), 0.4),
+            (float(slope @ palmar), 0.7),
+            (0.5 * float(slope @ known), 0.6),
+            (self._side_of_others([*signs], slope), 0.5),
+            (sum(nearer), 0.4),
             (1.0, 0.1),
         )
-        clear = min(0.1 * float(lengths(slope)), 0.5)
+        clear = min(0.1 * lengths(slope), 0.5)
         return next(pair for pair in votes if abs(pair[0]) > clear)
 
     def _close_jaws(self) -> None:
         """Flex fingers without curling joints towards the other tips."""
         for i in np.flatnonzero(self.certainty == 0.0):
-            columns = self._fingers[i].columns
-            nearer = np.array([self._nearing(i, [j]) for j in columns])
-            best = int(np.argmax(np.abs(nearer)))
-            if abs(nearer[best]) >= 1e-4:
-                j = columns[best]
-                self.sign[j] = np.sign(nearer[best])
+            nearer = {j: self._nearing(i, [j]) for j in self._fingers[i].columns}
+            j = max(nearer, key=lambda column: abs(nearer[column]))
+            if abs(nearer[j]) >= 1e-4:
+                self.sign[j] = np.sign(nearer[j])
                 self.ways[i] = unit(self.sign[j] * self._motions[i][:, j])
                 self.certainty[i] = 0.7
 
@@ -183,8 +181,8 @@ class HandFlexion:
         along = np.einsum("fkn,fk->fn", self._motions, self.ways)
         mine = (speeds > 1e-4) & (self.certainty[:, None] > 0.0)
         ratios = along / np.maximum(speeds, 1e-9)
-        cosines = np.ma.array(ratios, mask=~mine).mean(axis=0)
-        flexes = (self.sign == 0.0) & (np.abs(cosines.filled(0.0)) > _FLEXING)
+        cosines = np.ma.array(ratios, mask=~mine).mean(axis=0).filled(0.0)
+        flexes = (self.sign == 0.0) & (np.abs(cosines) > _FLEXING)
         self.sign[flexes] = np.sign(cosines[flexes])
 
     def _line(self, i: int) -> np.ndarray:
@@ -209,12 +207,15 @@ class HandFlexion:
         places = 0.5 * (self.roots + tips)
         others = np.delete(places, mine, axis=0).mean(axis=0)
         own = places[mine].mean(axis=0)
-        height = float((others - own) @ unit(slope))
-        reach = float(lengths(tips[mine] - self.roots[mine]).mean())
-        return 0.0 if abs(height) < _LEAST_HEIGHT * reach else float(np.sign(height))
+        height = (others - own) @ unit(slope)
+        least = _LEAST_HEIGHT * lengths(tips[mine] - self.roots[mine]).mean()
+        return 0.0 if abs(height) < least else np.sign(height)
 
     def _nearing(
-        self, i: int, columns: np.ndarray | list[int], signs: np.ndarray | float = 1.0
+        self,
+        i: int,
+        columns: np.ndarray | list[int],
+        signs: np.ndarray | float = 1.0,
     ) -> float:
         """Return how much joints bring a tip to another on average from end to end [m]."""
         ends = ends_of(self._robot, self.q_open, columns, signs)
@@ -224,15 +225,8 @@ class HandFlexion:
 
 def _alike(slopes: dict[int, np.ndarray]) -> list[list[int]]:
     """Return the fingers that move in parallel together: they close to the same side."""
-    found: list[list[int]] = []
+    found: dict[int, list[int]] = {}
     for i, slope in slopes.items():
-        parallel = (
-            alike
-            for alike in found
-            if abs(unit(slope) @ unit(slopes[alike[0]])) > PARALLEL
-        )
-        if (alike := next(parallel, None)) is None:
-            found.append([i])
-        else:
-            alike.append(i)
-    return sorted(found, key=len, reverse=True)
+        parallel = (k for k in found if abs(unit(slope) @ unit(slopes[k])) > PARALLEL)
+        found.setdefault(next(parallel, i), []).append(i)
+    return sorted(found.values(), key=len, reverse=True)

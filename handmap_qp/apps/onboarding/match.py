@@ -87,10 +87,9 @@ def match_hand(
     else:
         same = recording if recording.side == robot.side else mirrored(recording)
         human = scaled_human(same, points="landmarks")
-    solved = HandPair(human, robot).solve_matched()
+    q = np.round(HandPair(human, robot).solve_matched() * _SCALE)
     lower = robot.lower_limits
     upper = robot.upper_limits
     # Rounding must not leave the limits, which may have more decimals.
-    inside = np.ceil(lower * _SCALE), np.floor(upper * _SCALE)
-    rounded = np.clip(np.round(solved * _SCALE), *inside) / _SCALE
-    return Match(human, robot, np.clip(rounded, lower, upper))
+    q = np.clip(q, np.ceil(lower * _SCALE), np.floor(upper * _SCALE)) / _SCALE
+    return Match(human, robot, np.clip(q, lower, upper))

@@ -156,13 +156,12 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
         if finger and (finger not in best or span > best[finger].span_mm):
             motions = np.linalg.svd(jacobian, compute_uv=False)
             motions = motions[motions > _LEAST_MOTION]
-            measures = (motions[-1], motions.prod()) if len(motions) else (0.0, 0.0)
             best[finger] = FingerReach(
                 point=point.name,
                 span_mm=span,
                 moves_in=f"{len(motions)} of 3 directions",
-                slowest=1e3 * float(measures[0]),
-                manipulability=f"{measures[1]:.2e}",
+                slowest=1e3 * min(motions.tolist(), default=0.0),
+                manipulability=f"{motions.prod() * motions.any():.2e}",
             )
     return [*best.values()]
 
@@ -193,14 +192,12 @@ def measure_arm(hand: Hand) -> np.ndarray | None:
     """
     if hand.is_floating or not hand.has_moving_wrist:
         return None
-    postures = random_postures(hand, _ARM_SAMPLES)
-    start = hand.frame_pose("wrist", hand.rest)[:3, 3]
-    ends = [hand.frame_pose("wrist", q)[:3, 3] for q in postures]
+    postures = [hand.rest, *random_postures(hand, _ARM_SAMPLES)]
+    start, *ends = (hand.frame_pose("wrist", q)[:3, 3] for q in postures)
     moved = np.array(ends) - start
-    sizes = lengths(moved)
     # In each direction, the farthest wrist within a cone.
     near = _DIRECTIONS @ unit(moved).T > _CONE
-    return np.where(near, sizes, 0.0).max(axis=1)
+    return (near * lengths(moved)).max(axis=1)
 
 
 def measure_size(hand: Hand) -> Size:
@@ -210,16 +207,11 @@ def measure_size(hand: Hand) -> Size:
         hand: The hand, with fingertips as reference points.
     """
     human = load_hand("human", points="fingertips", hand_length=HUMAN_LENGTH)
-    postures = (hand.rest, zero_posture(hand))
     sizes = [
         lengths(hand.points(q) - hand.frame_pose("palm", q)[:3, 3]).max()
-        for q in postures
+        for q in (hand.rest, zero_posture(hand))
     ]
-    return Size(
-        float(max(sizes)),
-        _spread(hand.points(hand.rest)),
-        _spread(human.points(human.rest)),
-    )
+    return Size(max(sizes), _spread(hand), _spread(human))
 
 
 def try_motion(hand: Hand) -> list[MotionPart]:
@@ -235,14 +227,13 @@ def try_motion(hand: Hand) -> list[MotionPart]:
         mapper.map_step(human.rest, np.eye(4))
         # 0.75 s of motion, then 0.25 s to settle.
         ways = np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0)
-        steps = [
+        *_, last = [
             mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
             for share in 0.5 - 0.5 * np.cos(ways)
         ]
-        error = steps[-1].point_error
-        q = steps[-1].command.q
+        error = last.point_error
         worst = int(np.argmax(error))
-        limited = compress(hand.joint_names, hand.at_position_limit(q))
+        limited = compress(hand.joint_names, hand.at_position_limit(last.command.q))
         parts.append(
             MotionPart(
                 posture=name,
@@ -279,8 +270,8 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
     }
 
 
-def _spread(points: np.ndarray) -> float:
-    return float(np.sqrt(points.var(axis=0).sum()))
+def _spread(hand: Hand) -> float:
+    return float(np.sqrt(hand.points(hand.rest).var(axis=0).sum()))
 
 
 def make_fist(hand: Hand) -> Fist | None:
@@ -302,11 +293,9 @@ def make_fist(hand: Hand) -> Fist | None:
     if min(lengths(axis), lengths(direction)) < _COMMON:
         return None
     # Flexion turns distal (y) towards palmar (-z), about -x.
-    return Fist(
-        angle_between(axis, np.array([-1.0, 0.0, 0.0])),
-        angle_between(direction, np.array([0.0, 1.0, 0.0])),
-        tuple(fingers),
-    )
+    across, distal, _ = np.eye(3)
+    turn = angle_between(axis, -across)
+    return Fist(turn, angle_between(direction, distal), tuple(fingers))
 
 
 def measure_pinches(hand: Hand) -> list[Pinch]:
@@ -366,10 +355,10 @@ def _nearest(
 
     limits = np.array([hand.lower_limits, hand.upper_limits])
     first = [hand.rest, limits.mean(axis=0), zero_posture(hand)]
+    bounds = limits[:, columns]
     best = np.inf
     for start in np.vstack([first, random_postures(hand, _STARTS)])[:, columns]:
         if best >= near:
-            bounds = limits[:, columns]
             found = least_squares(
                 gap, start, slope, bounds=bounds, ftol=1e-4, xtol=1e-4
             )

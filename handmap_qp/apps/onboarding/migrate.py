@@ -66,7 +66,12 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     """
     table = _read_table(path)
 
-    def setting(key: str, kind: Any, what: str, value: Any = None) -> Any:
+    def setting(
+        key: str,
+        kind: Any,
+        what: str,
+        value: Any = None,
+    ) -> Any:
         given = table.get(key)
         try:
             return msgspec.convert(given if value is None else value, kind)
@@ -122,7 +127,10 @@ def _read_table(path: Path) -> dict[str, Any]:
 
 
 def migrate(
-    configuration: DexConfiguration, urdf: Path, *, name: str | None = None
+    configuration: DexConfiguration,
+    urdf: Path,
+    *,
+    name: str | None = None,
 ) -> Detection:
     """Find the hand in its URDF, with the configuration's links as reference points.
 
@@ -159,13 +167,12 @@ def _carrier(robot: Robot, link: str) -> str:
     Raises:
         HandError: If there is no such link, or no joint moves it.
     """
-    if link not in robot.frames:
-        problem = f"has no link {link!r} of the configuration"
-        raise HandError(problem, file=robot.file, value=link)
-    if not (body := robot.body(link)):
+    problem = f"has no link {link!r} of the configuration"
+    if link in robot.frames:
+        if body := robot.body(link):
+            return robot.model.names[body]
         problem = f"no joint moves the link {link!r}"
-        raise HandError(problem, file=robot.file, value=link)
-    return robot.model.names[body]
+    raise HandError(problem, file=robot.file, value=link)
 
 
 def _renamed(found: Detection, carriers: dict[str, str]) -> list[PointSpec]:

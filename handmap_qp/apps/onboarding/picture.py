@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from handmap_qp.apps.drawing.hands import (
     draw_hands,
     load_shape,
     require_matplotlib,
+    save_panels,
     save_picture,
     spheres,
     tube,
@@ -35,8 +38,11 @@ _PANEL = (760, 820)
 _AXIS_GAP = np.array([38.0, -14.0])
 _OTHER_COLOUR = (0.25, 0.25, 0.28)
 _AXES = ("x, across", "y, distal", "z, dorsal")
-# Title and azimuth [deg] of the two views; the second azimuth is that of a right hand.
-_VIEWS = {"back of the hand": 90.0, "palm, from the thumb's side": 215.0}
+# Caption and azimuth [deg] of both views of each hand.
+_VIEWS = {
+    "right": {"back of the hand": 90.0, "palm, from the thumb's side": 215.0},
+    "left": {"back of the hand": 90.0, "palm, from the thumb's side": -35.0},
+}
 _ELEVATION = 12.0
 # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
 _BOX = {
@@ -67,21 +73,13 @@ def draw_hand(hand: Hand, path: Path) -> None:
         MissingExtraError: If matplotlib is not installed.
     """
     require_matplotlib()
-    from matplotlib.figure import Figure
-
     scene = _Scene(hand.with_points([point.name for point in hand.spec.points]))
-    size = (2 * _PANEL[0] / 100, _PANEL[1] / 100 + 0.5)
-    figure = Figure(figsize=size, dpi=100)
-    height = _PANEL[1] / (_PANEL[1] + 50)
-    for i, (title, azimuth) in enumerate(_VIEWS.items()):
-        axes = figure.add_axes((0.5 * i, 0.0, 0.5, height))
-        scene.draw(axes, 180.0 - azimuth if i and hand.side == "left" else azimuth)
-        axes.text(
-            _PANEL[0] / 2, 14, title, ha="center", va="top", fontsize=11, color="0.35"
-        )
-    what = f"{hand.name}: a {hand.side} hand, {len(hand.joint_names)} joints; at rest"
-    figure.text(0.5, 0.975, what, ha="center", va="center", fontsize=14)
-    save_picture(figure, path, facecolor="white")
+    panels = {
+        caption: partial(scene.draw, azimuth=azimuth)
+        for caption, azimuth in _VIEWS[hand.side].items()
+    }
+    title = f"{hand.name}: a {hand.side} hand, {len(hand.joint_names)} joints; at rest"
+    save_panels(path, title, _PANEL, panels)
 
 
 def draw_match(match: Match, path: Path) -> None:
@@ -98,9 +96,8 @@ def draw_match(match: Match, path: Path) -> None:
     human = match.human
     robot = match.robot
     q = resting_posture(human)
-    landmarks = transform_points(
-        inverse_pose(human.frame_pose("palm", q)), human.points(q)
-    )
+    to_palm = inverse_pose(human.frame_pose("palm", q))
+    landmarks = transform_points(to_palm, human.points(q))
     rows = [SheetRow("human at rest", "", landmarks, (robot.rest, match.q))]
     columns = [(f"{robot.name}, rest", robot), (f"{robot.name}, matched", robot)]
     figure = contact_sheet(columns, rows, side=robot.spec.side)
@@ -112,11 +109,15 @@ class _Scene:
 
     def __init__(self, hand: Hand) -> None:
         self.hand = hand
-        to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
-        points = transform_points(to_palm, hand.points(hand.rest))
-        self.points = transform_points(UPRIGHT, points)
-        self.size = lengths(points).max()
-        self.triangles = self._solid().moved(UPRIGHT)
+        pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", hand.rest))
+        self.points = transform_points(pose, hand.points(hand.rest))
+        self.size = lengths(self.points).max()
+        shape = load_shape(hand).without_arm()
+        self.triangles = (
+            shape.triangles(hand.rest).moved(pose)
+            if shape.links
+            else self._sticks().moved(UPRIGHT)
+        )
         self.axes = 0.28 * self.size * UPRIGHT[:3, :3].T
         self.marks = self._marks()
 
@@ -181,33 +182,27 @@ class _Scene:
 
     def _marks(self) -> Triangles:
         parts = [
-            spheres(self.points[i : i + 1], 0.022 * self.size, self._colour(i))
-            for i in range(len(self.points))
+            spheres(point, 0.022 * self.size, self._colour(i))
+            for i, point in enumerate(self.points)
         ]
         for tip, colour in zip(self.axes, AXIS_COLOURS, strict=True):
             axis = tube([np.zeros(3), tip], 0.008 * self.size, colour)
             parts += [axis, spheres(tip, 0.016 * self.size, colour)]
         return merged(parts)
 
-    def _solid(self) -> Triangles:
-        """Return the hand's surface without its arm; sticks between joints if it has no shapes."""
-        hand = self.hand
-        shape = load_shape(hand).without_arm()
-        if shape.links:
-            to_palm = inverse_pose(hand.frame_pose("palm", hand.rest))
-            return shape.triangles(hand.rest).moved(to_palm)
-        return self._sticks()
-
     def _sticks(self) -> Triangles:
-        """Return sticks between the joints beyond the wrist, and from joints to points."""
+        """Return sticks between the joints beyond the wrist, and from joints to points.
+
+        They stand for the surface of a hand without shapes, in palm axes.
+        """
         hand = self.hand
-        model = self.hand.model
+        model = hand.model
         _, *beyond = model.subtrees[model.frames[hand.wrist_frame_id].parentJoint]
         origin = np.zeros(3)
         tips = [place_of(hand, p) for p in hand.reference_points]
         sticks = [((model.parents[joint], origin), (joint, origin)) for joint in beyond]
         sticks += [((tip[0], origin), tip) for tip in tips]
-        places = [place for stick in sticks for place in stick]
+        places = [*chain.from_iterable(sticks)]
         ends = PalmKinematics(hand).points(hand.rest, places).reshape(-1, 2, 3)
         ends = ends[lengths(ends[:, 1] - ends[:, 0]) > 1e-4]
         return merged([tube(pair, 0.015 * self.size, GREY) for pair in ends])

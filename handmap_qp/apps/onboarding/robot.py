@@ -89,7 +89,11 @@ class Robot:
     """
 
     def __init__(
-        self, text: str | bytes, file: Path, *, root: str | None = None
+        self,
+        text: str | bytes,
+        file: Path,
+        *,
+        root: str | None = None,
     ) -> None:
         self.file = file
         self._remarks = dict[str, list[str]]()
@@ -111,19 +115,19 @@ class Robot:
         self.name = robot.get("name") or self.file.stem
         for name in fix_free_joints(robot):
             self._remark(name, "has more than one coordinate: it is taken as fixed")
-        every = joints_by_name(robot)
-        joints = {
-            n: joint for n, joint in every.items() if joint.get("type") in MOVABLE
+        given = {
+            name: _limits(joint)
+            for name, joint in joints_by_name(robot).items()
+            if joint.get("type") in MOVABLE
         }
-        self.endless = {n for n in joints if joints[n].get("type") == "continuous"}
+        self.endless = {n for n, one in given.items() if one.kind == "continuous"}
         rules = mimics_of(robot)
-        leaders = {name: rules[name].joint for name in joints if name in rules}
-        lost = {n: leader for n, leader in leaders.items() if leader not in joints}
+        leaders = {name: rules[name].joint for name in given if name in rules}
+        lost = {n: leader for n, leader in leaders.items() if leader not in given}
         self._drop_rules(lost)
-        given = {name: _limits(joint) for name, joint in joints.items()}
         equal = self._assume_limits(given, leaders.keys() - lost)
         self.locked = prepare_urdf(robot, None, self.dropped_rules, equal, self.assumed)
-        movable = [name for name in joints if name not in self.locked]
+        movable = [name for name in given if name not in self.locked]
         if not movable:
             problem = f"no movable joint hangs from the link {self.root!r}"
             raise HandError(problem, value=self.root)
@@ -169,8 +173,8 @@ class Robot:
             shown = ", ".join(subjects[:_MOST_NAMES])
             if len(subjects) > _MOST_NAMES:
                 shown += f" and {len(subjects) - _MOST_NAMES} more"
-            each = f"{shown}: each" if len(subjects) > 1 else shown
-            found.append(f"{each} {what}".strip())
+            shown += ": each" * (len(subjects) > 1)
+            found.append(f"{shown} {what}".strip())
         return found
 
     def _remark(self, subject: str, what: str) -> None:
@@ -200,15 +204,14 @@ class Robot:
         """Return the links of a body out to the one that carries a joint."""
         frames = self.model.frames
         body = self.model.parents[joint]
-        found = list[str]()
         index = self.model.getFrameId(self.model.names[joint], pin.FrameType.JOINT)
-        index = frames[index].parentFrame
-        while index and frames[index].parentJoint == body:
-            # Between two links is the frame of their joint.
-            if frames[index].type == pin.FrameType.BODY:
-                found.insert(0, frames[index].name)
-            index = frames[index].parentFrame
-        return found
+        passed = list[pin.Frame]()
+        while (index := frames[index].parentFrame) and frames[
+            index
+        ].parentJoint == body:
+            passed.insert(0, frames[index])
+        # Between two links is the frame of their joint.
+        return [frame.name for frame in passed if frame.type == pin.FrameType.BODY]
 
     def driver(self, joint: str) -> str:
         """Return the active joint that moves a joint: itself, or its mimic leader."""
@@ -250,14 +253,13 @@ class Robot:
 
     def balls(self, body: int) -> np.ndarray:
         """Return the centres of a body's spheres in its frame [m], shape (k, 3)."""
-        return np.array(
-            [
-                self.place_of(link, origin_of(shape)[:3, 3])[1]
-                for link in self.links[body]
-                for shape in self._elements[link]
-                if shape.find("geometry/sphere") is not None
-            ]
-        ).reshape(-1, 3)
+        found = [
+            self.place_of(link, origin_of(shape)[:3, 3])[1]
+            for link in self.links[body]
+            for shape in self._elements[link]
+            if shape.find("geometry/sphere") is not None
+        ]
+        return np.array(found).reshape(-1, 3)
 
     def surface(self, body: int) -> np.ndarray:
         """Return points of a body's visuals, else of its collision shapes, in its frame [m].
@@ -297,8 +299,8 @@ class Robot:
                 size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
                 points = made.cylinder(*size, sections=24).vertices
             case "mesh":
-                points = self._mesh(solid.get("filename", ""))
-                points = points * get_numbers(solid, "scale", 3, "1 1 1")
+                scale = get_numbers(solid, "scale", 3, "1 1 1")
+                points = self._mesh(solid.get("filename", "")) * scale
         return transform_points(origin_of(shape), np.array(points))
 
     def _mesh(self, name: str) -> np.ndarray:
@@ -350,12 +352,15 @@ class Robot:
             if what:
                 self._remark(name, what)
             speed = None
-            if not one.speed > 0.0:
-                alike = [other for other in given.values() if other.kind == one.kind]
-                usual = [other.speed for other in alike if other.speed > 0.0]
+            if math.isnan(one.speed):
+                alike = [
+                    other.speed for other in given.values() if other.kind == one.kind
+                ]
+                usual = [speed for speed in alike if speed > 0.0]
                 speed = float(np.median(usual or _ASSUMED_SPEED[one.kind]))
-                what = f"has no speed limit in the URDF: {speed:.4g} is assumed"
-                self._remark(name, what)
+                self._remark(
+                    name, f"has no speed limit in the URDF: {speed:.4g} is assumed"
+                )
             if speed or None not in ends:
                 self.assumed[name] = LimitSpec(*ends, speed)
         return equal
@@ -388,17 +393,17 @@ def _assumed_range(
 ) -> tuple[tuple[float | None, float | None], str]:
     """Return a range in place of that of the URDF, and a remark if it is wrong or suspicious."""
     kind, lower, upper, _ = given
-    if kind == "continuous" or not math.isfinite(upper - lower):
+    if not math.isfinite(upper - lower):
         ends = _ASSUMED_RANGE[kind]
         what = "is continuous" if kind == "continuous" else "has no limits in the URDF"
     elif lower > upper:
         ends = (upper, lower)
         what = "has its limits swapped"
-    elif kind != "revolute" or not (in_degrees or upper - lower > _LARGEST_TURN):
-        return (None, None), ""
-    elif in_degrees:
+    elif kind == "revolute" and in_degrees:
         ends = math.radians(lower), math.radians(upper)
         return ends, "has limits in degrees, as it seems: written in radians"
     else:
-        return (None, None), "has a range of more than two turns: is it in degrees?"
+        is_wide = kind == "revolute" and upper - lower > _LARGEST_TURN
+        what = "has a range of more than two turns: is it in degrees?"
+        return (None, None), what * is_wide
     return ends, f"{what}: [{ends[0]:.4g}, {ends[1]:.4g}] is assumed"

@@ -16,7 +16,7 @@ import pinocchio as pin
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Finger, ends_of
-from handmap_qp.se3 import lengths, transform_points
+from handmap_qp.se3 import lengths, transform_points, unit
 
 LONGEST_FINGER = 0.3
 """A longer branch is a leg or an arm [m]."""
@@ -70,7 +70,12 @@ class RobotFinger(Finger):
         length: Length from its first joint to its tip at zero [m].
     """
 
-    def __init__(self, robot: Robot, leaf: int, palm: int) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        leaf: int,
+        palm: int,
+    ) -> None:
         joints = robot.path(leaf, palm)
         self.end = find_tip(robot, joints)
         super().__init__(robot, joints, robot.place_of(self.end.link, self.end.xyz))
@@ -108,13 +113,12 @@ def find_structure(robot: Robot) -> Structure:
     Raises:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
     """
-    found = {body: _fingerlike(robot, body) for body in range(robot.model.njoints)}
-    # Bodies inside the fingers of another palm are none.
     found = {
         body: fingers
-        for body, fingers in found.items()
-        if len({finger.joints[0] for finger in fingers}) > 1
+        for body in range(robot.model.njoints)
+        if (fingers := _fingerlike(robot, body))
     }
+    # Bodies inside the fingers of another palm are none.
     inside = {
         part
         for finger in chain.from_iterable(found.values())
@@ -123,10 +127,11 @@ def find_structure(robot: Robot) -> Structure:
     palms = [body for body in found if body not in inside]
     if len(palms) > 1:
         links = ", ".join(_palm_link(robot, found[body]) for body in palms[:8])
-        problem = (
-            f"there are {len(palms)} possible palms: {links}; choose one with --root"
+        raise HandError(
+            f"there are {len(palms)} possible palms: {links}; choose one with --root",
+            file=robot.file,
+            value=palms,
         )
-        raise HandError(problem, file=robot.file, value=palms)
     structure = _hand(robot, found[palms[0]]) if palms else _one_finger(robot)
     robot.palm_frame_id = robot.frames[structure.palm]
     return structure
@@ -136,13 +141,13 @@ def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
     """Return the hand of all chains that are fingers."""
     notes: list[str] = []
     for fault_of in (_idleness, _second_end, _linkage):
-        faults = [fault_of(robot, finger, fingers) for finger in fingers]
+        faults = {finger: fault_of(robot, finger, fingers) for finger in fingers}
         notes += [
             f"{', '.join(finger.joint_names)}: {fault}"
-            for finger, fault in zip(fingers, faults, strict=True)
+            for finger, fault in faults.items()
             if fault
         ]
-        fingers = [one for one, fault in zip(fingers, faults, strict=True) if not fault]
+        fingers = [finger for finger in fingers if not faults[finger]]
     if not fingers:
         raise HandError("no branch of the palm moves its end", file=robot.file)
     _check_one_hand(robot, fingers)
@@ -180,33 +185,34 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     group = np.linalg.matrix_power(near.astype(float), len(fingers))[0] > 0.0
     if min(group.sum(), (~group).sum()) < 2:
         return
-    parts = [list(compress(fingers, chosen)) for chosen in (group, ~group)]
-    one, other = (_palm_link(robot, part) for part in parts)
+    links = [
+        _palm_link(robot, [*compress(fingers, chosen)]) for chosen in (group, ~group)
+    ]
     advice = "choose one with --root"
-    if one == other:
+    if len({*links}) == 1:
         advice = "keep the links of one hand in the URDF, because both start at the same link"
     raise HandError(
-        f"there are two hands on one base: {len(parts[0])} fingers from {one!r} and "
-        f"{len(parts[1])} from {other!r}; {advice}",
+        f"there are two hands on one base: {group.sum()} fingers from {links[0]!r} and "
+        f"{(~group).sum()} from {links[1]!r}; {advice}",
         file=robot.file,
-        value=[one, other],
+        value=links,
     )
 
 
 def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
-    """Return the chains of those branches of a body that could be fingers."""
-    found = []
+    """Return the chains of the branches of a body that could be fingers; none of a single one."""
+    branches = []
     chains = [
         RobotFinger(robot, leaf, body) for leaf in robot.leaves(body) if leaf != body
     ]
-    for _, group in groupby(chains, key=lambda chain: chain.joints[0]):
+    for _, group in groupby(chains, key=lambda one: one.joints[0]):
         branch = list(group)
         is_wheel = branch[0].joint_names[0] in robot.endless and all(
-            len(chain.joints) == 1 for chain in branch
+            len(one.joints) == 1 for one in branch
         )
-        if not is_wheel and max(chain.length for chain in branch) < LONGEST_FINGER:
-            found += branch
-    return found
+        if not is_wheel and max(one.length for one in branch) < LONGEST_FINGER:
+            branches.append(branch)
+    return [*chain.from_iterable(branches)] if len(branches) > 1 else []
 
 
 def _palm_link(robot: Robot, fingers: list[RobotFinger]) -> str:
@@ -248,16 +254,19 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
         how = f"the far end of the surface of {link}, {1e3 * size:.0f} mm from the last joint"
         return Tip(link, middle, how, 0.8)
     how = f"{link} has no surface and no end frame"
-    before = np.zeros(3)
     if len(joints) > 1:
         before = robot.pose_in(robot.links[joints[-2]][0], link)[:3, 3]
-    if lengths(before) > _LEAST_TIP:
-        how = f"{how}: 0.8 of the previous link's length"
-        return Tip(link, -0.8 * before, how, 0.3)
+        if lengths(before) > _LEAST_TIP:
+            how += ": 0.8 of the previous link's length"
+            return Tip(link, -0.8 * before, how, 0.3)
     return Tip(link, np.zeros(3), f"{how}: its origin", 0.1)
 
 
-def _is_at_end(robot: Robot, body: int, place: np.ndarray) -> bool:
+def _is_at_end(
+    robot: Robot,
+    body: int,
+    place: np.ndarray,
+) -> bool:
     """Return whether an end frame is at the end of its body's surface, or there is none.
 
     The centre of a ball is the end of a round fingertip.
@@ -267,14 +276,17 @@ def _is_at_end(robot: Robot, body: int, place: np.ndarray) -> bool:
         return True
     length = float(lengths(place))
     beyond = float((cloud @ place).max()) / length - length
-    from_balls = lengths(robot.balls(body) - place)
-    is_centre = from_balls.min(initial=np.inf) < _AT_CENTRE
+    is_centre = any(lengths(robot.balls(body) - place) < _AT_CENTRE)
     return -_IN_THE_AIR < beyond < _INSIDE or (
         is_centre and 0.0 < beyond < _LARGEST_BALL
     )
 
 
-def _poses(robot: Robot, finger: RobotFinger, other: int) -> np.ndarray:
+def _poses(
+    robot: Robot,
+    finger: RobotFinger,
+    other: int,
+) -> np.ndarray:
     """Return poses of a finger's last body on another body, shape (5, 4, 4).
 
     The finger's joints cross their ranges together.
@@ -294,14 +306,22 @@ def _travel(finger: RobotFinger, poses: np.ndarray) -> float:
     return float(np.ptp(tips, axis=0).max())
 
 
-def _idleness(robot: Robot, finger: RobotFinger, _: list[RobotFinger]) -> str:
+def _idleness(
+    robot: Robot,
+    finger: RobotFinger,
+    _: list[RobotFinger],
+) -> str:
     """Return what is wrong with a chain that does not move its own end."""
     poses = _poses(robot, finger, robot.model.parents[finger.joints[0]])
     is_idle = _travel(finger, poses) < _LEAST_TRAVEL
     return "does not move the end of its chain, so not a finger" if is_idle else ""
 
 
-def _second_end(_: Robot, finger: RobotFinger, fingers: list[RobotFinger]) -> str:
+def _second_end(
+    _: Robot,
+    finger: RobotFinger,
+    fingers: list[RobotFinger],
+) -> str:
     """Return what is wrong with a chain that shares most joints with a longer one."""
     for other in sorted(fingers, key=lambda one: -len(one.joints)):
         if other is finger:
@@ -311,13 +331,17 @@ def _second_end(_: Robot, finger: RobotFinger, fingers: list[RobotFinger]) -> st
     return ""
 
 
-def _linkage(robot: Robot, bar: RobotFinger, fingers: list[RobotFinger]) -> str:
+def _linkage(
+    robot: Robot,
+    bar: RobotFinger,
+    fingers: list[RobotFinger],
+) -> str:
     """Return what is wrong with a bar: hinged to a finger that the same joint drives."""
     for host in fingers:
-        is_driven_alike = {*host.columns} == {*bar.columns}
-        bodies = host.joints if len(host.joints) > len(bar.joints) else ()
-        if is_driven_alike and any(
-            _is_hinged(bar, _poses(robot, bar, body)) for body in bodies
+        if (
+            len(host.joints) > len(bar.joints)
+            and {*host.columns} == {*bar.columns}
+            and any(_is_hinged(bar, _poses(robot, bar, body)) for body in host.joints)
         ):
             return f"a bar of the linkage of the finger that ends at {host.links[-1]}"
     return ""
@@ -339,7 +363,7 @@ def _is_hinged(bar: RobotFinger, poses: np.ndarray) -> bool:
     solution = np.linalg.lstsq(matrix, shifts, rcond=1e-6)[0]
     residuals = lengths((matrix @ solution - shifts).reshape(-1, 3))
     axis = pin.log3(rotations[0].T @ rotations[-1])
-    off_axis = lengths(np.cross(axis, solution[:3])) / lengths(axis)
-    length = float(lengths(bar.tip[1]))
+    off_axis = lengths(np.cross(unit(axis), solution[:3]))
+    length = lengths(bar.tip[1])
     is_off = _PIVOT_SHARE * length < off_axis < length + _LINKAGE_SLACK
     return bool(residuals.max() < _LINKAGE_SLACK and is_off)

@@ -18,14 +18,13 @@ from handmap_qp import hands
 from handmap_qp.apps.onboarding.detect import Detection
 from handmap_qp.errors import (
     HandError,
-    InvalidInputError,
     MissingExtraError,
     MissingPackageError,
     expect,
 )
 from handmap_qp.hands.sources import is_mjcf, package_folder, source_path
 from handmap_qp.hands.spec import is_named_source
-from handmap_qp.output_files import make_folder, writing
+from handmap_qp.output_files import check_new, make_folder, writing
 
 _WIDTH = 120
 # Allowed difference between the poses of a link in the URDF and in MuJoCo [m].
@@ -75,7 +74,12 @@ class RobotSource(NamedTuple):
     written: tuple[Path, ...] = ()
 
 
-def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotSource:
+def open_source(
+    robot: Path,
+    folder: Path,
+    *,
+    overwrite: bool = False,
+) -> RobotSource:
     """Find the URDF of a robot, and convert an MJCF file to one.
 
     Args:
@@ -100,7 +104,7 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
             hands.mjcf.cached_urdf(path), given, hands.mjcf.convert_mjcf(path).notes
         )
     urdf = folder / f"{path.stem}.urdf"
-    _check_new(urdf, overwrite=overwrite)
+    check_new("--out", urdf, overwrite=overwrite)
     converted = hands.mjcf.convert_mjcf(path, f"{path.stem}_meshes")
     difference = hands.mjcf.kinematics_difference(converted)
     if not difference < _MOST_DIFFERENCE:
@@ -111,7 +115,12 @@ def open_source(robot: Path, folder: Path, *, overwrite: bool = False) -> RobotS
     return RobotSource(urdf, str(urdf), converted.notes, (urdf,))
 
 
-def write_hand(detection: Detection, path: Path, *, overwrite: bool = False) -> None:
+def write_hand(
+    detection: Detection,
+    path: Path,
+    *,
+    overwrite: bool = False,
+) -> None:
     """Write a `hand.yaml`.
 
     Args:
@@ -140,18 +149,7 @@ def check_free(path: Path, *, overwrite: bool) -> None:
     """
     is_yaml = path.suffix in (".yaml", ".yml")
     expect(is_yaml, "--out", "a file that ends in .yaml", value=str(path))
-    _check_new(path, overwrite=overwrite)
-
-
-def _check_new(path: Path, *, overwrite: bool) -> None:
-    """Reject a file that exists, unless it may be replaced."""
-    if path.exists() and not overwrite:
-        raise InvalidInputError(
-            argument="--out",
-            problem=f"{path} exists already",
-            value=str(path),
-            advice="give --overwrite to replace it",
-        )
+    check_new("--out", path, overwrite=overwrite)
 
 
 def hand_text(detection: Detection, folder: Path) -> str:
@@ -172,9 +170,8 @@ def hand_text(detection: Detection, folder: Path) -> str:
 def _comments(detection: Detection) -> dict[str, str]:
     """Return the comments above keys by their paths: evidence, and each finger's first joint."""
     said = {clue.what: f"{clue.how} ({clue.certainty})" for clue in detection.clues}
-    above = dict(_ABOVE)
-    for key, (name, what) in _FOUND.items():
-        above[key] = f"{what}{said[name]}"
+    found = {key: f"{what}{said[name]}" for key, (name, what) in _FOUND.items()}
+    above = _ABOVE | found
     for i, point in enumerate(detection.spec.points):
         above[f"points.{i}"] = said.get(point.name, "")
     for finger, chain in detection.chains.items():
@@ -184,7 +181,11 @@ def _comments(detection: Detection) -> dict[str, str]:
     return above
 
 
-def _lines(values: Any, path: str, above: Mapping[str, str]) -> Iterator[str]:
+def _lines(
+    values: Any,
+    path: str,
+    above: Mapping[str, str],
+) -> Iterator[str]:
     """Yield the lines of a mapping, struct or list, with comments by the paths of keys."""
     values = _given(values)
     is_list = isinstance(values, tuple)
