@@ -66,9 +66,8 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
     spec = _empty_spec(physics)
     bodies = _add_hand(spec, hand)
     for part in geometry.geometryObjects:
-        shape = _shape(spec, part.geometry)
-        place = _placed(part.placement)
-        bodies[part.parentJoint].add_geom(**shape, **place, **_HAND)
+        shape = _shape(spec, part.geometry) | _placed(part.placement)
+        bodies[part.parentJoint].add_geom(**shape, **_HAND)
     held = spec.worldbody.add_body(name=OBJECT)
     held.add_freejoint(name=OBJECT)
     shape = _shape(spec, body.shape)
@@ -150,10 +149,8 @@ def _add_joint(body: Any, model: pin.Model, index: int) -> None:
         type=kinds.mjJNT_SLIDE if is_slide else kinds.mjJNT_HINGE,
         axis=linear if is_slide else angular,
     )
-    ends = [
-        model.lowerPositionLimit[joint.idx_q],
-        model.upperPositionLimit[joint.idx_q],
-    ]
+    limits = model.lowerPositionLimit, model.upperPositionLimit
+    ends = [limit[joint.idx_q] for limit in limits]
     if np.abs(ends).max() < _UNLIMITED:
         made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         made.range = ends
@@ -177,30 +174,26 @@ def _set_inertia(
 
 def _shape(spec: Any, shape: Any) -> dict[str, Any]:
     """Return what makes a geom of one of our shapes, or of coal's; of a mesh, its convex hull."""
-    kinds = mujoco.mjtGeom
+    kind = type(shape).__name__.upper()
     match shape:
         case coal.Box():
-            return {"type": kinds.mjGEOM_BOX, "size": shape.halfSide}
+            size = shape.halfSide
         case Box():
-            return {"type": kinds.mjGEOM_BOX, "size": np.array(shape.size) / 2.0}
+            size = np.divide(shape.size, 2.0)
         case coal.Sphere() | Sphere():
-            return {"type": kinds.mjGEOM_SPHERE, "size": [shape.radius, 0.0, 0.0]}
-        case coal.Capsule():
+            size = [shape.radius, 0.0, 0.0]
+        case coal.Capsule() | coal.Cylinder():
             size = [shape.radius, shape.halfLength, 0.0]
-            return {"type": kinds.mjGEOM_CAPSULE, "size": size}
-        case coal.Cylinder():
-            size = [shape.radius, shape.halfLength, 0.0]
-            return {"type": kinds.mjGEOM_CYLINDER, "size": size}
         case Cylinder():
             size = [shape.radius, shape.length / 2.0, 0.0]
-            return {"type": kinds.mjGEOM_CYLINDER, "size": size}
-        case MeshShape():
-            points = shape.points
         case _:
-            points = np.array([shape.point(i) for i in range(shape.num_points)])
-    name = f"hull{len(spec.meshes)}"
-    spec.add_mesh(name=name, uservert=points.ravel().tolist())
-    return {"type": kinds.mjGEOM_MESH, "meshname": name}
+            name = f"hull{len(spec.meshes)}"
+            vertices = shape.points
+            if not isinstance(shape, MeshShape):
+                vertices = [shape.point(i) for i in range(shape.num_points)]
+            spec.add_mesh(name=name, uservert=np.ravel(vertices).tolist())
+            return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
+    return {"type": getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"), "size": size}
 
 
 def _couple_followers(spec: Any, hand: Hand) -> None:
