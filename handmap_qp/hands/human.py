@@ -324,23 +324,22 @@ def _palm_map(
     old: HumanLengths, new: HumanLengths, shape_name: str
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the map of points of a shape in the palm."""
-    breadth_old, breadth_new = (
-        lengths.bases[4, 0] - lengths.bases[1, 0] for lengths in (old, new)
-    )
-    across = breadth_new / breadth_old
-    along = new.bases[2, 1] / old.bases[2, 1]
-    scale = np.array([across, along, new.hand_length / old.hand_length])
+    sizes = [
+        (each.bases[4, 0] - each.bases[1, 0], each.bases[2, 1], each.hand_length)
+        for each in (old, new)
+    ]
+    scale = np.divide(sizes[1], sizes[0])
     finger = shape_name.partition("_")[0]
     # Shapes that belong to no finger follow the middle of the knuckles, which is not always on the
     # palm's y axis.
     rows = [FINGERS.index(finger)] if finger in FINGERS else [1, 4]
-    base_old = old.bases[rows].mean(axis=0)
-    base_new = new.bases[rows].mean(axis=0)
+    base = old.bases[rows].mean(axis=0)
+    residual = new.bases[rows].mean(axis=0) - scale * base
 
     def follow(point: np.ndarray) -> np.ndarray:
         # Add the residual at the finger base, weighted linearly from wrist to base.
-        share = max(0.0, point @ base_old / (base_old @ base_old))
-        return scale * point + share * (base_new - scale * base_old)
+        share = max(0.0, point @ base / (base @ base))
+        return scale * point + share * residual
 
     return follow
 
@@ -366,13 +365,11 @@ def _scale_shape(
         (radius,) = get_numbers(primitive, "radius", 1)
         set_numbers(primitive, radius=size * radius)
     if kind == "cylinder":
-        half = get_numbers(primitive, "length", 1)[0] / 2 * axes[:, 2]
-        lower = move(centre - half)
-        upper = move(centre + half)
-        moved = (lower + upper) / 2
-        length = float(np.linalg.norm(upper - lower))
-        x, y, z = (upper - lower) / length
-        set_numbers(primitive, length=length)
+        half = 0.5 * get_numbers(primitive, "length", 1)[0] * axes[:, 2]
+        ends = np.array([move(centre - half), move(centre + half)])
+        moved = ends.mean(axis=0)
+        x, y, z = along = ends[1] - ends[0]
+        set_numbers(primitive, length=np.linalg.norm(along))
         # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.
         pitch = np.arctan2(np.hypot(x, y), z)
         set_numbers(origin, rpy=[0.0, pitch, np.arctan2(y, x)])

@@ -162,13 +162,12 @@ def move_joint(model: pin.Model, name: str, origin: np.ndarray, roll: float) -> 
         placement.translation = place
         placement.rotation = placement.rotation @ pin.utils.rotate("x", roll)
         return
-    before = frame.placement.translation.copy()
+    shift = place - frame.placement.translation
     moved = {index}
-    for i in range(index, len(model.frames)):
-        each = model.frames[i]
-        if i in moved or each.parentFrame in moved:
+    for i, each in enumerate(model.frames):
+        if i == index or each.parentFrame in moved:
             moved.add(i)
-            each.placement.translation = place + (each.placement.translation - before)
+            each.placement.translation += shift
 
 
 def link_frame(
@@ -273,9 +272,9 @@ def check_wrist(
     joints = [model.frames[frame].parentJoint for frame in (wrist, palm)]
     links = (("wrist.link", spec.wrist.link), ("palm.link", spec.palm.link))
     for (key, link), joint in zip(links, joints, strict=True):
-        below = [i for i in range(model.njoints) if joint in model.supports[i]]
         # All other joints hang from it or carry it.
-        is_trunk = len(below) + len(model.supports[joint]) - 1 == model.njoints
+        related = {*model.subtrees[joint], *model.supports[joint]}
+        is_trunk = len(related) == model.njoints
         if not is_trunk or (mount == "floating" and joint != 1):
             message = (
                 f"{link!r} moves with joints of the hand; it must be fixed to the root"
@@ -360,10 +359,10 @@ def expansion_matrix(
         active: The joints that follow no other, in the order of the columns.
         rules: Resolved rules of the others.
     """
-    rules = {name: MimicSpec(name) for name in active} | dict(rules)
     matrix = np.zeros((len(names), len(active)))
     offset = np.zeros(len(names))
-    for row, rule in enumerate(rules[name] for name in names):
+    for row, name in enumerate(names):
+        rule = rules.get(name, MimicSpec(name))
         matrix[row, active.index(rule.joint)] = rule.multiplier
         offset[row] = rule.offset
     return Expansion(matrix, offset)
