@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Document, Side
 from handmap_qp.se3 import transform_points
 from handmap_qp.trackers.layouts.base import (
     UNITS,
@@ -32,7 +31,7 @@ _STRAIGHTEST = 3.2  # deg
 _BACKWARDS = 20.0  # deg, mean of the four middle joints; people reach about 10
 
 
-class AngleEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AngleEntry(Document, frozen=True):
     """One angle.
 
     Attributes:
@@ -52,9 +51,7 @@ class AngleEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     default: float | None = None
 
 
-class AngleTable(
-    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="angles", kw_only=True
-):
+class AngleTable(LayoutTable, frozen=True, tag="angles", kw_only=True):
     """A layout of joint angles.
 
     Attributes:

@@ -20,7 +20,7 @@ from handmap_qp.errors import InvalidInputError, did_you_mean, expect
 from handmap_qp.hands.hand import Hand, Points
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Document, Side
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import HumanSample, check_side, human_name
@@ -42,7 +42,7 @@ TYPICAL_LENGTH = 0.19
 """Length of the hand that angles and markers are read with where no person was measured [m]."""
 
 
-class AxesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AxesTable(Document, frozen=True):
     """The anatomical directions in a wrist's own axes.
 
     Attributes:
@@ -54,7 +54,7 @@ class AxesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     dorsal: Axis
 
 
-class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class WristTable(Document, frozen=True):
     """How a wrist pose is obtained.
 
     Attributes:
@@ -70,9 +70,7 @@ class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quaternion: QuatOrder = "xyzw"
 
 
-class LayoutTable(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"
-):
+class LayoutTable(Document, frozen=True, tag_field="kind"):
     """What the tables of all kinds of layouts say.
 
     Attributes:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import PointSpec, Side, Vector
+from handmap_qp.hands.spec import Document, PointSpec, Side, Vector
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import FARTHEST, rigid_fit, transform_points
@@ -32,7 +31,7 @@ _FIT = IkOptions(
 )
 
 
-class MarkerEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class MarkerEntry(Document, frozen=True):
     """One marker.
 
     Attributes:
@@ -47,9 +46,7 @@ class MarkerEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     xyz: Vector
 
 
-class MarkerTable(
-    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="markers", kw_only=True
-):
+class MarkerTable(LayoutTable, frozen=True, tag="markers", kw_only=True):
     """A layout of markers.
 
     Attributes:

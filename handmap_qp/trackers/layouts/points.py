@@ -11,7 +11,7 @@ import numpy.typing as npt
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Document, Side
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, PALM, HumanSample
 from handmap_qp.se3 import (
     QuatOrder,
@@ -34,7 +34,7 @@ _FORMS = {3: (3,), 7: (7,), 16: (4, 4)}
 """Shapes of a joint, by how many numbers it has."""
 
 
-class BetweenTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class BetweenTable(Document, frozen=True):
     """A joint on the line through two landmarks, for writing: it is not read.
 
     Attributes:
@@ -48,9 +48,7 @@ class BetweenTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     share: float
 
 
-class PointTable(
-    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="points", kw_only=True
-):
+class PointTable(LayoutTable, frozen=True, tag="points", kw_only=True):
     """A layout of joints.
 
     Attributes:
