@@ -109,15 +109,16 @@ class AngleLayout(Layout[AngleTable]):
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every angle."""
-        meaning = f"joint [{self.table.unit}]"
-        rows = []
-        for i, entry in enumerate(self.table.angles):
-            offset = f" {entry.offset:+g}" if entry.offset else ""
-            row = {"index": i, "angle": entry.name}
-            row["joint of the human model"] = entry.joint
-            row[meaning] = f"{entry.scale:+g} x angle{offset}"
-            rows.append(row)
-        return rows
+        return [
+            {
+                "index": i,
+                "angle": entry.name,
+                "joint of the human model": entry.joint,
+                f"joint [{self.table.unit}]": f"{entry.scale:+g} x angle"
+                + (f" {entry.offset:+g}" if entry.offset else ""),
+            }
+            for i, entry in enumerate(self.table.angles)
+        ]
 
     def hands(
         self,

@@ -92,14 +92,15 @@ class MarkerLayout(Layout[MarkerTable]):
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every marker."""
-        rows = []
-        for i, entry in enumerate(self.table.markers):
-            place = ", ".join(f"{1e3 * value:g}" for value in entry.xyz)
-            row = {"index": i, "marker": entry.name}
-            row["link of the human model"] = entry.link
-            row["place on it [mm]"] = place
-            rows.append(row)
-        return rows
+        return [
+            {
+                "index": i,
+                "marker": entry.name,
+                "link of the human model": entry.link,
+                "place on it [mm]": ", ".join(f"{1e3 * v:g}" for v in entry.xyz),
+            }
+            for i, entry in enumerate(self.table.markers)
+        ]
 
     def hands(
         self,
