@@ -251,8 +251,7 @@ class Finger:
         """Its own joints with axes parallel to the last one's; all if there is none."""
         turns = self._turns(self._own)
         parallel = np.abs(turns @ turns[-1]) > PARALLEL
-        found = [j for j, is_one in zip(self._own, parallel, strict=True) if is_one]
-        return found or [*self._own]
+        return np.array(self._own)[parallel].tolist() or [*self._own]
 
     @cached_property
     def knuckle(self) -> Place:
@@ -265,8 +264,7 @@ class Finger:
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
         view = PalmKinematics(self.hand)
-        zero = zero_posture(self.hand)
-        return view.on_axis(zero, self.bending[0], self.tip)
+        return view.on_axis(zero_posture(self.hand), self.bending[0], self.tip)
 
     @cached_property
     def middle(self) -> Place:
@@ -297,10 +295,10 @@ class Finger:
             points = np.vstack([view.axes(q, joints[:1])[1], points])
         ways = np.cumsum(lengths(np.diff([*points, tip], axis=0)))
         shares = ways[:-1] / max(ways[-1], 1e-6)
-        near = [k for k, share in enumerate(shares) if _LEAST < share < _MOST]
-        if not near or not turns.any():
+        near = np.flatnonzero((shares > _LEAST) & (shares < _MOST))
+        if not len(near) or not turns.any():
             return None
-        best = near[-1] if is_thumb else min(near, key=lambda k: abs(shares[k] - _PIP))
+        best = near[-1] if is_thumb else near[np.abs(shares[near] - _PIP).argmin()]
         return view.on_axis(q, joints[best + 1], self.tip)
 
     @property

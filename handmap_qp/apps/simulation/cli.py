@@ -104,7 +104,10 @@ class Simulate:
         found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
         if self.trials:
             found["rows"] = [trial_row(name, made) for name, made in outcomes.items()]
-            found["trials"] = _described(trials, outcomes)
+            found["trials"] = []
+            for i, each in enumerate(trials):
+                held = [name for name, made in outcomes.items() if made[i].is_held]
+                found["trials"].append(describe_trial(each) | {"held": held})
         else:
             firsts = {name: made[0] for name, made in outcomes.items()}
             found["rows"] = [outcome_row(name, made) for name, made in firsts.items()]
@@ -177,14 +180,3 @@ class Simulate:
             film(episode, up, self.film)
         if self.html is not None:
             write_page(self.html, episodes, up, f"{self.robot}, simulated")
-
-
-def _described(
-    trials: list[PinchTrial], outcomes: dict[str, list[PinchOutcome]]
-) -> list[dict[str, Any]]:
-    """Describe every trial by plain values, with the mappings that held its object."""
-    described = []
-    for i, trial in enumerate(trials):
-        held = [name for name, made in outcomes.items() if made[i].is_held]
-        described.append(describe_trial(trial) | {"held": held})
-    return described
