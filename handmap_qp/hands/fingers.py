@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -174,8 +173,7 @@ def zero_posture(hand: Jointed) -> np.ndarray:
     return np.clip(0.0, hand.lower_limits, hand.upper_limits)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Flexion:
+class Flexion(NamedTuple):
     """How the joints of a finger with parallel axes curl it; k of them.
 
     Attributes:

@@ -466,14 +466,11 @@ class _ShapeWriter:
     def _mesh(self, mesh: int) -> ET.Element:
         model = self._model
         if mesh not in self._files:
-            name = _file_name(model.mesh(mesh).name or f"mesh{mesh}")
+            own = model.mesh(mesh)
+            name = _file_name(own.name or f"mesh{mesh}")
             file = f"{self._folder}/{_unique(name, self._names)}.stl"
-            first = model.mesh_vertadr[mesh]
-            number = model.mesh_vertnum[mesh]
-            vertices = model.mesh_vert[first : first + number]
-            first = model.mesh_faceadr[mesh]
-            number = model.mesh_facenum[mesh]
-            faces = model.mesh_face[first : first + number]
+            vertices = model.mesh_vert[own.vertadr[0] :][: own.vertnum[0]]
+            faces = model.mesh_face[own.faceadr[0] :][: own.facenum[0]]
             self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
             self._files[mesh] = file
         return ET.Element("mesh", filename=self._files[mesh])

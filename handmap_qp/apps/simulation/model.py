@@ -38,6 +38,8 @@ _LEAST = (2e-3, 1e-6)
 _LEAST_OF_BASE = (1.0, 1e-3)
 # Stiff enough for a lag of the wrist of a few milliseconds.
 _STIFF = {"solref": [4e-3, 1.0], "solimp": [0.99, 0.999, 1e-3, 0.5, 2.0]}
+# Stiffness of an arm's actuators [N m/rad].
+_ARM_STIFFNESS = 3000.0
 # Limits beyond this stand for none [rad or m].
 _UNLIMITED = 1e5
 
@@ -219,18 +221,14 @@ def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
 
 def _add_actuators(spec: Any, hand: Hand, physics: Physics) -> None:
     """Add a spring with critical damping for each joint of the hand, and of its arm."""
-    arm = () if hand.spec.arm is None else hand.spec.arm.joints
     for name in hand.joint_names:
-        is_arm = name in arm
         actuator = spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
-        stiffness = physics.arm_stiffness if is_arm else physics.joint_stiffness
-        actuator.set_to_position(kp=stiffness)
-        if not is_arm and np.isfinite(physics.effort_limit):
-            joint = spec.joint(name)
-            joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
-            joint.actfrcrange = [-physics.effort_limit, physics.effort_limit]
+        is_arm = name not in hand.spec.joints
+        actuator.set_to_position(
+            kp=_ARM_STIFFNESS if is_arm else physics.joint_stiffness
+        )
 
 
 def _placed(pose: pin.SE3) -> dict[str, np.ndarray]:

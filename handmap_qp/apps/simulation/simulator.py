@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import mujoco
@@ -67,8 +66,7 @@ class Instant(NamedTuple):
     links_touching: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Episode:
+class Episode(NamedTuple):
     """A simulation of T instants.
 
     Attributes:

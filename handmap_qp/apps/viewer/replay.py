@@ -201,7 +201,7 @@ class Replay:
         results = step.diagnostics
         is_released = step.status == "released"
         recording = self._recording
-        has_motion = "motion" in results
+        motion = results.get("motion_deformation")
         return ViewSample(
             time=float(self.time[i]),
             robot_q=step.command.q,
@@ -213,8 +213,8 @@ class Replay:
             human_wrist=self._motion.wrist[i],
             human_points=step.human_points,
             landmarks=recording.landmarks[i] if recording.valid[i] else None,
-            deformation=results["motion_deformation"][:3, :3] if has_motion else None,
-            pivot=results["pivot_image"] if has_motion else None,
+            deformation=None if motion is None else motion[:3, :3],
+            pivot=results.get("pivot_image"),
             is_limited=step.at_bound,
             status=step.status,
             rule=step.rule,
