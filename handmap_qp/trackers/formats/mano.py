@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import as_floats
-from handmap_qp.trackers.formats.archive import member_names, read_archive
+from handmap_qp.trackers.formats.archive import Arrays, member_names, read_archive
 from handmap_qp.trackers.formats.base import (
     Entry,
     RecordingFormat,
@@ -127,8 +127,8 @@ class ManoFormat(RecordingFormat):
 
 
 def _joints_of_parameters(
-    model: Mapping[str, np.ndarray],
-    arrays: Mapping[str, np.ndarray],
+    model: Arrays,
+    arrays: Arrays,
     count: int,
 ) -> np.ndarray:
     """Return the joints of parameters in MANO's order [m], shape (T, 21, 3)."""
@@ -186,7 +186,7 @@ _MODEL = {
 
 
 def _posed_joints(
-    model: Mapping[str, np.ndarray],
+    model: Arrays,
     turns: np.ndarray,
     shape: np.ndarray,
 ) -> np.ndarray:
