@@ -314,12 +314,8 @@ class LeRobotWriter:
                 for name, f in self._features.items()
             },
         }
-        stats = {
-            name: {key: array.tolist() for key, array in own.items()}
-            for name, own in self._stats.items()
-        }
-        for name, values in (("info", info), ("stats", stats)):
-            text = json.dumps(values, indent=1) + "\n"
+        for name, values in (("info", info), ("stats", self._stats)):
+            text = json.dumps(values, indent=1, default=np.ndarray.tolist) + "\n"
             self._place(f"meta/{name}.json").write_text(text, encoding="utf-8")
         for writer in self._open.values():
             writer.close()
