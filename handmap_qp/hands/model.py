@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -190,20 +190,6 @@ def link_frame(
     parent = model.frames[parent_id]
     pose = parent.placement * pin.SE3(placement)
     return pin.Frame(name, parent.parentJoint, parent_id, pose, pin.FrameType.OP_FRAME)
-
-
-def with_frames(model: pin.Model, frames: Iterable[pin.Frame]) -> pin.Model:
-    """Return a model with the same joints and only these frames: others take time to place."""
-    few = pin.Model()
-    for joint in range(1, model.njoints):
-        place = model.jointPlacements[joint]
-        few.addJoint(
-            model.parents[joint], model.joints[joint], place, model.names[joint]
-        )
-    kind = pin.FrameType.OP_FRAME
-    for frame in frames:
-        few.addFrame(pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, kind))
-    return few
 
 
 def palm_in_link(spec: HandSpec) -> np.ndarray:
