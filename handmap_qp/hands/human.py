@@ -7,6 +7,7 @@ URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirror`).
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from handmap_qp.errors import HandError, expect
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.urdf import (
     child_of,
     get_numbers,
@@ -42,23 +44,9 @@ HUMAN_JOINTS: tuple[str, ...] = tuple(
 )
 """The joints of the human hand, four a finger; the order of every human q."""
 
-# Buchholz, Armstrong and Goldstein, Ergonomics 35 (1992) 261-273, doi 10.1080/00140139208967812,
-# from two public transcriptions. Bones as fractions of hand length: thumb metacarpal, proximal,
-# distal; fingers proximal, middle, distal.
-_BUCHHOLZ_SEGMENTS = np.array(
-    [
-        [0.251, 0.196, 0.158],
-        [0.245, 0.143, 0.097],
-        [0.266, 0.170, 0.108],
-        [0.244, 0.165, 0.107],
-        [0.204, 0.117, 0.093],
-    ]
-)
-# The same source: distance of the thumb's CMC and the fingers' MCP joints from the distal wrist
-# crease along the third metacarpal (fraction of hand length), and to the radial side of it
-# (fraction of hand breadth).
-_BUCHHOLZ_DISTAL = np.array([0.073, 0.447, 0.446, 0.409, 0.368])
-_BUCHHOLZ_RADIAL = np.array([0.196, 0.251, 0.0, -0.206, -0.402])
+# Proportions of hands (Buchholz et al. 1992); the file names their source.
+_FILE = urdf_directory() / "human" / "buchholz.json"
+_BUCHHOLZ = json.loads(_FILE.read_text(encoding="utf-8"))
 # Hand breadth over hand length at which these offsets set the index and little MCP joints as far
 # apart as trackers see them: the median of five tracked hands has them at 0.347 of the
 # wrist-to-middle-tip length, which is 0.990 hand lengths here, so that sqrt((0.347 * 0.990)^2 -
@@ -172,10 +160,10 @@ class HumanLengths:
         breadth = _BREADTH_OVER_LENGTH * length
         if hand_breadth is not None:
             breadth = _checked_length(hand_breadth, "hand_breadth")
-        across = -breadth * _BUCHHOLZ_RADIAL
-        along = length * _BUCHHOLZ_DISTAL
+        across = np.multiply(-breadth, _BUCHHOLZ["radial"])
+        along = np.multiply(length, _BUCHHOLZ["distal"])
         bases = np.column_stack([across, along, np.zeros(5)])
-        return cls(bases=bases, segments=length * _BUCHHOLZ_SEGMENTS)
+        return cls(bases, np.multiply(length, _BUCHHOLZ["segments"]))
 
     @classmethod
     def from_urdf(cls, text: str | bytes) -> Self:
