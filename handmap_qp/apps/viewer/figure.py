@@ -401,7 +401,8 @@ class HandFigure(Figure):
         pose = self._pose(wrist)
         if not self._corners:
             points = np.vstack([self.hand.points(q, pose), wrist[None, :3, 3]])
-            return np.vstack(points + 2.0 * _PADDING * _OUTWARDS[:, None])
+            padded = points + 2.0 * _PADDING * _OUTWARDS[:, None]
+            return padded.reshape(-1, 3)
         poses = self.hand.link_poses(list(self._corners), q, pose)
         return np.vstack(list(map(transform_points, poses, self._corners.values())))
 

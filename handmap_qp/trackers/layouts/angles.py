@@ -63,7 +63,7 @@ class AngleTable(LayoutTable, frozen=True, tag="angles", kw_only=True):
     wrist: WristTable | None = None
 
 
-class AngleLayout(Layout[AngleTable]):
+class AngleLayout(Layout):
     """A layout of joint angles.
 
     Args:
@@ -72,6 +72,8 @@ class AngleLayout(Layout[AngleTable]):
     Raises:
         InvalidInputError: If the table names no joint, or one twice.
     """
+
+    table: AngleTable
 
     def __init__(self, table: AngleTable) -> None:
         super().__init__(table)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -98,9 +98,6 @@ class LayoutTable(Document, frozen=True, tag_field="kind"):
     time: dict[str, float] = msgspec.field(default_factory=dict)
 
 
-Table = TypeVar("Table", bound=LayoutTable, covariant=True)
-
-
 class Hands(NamedTuple):
     """Samples of one hand as arrays.
 
@@ -113,7 +110,7 @@ class Hands(NamedTuple):
     wrists: np.ndarray | None
 
 
-class Layout(abc.ABC, Generic[Table]):
+class Layout(abc.ABC):
     """A tracker's form of samples.
 
     Other packages add theirs by entry points of the group `handmap_qp.layouts`, each of which names
@@ -132,7 +129,7 @@ class Layout(abc.ABC, Generic[Table]):
         world: Takes points of the tracker's world to ours [m], shape (4, 4).
     """
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: LayoutTable) -> None:
         self.table = table
         self.shapes: tuple[tuple[int, ...], ...] = ()
         self.columns: tuple[str, ...] = ()

@@ -56,7 +56,7 @@ class MarkerTable(LayoutTable, frozen=True, tag="markers", kw_only=True):
     markers: tuple[MarkerEntry, ...]
 
 
-class MarkerLayout(Layout[MarkerTable]):
+class MarkerLayout(Layout):
     """A layout of markers.
 
     Args:
@@ -65,6 +65,8 @@ class MarkerLayout(Layout[MarkerTable]):
     Raises:
         InvalidInputError: If a marker is on no link, or fewer than three are on the palm.
     """
+
+    table: MarkerTable
 
     def __init__(self, table: MarkerTable) -> None:
         super().__init__(table)

@@ -75,7 +75,7 @@ class PointTable(LayoutTable, frozen=True, tag="points", kw_only=True):
     between: dict[int, BetweenTable] = msgspec.field(default_factory=dict)
 
 
-class PointLayout(Layout[PointTable]):
+class PointLayout(Layout):
     """A layout of joints as points or poses.
 
     Args:
@@ -84,6 +84,8 @@ class PointLayout(Layout[PointTable]):
     Raises:
         InvalidInputError: If the table contradicts itself.
     """
+
+    table: PointTable
 
     def __init__(self, table: PointTable) -> None:
         super().__init__(table)
