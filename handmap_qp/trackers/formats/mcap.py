@@ -114,13 +114,11 @@ class McapFormat(RecordingFormat):
         bags = require("rosbags.rosbag2", "files")
         for recording in recordings:
             start, end = recording.time[[0, -1]]
-            expected = "instants from 0 to 2^31 s, as ROS 2 has them"
-            got = f"{start:g} to {end:g}"
             expect(
                 start >= 0.0 and end <= 2.0**31,
                 "time",
-                expected,
-                got=got,
+                "instants from 0 to 2^31 s, as ROS 2 has them",
+                got=f"{start:g} to {end:g}",
             )
         with (
             replaced_path(path, "path") as temporary,

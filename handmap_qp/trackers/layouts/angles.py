@@ -167,13 +167,12 @@ class AngleLayout(Layout):
             is_other = len(values) > 1 and 0.0 < largest < _STRAIGHTEST
             got = f"none above {largest:.3g}"
         convert = f"convert them, or set `unit: {other[:3]}` in a table of your own"
-        advice = f"these are {other}: {convert}"
         expect(
             not is_other,
             "values",
             f"angles in {unit}",
             got=got,
-            advice=advice,
+            advice=f"these are {other}: {convert}",
         )
         is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]
         back = -np.degrees(q[:, is_middle].mean(axis=1))

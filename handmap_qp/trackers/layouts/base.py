@@ -350,12 +350,11 @@ class Layout(abc.ABC):
             if fitting:
                 found[column] = fitting[0]
             elif column not in self.defaults:
-                got = f"none; {did_you_mean(column, own)}".rstrip("; ")
                 expect(
                     False,
                     "values",
                     f"a column {column}",
-                    got=got,
+                    got=f"none; {did_you_mean(column, own)}".rstrip("; "),
                 )
         return found
 

@@ -117,11 +117,10 @@ class MarkerLayout(Layout):
         landmarks = human.with_points("landmarks")
         markers = transform_points(self.world, values)
         is_near = np.abs(markers).max() <= FARTHEST
-        expected = f"coordinates within {FARTHEST:g} m"
         expect(
             is_near,
             "values",
-            expected,
+            f"coordinates within {FARTHEST:g} m",
             got=f"{np.abs(markers).max():.3g} m",
         )
         palm = human.points(human.rest)[self._on_palm]

@@ -226,11 +226,10 @@ def _indices(
     """Return the indices of our landmarks among `count` joints, which must all differ."""
     known = set(given) & set(range(count))
     are_right = len(given) == len(known) == LANDMARK_COUNT
-    expected = f"{LANDMARK_COUNT} different indices below count, {count}"
     expect(
         are_right,
         key,
-        expected,
+        f"{LANDMARK_COUNT} different indices below count, {count}",
         value=given,
     )
     return np.array(given)
