@@ -29,6 +29,16 @@ OBJECT = "/object"
 WRIST = "/wrist"
 """Names of the object's body and of the wrist's site; others bear the names of joints."""
 
+# Least mass and inertia are for links without mass and shape.
+_EMPTY = """
+<mujoco>
+  <compiler angle="radian" boundmass="1e-4" boundinertia="1e-9"/>
+  <option integrator="implicitfast" cone="elliptic" impratio="100" noslip_iterations="3"/>
+  <default>
+    <geom solimp="0.95 0.99 5e-4 0.5 2"/>
+  </default>
+</mujoco>
+"""
 _MOCAP = "/mocap"
 # Who collides with whom.
 _HAND = {"contype": 1, "conaffinity": 2}
@@ -86,23 +96,14 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
 
 def _empty_spec(physics: Physics) -> Any:
     """Return a specification with what holds for all bodies, joints and geoms."""
-    spec = mujoco.MjSpec()
+    spec = mujoco.MjSpec.from_string(_EMPTY)
     spec.option.timestep = physics.time_step
     spec.option.gravity = physics.gravity
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 100.0
-    spec.option.noslip_iterations = 3
-    spec.compiler.degree = False
-    # For links without mass and shape.
-    spec.compiler.boundmass = 1e-4
-    spec.compiler.boundinertia = 1e-9
     geom = spec.default.geom
     geom.density = physics.density
     geom.condim = 4 if physics.torsion > 0.0 else 3
     geom.friction = [physics.friction, max(physics.torsion, 1e-5), 1e-5]
     geom.solref = [physics.contact_time, 1.0]
-    geom.solimp = [0.95, 0.99, 5e-4, 0.5, 2.0]
     spec.default.joint.armature = physics.armature
     return spec
 
