@@ -305,9 +305,8 @@ class _Converter:
     def _steps(self, body: int) -> Sequence[tuple[int, str, np.ndarray] | None]:
         """Return the axes that move a body; None for a last step to a frame beside its last one."""
         model = self.model
-        first = int(model.body_jntadr[body])
-        count = int(model.body_jntnum[body])
-        joints = [j for j in range(first, first + count) if model.jnt_type[j] != _FREE]
+        is_own = (model.jnt_bodyid == body) & (model.jnt_type != _FREE)
+        joints = np.flatnonzero(is_own).tolist()
         steps = [(joint, *axis) for joint in joints for axis in self._axes(joint)]
         anchored = [self._slides(j) or not model.jnt_pos[j].any() for j in joints]
         return steps if anchored[-1:] == [True] else [*steps, None]

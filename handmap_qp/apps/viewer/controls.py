@@ -528,8 +528,7 @@ class Window:
         gui.main_panel.set_width(_PANEL_WIDTH)
         # Controls that are added outside the tabs go to the main panel.
         panel = gui.add_panel()
-        names = ("Control", "Show", "Save")
-        self.control, show, save = (panel.add_tab(name) for name in names)
+        self.control, show, save = map(panel.add_tab, ("Control", "Show", "Save"))
         panel.dock_right()
         panel.set_width(_PANEL_WIDTH)
         self.gauges = Gauges(server, variants, human)

@@ -103,9 +103,8 @@ class McapFormat(RecordingFormat):
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the topics that a recording cannot hold."""
         with _opened(path) as bag:
-            rest = set(bag.topics)
-            for topics in _hands(bag).values():
-                rest -= set(topics.values())
+            known = map(dict.values, _hands(bag).values())
+            rest = set(bag.topics).difference(*known)
             return tuple(f"topic {topic}" for topic in sorted(rest))
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
