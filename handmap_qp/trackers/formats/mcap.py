@@ -153,26 +153,21 @@ def _store() -> Any:
 
 def _hands(bag: Any) -> dict[Side, dict[str, str]]:
     """Find the topics of each hand by their types and names: the first of each of `_KINDS`."""
-    hands = {side: _topics(bag, side) for side in SIDES}
-    found = {
-        side: own
-        for side, own in hands.items()
-        if "landmarks" in own or "joint_states" in own
-    }
+    found: dict[Side, dict[str, str]] = {}
+    for side in SIDES:
+        topics = {
+            what: topic
+            for what, (kind, word) in _KINDS.items()
+            for topic, info in reversed([*bag.topics.items()])
+            if side in topic.lower() and info.msgtype == kind and word in topic
+        }
+        if topics.keys() & {"landmarks", "joint_states"}:
+            found[side] = topics
     if not found:
         names = ", ".join(sorted(bag.topics)) or "none"
         problem = f"has no {_POSES} or {_STATE} with left or right in the topic's name; topics are "
         raise InvalidInputError(problem + names)
     return found
-
-
-def _topics(bag: Any, side: Side) -> dict[str, str]:
-    return {
-        what: topic
-        for what, (kind, word) in _KINDS.items()
-        for topic, info in reversed([*bag.topics.items()])
-        if side in topic.lower() and info.msgtype == kind and word in topic
-    }
 
 
 def _main(topics: dict[str, str]) -> str:
