@@ -104,10 +104,7 @@ class Simulate:
         found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
         if self.trials:
             found["rows"] = [trial_row(name, made) for name, made in outcomes.items()]
-            found["trials"] = []
-            for i, each in enumerate(trials):
-                held = [name for name, made in outcomes.items() if made[i].is_held]
-                found["trials"].append(describe_trial(each) | {"held": held})
+            found["trials"] = _described(trials, outcomes)
         else:
             firsts = {name: made[0] for name, made in outcomes.items()}
             found["rows"] = [outcome_row(name, made) for name, made in firsts.items()]
@@ -180,3 +177,14 @@ class Simulate:
             film(episode, up, self.film)
         if self.html is not None:
             write_page(self.html, episodes, up, f"{self.robot}, simulated")
+
+
+def _described(
+    trials: list[PinchTrial], outcomes: dict[str, list[PinchOutcome]]
+) -> list[dict[str, Any]]:
+    """Describe every trial by plain values, with the mappings that held its object."""
+    described = []
+    for i, trial in enumerate(trials):
+        held = [name for name, made in outcomes.items() if made[i].is_held]
+        described.append(describe_trial(trial) | {"held": held})
+    return described
