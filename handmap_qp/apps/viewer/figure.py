@@ -162,10 +162,6 @@ class Figure(ABC):
         x, _, z = self.anchor + self.extent.mean(axis=0)
         self._label.position = (x, low, z)
 
-    def name(self, text: str) -> None:
-        """Write the name below the figure."""
-        self._label.text = text
-
 
 class Spheres:
     """Spheres at points of a figure's world; their number follows the points, as methods do.
@@ -273,7 +269,7 @@ class LandmarkFigure(Figure):
     def __init__(self, server: viser.ViserServer) -> None:
         super().__init__(server, "landmarks", LANDMARK_COLOUR)
         self.is_shown = False
-        self.name("landmarks")
+        self._label.text = "landmarks"
         self._points = Spheres(
             server, "/landmarks/points", _LANDMARK_RADIUS, LANDMARK_COLOUR
         )
@@ -429,7 +425,7 @@ class HumanFigure(HandFigure):
     ) -> None:
         super().__init__(server, "human", hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
-        self.name("human")
+        self._label.text = "human"
         spread = np.zeros((1, 3)) if points is None else points - points.mean(axis=0)
         self._size = float(np.sqrt((spread**2).sum(axis=1).mean()))
 
@@ -522,9 +518,8 @@ class RobotFigure(HandFigure):
         self._targets.move(sample.targets)
         if self._solid is not None and sample.object_pose is not None:
             _place(self._solid, sample.object_pose)
-        self.name(
-            "\n".join(filter(None, (self.hand.name, self.label, state_text(sample))))
-        )
+        lines = self.hand.name, self.label, state_text(sample)
+        self._label.text = "\n".join(filter(None, lines))
 
 
 def state_text(sample: ViewSample) -> str:
