@@ -54,6 +54,7 @@ _BUCHHOLZ = json.loads(_FILE.read_text(encoding="utf-8"))
 _BREADTH_OVER_LENGTH = 0.512
 
 
+_NOT_HUMAN = "not a human hand of this package"
 LARGEST_ROLL = math.radians(45.0)
 """Largest roll of a finger [rad]."""
 CONTACT_GAP = 0.013
@@ -261,7 +262,7 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
         for link in robot.iterfind("link")
     }
     if "palm" not in shapes:
-        raise _not_human("the link 'palm' is missing", value="palm")
+        raise HandError(f"{_NOT_HUMAN}: the link 'palm' is missing", value="palm")
     for name, (position, turn) in joint_moves(old, lengths).items():
         origin = child_of(joints[name], "origin")
         roll, pitch, yaw = get_numbers(origin, "rpy", 3, "0 0 0")
@@ -294,18 +295,11 @@ def _joints(robot: ET.Element) -> dict[str, ET.Element]:
     for name in (name for finger in FINGERS for name in _chain(finger)):
         tags = {element.tag for element in joints[name]} if name in joints else set()
         if not {"origin", "child"} <= tags:
-            raise _not_human(
-                f"the joint {name!r} is missing or has no origin", value=name
+            raise HandError(
+                f"{_NOT_HUMAN}: the joint {name!r} is missing or has no origin",
+                value=name,
             )
     return joints
-
-
-def _not_human(
-    problem: str, *, key: str | None = None, value: str | None = None
-) -> HandError:
-    return HandError(
-        f"not a human hand of this package: {problem}", key=key, value=value
-    )
 
 
 def _palm_map(
@@ -342,7 +336,8 @@ def _scale_shape(
     centre = pose[:3, 3]
     kind = None if primitive is None else primitive.tag
     if primitive is None or kind not in ("sphere", "cylinder", "box"):
-        raise _not_human(f"a shape is <{kind}>", key=shape.get("name"), value=kind)
+        problem = f"{_NOT_HUMAN}: a shape is <{kind}>"
+        raise HandError(problem, key=shape.get("name"), value=kind)
     origin = child_of(shape, "origin")
     moved = move(centre)
     if kind == "box":

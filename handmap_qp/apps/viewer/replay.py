@@ -307,7 +307,9 @@ class ReplayViewer(Window):
             replay.switch(request, self.index)
         self._changes |= changes
         if "preset" in chosen or changes or set(requests) - {"keep"}:
-            self._pending.append(self._remap)
+            self._pending.append(
+                lambda: replay.remap(self._base.with_changes(self._changes))
+            )
         if "keep" in requests:
             steering.show_compared(KEPT)
             chosen["compare"] = KEPT
@@ -328,9 +330,6 @@ class ReplayViewer(Window):
                 say(self.steering.message, None)
                 self._show_variants()
             self.steering.show_compared(self._compared)
-
-    def _remap(self) -> None:
-        self.replay.remap(self._base.with_changes(self._changes))
 
     def _compare(self, name: str) -> None:
         replay = self.replay
