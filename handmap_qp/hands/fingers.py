@@ -566,9 +566,11 @@ def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
 
 def _points_by_finger(hand: Hand) -> dict[str, list[PointSpec]]:
     """Return the description's points of each finger with an anatomical name."""
-    points = hand.spec.points
-    named = {finger: [p for p in points if p.finger == finger] for finger in FINGERS}
-    return {finger: own for finger, own in named.items() if own}
+    return {
+        finger: own
+        for finger in FINGERS
+        if (own := [p for p in hand.spec.points if p.finger == finger])
+    }
 
 
 def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:

@@ -328,7 +328,8 @@ class ReplayViewer(Window):
                 say(self.steering.message, error)
             else:
                 say(self.steering.message, None)
-                self._show_variants()
+                self.set_variants(self.replay.variants)
+                self._plot()
             self.steering.show_compared(self._compared)
 
     def _compare(self, name: str) -> None:
@@ -338,10 +339,6 @@ class ReplayViewer(Window):
         else:
             replay.compare(None if name == NOTHING else replay.preset(name))
         self._compared = name
-
-    def _show_variants(self) -> None:
-        self.set_variants(self.replay.variants)
-        self._plot()
 
     def _plot(self) -> None:
         self.gauges.set_rows(
