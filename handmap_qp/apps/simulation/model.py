@@ -113,15 +113,18 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
     model = hand.model
     bodies = [spec.worldbody]
     for index in range(1, model.njoints):
+        name = model.names[index]
         inertia = model.inertias[index]
         if model.joints[index].nv == 6:
-            body = _add_base(spec, model.names[index])
+            # A floating base, and the body that leads it.
+            spec.worldbody.add_body(name=_MOCAP, mocap=True)
+            body = spec.worldbody.add_body(name=name, gravcomp=1.0)
+            body.add_freejoint(name=name)
+            _add_equality(spec, "WELD", "BODY", _MOCAP, name).data[10] = 1.0
             _set_inertia(body, inertia, *_LEAST_OF_BASE)
         else:
             body = bodies[model.parents[index]].add_body(
-                name=model.names[index],
-                gravcomp=1.0,
-                **_placed(model.jointPlacements[index]),
+                name=name, gravcomp=1.0, **_placed(model.jointPlacements[index])
             )
             _add_joint(body, model, index)
             # Without one in the URDF, it follows from the shapes' density.
@@ -131,15 +134,6 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
     wrist = model.frames[hand.wrist_frame_id]
     bodies[wrist.parentJoint].add_site(name=WRIST, **_placed(wrist.placement))
     return bodies
-
-
-def _add_base(spec: Any, name: str) -> Any:
-    """Add a floating base and the body that leads it."""
-    spec.worldbody.add_body(name=_MOCAP, mocap=True)
-    base = spec.worldbody.add_body(name=name, gravcomp=1.0)
-    base.add_freejoint(name=name)
-    _add_equality(spec, "WELD", "BODY", _MOCAP, name).data[10] = 1.0
-    return base
 
 
 def _add_joint(body: Any, model: pin.Model, index: int) -> None:
