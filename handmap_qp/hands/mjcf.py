@@ -417,9 +417,7 @@ class _ShapeWriter:
         """Add the geoms of a body to its `<link>`, whose frame is the body's."""
         model = self._model
         geoms = np.flatnonzero(model.geom_bodyid == body)
-        collides = (model.geom_contype[geoms] != 0) | (
-            model.geom_conaffinity[geoms] != 0
-        )
+        collides = (model.geom_contype | model.geom_conaffinity)[geoms] != 0
         is_mesh = model.geom_type[geoms] == int(_GEOM.mjGEOM_MESH)
         is_seen = ~collides | (is_mesh & (model.geom_group[geoms] <= _LAST_SHOWN_GROUP))
         shown = geoms[is_seen] if not collides.all() else geoms
