@@ -189,9 +189,7 @@ def _convex_hull(points: np.ndarray) -> coal.Convex | None:
     corners = hull.points[hull.vertices]
     # The indices of its corners are in order.
     triangles = np.searchsorted(hull.vertices, hull.simplices)
-    first, second, third = corners[triangles].transpose(1, 0, 2)
-    normals = np.cross(second - first, third - first)
-    is_inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0.0
+    is_inward = np.linalg.det(corners[triangles] - corners.mean(axis=0)) < 0.0
     triangles[is_inward] = triangles[is_inward, ::-1]
     vertices = coal.StdVec_Vec3s()
     faces = coal.StdVec_Triangle()

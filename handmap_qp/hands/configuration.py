@@ -31,18 +31,15 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
     return np.array(moved, dtype=float).reshape(-1, model.nv)
 
 
-_WRIST = 1
-_FIRST_POINT = 2
-
-
 class Configuration:
     """One posture of a model, with its reference points.
 
     `place` and `displace` put it somewhere else.
 
     Args:
-        model: Pinocchio model. Behind the universe's, its first frame is the wrist, and the others
-            are the reference points.
+        model: Pinocchio model, whose last m frames are the reference points.
+        wrist: Index of the wrist's frame.
+        count: Number of reference points, m.
         expansion: From the active coordinates to the model's tangent space, shape (model.nv, k);
             None if all are active.
         q: Configuration to start at, shape (nq,); Pinocchio's neutral one if omitted.
@@ -59,6 +56,8 @@ class Configuration:
     def __init__(
         self,
         model: pin.Model,
+        wrist: int,
+        count: int,
         expansion: np.ndarray | None = None,
         q: np.ndarray | None = None,
     ) -> None:
@@ -67,18 +66,19 @@ class Configuration:
         self.data = model.createData()
         self._q = pin.neutral(model)
         self.q = frozen(self._q.view())
+        self._wrist = wrist
+        self._frames = range(model.nframes - count, model.nframes)
         # Pinocchio's arrays follow every placing, so they are fetched once.
-        self._translations = [
-            self.data.oMf[i].translation for i in range(_FIRST_POINT, model.nframes)
-        ]
+        self._translations = [self.data.oMf[i].translation for i in self._frames]
         self._points = np.array(self._translations)
         self.points = frozen(self._points.view())
-        self.wrist = self.data.oMf[_WRIST]
+        self.wrist = self.data.oMf[wrist]
         self.place(self._q if q is None else q)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build a copy anew: the workspace is views of Pinocchio's memory."""
-        return type(self), (self.model, self.expansion, self._q)
+        frames = self._wrist, len(self._frames)
+        return type(self), (self.model, *frames, self.expansion, self._q)
 
     @property
     def nv(self) -> int:
@@ -145,10 +145,10 @@ class Configuration:
         Returns:
             Jacobian, rows x, y, z of each point in turn, shape (3 m, model.nv); a new array.
         """
-        frames = range(_FIRST_POINT, self.model.nframes)
         axes = pin.LOCAL_WORLD_ALIGNED
         rows = [
-            pin.getFrameJacobian(self.model, self.data, i, axes)[:3] for i in frames
+            pin.getFrameJacobian(self.model, self.data, i, axes)[:3]
+            for i in self._frames
         ]
         return np.vstack(rows)
 
@@ -161,7 +161,7 @@ class Configuration:
         Returns:
             `error_jacobian @ J_wrist`, shape (6, k); a new array.
         """
-        wrist = pin.getFrameJacobian(self.model, self.data, _WRIST, pin.LOCAL)
+        wrist = pin.getFrameJacobian(self.model, self.data, self._wrist, pin.LOCAL)
         return self.contracted(error_jacobian @ wrist)
 
     def contracted(self, jacobian: np.ndarray) -> np.ndarray:

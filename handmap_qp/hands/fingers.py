@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -133,8 +132,8 @@ class PalmKinematics:
     def on_axis(self, q: np.ndarray, joint: int, near: Place) -> Place:
         """Return the point of a turning joint's axis that is nearest to another point."""
         self._place(q)
-        axis = self._data.J[3:, self._model.idx_vs[joint]]
         placed = self._data.oMi[joint]
+        axis = self._data.J[3:, self._model.idx_vs[joint]]
         lever = self._data.oMi[near[0]].act(near[1]) - placed.translation
         return joint, placed.rotation.T @ ((lever @ axis) * axis)
 
@@ -174,8 +173,7 @@ def zero_posture(hand: Jointed) -> np.ndarray:
     return np.clip(0.0, hand.lower_limits, hand.upper_limits)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Flexion:
+class Flexion(NamedTuple):
     """How the joints of a finger with parallel axes curl it; k of them.
 
     Attributes:
@@ -251,8 +249,7 @@ class Finger:
         """Its own joints with axes parallel to the last one's; all if there is none."""
         turns = self._turns(self._own)
         parallel = np.abs(turns @ turns[-1]) > PARALLEL
-        found = [j for j, is_one in zip(self._own, parallel, strict=True) if is_one]
-        return found or [*self._own]
+        return np.array(self._own)[parallel].tolist() or [*self._own]
 
     @cached_property
     def knuckle(self) -> Place:
@@ -265,8 +262,7 @@ class Finger:
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
         view = PalmKinematics(self.hand)
-        zero = zero_posture(self.hand)
-        return view.on_axis(zero, self.bending[0], self.tip)
+        return view.on_axis(zero_posture(self.hand), self.bending[0], self.tip)
 
     @cached_property
     def middle(self) -> Place:
@@ -297,10 +293,10 @@ class Finger:
             points = np.vstack([view.axes(q, joints[:1])[1], points])
         ways = np.cumsum(lengths(np.diff([*points, tip], axis=0)))
         shares = ways[:-1] / max(ways[-1], 1e-6)
-        near = [k for k, share in enumerate(shares) if _LEAST < share < _MOST]
-        if not near or not turns.any():
+        near = np.flatnonzero((shares > _LEAST) & (shares < _MOST))
+        if not len(near) or not turns.any():
             return None
-        best = near[-1] if is_thumb else min(near, key=lambda k: abs(shares[k] - _PIP))
+        best = near[-1] if is_thumb else near[np.abs(shares[near] - _PIP).argmin()]
         return view.on_axis(q, joints[best + 1], self.tip)
 
     @property
@@ -570,9 +566,11 @@ def partner_names(robot: Hand, landmarks: Collection[str]) -> list[str]:
 
 def _points_by_finger(hand: Hand) -> dict[str, list[PointSpec]]:
     """Return the description's points of each finger with an anatomical name."""
-    points = hand.spec.points
-    named = {finger: [p for p in points if p.finger == finger] for finger in FINGERS}
-    return {finger: own for finger, own in named.items() if own}
+    return {
+        finger: own
+        for finger in FINGERS
+        if (own := [p for p in hand.spec.points if p.finger == finger])
+    }
 
 
 def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:

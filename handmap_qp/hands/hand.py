@@ -31,7 +31,6 @@ from handmap_qp.hands.model import (
     link_frame,
     palm_in_link,
     tighten_model,
-    with_frames,
 )
 from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import (
@@ -276,7 +275,9 @@ class Hand:
         """Return a new workspace for this hand, for one user at a time."""
         return Configuration(
             self._placed_model,
-            expansion=None if self.expansion is None else self.expansion.matrix,
+            self.wrist_frame_id,
+            len(self.point_frames),
+            None if self.expansion is None else self.expansion.matrix,
         )
 
     def configuration_vector(
@@ -483,9 +484,11 @@ class Hand:
 
     @cached_property
     def _placed_model(self) -> pin.Model:
-        """The joints with the frames that samples need: the wrist first, then the points."""
-        wrist = self.model.frames[self.wrist_frame_id]
-        return with_frames(self.model, (wrist, *self.point_frames))
+        """The model with the frames of the points behind its own."""
+        model = pin.Model(self.model)
+        for frame in self.point_frames:
+            model.addFrame(frame)
+        return model
 
     @cached_property
     def _scratch(self) -> Configuration:

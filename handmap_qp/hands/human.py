@@ -7,6 +7,7 @@ URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirror`).
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -17,6 +18,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from handmap_qp.errors import HandError, expect
+from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.urdf import (
     child_of,
     get_numbers,
@@ -42,23 +44,9 @@ HUMAN_JOINTS: tuple[str, ...] = tuple(
 )
 """The joints of the human hand, four a finger; the order of every human q."""
 
-# Buchholz, Armstrong and Goldstein, Ergonomics 35 (1992) 261-273, doi 10.1080/00140139208967812,
-# from two public transcriptions. Bones as fractions of hand length: thumb metacarpal, proximal,
-# distal; fingers proximal, middle, distal.
-_BUCHHOLZ_SEGMENTS = np.array(
-    [
-        [0.251, 0.196, 0.158],
-        [0.245, 0.143, 0.097],
-        [0.266, 0.170, 0.108],
-        [0.244, 0.165, 0.107],
-        [0.204, 0.117, 0.093],
-    ]
-)
-# The same source: distance of the thumb's CMC and the fingers' MCP joints from the distal wrist
-# crease along the third metacarpal (fraction of hand length), and to the radial side of it
-# (fraction of hand breadth).
-_BUCHHOLZ_DISTAL = np.array([0.073, 0.447, 0.446, 0.409, 0.368])
-_BUCHHOLZ_RADIAL = np.array([0.196, 0.251, 0.0, -0.206, -0.402])
+# Proportions of hands (Buchholz et al. 1992); the file names their source.
+_FILE = urdf_directory() / "human" / "buchholz.json"
+_BUCHHOLZ = json.loads(_FILE.read_text(encoding="utf-8"))
 # Hand breadth over hand length at which these offsets set the index and little MCP joints as far
 # apart as trackers see them: the median of five tracked hands has them at 0.347 of the
 # wrist-to-middle-tip length, which is 0.990 hand lengths here, so that sqrt((0.347 * 0.990)^2 -
@@ -66,6 +54,7 @@ _BUCHHOLZ_RADIAL = np.array([0.196, 0.251, 0.0, -0.206, -0.402])
 _BREADTH_OVER_LENGTH = 0.512
 
 
+_NOT_HUMAN = "not a human hand of this package"
 LARGEST_ROLL = math.radians(45.0)
 """Largest roll of a finger [rad]."""
 CONTACT_GAP = 0.013
@@ -172,10 +161,10 @@ class HumanLengths:
         breadth = _BREADTH_OVER_LENGTH * length
         if hand_breadth is not None:
             breadth = _checked_length(hand_breadth, "hand_breadth")
-        across = -breadth * _BUCHHOLZ_RADIAL
-        along = length * _BUCHHOLZ_DISTAL
+        across = np.multiply(-breadth, _BUCHHOLZ["radial"])
+        along = np.multiply(length, _BUCHHOLZ["distal"])
         bases = np.column_stack([across, along, np.zeros(5)])
-        return cls(bases=bases, segments=length * _BUCHHOLZ_SEGMENTS)
+        return cls(bases, np.multiply(length, _BUCHHOLZ["segments"]))
 
     @classmethod
     def from_urdf(cls, text: str | bytes) -> Self:
@@ -273,7 +262,7 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
         for link in robot.iterfind("link")
     }
     if "palm" not in shapes:
-        raise _not_human("the link 'palm' is missing", value="palm")
+        raise HandError(f"{_NOT_HUMAN}: the link 'palm' is missing", value="palm")
     for name, (position, turn) in joint_moves(old, lengths).items():
         origin = child_of(joints[name], "origin")
         roll, pitch, yaw = get_numbers(origin, "rpy", 3, "0 0 0")
@@ -306,41 +295,33 @@ def _joints(robot: ET.Element) -> dict[str, ET.Element]:
     for name in (name for finger in FINGERS for name in _chain(finger)):
         tags = {element.tag for element in joints[name]} if name in joints else set()
         if not {"origin", "child"} <= tags:
-            raise _not_human(
-                f"the joint {name!r} is missing or has no origin", value=name
+            raise HandError(
+                f"{_NOT_HUMAN}: the joint {name!r} is missing or has no origin",
+                value=name,
             )
     return joints
-
-
-def _not_human(
-    problem: str, *, key: str | None = None, value: str | None = None
-) -> HandError:
-    return HandError(
-        f"not a human hand of this package: {problem}", key=key, value=value
-    )
 
 
 def _palm_map(
     old: HumanLengths, new: HumanLengths, shape_name: str
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the map of points of a shape in the palm."""
-    breadth_old, breadth_new = (
-        lengths.bases[4, 0] - lengths.bases[1, 0] for lengths in (old, new)
-    )
-    across = breadth_new / breadth_old
-    along = new.bases[2, 1] / old.bases[2, 1]
-    scale = np.array([across, along, new.hand_length / old.hand_length])
+    sizes = [
+        (each.bases[4, 0] - each.bases[1, 0], each.bases[2, 1], each.hand_length)
+        for each in (old, new)
+    ]
+    scale = np.divide(sizes[1], sizes[0])
     finger = shape_name.partition("_")[0]
     # Shapes that belong to no finger follow the middle of the knuckles, which is not always on the
     # palm's y axis.
     rows = [FINGERS.index(finger)] if finger in FINGERS else [1, 4]
-    base_old = old.bases[rows].mean(axis=0)
-    base_new = new.bases[rows].mean(axis=0)
+    base = old.bases[rows].mean(axis=0)
+    residual = new.bases[rows].mean(axis=0) - scale * base
 
     def follow(point: np.ndarray) -> np.ndarray:
         # Add the residual at the finger base, weighted linearly from wrist to base.
-        share = max(0.0, point @ base_old / (base_old @ base_old))
-        return scale * point + share * (base_new - scale * base_old)
+        share = max(0.0, point @ base / (base @ base))
+        return scale * point + share * residual
 
     return follow
 
@@ -355,7 +336,8 @@ def _scale_shape(
     centre = pose[:3, 3]
     kind = None if primitive is None else primitive.tag
     if primitive is None or kind not in ("sphere", "cylinder", "box"):
-        raise _not_human(f"a shape is <{kind}>", key=shape.get("name"), value=kind)
+        problem = f"{_NOT_HUMAN}: a shape is <{kind}>"
+        raise HandError(problem, key=shape.get("name"), value=kind)
     origin = child_of(shape, "origin")
     moved = move(centre)
     if kind == "box":
@@ -366,13 +348,11 @@ def _scale_shape(
         (radius,) = get_numbers(primitive, "radius", 1)
         set_numbers(primitive, radius=size * radius)
     if kind == "cylinder":
-        half = get_numbers(primitive, "length", 1)[0] / 2 * axes[:, 2]
-        lower = move(centre - half)
-        upper = move(centre + half)
-        moved = (lower + upper) / 2
-        length = float(np.linalg.norm(upper - lower))
-        x, y, z = (upper - lower) / length
-        set_numbers(primitive, length=length)
+        half = 0.5 * get_numbers(primitive, "length", 1)[0] * axes[:, 2]
+        ends = np.array([move(centre - half), move(centre + half)])
+        moved = ends.mean(axis=0)
+        x, y, z = along = ends[1] - ends[0]
+        set_numbers(primitive, length=np.linalg.norm(along))
         # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.
         pitch = np.arctan2(np.hypot(x, y), z)
         set_numbers(origin, rpy=[0.0, pitch, np.arctan2(y, x)])

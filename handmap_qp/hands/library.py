@@ -11,8 +11,6 @@ from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
 
-import numpy as np
-
 from handmap_qp.errors import (
     HandError,
     InvalidInputError,
@@ -123,9 +121,7 @@ def load_hand(
         )
     is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
     load = _standard_human if is_standard else _load_human
-    numbers = np.column_stack([lengths.bases, lengths.segments, lengths.rolls])
-    scaled = _scaled(*load(hand, mount, points), numbers.tobytes())
-    return scaled.with_contact_gap(lengths.contact_gap)
+    return _scaled(*load(hand, mount, points), lengths)
 
 
 def _spec_of(hand: str | Path | HandSpec) -> HandSpec:
@@ -155,15 +151,14 @@ def _load_human(
 _standard_human = lru_cache(maxsize=8)(_load_human)
 
 
-# The guard and the mapper have the same person.
+# The guard and the mapper have the same person, whose lengths hash by identity.
 @lru_cache(maxsize=4)
-def _scaled(standard: Hand, own: HumanLengths, numbers: bytes) -> Hand:
-    """Scale a human hand to a person's bases, segments and rolls, shape (5, 7) together."""
-    columns = np.frombuffer(numbers).reshape(5, 7)
-    lengths = HumanLengths(columns[:, :3], columns[:, 3:6], columns[:, 6])
+def _scaled(standard: Hand, own: HumanLengths, lengths: HumanLengths) -> Hand:
+    """Scale a human hand with lengths of its own to a person."""
     moves = joint_moves(own, lengths, mirrors=standard.spec.mirror)
     compose = partial(_person_urdf, standard.spec, lengths)
-    return standard.with_joints(moves, shape_stretches(own, lengths), compose)
+    scaled = standard.with_joints(moves, shape_stretches(own, lengths), compose)
+    return scaled.with_contact_gap(lengths.contact_gap)
 
 
 def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:

@@ -149,23 +149,24 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
     data = mujoco.MjData(model)
     robot = pin.buildModelFromXML(text)
     robot_data = robot.createData()
+    places = model.jnt_qposadr[list(converted.joints)]
+    columns = [robot.idx_vs[robot.getJointId(n)] for n in converted.joints.values()]
+    bodies = list(converted.links)
+    kind = pin.FrameType.BODY
+    frames = [robot.getFrameId(link, kind) for link in converted.links.values()]
     worst = 0.0
     for _ in range(postures):
-        data.qpos[:] = model.qpos0
         turns = np.zeros(robot.nv)
-        for joint, name in converted.joints.items():
-            position = random.uniform(-1.0, 1.0)
-            data.qpos[model.jnt_qposadr[joint]] = position
-            turns[robot.joints[robot.getJointId(name)].idx_v] = position
+        turns[columns] = random.uniform(-1.0, 1.0, len(columns))
+        data.qpos[:] = model.qpos0
+        data.qpos[places] = turns[columns]
         mujoco.mj_kinematics(model, data)
         q = pin.integrate(robot, pin.neutral(robot), turns)
         pin.framesForwardKinematics(robot, robot_data, q)
-        for body, link in converted.links.items():
-            pose = robot_data.oMf[robot.getFrameId(link, pin.FrameType.BODY)]
-            turned = pose.rotation - data.xmat[body].reshape(3, 3)
-            moved = pose.translation - data.xpos[body]
-            worst = max(worst, np.abs(turned).max(), np.abs(moved).max())
-    return float(worst)
+        poses = affine(data.xmat[bodies].reshape(-1, 3, 3), data.xpos[bodies])
+        found = [robot_data.oMf[frame].homogeneous for frame in frames]
+        worst = max(worst, float(np.abs(found - poses).max()))
+    return worst
 
 
 def cached_urdf(file: Path) -> Path:
@@ -304,9 +305,8 @@ class _Converter:
     def _steps(self, body: int) -> Sequence[tuple[int, str, np.ndarray] | None]:
         """Return the axes that move a body; None for a last step to a frame beside its last one."""
         model = self.model
-        first = int(model.body_jntadr[body])
-        count = int(model.body_jntnum[body])
-        joints = [j for j in range(first, first + count) if model.jnt_type[j] != _FREE]
+        is_own = (model.jnt_bodyid == body) & (model.jnt_type != _FREE)
+        joints = np.flatnonzero(is_own).tolist()
         steps = [(joint, *axis) for joint in joints for axis in self._axes(joint)]
         anchored = [self._slides(j) or not model.jnt_pos[j].any() for j in joints]
         return steps if anchored[-1:] == [True] else [*steps, None]
@@ -373,15 +373,12 @@ class _Converter:
         model = self.model
         if not model.body_mass[body] > 0.0:
             return
-        pose = _pose_of(model.body_ipos[body], model.body_iquat[body])
-        axes = pose[:3, :3]
-        inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
         element = ET.SubElement(link, "inertial")
-        set_origin(element, affine(np.eye(3), pose[:3, 3]))
+        # Along the principal axes, in which the inertia is diagonal.
+        set_origin(element, _pose_of(model.body_ipos[body], model.body_iquat[body]))
         _add(element, "mass", value=model.body_mass[body])
-        pairs = zip(*np.triu_indices(3), strict=True)
-        entries = {f"i{'xyz'[i]}{'xyz'[j]}": inertia[i, j] for i, j in pairs}
-        _add(element, "inertia", **entries)
+        xx, yy, zz = model.body_inertia[body]
+        _add(element, "inertia", ixx=xx, ixy=0.0, ixz=0.0, iyy=yy, iyz=0.0, izz=zz)
 
 
 def _add(parent: ET.Element, tag: str, **numbers: npt.ArrayLike) -> None:
@@ -420,9 +417,7 @@ class _ShapeWriter:
         """Add the geoms of a body to its `<link>`, whose frame is the body's."""
         model = self._model
         geoms = np.flatnonzero(model.geom_bodyid == body)
-        collides = (model.geom_contype[geoms] != 0) | (
-            model.geom_conaffinity[geoms] != 0
-        )
+        collides = (model.geom_contype | model.geom_conaffinity)[geoms] != 0
         is_mesh = model.geom_type[geoms] == int(_GEOM.mjGEOM_MESH)
         is_seen = ~collides | (is_mesh & (model.geom_group[geoms] <= _LAST_SHOWN_GROUP))
         shown = geoms[is_seen] if not collides.all() else geoms
@@ -466,14 +461,11 @@ class _ShapeWriter:
     def _mesh(self, mesh: int) -> ET.Element:
         model = self._model
         if mesh not in self._files:
-            name = _file_name(model.mesh(mesh).name or f"mesh{mesh}")
+            own = model.mesh(mesh)
+            name = _file_name(own.name or f"mesh{mesh}")
             file = f"{self._folder}/{_unique(name, self._names)}.stl"
-            first = model.mesh_vertadr[mesh]
-            number = model.mesh_vertnum[mesh]
-            vertices = model.mesh_vert[first : first + number]
-            first = model.mesh_faceadr[mesh]
-            number = model.mesh_facenum[mesh]
-            faces = model.mesh_face[first : first + number]
+            vertices = model.mesh_vert[own.vertadr[0] :][: own.vertnum[0]]
+            faces = model.mesh_face[own.faceadr[0] :][: own.facenum[0]]
             self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
             self._files[mesh] = file
         return ET.Element("mesh", filename=self._files[mesh])

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple, get_args
 
 import numpy as np
@@ -165,20 +165,6 @@ def link_frame(
     return pin.Frame(name, parent.parentJoint, parent_id, pose, pin.FrameType.OP_FRAME)
 
 
-def with_frames(model: pin.Model, frames: Iterable[pin.Frame]) -> pin.Model:
-    """Return a model with the same joints and only these frames: others take time to place."""
-    few = pin.Model()
-    for joint in range(1, model.njoints):
-        place = model.jointPlacements[joint]
-        few.addJoint(
-            model.parents[joint], model.joints[joint], place, model.names[joint]
-        )
-    kind = pin.FrameType.OP_FRAME
-    for frame in frames:
-        few.addFrame(pin.Frame(frame.name, frame.parentJoint, 0, frame.placement, kind))
-    return few
-
-
 def palm_in_link(spec: HandSpec) -> np.ndarray:
     """Return the pose of the palm frame in its link, shape (4, 4)."""
     distal = np.array(spec.palm.distal)
@@ -245,9 +231,9 @@ def check_wrist(
     joints = [model.frames[frame].parentJoint for frame in (wrist, palm)]
     links = (("wrist.link", spec.wrist.link), ("palm.link", spec.palm.link))
     for (key, link), joint in zip(links, joints, strict=True):
-        below = [i for i in range(model.njoints) if joint in model.supports[i]]
         # All other joints hang from it or carry it.
-        is_trunk = len(below) + len(model.supports[joint]) - 1 == model.njoints
+        related = {*model.subtrees[joint], *model.supports[joint]}
+        is_trunk = len(related) == model.njoints
         if not is_trunk or (mount == "floating" and joint != 1):
             message = (
                 f"{link!r} moves with joints of the hand; it must be fixed to the root"
@@ -332,10 +318,10 @@ def expansion_matrix(
         active: The joints that follow no other, in the order of the columns.
         rules: Resolved rules of the others.
     """
-    rules = {name: MimicSpec(name) for name in active} | dict(rules)
     matrix = np.zeros((len(names), len(active)))
     offset = np.zeros(len(names))
-    for row, rule in enumerate(rules[name] for name in names):
+    for row, name in enumerate(names):
+        rule = rules.get(name, MimicSpec(name))
         matrix[row, active.index(rule.joint)] = rule.multiplier
         offset[row] = rule.offset
     return Expansion(matrix, offset)

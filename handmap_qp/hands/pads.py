@@ -19,6 +19,7 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, place_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
+from handmap_qp.se3 import unit
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
 _DEEP = 0.004
@@ -125,10 +126,8 @@ def ball_in(points: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, float]:
 
 def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, float]:
     """Return centre and radius of the ball inside convex shapes, given by their supports."""
-    length = np.linalg.norm(tip)
-    inwards = -tip / length if length > 1e-6 else np.zeros(3)
     steps = np.arange(0.0, _LONGEST + _STEP, _STEP)
-    points = tip + steps[:, None] * inwards
+    points = tip - np.outer(steps, unit(tip))
     depths = _depths(supports, points)
     most = float(depths[0] if depths[0] > _DEEP else depths.max())
     chosen = int(np.argmax(depths >= _SHARE * most))
@@ -137,25 +136,27 @@ def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, floa
 
 def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:
     """Return points and a radius so that the shape is the hull of balls around the points."""
-    if isinstance(geometry, coal.Box):
-        return _CUBE * geometry.halfSide, 0.0
-    if isinstance(geometry, coal.Sphere):
-        return np.zeros((1, 3)), geometry.radius
-    if isinstance(geometry, coal.Capsule):
-        return np.outer((1.0, -1.0), (0.0, 0.0, geometry.halfLength)), geometry.radius
-    return np.array([geometry.point(i) for i in range(geometry.num_points)]), 0.0
+    radius = 0.0
+    match geometry:
+        case coal.Box():
+            points = _CUBE * geometry.halfSide
+        case coal.Sphere(radius=radius):
+            points = np.zeros((1, 3))
+        case coal.Capsule(radius=radius, halfLength=half):
+            points = np.outer((1.0, -1.0), (0.0, 0.0, half))
+        case _:
+            points = np.array([geometry.point(i) for i in range(geometry.num_points)])
+    return points, radius
 
 
 _CUBE = np.array([*product((-1.0, 1.0), repeat=3)])
 
 
-def _sphere(count: int) -> np.ndarray:
-    """Spread unit vectors evenly over the sphere (Fibonacci's lattice), shape (count, 3)."""
-    i = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * i / count
-    turn = np.pi * (1.0 + np.sqrt(5.0)) * i
-    flat = np.sqrt(1.0 - z * z)
-    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), z])
-
-
-_DIRECTIONS = _sphere(400)
+# Unit vectors spread evenly over the sphere (Fibonacci's lattice).
+_COUNTS = np.arange(400) + 0.5
+_HEIGHTS = 1.0 - 2.0 * _COUNTS / 400
+_TURNS = np.pi * (1.0 + np.sqrt(5.0)) * _COUNTS
+_FLAT = np.sqrt(1.0 - _HEIGHTS**2)
+_DIRECTIONS = np.column_stack(
+    [_FLAT * np.cos(_TURNS), _FLAT * np.sin(_TURNS), _HEIGHTS]
+)

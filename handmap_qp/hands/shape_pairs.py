@@ -102,15 +102,15 @@ def _pinching_fingers(
     geometry: pin.GeometryModel, chains: dict[str, Finger]
 ) -> tuple[str, ...]:
     """Return the finger that each pair brings together with the thumb; empty where none."""
-    ends = {
-        finger: set(distal_shapes(chain, geometry)) for finger, chain in chains.items()
+    owners = {
+        shape: finger
+        for finger, chain in chains.items()
+        for shape in distal_shapes(chain, geometry)
     }
-    thumb = ends.pop(THUMB, set())
     found = []
     for pair in geometry.collisionPairs:
-        shapes = {pair.first, pair.second}
-        pinching = (f for f, own in ends.items() if shapes & thumb and shapes & own)
-        found.append(next(pinching, ""))
+        names = {owners.get(pair.first, ""), owners.get(pair.second, "")}
+        found.append(max(names - {THUMB}, default="") if THUMB in names else "")
     return tuple(found)
 
 

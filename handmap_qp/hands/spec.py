@@ -38,7 +38,11 @@ _MOST_LEVELS = 2000
 _LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-class PadSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class Document(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Base of all that files of the user describe: an unknown key is an error."""
+
+
+class PadSpec(Document, frozen=True):
     """The pad of a fingertip: a ball that touches the surface from inside, for pinches.
 
     Attributes:
@@ -50,7 +54,7 @@ class PadSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     xyz: Vector = (0.0, 0.0, 0.0)
 
 
-class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class PointSpec(Document, frozen=True):
     """A named reference point: a place on a link.
 
     Attributes:
@@ -76,7 +80,7 @@ class PointSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     pad: PadSpec | None = None
 
 
-class PalmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class PalmSpec(Document, frozen=True):
     """The palm frame, its axes named by anatomy: +y distal, +z dorsal, and x = y cross z.
 
     Attributes:
@@ -93,7 +97,7 @@ class PalmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     xyz: Vector = (0.0, 0.0, 0.0)
 
 
-class WristSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class WristSpec(Document, frozen=True):
     """The wrist frame, which the rigid part of the motion carries, and how it is held.
 
     Attributes:
@@ -109,7 +113,7 @@ class WristSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     max_angular_speed: Positive = 12.0
 
 
-class CollisionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class CollisionSpec(Document, frozen=True):
     """Links of the hand that self-collision avoidance keeps apart, where it is asked for.
 
     Attributes:
@@ -121,7 +125,7 @@ class CollisionSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     margin: Annotated[float, Meta(ge=0.0)] = 0.0005
 
 
-class LimitSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class LimitSpec(Document, frozen=True):
     """Limits of a joint, in place of the URDF's; None keeps the URDF's.
 
     Attributes:
@@ -135,7 +139,7 @@ class LimitSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     velocity: float | None = None
 
 
-class MimicSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class MimicSpec(Document, frozen=True):
     """A joint that mimics another one: `q = multiplier * q[joint] + offset`.
 
     Attributes:
@@ -149,7 +153,7 @@ class MimicSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     offset: float = 0.0
 
 
-class ArmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class ArmSpec(Document, frozen=True):
     """An arm that carries the hand: its joints move the wrist within their own limits.
 
     Attributes:
@@ -181,7 +185,7 @@ class ArmSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     directory: Path | None = None
 
 
-class _HandFields(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class _HandFields(Document, frozen=True):
     """The fields of `HandSpec`, without the checks that concern several of them."""
 
     name: str

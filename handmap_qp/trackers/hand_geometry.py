@@ -10,6 +10,8 @@ All of them are ratios or angles, so that they hold for every hand and in every 
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -21,29 +23,11 @@ BONES = [(0 if k % 4 == 1 else k - 1, k) for k in range(1, 21)]
 NEIGHBOURS = [(5, 9), (9, 13), (13, 17)]
 """Neighbouring MCP joints."""
 _PAIRS = np.array(BONES + NEIGHBOURS + [(1, 5), (1, 17), (5, 17)])
-# Centre and half width of log(distance / median distance) over the hands that were measured: six
-# recordings of four trackers (WebXR headset, two Leap generations, MediaPipe), the human model's
-# own proportions, and those of Buchholz et al. 1992 (`HumanLengths.from_hand_length`). The half
-# widths have a margin of 0.05 and are at least 0.12. Rows: thumb to little, each wrist-base
-# distance and three bones; then the knuckles' gaps and three diagonals of the palm.
-# fmt: off
-_CENTRES = np.array([
-    0.14, 0.13, -0.25, -0.55,
-    1.03, 0.14, -0.18, -0.35,
-    1.01, 0.33, -0.02, -0.33,
-    0.97, 0.20, -0.11, -0.43,
-    0.90, -0.09, -0.37, -0.73,
-    -0.37, -0.44, -0.44, 0.49, 0.92, 0.64,
-])
-_WIDTHS = np.array([
-    0.57, 0.36, 0.49, 0.60,
-    0.23, 0.21, 0.23, 0.40,
-    0.23, 0.12, 0.22, 0.32,
-    0.23, 0.17, 0.16, 0.31,
-    0.19, 0.25, 0.24, 0.42,
-    0.31, 0.24, 0.24, 0.51, 0.16, 0.22,
-])
-# fmt: on
+# Centre and half width of log(distance / median distance) over the hands that were measured.
+_FILE = Path(__file__).with_name("proportions.json")
+_PROPORTIONS = json.loads(_FILE.read_text(encoding="utf-8"))
+_CENTRES = np.array(_PROPORTIONS["centres"])
+_WIDTHS = np.array(_PROPORTIONS["half_widths"])
 _LARGEST_DEVIATION = 5.0  # widths; one pair far off counts no more than this
 # A tracker's bones change by up to 18 % from sample to sample (MediaPipe); the distance between
 # landmarks of two fingers changes by far more.

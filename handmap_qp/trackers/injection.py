@@ -208,8 +208,7 @@ def _parse_fault(text: str) -> Fault:
     name, _, numbers = text.partition("@")
     times, _, size = numbers.partition(":")
     start, _, duration = times.partition("+")
-    names = f"one of {', '.join(FAULT_KINDS)}"
-    expect(name in FAULT_KINDS, "fault", names, value=name)
+    expect(name in FAULT_KINDS, "fault", f"one of {', '.join(FAULT_KINDS)}", value=name)
     kind = FAULT_KINDS[name]
     pairs = ((start, math.nan), (duration, kind.duration), (size, kind.size))
     try:

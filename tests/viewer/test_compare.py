@@ -23,7 +23,6 @@ from viewer_cases import (
 from handmap_qp import HandMapper, load_hand
 from handmap_qp.apps.offline.trajectory import map_recording
 from handmap_qp.apps.viewer.controls import KEPT, NOTHING
-from handmap_qp.apps.viewer.figure import BONES
 from handmap_qp.apps.viewer.gauges import SECOND
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.replay import ReplayViewer
@@ -33,6 +32,7 @@ from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.by_name import METHODS
 from handmap_qp.mapping.presets import PRESETS
 from handmap_qp.se3 import affine, rotation_from_quat_wxyz, transform_points
+from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -144,7 +144,9 @@ def test_the_landmarks_stand_beside_the_hand_as_they_were_tracked(
             node(viewer, f"/landmarks/points/{i}").position, point
         )
     np.testing.assert_allclose(
-        node(viewer, "/landmarks/bones").points, landmarks[BONES], atol=1e-6
+        node(viewer, "/landmarks/bones").points,
+        landmarks[BONES + NEIGHBOURS],
+        atol=1e-6,
     )
     hand = in_scene(node(viewer, "/human"), landmarks)
     # The same landmarks as on the drawn hand, shifted to the left of it.

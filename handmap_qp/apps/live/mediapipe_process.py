@@ -57,11 +57,9 @@ def position_in_camera(
         The hand's origin in camera axes [m], shape (3,).
     """
     u = (places - centre) / focal_length
-    rows = np.zeros((2, len(shape), 3))
-    rows[0, :, 0] = rows[1, :, 1] = 1.0
-    rows[0, :, 2] = -u[:, 0]
-    rows[1, :, 2] = -u[:, 1]
-    sides = u.T * shape[:, 2] - shape[:, :2].T
+    unity = np.tile(np.eye(2), (len(u), 1, 1))
+    rows = np.concatenate([unity, -u[..., None]], axis=2)
+    sides = u * shape[:, 2:] - shape[:, :2]
     return np.linalg.lstsq(rows.reshape(-1, 3), sides.ravel(), rcond=None)[0]
 
 

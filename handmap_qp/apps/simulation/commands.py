@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,8 +27,7 @@ _CLOSED, _OPEN = 0.022, 0.035
 _SHORTEST, _BEFORE = 0.5, 0.25
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Commands:
+class Commands(NamedTuple):
     """What a mapping commands over time.
 
     Attributes:

@@ -29,6 +29,16 @@ OBJECT = "/object"
 WRIST = "/wrist"
 """Names of the object's body and of the wrist's site; others bear the names of joints."""
 
+# Least mass and inertia are for links without mass and shape.
+_EMPTY = """
+<mujoco>
+  <compiler angle="radian" boundmass="1e-4" boundinertia="1e-9"/>
+  <option integrator="implicitfast" cone="elliptic" impratio="100" noslip_iterations="3"/>
+  <default>
+    <geom solimp="0.95 0.99 5e-4 0.5 2"/>
+  </default>
+</mujoco>
+"""
 _MOCAP = "/mocap"
 # Who collides with whom.
 _HAND = {"contype": 1, "conaffinity": 2}
@@ -38,6 +48,8 @@ _LEAST = (2e-3, 1e-6)
 _LEAST_OF_BASE = (1.0, 1e-3)
 # Stiff enough for a lag of the wrist of a few milliseconds.
 _STIFF = {"solref": [4e-3, 1.0], "solimp": [0.99, 0.999, 1e-3, 0.5, 2.0]}
+# Stiffness of an arm's actuators [N m/rad].
+_ARM_STIFFNESS = 3000.0
 # Limits beyond this stand for none [rad or m].
 _UNLIMITED = 1e5
 
@@ -66,9 +78,8 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
     spec = _empty_spec(physics)
     bodies = _add_hand(spec, hand)
     for part in geometry.geometryObjects:
-        shape = _shape(spec, part.geometry)
-        place = _placed(part.placement)
-        bodies[part.parentJoint].add_geom(**shape, **place, **_HAND)
+        shape = _shape(spec, part.geometry) | _placed(part.placement)
+        bodies[part.parentJoint].add_geom(**shape, **_HAND)
     held = spec.worldbody.add_body(name=OBJECT)
     held.add_freejoint(name=OBJECT)
     shape = _shape(spec, body.shape)
@@ -85,23 +96,14 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
 
 def _empty_spec(physics: Physics) -> Any:
     """Return a specification with what holds for all bodies, joints and geoms."""
-    spec = mujoco.MjSpec()
+    spec = mujoco.MjSpec.from_string(_EMPTY)
     spec.option.timestep = physics.time_step
     spec.option.gravity = physics.gravity
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    spec.option.impratio = 100.0
-    spec.option.noslip_iterations = 3
-    spec.compiler.degree = False
-    # For links without mass and shape.
-    spec.compiler.boundmass = 1e-4
-    spec.compiler.boundinertia = 1e-9
     geom = spec.default.geom
     geom.density = physics.density
     geom.condim = 4 if physics.torsion > 0.0 else 3
     geom.friction = [physics.friction, max(physics.torsion, 1e-5), 1e-5]
     geom.solref = [physics.contact_time, 1.0]
-    geom.solimp = [0.95, 0.99, 5e-4, 0.5, 2.0]
     spec.default.joint.armature = physics.armature
     return spec
 
@@ -111,15 +113,18 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
     model = hand.model
     bodies = [spec.worldbody]
     for index in range(1, model.njoints):
+        name = model.names[index]
         inertia = model.inertias[index]
         if model.joints[index].nv == 6:
-            body = _add_base(spec, model.names[index])
+            # A floating base, and the body that leads it.
+            spec.worldbody.add_body(name=_MOCAP, mocap=True)
+            body = spec.worldbody.add_body(name=name, gravcomp=1.0)
+            body.add_freejoint(name=name)
+            _add_equality(spec, "WELD", "BODY", _MOCAP, name).data[10] = 1.0
             _set_inertia(body, inertia, *_LEAST_OF_BASE)
         else:
             body = bodies[model.parents[index]].add_body(
-                name=model.names[index],
-                gravcomp=1.0,
-                **_placed(model.jointPlacements[index]),
+                name=name, gravcomp=1.0, **_placed(model.jointPlacements[index])
             )
             _add_joint(body, model, index)
             # Without one in the URDF, it follows from the shapes' density.
@@ -129,15 +134,6 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
     wrist = model.frames[hand.wrist_frame_id]
     bodies[wrist.parentJoint].add_site(name=WRIST, **_placed(wrist.placement))
     return bodies
-
-
-def _add_base(spec: Any, name: str) -> Any:
-    """Add a floating base and the body that leads it."""
-    spec.worldbody.add_body(name=_MOCAP, mocap=True)
-    base = spec.worldbody.add_body(name=name, gravcomp=1.0)
-    base.add_freejoint(name=name)
-    _add_equality(spec, "WELD", "BODY", _MOCAP, name).data[10] = 1.0
-    return base
 
 
 def _add_joint(body: Any, model: pin.Model, index: int) -> None:
@@ -150,10 +146,8 @@ def _add_joint(body: Any, model: pin.Model, index: int) -> None:
         type=kinds.mjJNT_SLIDE if is_slide else kinds.mjJNT_HINGE,
         axis=linear if is_slide else angular,
     )
-    ends = [
-        model.lowerPositionLimit[joint.idx_q],
-        model.upperPositionLimit[joint.idx_q],
-    ]
+    limits = model.lowerPositionLimit, model.upperPositionLimit
+    ends = [limit[joint.idx_q] for limit in limits]
     if np.abs(ends).max() < _UNLIMITED:
         made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
         made.range = ends
@@ -177,27 +171,26 @@ def _set_inertia(
 
 def _shape(spec: Any, shape: Any) -> dict[str, Any]:
     """Return what makes a geom of one of our shapes, or of coal's; of a mesh, its convex hull."""
-    kinds = mujoco.mjtGeom
+    kind = type(shape).__name__.upper()
     match shape:
         case coal.Box():
-            return {"type": kinds.mjGEOM_BOX, "size": shape.halfSide}
+            size = shape.halfSide
         case Box():
-            return {"type": kinds.mjGEOM_BOX, "size": np.array(shape.size) / 2.0}
+            size = np.divide(shape.size, 2.0)
         case coal.Sphere() | Sphere():
-            return {"type": kinds.mjGEOM_SPHERE, "size": [shape.radius, 0.0, 0.0]}
+            size = [shape.radius, 0.0, 0.0]
         case coal.Capsule():
             size = [shape.radius, shape.halfLength, 0.0]
-            return {"type": kinds.mjGEOM_CAPSULE, "size": size}
         case Cylinder():
             size = [shape.radius, shape.length / 2.0, 0.0]
-            return {"type": kinds.mjGEOM_CYLINDER, "size": size}
-        case MeshShape():
-            points = shape.points
         case _:
-            points = np.array([shape.point(i) for i in range(shape.num_points)])
-    name = f"hull{len(spec.meshes)}"
-    spec.add_mesh(name=name, uservert=points.ravel().tolist())
-    return {"type": kinds.mjGEOM_MESH, "meshname": name}
+            name = f"hull{len(spec.meshes)}"
+            vertices = shape.points
+            if not isinstance(shape, MeshShape):
+                vertices = [shape.point(i) for i in range(shape.num_points)]
+            spec.add_mesh(name=name, uservert=np.ravel(vertices).tolist())
+            return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
+    return {"type": getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"), "size": size}
 
 
 def _couple_followers(spec: Any, hand: Hand) -> None:
@@ -223,18 +216,14 @@ def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
 
 def _add_actuators(spec: Any, hand: Hand, physics: Physics) -> None:
     """Add a spring with critical damping for each joint of the hand, and of its arm."""
-    arm = () if hand.spec.arm is None else hand.spec.arm.joints
     for name in hand.joint_names:
-        is_arm = name in arm
         actuator = spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
         )
-        stiffness = physics.arm_stiffness if is_arm else physics.joint_stiffness
-        actuator.set_to_position(kp=stiffness)
-        if not is_arm and np.isfinite(physics.effort_limit):
-            joint = spec.joint(name)
-            joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_TRUE
-            joint.actfrcrange = [-physics.effort_limit, physics.effort_limit]
+        is_arm = name not in hand.spec.joints
+        actuator.set_to_position(
+            kp=_ARM_STIFFNESS if is_arm else physics.joint_stiffness
+        )
 
 
 def _placed(pose: pin.SE3) -> dict[str, np.ndarray]:

@@ -247,13 +247,6 @@ class Physics(Options, frozen=True):
     joint_stiffness: Annotated[
         float, number("Stiffness of the fingers' actuators [N m/rad, N/m].", above=True)
     ] = 3.0
-    arm_stiffness: Annotated[
-        float, number("Stiffness of an arm's actuators [N m/rad].", above=True)
-    ] = 3000.0
-    effort_limit: Annotated[
-        float,
-        number("Largest torque at a finger's joint [N m].", 0.0, math.inf, above=True),
-    ] = math.inf
     armature: Annotated[
         float, number("Inertia of each motor at its joint [kg m^2].")
     ] = 5e-4

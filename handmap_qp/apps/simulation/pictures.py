@@ -89,10 +89,15 @@ def film(episode: Episode, up: np.ndarray, path: Path, *, rate: float = 15.0) ->
             pictures.append(pillow.fromarray(frame))
             advance(len(pictures))
     first, *others = pictures
-    kind = path.suffix.removeprefix(".").upper()
-    about = {"append_images": others, "duration": 1e3 / rate, "loop": 0}
     with replaced_file(path, "--film") as file:
-        first.save(file, format=kind, save_all=True, **about)
+        first.save(
+            file,
+            format=path.suffix.removeprefix(".").upper(),
+            save_all=True,
+            append_images=others,
+            duration=1e3 / rate,
+            loop=0,
+        )
 
 
 def picture(episode: Episode, up: np.ndarray, path: Path, *, count: int = 4) -> None:

@@ -247,12 +247,10 @@ class PinchScene:
         """
         instants = self._closing
         gaps = np.array([self.pads.gap(instant.places) for instant in instants])
-        near = np.flatnonzero(gaps <= width)
-        if not len(near):
-            return instants[int(np.argmin(gaps))]
-        last = int(near[0])
+        last = int(np.argmax(gaps <= width))
         if last == 0:
-            return instants[0]
+            # Near from the start, or never.
+            return instants[0 if gaps[0] <= width else int(np.argmin(gaps))]
         share = (gaps[last - 1] - width) / (gaps[last - 1] - gaps[last])
         pairs = zip(instants[last - 1], instants[last], strict=True)
         return Meeting(*(before + share * (after - before) for before, after in pairs))

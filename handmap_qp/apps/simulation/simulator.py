@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from handmap_qp.apps.simulation.model import OBJECT, WRIST, build_model
 from handmap_qp.apps.simulation.physics import Body, Physics
@@ -67,8 +66,7 @@ class Instant(NamedTuple):
     links_touching: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Episode:
+class Episode(NamedTuple):
     """A simulation of T instants.
 
     Attributes:
@@ -190,15 +188,11 @@ class Simulator:
         self.set_stand(holds=False)
         quat = quat_wxyz_from_rotation(pose[:3, :3])
         data.joint(OBJECT).qpos = np.concatenate([pose[:3, 3], quat])
-        # Pinocchio and MuJoCo have one number for each joint, after those of the base.
-        first = 1
-        if hand.is_floating:
-            first = 2
-            base = positions[:7]
-            positions = positions[7:]
-            data.joint(hand.model.names[1]).qpos = base[_SEVEN]
-        for name, position in zip(hand.model.names[first:], positions, strict=True):
-            data.joint(name).qpos = position
+        for name, joint in zip(
+            hand.model.names[1:], hand.model.joints[1:], strict=True
+        ):
+            own = positions[joint.idx_q :][: joint.nq]
+            data.joint(name).qpos = own[_SEVEN] if joint.nq == 7 else own
         self.target = (np.array(q, dtype=float), wrist)
         self._lead(*self.target)
         mujoco.mj_forward(self.model, data)
@@ -290,10 +284,9 @@ def poses_between(start: np.ndarray, end: np.ndarray, shares: np.ndarray) -> np.
     Returns:
         Poses, shape (k, 4, 4).
     """
-    turn = Rotation.from_matrix(end[:3, :3] @ start[:3, :3].T).as_rotvec()
-    turns = Rotation.from_rotvec(np.outer(shares, turn)).as_matrix()
+    turns = Slerp((0.0, 1.0), Rotation.from_matrix([start[:3, :3], end[:3, :3]]))
     way = end[:3, 3] - start[:3, 3]
-    return affine(turns @ start[:3, :3], start[:3, 3] + np.outer(shares, way))
+    return affine(turns(shares).as_matrix(), start[:3, 3] + np.outer(shares, way))
 
 
 def _pose_of(part: Any) -> np.ndarray:

@@ -334,19 +334,20 @@ class OptionControls:
         handle = self._gui.add_dropdown(
             label, option.choices, initial_value=str(option.default), hint=option.about
         )
-        given: list[Any] = []
+        given = None
 
         def to_shown(value: Any) -> str:
+            nonlocal given
             if isinstance(value, str):
                 return value
             # A value beside the words, such as a rotation matrix.
-            given[:] = [value]
+            given = value
             if _GIVEN not in handle.options:
                 handle.options = (*handle.options, _GIVEN)
             return _GIVEN
 
         return _Control(
-            handle, to_shown, lambda value: given[0] if value == _GIVEN else value
+            handle, to_shown, lambda value: given if value == _GIVEN else value
         )
 
 
@@ -431,13 +432,24 @@ class ExportControls:
             "handmap.png": _picture,
             "handmap.html": lambda _: page(),
         }
-        hints = {
-            "Save options": "Download preset and options, for --options of the commands",
-            "Save picture": "Download the hands as they are shown, without the panels",
-            "Save page": "Download a page that plays the motion without a server",
-        }
-        for name, (label, hint) in zip(self._contents, hints.items(), strict=True):
-            button = server.gui.add_button(label, hint=hint)
+        for name, kind, hint in (
+            (
+                "options.yaml",
+                "options",
+                "Download preset and options, for --options of the commands",
+            ),
+            (
+                "handmap.png",
+                "picture",
+                "Download the hands as they are shown, without the panels",
+            ),
+            (
+                "handmap.html",
+                "page",
+                "Download a page that plays the motion without a server",
+            ),
+        ):
+            button = server.gui.add_button(f"Save {kind}", hint=hint)
             button.on_click(lambda event, name=name: self.send(name, event.client))
         self._message = server.gui.add_markdown("", visible=False)
 
@@ -516,8 +528,7 @@ class Window:
         gui.main_panel.set_width(_PANEL_WIDTH)
         # Controls that are added outside the tabs go to the main panel.
         panel = gui.add_panel()
-        names = ("Control", "Show", "Save")
-        self.control, show, save = (panel.add_tab(name) for name in names)
+        self.control, show, save = map(panel.add_tab, ("Control", "Show", "Save"))
         panel.dock_right()
         panel.set_width(_PANEL_WIDTH)
         self.gauges = Gauges(server, variants, human)

@@ -11,11 +11,10 @@ import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
 from collections import defaultdict, deque
 from collections.abc import Iterable
-from itertools import pairwise
+from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
 from handmap_qp.apps.drawing.raster import Colour
@@ -26,6 +25,7 @@ from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.se3 import inverse_pose, quat_wxyz_from_rotation, transform_points
+from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
 
 if TYPE_CHECKING:
     import viser
@@ -38,11 +38,7 @@ TARGET_COLOUR = (0.98, 0.66, 0.10)
 LANDMARK_COLOUR = (0.10, 0.52, 0.50)
 DEFORMATION_COLOUR = (0.45, 0.30, 0.80)
 OBJECT_COLOUR = (226, 178, 76)
-_FINGERS = [(0, *range(first, first + 4)) for first in (1, 5, 9, 13, 17)]
-BONES = np.array(
-    [pair for chain in _FINGERS for pair in pairwise(chain)]
-    + [(5, 9), (9, 13), (13, 17)]
-)
+_LINES = np.array(BONES + NEIGHBOURS)
 """Pairs of landmarks that a line joins, shape (n, 2)."""
 TRAIL_LENGTH = 4.0
 """A trail shows this time [s]."""
@@ -55,10 +51,11 @@ _MARGIN = 0.03
 _PADDING = 0.006
 # Percentage of the instants in which a hand may reach out of its room.
 _RARE = 4.0
-_UNIT_BOX = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-_EDGES = np.array(
-    [(i, j) for i in range(8) for j in range(i + 1, 8) if bin(i ^ j).count("1") == 1]
-)
+_OUTWARDS = np.array([[-1.0], [1.0]])
+"""Senses in which the lowest and the highest corner of a box grow."""
+_UNIT_BOX = np.array([*product((0, 1), repeat=3)])
+_EDGES = np.array([(i, i | j) for i in range(8) for j in (1, 2, 4) if not i & j])
+"""Corners of `_UNIT_BOX` at both ends of each edge."""
 
 
 def as_bytes(colour: Colour) -> tuple[int, int, int]:
@@ -137,7 +134,7 @@ class Figure(ABC):
         found = [box for sample in samples if (box := self._box(sample)) is not None]
         if found:
             centres, lows, highs = np.stack(found, axis=1)
-            self.travel = np.array([centres.min(axis=0), centres.max(axis=0)])
+            self.travel = _box_of(centres)
             low = np.percentile(lows, _RARE, axis=0)
             self.extent = np.array([low, np.percentile(highs, 100.0 - _RARE, axis=0)])
 
@@ -152,7 +149,7 @@ class Figure(ABC):
         if (centre := self.centre(sample)) is None:
             return None
         about = (self.corners(sample) - centre) @ self.axes.T
-        return np.array([self.axes @ centre, about.min(axis=0), about.max(axis=0)])
+        return np.vstack([self.axes @ centre, _box_of(about)])
 
     def place(self, middle: np.ndarray, low: float) -> None:
         """Move the figure's world so that a point of it is at the anchor.
@@ -164,10 +161,6 @@ class Figure(ABC):
         self._frame.position = self.anchor - middle
         x, _, z = self.anchor + self.extent.mean(axis=0)
         self._label.position = (x, low, z)
-
-    def name(self, text: str) -> None:
-        """Write the name below the figure."""
-        self._label.text = text
 
 
 class Spheres:
@@ -276,12 +269,12 @@ class LandmarkFigure(Figure):
     def __init__(self, server: viser.ViserServer) -> None:
         super().__init__(server, "landmarks", LANDMARK_COLOUR)
         self.is_shown = False
-        self.name("landmarks")
+        self._label.text = "landmarks"
         self._points = Spheres(
             server, "/landmarks/points", _LANDMARK_RADIUS, LANDMARK_COLOUR
         )
         self._bones = _add_lines(
-            server, "/landmarks/bones", len(BONES), LANDMARK_COLOUR, 3.0
+            server, "/landmarks/bones", len(_LINES), LANDMARK_COLOUR, 3.0
         )
 
     def points(self, sample: ViewSample) -> np.ndarray | None:
@@ -294,7 +287,7 @@ class LandmarkFigure(Figure):
         self._points.move(points)
         self._bones.visible = points is not None
         if points is not None:
-            self._bones.points = points[BONES].astype(np.float32)
+            self._bones.points = points[_LINES].astype(np.float32)
 
 
 class HandFigure(Figure):
@@ -337,17 +330,14 @@ class HandFigure(Figure):
                 server.scene.add_mesh_trimesh(f"{path}/{i}", mesh)
             if not is_on_arm:
                 # On an arm, fit the view to the hand; parts of the arm may lie outside.
-                bounds = np.array([mesh.bounds for mesh in meshes])
-                low = bounds[:, 0].min(axis=0)
-                high = bounds[:, 1].max(axis=0)
-                size = high - low + 2.0 * _PADDING
-                self._corners[link] = low - _PADDING + _UNIT_BOX * size
+                box = _box_of(np.vstack([mesh.bounds for mesh in meshes]))
+                padded = box + _OUTWARDS * _PADDING
+                self._corners[link] = padded[_UNIT_BOX, range(3)]
         wrist = hand.frame_pose("wrist", hand.rest)
         corners = transform_points(inverse_pose(wrist), self._boxes(hand.rest, wrist))
-        low = corners.min(axis=0)
-        high = corners.max(axis=0)
-        self._focus = 0.5 * (low + high)
-        self.radius = 0.4 * float(np.linalg.norm(high - low))
+        box = _box_of(corners)
+        self._focus = box.mean(axis=0)
+        self.radius = 0.4 * float(np.linalg.norm(box[1] - box[0]))
         self._points = Spheres(
             server, f"/{node}/points", self.point_size * self.radius, colour
         )
@@ -397,19 +387,18 @@ class HandFigure(Figure):
         if not self._links:
             return
         poses = self.hand.link_poses(list(self._links), q, self._pose(wrist))
-        placed = np.concatenate([poses[:1], inverse_pose(poses[0]) @ poses])
-        quats = Rotation.from_matrix(placed[:, :3, :3]).as_quat(scalar_first=True)
-        nodes = (self._body, *self._links.values())
-        for node, quat, position in zip(nodes, quats, placed[:, :3, 3], strict=True):
-            node.wxyz = quat
-            node.position = position
+        _place(self._body, poses[0])
+        placed = inverse_pose(poses[0]) @ poses
+        for node, pose in zip(self._links.values(), placed, strict=True):
+            _place(node, pose)
 
     def _boxes(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
         pose = self._pose(wrist)
         if not self._corners:
             points = np.vstack([self.hand.points(q, pose), wrist[None, :3, 3]])
-            return np.vstack([points - 2.0 * _PADDING, points + 2.0 * _PADDING])
+            padded = points + 2.0 * _PADDING * _OUTWARDS[:, None]
+            return padded.reshape(-1, 3)
         poses = self.hand.link_poses(list(self._corners), q, pose)
         return np.vstack(list(map(transform_points, poses, self._corners.values())))
 
@@ -436,7 +425,7 @@ class HumanFigure(HandFigure):
     ) -> None:
         super().__init__(server, "human", hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
-        self.name("human")
+        self._label.text = "human"
         spread = np.zeros((1, 3)) if points is None else points - points.mean(axis=0)
         self._size = float(np.sqrt((spread**2).sum(axis=1).mean()))
 
@@ -528,11 +517,9 @@ class RobotFigure(HandFigure):
         super().draw(sample)
         self._targets.move(sample.targets)
         if self._solid is not None and sample.object_pose is not None:
-            self._solid.wxyz = quat_wxyz_from_rotation(sample.object_pose[:3, :3])
-            self._solid.position = sample.object_pose[:3, 3]
-        self.name(
-            "\n".join(filter(None, (self.hand.name, self.label, state_text(sample))))
-        )
+            _place(self._solid, sample.object_pose)
+        lines = self.hand.name, self.label, state_text(sample)
+        self._label.text = "\n".join(filter(None, lines))
 
 
 def state_text(sample: ViewSample) -> str:
@@ -609,6 +596,17 @@ def _add_lines(
     )
 
 
+def _place(node: Any, pose: np.ndarray) -> None:
+    """Move a node of the scene to a pose (4, 4)."""
+    node.wxyz = quat_wxyz_from_rotation(pose[:3, :3])
+    node.position = pose[:3, 3]
+
+
+def _box_of(points: np.ndarray) -> np.ndarray:
+    """Return the lowest and the highest corner of the box around points, shape (2, 3)."""
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
 def _known(points: np.ndarray | None) -> np.ndarray | None:
     """Return points if all of them are known."""
     return points if points is not None and np.isfinite(points).all() else None
@@ -618,5 +616,5 @@ def _extended(box: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return a box (2, 3) that holds another one too, with a margin where it has to grow."""
     if not len(box):
         return other
-    low = np.where(other[0] < box[0], other[0] - _MARGIN, box[0])
-    return np.array([low, np.where(other[1] > box[1], other[1] + _MARGIN, box[1])])
+    is_beyond = _OUTWARDS * (other - box) > 0.0
+    return np.where(is_beyond, other + _OUTWARDS * _MARGIN, box)

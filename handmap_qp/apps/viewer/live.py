@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from handmap_qp.apps.viewer.controls import SteeringControls, Window, say
@@ -181,7 +180,7 @@ class LiveViewer(Window):
         source = self._source
         title = f"{source.robot.name}, {variant.label}"
         samples = [sample for sample, _ in tuple(self.recent)]
-        return make_page(title, source.human, [replace(variant, samples=samples)])
+        return make_page(title, source.human, [variant._replace(samples=samples)])
 
     def _read(self) -> None:
         for sample in self._source:

@@ -85,8 +85,8 @@ def _body(
     rate = f", {(count - 1) / (end - start):.0f} per second" if end > start else ""
     shown = {
         "time": [round(samples[0].time - start, 3) for samples in instants],
-        "table": [gauges.table(samples) for samples in instants],
-        "bars": [gauges.bars(samples) for samples in instants],
+        "table": list(map(gauges.table, instants)),
+        "bars": list(map(gauges.bars, instants)),
     }
     parts = {
         "__TITLE__": escape(title),

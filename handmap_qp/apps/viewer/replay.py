@@ -201,7 +201,7 @@ class Replay:
         results = step.diagnostics
         is_released = step.status == "released"
         recording = self._recording
-        has_motion = "motion" in results
+        motion = results.get("motion_deformation")
         return ViewSample(
             time=float(self.time[i]),
             robot_q=step.command.q,
@@ -213,8 +213,8 @@ class Replay:
             human_wrist=self._motion.wrist[i],
             human_points=step.human_points,
             landmarks=recording.landmarks[i] if recording.valid[i] else None,
-            deformation=results["motion_deformation"][:3, :3] if has_motion else None,
-            pivot=results["pivot_image"] if has_motion else None,
+            deformation=None if motion is None else motion[:3, :3],
+            pivot=results.get("pivot_image"),
             is_limited=step.at_bound,
             status=step.status,
             rule=step.rule,
@@ -307,7 +307,9 @@ class ReplayViewer(Window):
             replay.switch(request, self.index)
         self._changes |= changes
         if "preset" in chosen or changes or set(requests) - {"keep"}:
-            self._pending.append(self._remap)
+            self._pending.append(
+                lambda: replay.remap(self._base.with_changes(self._changes))
+            )
         if "keep" in requests:
             steering.show_compared(KEPT)
             chosen["compare"] = KEPT
@@ -326,11 +328,9 @@ class ReplayViewer(Window):
                 say(self.steering.message, error)
             else:
                 say(self.steering.message, None)
-                self._show_variants()
+                self.set_variants(self.replay.variants)
+                self._plot()
             self.steering.show_compared(self._compared)
-
-    def _remap(self) -> None:
-        self.replay.remap(self._base.with_changes(self._changes))
 
     def _compare(self, name: str) -> None:
         replay = self.replay
@@ -339,10 +339,6 @@ class ReplayViewer(Window):
         else:
             replay.compare(None if name == NOTHING else replay.preset(name))
         self._compared = name
-
-    def _show_variants(self) -> None:
-        self.set_variants(self.replay.variants)
-        self._plot()
 
     def _plot(self) -> None:
         self.gauges.set_rows(

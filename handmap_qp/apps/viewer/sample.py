@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,8 +67,7 @@ class ViewSample:
         return np.linalg.norm(targets - self.robot_points, axis=1)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Solid:
+class Solid(NamedTuple):
     """An object in the world of a robot.
 
     Attributes:
@@ -79,8 +79,7 @@ class Solid:
     faces: np.ndarray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Variant:
+class Variant(NamedTuple):
     """A robot hand that the view shows, and what moves it.
 
     Attributes:

@@ -209,21 +209,19 @@ def format_to_write(path: Path, name: str | None = None) -> RecordingFormat:
         InvalidInputError: If there is no such format.
     """
     if name is not None:
-        names = f"one of {', '.join(FORMATS)}"
         expect(
             name in FORMATS,
             "--format",
-            names,
+            f"one of {', '.join(FORMATS)}",
             value=name,
         )
         return FORMATS[name]
     for form in FORMATS.values():
         if path.suffix.lower() in (form.suffixes or ("",)):
             return form
-    expected = f"a file that ends in one of {', '.join(known_suffixes())}"
     raise InvalidInputError(
         argument="OUT",
-        expected=expected,
+        expected=f"a file that ends in one of {', '.join(known_suffixes())}",
         value=str(path),
     )
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 import zipfile
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,8 @@ from handmap_qp.trackers.formats.base import (
 
 LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
+Arrays = Mapping[str, np.ndarray]
+"""Arrays of a file by their names."""
 _NEEDED = ("time", "landmarks")
 _KNOWN = (*COLUMNS, "wrist_pose", "source")
 _PREFIXES = tuple(f"{side}_" for side in SIDES)

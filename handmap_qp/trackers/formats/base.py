@@ -173,19 +173,18 @@ def reading(
     """
     try:
         yield
-    except InvalidInputError as error:
-        array += error.argument
-        problem = f"{error.what}: {error.advice}" if error.advice else error.what
-        line = table and table.line_num
-        raise RecordingError(problem, file=file, array=array, line=line) from error
-    except HandmapError:
-        raise
     except Exception as error:
-        text = " ".join(str(error).split())[:160]
-        if isinstance(error, OSError) and error.strerror:
-            problem = "cannot be read"
-            text = error.strerror
-        problem = f"{problem}: {text}".rstrip(": ")
+        if isinstance(error, InvalidInputError):
+            array += error.argument
+            problem = f"{error.what}: {error.advice}" if error.advice else error.what
+        elif isinstance(error, HandmapError):
+            raise
+        else:
+            text = " ".join(str(error).split())[:160]
+            if isinstance(error, OSError) and error.strerror:
+                problem = "cannot be read"
+                text = error.strerror
+            problem = f"{problem}: {text}".rstrip(": ")
         line = table and table.line_num
         raise RecordingError(problem, file=file, array=array, line=line) from error
 

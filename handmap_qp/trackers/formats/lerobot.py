@@ -36,14 +36,10 @@ CHUNK_FILES = 1000
 _DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 _EPISODES_PATH = "meta/episodes/chunk-000/file-000.parquet"
 _ROW_GROUP = 1000
-_QUANTILES = {
-    "min": 0.0,
-    "max": 1.0,
-    "q01": 0.01,
-    "q10": 0.10,
-    "q50": 0.50,
-    "q90": 0.90,
-    "q99": 0.99,
+_TASKS = Path(__file__).with_name("lerobot_tasks.json")
+"""The columns of the tasks, as pandas describes them in its own files."""
+_QUANTILES = {"min": 0.0, "max": 1.0} | {
+    f"q{share:02d}": share / 100 for share in (1, 10, 50, 90, 99)
 }
 """Quantiles by the names of LeRobot, some of whose policies are normalised by them."""
 
@@ -314,12 +310,8 @@ class LeRobotWriter:
                 for name, f in self._features.items()
             },
         }
-        stats = {
-            name: {key: array.tolist() for key, array in own.items()}
-            for name, own in self._stats.items()
-        }
-        for name, values in (("info", info), ("stats", stats)):
-            text = json.dumps(values, indent=1) + "\n"
+        for name, values in (("info", info), ("stats", self._stats)):
+            text = json.dumps(values, indent=1, default=np.ndarray.tolist) + "\n"
             self._place(f"meta/{name}.json").write_text(text, encoding="utf-8")
         for writer in self._open.values():
             writer.close()
@@ -331,23 +323,8 @@ class LeRobotWriter:
 
     def _write_tasks(self) -> None:
         """Write the tasks with the index that pandas, and so LeRobot, reads them by."""
-        kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
-        about = {
-            "index_columns": ["task"],
-            "column_indexes": [],
-            "columns": [
-                {
-                    "name": name,
-                    "field_name": name,
-                    "pandas_type": pandas_type,
-                    "numpy_type": numpy_type,
-                    "metadata": None,
-                }
-                for name, pandas_type, numpy_type in kinds
-            ],
-            "creator": {"library": "pyarrow", "version": self._pa.__version__},
-            "pandas_version": "2.0.0",
-        }
+        about = json.loads(_TASKS.read_text(encoding="utf-8"))
+        about["creator"]["version"] = self._pa.__version__
         columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
         metadata = {"pandas": json.dumps(about)}
         self._write("meta/tasks.parquet", self._pa.table(columns, metadata=metadata))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import os
 import pickle
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,8 @@ from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
 from handmap_qp.output_files import replaced_file
-from handmap_qp.se3 import as_floats
-from handmap_qp.trackers.formats.archive import member_names, read_archive
+from handmap_qp.se3 import affine, as_floats, transform_points
+from handmap_qp.trackers.formats.archive import Arrays, member_names, read_archive
 from handmap_qp.trackers.formats.base import (
     Entry,
     RecordingFormat,
@@ -127,8 +127,8 @@ class ManoFormat(RecordingFormat):
 
 
 def _joints_of_parameters(
-    model: Mapping[str, np.ndarray],
-    arrays: Mapping[str, np.ndarray],
+    model: Arrays,
+    arrays: Arrays,
     count: int,
 ) -> np.ndarray:
     """Return the joints of parameters in MANO's order [m], shape (T, 21, 3)."""
@@ -186,7 +186,7 @@ _MODEL = {
 
 
 def _posed_joints(
-    model: Mapping[str, np.ndarray],
+    model: Arrays,
     turns: np.ndarray,
     shape: np.ndarray,
 ) -> np.ndarray:
@@ -209,18 +209,15 @@ def _posed_joints(
     offsets = (rotations[:, 1:] - np.eye(3)).reshape(len(turns), -1)
     directions = model["posedirs"][TIP_VERTICES]
     tips = vertices[TIP_VERTICES] + np.einsum("vck,tk->tvc", directions, offsets)
-    turn = np.empty_like(rotations)
-    place = np.empty((len(turns), _JOINTS, 3))
-    turn[:, 0] = rotations[:, 0]
-    place[:, 0] = rest[0]
-    for joint, up in enumerate(model["kintree_table"][0, 1:].astype(int), start=1):
-        turn[:, joint] = turn[:, up] @ rotations[:, joint]
-        place[:, joint] = place[:, up] + turn[:, up] @ (rest[joint] - rest[up])
+    parents = model["kintree_table"][0, 1:].astype(int)
+    poses = affine(rotations, np.vstack([rest[:1], rest[1:] - rest[parents]]))
+    for joint, up in enumerate(parents, start=1):
+        poses[:, joint] = poses[:, up] @ poses[:, joint]
     # Skin the tips: each joint carries the vertex from its place at rest to its place now.
-    carried = np.einsum("tjab,tvjb->tvja", turn, tips[:, :, None] - rest)
-    carried += place[:, None]
+    carried = transform_points(poses, (tips[:, :, None] - rest).swapaxes(1, 2))
     weights = model["weights"][TIP_VERTICES]
-    return np.hstack([place, np.einsum("vj,tvja->tva", weights, carried)])
+    skinned = np.einsum("vj,tjva->tva", weights, carried)
+    return np.hstack([poses[..., :3, 3], skinned])
 
 
 def _load_model(side: str, given: Path | None) -> dict[str, np.ndarray]:

@@ -103,9 +103,8 @@ class McapFormat(RecordingFormat):
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the topics that a recording cannot hold."""
         with _opened(path) as bag:
-            rest = set(bag.topics)
-            for topics in _hands(bag).values():
-                rest -= set(topics.values())
+            known = map(dict.values, _hands(bag).values())
+            rest = set(bag.topics).difference(*known)
             return tuple(f"topic {topic}" for topic in sorted(rest))
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
@@ -114,13 +113,11 @@ class McapFormat(RecordingFormat):
         bags = require("rosbags.rosbag2", "files")
         for recording in recordings:
             start, end = recording.time[[0, -1]]
-            expected = "instants from 0 to 2^31 s, as ROS 2 has them"
-            got = f"{start:g} to {end:g}"
             expect(
                 start >= 0.0 and end <= 2.0**31,
                 "time",
-                expected,
-                got=got,
+                "instants from 0 to 2^31 s, as ROS 2 has them",
+                got=f"{start:g} to {end:g}",
             )
         with (
             replaced_path(path, "path") as temporary,
@@ -156,26 +153,21 @@ def _store() -> Any:
 
 def _hands(bag: Any) -> dict[Side, dict[str, str]]:
     """Find the topics of each hand by their types and names: the first of each of `_KINDS`."""
-    hands = {side: _topics(bag, side) for side in SIDES}
-    found = {
-        side: own
-        for side, own in hands.items()
-        if "landmarks" in own or "joint_states" in own
-    }
+    found: dict[Side, dict[str, str]] = {}
+    for side in SIDES:
+        topics = {
+            what: topic
+            for what, (kind, word) in _KINDS.items()
+            for topic, info in reversed([*bag.topics.items()])
+            if side in topic.lower() and info.msgtype == kind and word in topic
+        }
+        if topics.keys() & {"landmarks", "joint_states"}:
+            found[side] = topics
     if not found:
         names = ", ".join(sorted(bag.topics)) or "none"
         problem = f"has no {_POSES} or {_STATE} with left or right in the topic's name; topics are "
         raise InvalidInputError(problem + names)
     return found
-
-
-def _topics(bag: Any, side: Side) -> dict[str, str]:
-    return {
-        what: topic
-        for what, (kind, word) in _KINDS.items()
-        for topic, info in reversed([*bag.topics.items()])
-        if side in topic.lower() and info.msgtype == kind and word in topic
-    }
 
 
 def _main(topics: dict[str, str]) -> str:

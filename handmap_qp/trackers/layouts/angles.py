@@ -7,14 +7,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import did_you_mean, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HUMAN_JOINTS, HumanLengths
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Document, Side
 from handmap_qp.se3 import transform_points
 from handmap_qp.trackers.layouts.base import (
     UNITS,
@@ -32,7 +31,7 @@ _STRAIGHTEST = 3.2  # deg
 _BACKWARDS = 20.0  # deg, mean of the four middle joints; people reach about 10
 
 
-class AngleEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AngleEntry(Document, frozen=True):
     """One angle.
 
     Attributes:
@@ -52,9 +51,7 @@ class AngleEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     default: float | None = None
 
 
-class AngleTable(
-    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="angles", kw_only=True
-):
+class AngleTable(LayoutTable, frozen=True, tag="angles", kw_only=True):
     """A layout of joint angles.
 
     Attributes:
@@ -66,7 +63,7 @@ class AngleTable(
     wrist: WristTable | None = None
 
 
-class AngleLayout(Layout[AngleTable]):
+class AngleLayout(Layout):
     """A layout of joint angles.
 
     Args:
@@ -75,6 +72,8 @@ class AngleLayout(Layout[AngleTable]):
     Raises:
         InvalidInputError: If the table names no joint, or one twice.
     """
+
+    table: AngleTable
 
     def __init__(self, table: AngleTable) -> None:
         super().__init__(table)
@@ -112,15 +111,16 @@ class AngleLayout(Layout[AngleTable]):
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every angle."""
-        meaning = f"joint [{self.table.unit}]"
-        rows = []
-        for i, entry in enumerate(self.table.angles):
-            offset = f" {entry.offset:+g}" if entry.offset else ""
-            row = {"index": i, "angle": entry.name}
-            row["joint of the human model"] = entry.joint
-            row[meaning] = f"{entry.scale:+g} x angle{offset}"
-            rows.append(row)
-        return rows
+        return [
+            {
+                "index": i,
+                "angle": entry.name,
+                "joint of the human model": entry.joint,
+                f"joint [{self.table.unit}]": f"{entry.scale:+g} x angle"
+                + (f" {entry.offset:+g}" if entry.offset else ""),
+            }
+            for i, entry in enumerate(self.table.angles)
+        ]
 
     def hands(
         self,
@@ -167,13 +167,12 @@ class AngleLayout(Layout[AngleTable]):
             is_other = len(values) > 1 and 0.0 < largest < _STRAIGHTEST
             got = f"none above {largest:.3g}"
         convert = f"convert them, or set `unit: {other[:3]}` in a table of your own"
-        advice = f"these are {other}: {convert}"
         expect(
             not is_other,
             "values",
             f"angles in {unit}",
             got=got,
-            advice=advice,
+            advice=f"these are {other}: {convert}",
         )
         is_middle = [name.endswith("PIP_flexion") for name in HUMAN_JOINTS]
         back = -np.degrees(q[:, is_middle].mean(axis=1))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, Generic, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,7 +20,7 @@ from handmap_qp.errors import InvalidInputError, did_you_mean, expect
 from handmap_qp.hands.hand import Hand, Points
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Document, Side
 from handmap_qp.human.fit import LandmarkFitter
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import HumanSample, check_side, human_name
@@ -42,7 +42,7 @@ TYPICAL_LENGTH = 0.19
 """Length of the hand that angles and markers are read with where no person was measured [m]."""
 
 
-class AxesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class AxesTable(Document, frozen=True):
     """The anatomical directions in a wrist's own axes.
 
     Attributes:
@@ -54,7 +54,7 @@ class AxesTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     dorsal: Axis
 
 
-class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class WristTable(Document, frozen=True):
     """How a wrist pose is obtained.
 
     Attributes:
@@ -70,9 +70,7 @@ class WristTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quaternion: QuatOrder = "xyzw"
 
 
-class LayoutTable(
-    msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="kind"
-):
+class LayoutTable(Document, frozen=True, tag_field="kind"):
     """What the tables of all kinds of layouts say.
 
     Attributes:
@@ -100,9 +98,6 @@ class LayoutTable(
     time: dict[str, float] = msgspec.field(default_factory=dict)
 
 
-Table = TypeVar("Table", bound=LayoutTable, covariant=True)
-
-
 class Hands(NamedTuple):
     """Samples of one hand as arrays.
 
@@ -115,7 +110,7 @@ class Hands(NamedTuple):
     wrists: np.ndarray | None
 
 
-class Layout(abc.ABC, Generic[Table]):
+class Layout(abc.ABC):
     """A tracker's form of samples.
 
     Other packages add theirs by entry points of the group `handmap_qp.layouts`, each of which names
@@ -134,7 +129,7 @@ class Layout(abc.ABC, Generic[Table]):
         world: Takes points of the tracker's world to ours [m], shape (4, 4).
     """
 
-    def __init__(self, table: Table) -> None:
+    def __init__(self, table: LayoutTable) -> None:
         self.table = table
         self.shapes: tuple[tuple[int, ...], ...] = ()
         self.columns: tuple[str, ...] = ()
@@ -355,12 +350,11 @@ class Layout(abc.ABC, Generic[Table]):
             if fitting:
                 found[column] = fitting[0]
             elif column not in self.defaults:
-                got = f"none; {did_you_mean(column, own)}".rstrip("; ")
                 expect(
                     False,
                     "values",
                     f"a column {column}",
-                    got=got,
+                    got=f"none; {did_you_mean(column, own)}".rstrip("; "),
                 )
         return found
 

@@ -5,7 +5,6 @@ Files in the package's own forms need no layout; `handmap_qp.trackers.formats` r
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,7 +15,7 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.archive import Arrays, read_archive
 from handmap_qp.trackers.formats.base import SIDES, reading, side_of
 from handmap_qp.trackers.formats.csv_files import numbers, opened_table
 from handmap_qp.trackers.layouts import LAYOUTS
@@ -116,7 +115,7 @@ def layout_hint(path: Path) -> str:
     return _shaped_like(arrays)
 
 
-def _shaped_like(arrays: Mapping[str, np.ndarray]) -> str:
+def _shaped_like(arrays: Arrays) -> str:
     """Say which layouts have the shape of an array that is not plain landmarks."""
     for name, array in arrays.items():
         shape = array.shape[1:]
@@ -139,7 +138,7 @@ def _better(recording: Recording, values: np.ndarray) -> list[str]:
 
 
 def _values_name(
-    arrays: Mapping[str, np.ndarray],
+    arrays: Arrays,
     layout: Layout,
     side: Side | None,
     count: int,
@@ -167,13 +166,13 @@ def _values_name(
     raise InvalidInputError(f"{problem}; {hint or _listing(arrays)}")
 
 
-def _listing(arrays: Mapping[str, np.ndarray]) -> str:
+def _listing(arrays: Arrays) -> str:
     have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
     return f"it has {', '.join(have)}"
 
 
 def _wrists_beside(
-    arrays: Mapping[str, np.ndarray],
+    arrays: Arrays,
     layout: Layout,
     side: Side | None,
 ) -> np.ndarray | None:
@@ -218,7 +217,7 @@ def _time_units(layout: Layout) -> dict[str, float]:
     return {name: own.get(name) or _TIMES[name] for name in (*own, *_TIMES)}
 
 
-def _time(arrays: Mapping[str, np.ndarray], layout: Layout) -> np.ndarray:
+def _time(arrays: Arrays, layout: Layout) -> np.ndarray:
     units = _time_units(layout)
     for name, unit in units.items():
         values = arrays.get(name, np.array(0.0))

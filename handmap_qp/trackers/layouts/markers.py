@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import PointSpec, Side, Vector
+from handmap_qp.hands.spec import Document, PointSpec, Side, Vector
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.se3 import FARTHEST, rigid_fit, transform_points
@@ -32,7 +31,7 @@ _FIT = IkOptions(
 )
 
 
-class MarkerEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class MarkerEntry(Document, frozen=True):
     """One marker.
 
     Attributes:
@@ -47,9 +46,7 @@ class MarkerEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     xyz: Vector
 
 
-class MarkerTable(
-    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="markers", kw_only=True
-):
+class MarkerTable(LayoutTable, frozen=True, tag="markers", kw_only=True):
     """A layout of markers.
 
     Attributes:
@@ -59,7 +56,7 @@ class MarkerTable(
     markers: tuple[MarkerEntry, ...]
 
 
-class MarkerLayout(Layout[MarkerTable]):
+class MarkerLayout(Layout):
     """A layout of markers.
 
     Args:
@@ -68,6 +65,8 @@ class MarkerLayout(Layout[MarkerTable]):
     Raises:
         InvalidInputError: If a marker is on no link, or fewer than three are on the palm.
     """
+
+    table: MarkerTable
 
     def __init__(self, table: MarkerTable) -> None:
         super().__init__(table)
@@ -95,14 +94,15 @@ class MarkerLayout(Layout[MarkerTable]):
 
     def rows(self) -> list[dict[str, Any]]:
         """Describe every marker."""
-        rows = []
-        for i, entry in enumerate(self.table.markers):
-            place = ", ".join(f"{1e3 * value:g}" for value in entry.xyz)
-            row = {"index": i, "marker": entry.name}
-            row["link of the human model"] = entry.link
-            row["place on it [mm]"] = place
-            rows.append(row)
-        return rows
+        return [
+            {
+                "index": i,
+                "marker": entry.name,
+                "link of the human model": entry.link,
+                "place on it [mm]": ", ".join(f"{1e3 * v:g}" for v in entry.xyz),
+            }
+            for i, entry in enumerate(self.table.markers)
+        ]
 
     def hands(
         self,
@@ -117,11 +117,10 @@ class MarkerLayout(Layout[MarkerTable]):
         landmarks = human.with_points("landmarks")
         markers = transform_points(self.world, values)
         is_near = np.abs(markers).max() <= FARTHEST
-        expected = f"coordinates within {FARTHEST:g} m"
         expect(
             is_near,
             "values",
-            expected,
+            f"coordinates within {FARTHEST:g} m",
             got=f"{np.abs(markers).max():.3g} m",
         )
         palm = human.points(human.rest)[self._on_palm]

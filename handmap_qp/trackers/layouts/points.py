@@ -11,7 +11,7 @@ import numpy.typing as npt
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import Document, Side
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES, PALM, HumanSample
 from handmap_qp.se3 import (
     QuatOrder,
@@ -34,7 +34,7 @@ _FORMS = {3: (3,), 7: (7,), 16: (4, 4)}
 """Shapes of a joint, by how many numbers it has."""
 
 
-class BetweenTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class BetweenTable(Document, frozen=True):
     """A joint on the line through two landmarks, for writing: it is not read.
 
     Attributes:
@@ -48,9 +48,7 @@ class BetweenTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     share: float
 
 
-class PointTable(
-    LayoutTable, frozen=True, forbid_unknown_fields=True, tag="points", kw_only=True
-):
+class PointTable(LayoutTable, frozen=True, tag="points", kw_only=True):
     """A layout of joints.
 
     Attributes:
@@ -77,7 +75,7 @@ class PointTable(
     between: dict[int, BetweenTable] = msgspec.field(default_factory=dict)
 
 
-class PointLayout(Layout[PointTable]):
+class PointLayout(Layout):
     """A layout of joints as points or poses.
 
     Args:
@@ -86,6 +84,8 @@ class PointLayout(Layout[PointTable]):
     Raises:
         InvalidInputError: If the table contradicts itself.
     """
+
+    table: PointTable
 
     def __init__(self, table: PointTable) -> None:
         super().__init__(table)
@@ -226,11 +226,10 @@ def _indices(
     """Return the indices of our landmarks among `count` joints, which must all differ."""
     known = set(given) & set(range(count))
     are_right = len(given) == len(known) == LANDMARK_COUNT
-    expected = f"{LANDMARK_COUNT} different indices below count, {count}"
     expect(
         are_right,
         key,
-        expected,
+        f"{LANDMARK_COUNT} different indices below count, {count}",
         value=given,
     )
     return np.array(given)

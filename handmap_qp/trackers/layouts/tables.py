@@ -84,9 +84,8 @@ def _load(file: Path) -> Layout:
     except (OSError, ValueError, TypeError) as error:
         text = without_errno(error)
         text = f"cannot be read: {text}" if isinstance(error, OSError) else text
-        problem = f"{file}: {' '.join(text.split())}"
         raise InvalidInputError(
             argument="layout",
-            problem=problem,
+            problem=f"{file}: {' '.join(text.split())}",
             value=str(file),
         ) from error
