@@ -72,6 +72,11 @@ class PseudoinverseIk(PointIk):
         regularisation[hand.joint_columns] += options.rest_weight**2
         self._scale = 1.0 / np.sqrt(regularisation)
 
+    def place(self, q: np.ndarray) -> None:
+        """Put the hand at a configuration (nq,), at rest, from where `step` steps."""
+        super().place(q)
+        self._configuration.place(q)
+
     def step(self, goal: Goal) -> np.ndarray:
         """Return the step of eq. (8) at the present configuration.
 
