@@ -135,6 +135,8 @@ class _NoLimits(Gate):
         wanted: np.ndarray,
         first: np.ndarray,
         dt: float,
+        around: object = None,
+        tries: int = 0,
     ) -> np.ndarray:
         """Move the robot by a displacement, whatever it is."""
         placed = self.hand.configuration()

@@ -231,8 +231,6 @@ inline Shape make_shape(const Fields& from) {
   if (kind == "Sphere") return make_sphere(from.get<double>("radius"));
   if (kind == "Capsule")
     return make_capsule(from.get<double>("radius"), from.get<double>("halfLength"));
-  if (kind == "Cylinder")
-    return make_cylinder(from.get<double>("radius"), from.get<double>("halfLength"));
   if (kind != "Convex") throw std::domain_error("a shape that is not convex: " + kind);
   return make_convex(points_of(nb::cast<Array>(from.object("points")())));
 }

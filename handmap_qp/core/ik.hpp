@@ -109,13 +109,8 @@ class Ik {
       }
       if (has_rows)
         feasible_.loosen(linear_, least_, most_, limits.stopping(motion, dt), total_, h_);
-      cost(goal);
-      has_failed = !qp_.solve(n, H_.data(), c_.data(), least_.data(), most_.data(),
-                              has_rows ? linear_.count : 0, linear_.G.data(), h_.data());
-      double length2 = 0.0;
-      if (!has_failed)
-        for (int i = 0; i < n; ++i) length2 += qp_.x[i] * qp_.x[i];
-      if (!std::isfinite(length2)) has_failed = true;
+      double length2;
+      has_failed = !step(goal, has_rows ? linear_.count : 0, length2);
       ++iterations;
       // On failure, bring joints outside their limits back all the same.
       for (int i = 0; i < n; ++i)
@@ -124,7 +119,21 @@ class Ik {
       if (iterations == 1) first_ = total_;
       at.displace(motion.q.data(), total_.data());
     }
-    admit(total_, first_, dt);
+    // Solve from the start again, and keep apart the points that met.
+    const auto around = [&] {
+      double length2;
+      at.copy(start_);
+      pairs->add_met(at, linear_);
+      total_.assign(n, 0.0);
+      feasible_.loosen(linear_, lower_, upper_, limits.stopping(motion, dt), total_, h_);
+      least_ = lower_;
+      most_ = upper_;
+      const bool has_step = step(goal, linear_.count, length2);
+      ++iterations;
+      for (int i = 0; i < n; ++i)
+        total_[i] = clip(has_step ? qp_.x[i] : 0.0, lower_[i], upper_[i]);
+    };
+    admit(total_, first_, dt, around);
     at.place(motion.q.data());
     if (pairs) pairs->arrive(at, path_end_);
     finish(goal, iterations, last_step, has_failed, result);
@@ -162,8 +171,11 @@ class Ik {
     return found;
   }
 
-  // Move by a displacement, or by another one that is admitted; see limits.Gate.admit.
-  void admit(const Vector& wanted, const Vector& first, double dt) {
+  // Move by a displacement, or by another one that is admitted; see limits.Gate.admit. `around`
+  // leaves another one in `total_`.
+  template <class Around>
+  void admit(const Vector& wanted, const Vector& first, double dt, const Around& around,
+             int tries = kTries) {
     const int n = tree.size;
     limits.box(motion, dt, box_);
     taken_.resize(n);
@@ -174,6 +186,10 @@ class Ik {
     }
     limits.stop_times(taken_, dt, times_);
     if (!(is_inside && is_clear(taken_, times_, dt))) {
+      if (is_inside && tries > 0 && pairs->has_met()) {
+        around();
+        return admit(total_, total_, dt, around, tries - 1);
+      }
       Vector short_first(n);
       for (int i = 0; i < n; ++i)
         short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
@@ -194,6 +210,17 @@ class Ik {
       lower_[i] = clip(-farthest, box_.lower[i], box_.upper[i]);
       upper_[i] = clip(farthest, box_.lower[i], box_.upper[i]);
     }
+  }
+
+  // Pose the QP of one iteration and solve it: false if that fails.
+  bool step(const Goal& goal, int rows, double& length2) {
+    cost(goal);
+    length2 = 0.0;
+    if (!qp_.solve(tree.size, H_.data(), c_.data(), least_.data(), most_.data(), rows,
+                   linear_.G.data(), h_.data()))
+      return false;
+    for (const double x : qp_.x) length2 += x * x;
+    return std::isfinite(length2);
   }
 
   // Add rows of one block, nonzero in `columns_` only, to the cost.

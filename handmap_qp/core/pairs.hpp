@@ -17,6 +17,7 @@ constexpr int kMostPoints = 30;
 constexpr double kGain = 0.85;
 constexpr double kNear = 0.001, kApproach = 0.5;
 constexpr double kExpected = 0.25;
+constexpr double kCleared = 5e-4;
 
 // One number for some coordinates of the tangent space.
 struct Sparse {
@@ -165,9 +166,10 @@ class Pairs {
     rows.h.clear();
     double* row = rows.G.data();
     for (const auto& [place, k] : near_) {
-      linearise(at, k, row);
+      const Found& found = found_[k];
+      linearise(at, k, found.normal, found.point, row);
       row += n;
-      rows.h.push_back(kGain * (found_[k].distance - margins_[place]));
+      rows.h.push_back(kGain * (found.distance - margins_[place]));
     }
   }
 
@@ -179,6 +181,7 @@ class Pairs {
     lows_.clear();
     ends_.clear();
     parts_.clear();
+    met_.clear();
     bool is_clear = true;
     const auto farthest_of = [&](size_t g) { return kKept + travels_[g]; };
     const auto is_far = [&](size_t g) {
@@ -195,10 +198,30 @@ class Pairs {
       // On a path from a to b, the distance is never below (a + b - travel) / 2.
       if (!(before.distance > 0.0 && before.distance + after.distance - travel < kKept)) return;
       const double kept = std::min(before.distance, kKept);
+      if (after.distance < kept) meet(at, end, k, after);
       is_clear &= after.distance >= kept;
       parts_.push_back({0.0, 1.0, k, kept, before, after});
     });
-    return is_clear && halve(at.q, step);
+    return is_clear && halve(at, step);
+  }
+
+  // What met on the last path, where it began: see collision.ShapeDistances.met_on.
+  bool has_met() const { return !met_.empty(); }
+
+  // Add the rows of what met; see collision.CollisionLimit.rows_of_met.
+  void add_met(const Placed& at, Rows& rows) {
+    const int n = tree_.size;
+    std::sort(met_.begin(), met_.end(),
+              [this](const Met& a, const Met& b) { return place(a.pair) < place(b.pair); });
+    rows.G.resize(rows.h.size() * n);
+    rows.G.resize((rows.h.size() + met_.size()) * n, 0.0);
+    double* row = rows.G.data() + rows.h.size() * n;
+    for (const Met& met : met_) {
+      linearise(at, met.pair, met.found.normal, met.found.point, row);
+      row += n;
+      rows.h.push_back(kGain * (met.found.distance - kCleared));
+    }
+    rows.count = static_cast<int>(rows.h.size());
   }
 
   // The robot goes on to `at`. If that is where the last path ended but for a floating wrist, what
@@ -215,7 +238,8 @@ class Pairs {
   }
 
  private:
-  const Pair& pair(size_t k) const { return bounds_->pairs[bounds_->order[k]]; }
+  size_t place(size_t k) const { return bounds_->order[k]; }
+  const Pair& pair(size_t k) const { return bounds_->pairs[place(k)]; }
 
   // Two bodies and a unit direction: their distance is at least that along the direction.
   struct Parting {
@@ -248,6 +272,12 @@ class Pairs {
     size_t pair;
     double kept;
     Found before, after;
+  };
+
+  // Points of a pair that met, where the path began.
+  struct Met {
+    size_t pair;
+    Found found;  // along the normal, and of the second shape
   };
 
   // The largest difference of a joint's position; a floating wrist moves no pair.
@@ -442,20 +472,30 @@ class Pairs {
                    at.pose(b.joint) * b.placement, warm_[k]);
   }
 
-  void linearise(const Placed& at, size_t k, double* row) const {
-    const Found& found = found_[k];
-    const Vec3 moment = cross(found.point, found.normal);
+  // See collision.ShapeDistances._meetings.
+  void meet(const Placed& at, const Placed& there, size_t k, const Found& known) {
+    const int a = bodies[pair(k).first].joint, b = bodies[pair(k).second].joint;
+    const Pose moved_a = at.pose(a) * inverse(there.pose(a));
+    const Pose moved_b = at.pose(b) * inverse(there.pose(b));
+    const Vec3 normal = moved_a.R * known.normal;
+    const Vec3 second = moved_b * (known.point + known.distance * known.normal);
+    met_.push_back({k, {dot(normal, second - moved_a * known.point), normal, second}});
+  }
+
+  void linearise(const Placed& at, size_t k, const Vec3& normal, const Vec3& point,
+                 double* row) const {
+    const Vec3 moment = cross(point, normal);
     const Sparse& signs = pair(k).signs;
     for (size_t i = 0; i < signs.columns.size(); ++i) {
       const int c = signs.columns[i];
       const Twist& twist = at.columns[c];
       row[tree_.leader[c]] += tree_.factor[c] * signs.values[i] *
-                              (dot(found.normal, twist.v) + dot(moment, twist.w));
+                              (dot(normal, twist.v) + dot(moment, twist.w));
     }
   }
 
   // Halve the parts of a path until each is shown to be clear, or a point of it is too near.
-  bool halve(const Vector& start, const double* step) {
+  bool halve(const Placed& at, const double* step) {
     int taken = 0;
     moved_.resize(tree_.nv);
     reached_.resize(tree_.nq);
@@ -472,18 +512,19 @@ class Pairs {
         const double middle = 0.5 * (part.low + part.high);
         // All parts of one interval are halved at one point.
         if (at_low != part.low) {
-          if (taken == kMostPoints) return false;
+          if (taken == kMostPoints || has_met()) return false;
           ++taken;
           at_low = part.low;
           for (int c = 0; c < tree_.nv; ++c) moved_[c] = middle * step[c];
-          tree_.integrate(start.data(), moved_.data(), reached_.data());
+          tree_.integrate(at.q.data(), moved_.data(), reached_.data());
           middle_.place(reached_.data());
         }
         const Found between = found_at(middle_, part.pair);
-        if (between.distance < part.kept) return false;
+        if (between.distance < part.kept) meet(at, middle_, part.pair, between);
         further_.push_back({part.low, middle, part.pair, part.kept, part.before, between});
         further_.push_back({middle, part.high, part.pair, part.kept, between, part.after});
       }
+      if (has_met()) return false;
       std::stable_sort(further_.begin(), further_.end(),
                        [](const Part& a, const Part& b) { return a.low < b.low; });
       std::swap(parts_, further_);
@@ -510,6 +551,7 @@ class Pairs {
   std::vector<std::pair<size_t, Found>> ends_;
   Vector turned_, moved_, reached_;
   std::vector<Part> parts_, further_;
+  std::vector<Met> met_;
 };
 
 }  // namespace handmap

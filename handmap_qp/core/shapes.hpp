@@ -16,11 +16,11 @@
 
 namespace handmap {
 
-enum class ShapeKind { box, point, segment, cylinder, convex };
+enum class ShapeKind { box, point, segment, convex };
 
 struct Shape {
   ShapeKind kind;
-  Vec3 half;            // half sides of a box; radius and half length of a cylinder in x and z
+  Vec3 half;            // half sides of a box; half length of a segment in z
   double radius = 0.0;  // around a point or a segment
   Hull hull;
 };
@@ -34,7 +34,7 @@ struct Found {
 // A vertex of a - b, with the points of both that it comes from, in their own axes.
 struct Support {
   Vec3 w, a, b;
-  int index_a = -1, index_b = -1;  // vertices; -1 on a curved surface
+  int index_a = -1, index_b = -1;  // vertices
 };
 
 // What the next measurement of a pair starts from.
@@ -48,15 +48,11 @@ inline Shape make_sphere(double radius) { return {ShapeKind::point, {}, radius, 
 inline Shape make_capsule(double radius, double half_length) {
   return {ShapeKind::segment, {0, 0, half_length}, radius, {}};
 }
-inline Shape make_cylinder(double radius, double half_length) {
-  return {ShapeKind::cylinder, {radius, radius, half_length}, 0.0, {}};
-}
 inline Shape make_convex(std::vector<Vec3> vertices) {
   return {ShapeKind::convex, {}, 0.0, Hull(std::move(vertices))};
 }
 
-// The farthest point of a shape along a direction, in its own axes; `index` is that of a vertex, or -1
-// on a curved surface.
+// The farthest vertex of a shape along a direction, in its own axes, and its index.
 inline Vec3 farthest(const Shape& shape, const Vec3& d, int& index) {
   switch (shape.kind) {
     case ShapeKind::point:
@@ -69,12 +65,6 @@ inline Vec3 farthest(const Shape& shape, const Vec3& d, int& index) {
       index = (d.x < 0.0) + 2 * (d.y < 0.0) + 4 * (d.z < 0.0);
       return {d.x < 0.0 ? -shape.half.x : shape.half.x, d.y < 0.0 ? -shape.half.y : shape.half.y,
               d.z < 0.0 ? -shape.half.z : shape.half.z};
-    case ShapeKind::cylinder: {
-      index = -1;
-      const double across = std::sqrt(d.x * d.x + d.y * d.y);
-      const double scale = across > 0.0 ? shape.half.x / across : 0.0;
-      return {scale * d.x, scale * d.y, d.z < 0.0 ? -shape.half.z : shape.half.z};
-    }
     case ShapeKind::convex:
       break;
   }
@@ -371,11 +361,6 @@ inline bool find_nearest(const Shape& shape, const Vec3& to, Vec3& nearest) {
   const Vec3& half = shape.half;
   const auto clamp = [](double x, double most) { return std::min(std::max(x, -most), most); };
   nearest = {clamp(to.x, half.x), clamp(to.y, half.y), clamp(to.z, half.z)};
-  if (shape.kind == ShapeKind::cylinder) {
-    const double across = std::sqrt(to.x * to.x + to.y * to.y);
-    const double scale = across > half.x ? half.x / across : 1.0;
-    nearest = {scale * to.x, scale * to.y, nearest.z};
-  }
   return dot(to - nearest, to - nearest) >= 1e-24;
 }
 
@@ -426,8 +411,8 @@ inline Found measure(const Shape& a, const Pose& pose_a, const Shape& b, const P
     if (ahead <= 1e-15 * length2 + 4e-17 * std::sqrt(length2) * (norm(s.a) + norm(s.b))) break;
     bool is_known = false;
     for (int i = 0; i < simplex.count; ++i)
-      is_known |= s.index_a >= 0 && s.index_b >= 0 && simplex.points[i].index_a == s.index_a &&
-                  simplex.points[i].index_b == s.index_b;
+      is_known |=
+          simplex.points[i].index_a == s.index_a && simplex.points[i].index_b == s.index_b;
     if (is_known) break;
     simplex.points[simplex.count++] = s;
     Vec3 next;

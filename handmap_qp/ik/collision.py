@@ -36,6 +36,13 @@ that both shapes share. So the distance is never below
     min(a, b) - (2 |change of n in the world| + 2 C + S) travel / 8.
 
 Where that does not suffice, the path is halved, until it does or a point of it is too near.
+
+There the rows were wrong: a link that lies flat on another one touches it next wherever it turns
+to, and a row knows one pair of points. The points that meet there are then kept apart too. With the
+normal n carried by the first shape, points p of it and r of the second one, as they are at the
+start,
+
+    -n^T (J_b - J_a)(r) dq <= gain (n^T (r - p) - margin).
 """
 
 from __future__ import annotations
@@ -57,6 +64,8 @@ from handmap_qp.se3 import lengths
 KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start, where a path is measured; and
 not nearer than half of it between [m]."""
+# Points that met are kept this far apart [m].
+_CLEARED = 5e-4
 # GJK starts from the last result of the pair. With coal's 1e-6 the answer depends on it by as much.
 _TOLERANCE = 1e-12
 # Points of a path that are measured, at most; a path that needs more counts as not clear.
@@ -201,19 +210,25 @@ class ShapeDistances:
         apart = centres[bounds.first] - centres[bounds.second]
         return lengths(apart) - bounds.radii[bounds.first] - bounds.radii[bounds.second]
 
-    def is_clear(self, q: np.ndarray, step: np.ndarray) -> bool:
-        """Return whether no pair of shapes touches on a straight path.
+    def met_on(self, q: np.ndarray, step: np.ndarray) -> NearPairs | None:
+        """Return what meets on a straight path; None if no pair of shapes does.
 
         Pairs that touch at the start already are left out.
 
         Args:
             q: Pinocchio configuration where it begins, shape (nq,).
             step: The path in the model's tangent space [rad or m], shape (nv,).
+
+        Returns:
+            The pairs that come too near first, by halving; none where it takes too many points to
+            know. Their points where the path begins: distance along the normal, the normal, and the
+            point of the second shape, shape (r, 7).
         """
         turns = np.abs(step)
         travel = self.bounds.levers.dot(turns)
         pairs, before = self.measure(q, KEPT + travel)
-        after = self._found_at(pin.integrate(self._model, q, step), pairs)
+        end = pin.integrate(self._model, q, step)
+        after = self._found_at(end, pairs)
         # On a path from a to b, the distance is never below (a + b - travel) / 2.
         is_open = before[:, 0] + after[:, 0] - travel[pairs] < KEPT
         is_open &= before[:, 0] > 0.0
@@ -221,15 +236,15 @@ class ShapeDistances:
         before = before[is_open]
         after = after[is_open]
         kept = np.minimum(before[:, 0], KEPT)
-        if (after[:, 0] < kept).any():
-            return False
+        if (meets := after[:, 0] < kept).any():
+            return self._meetings(q, end, pairs[meets], after[meets])
         travel = travel[pairs]
         bend = self.bounds.turns[pairs].dot(turns)
         # Parts of the path that are not shown to be clear: ends, pairs, and what was found there.
         parts = [(0.0, 1.0, np.arange(len(pairs)), before, after)]
         taken = 0
         while parts:
-            low, high, those, before, after = parts.pop()
+            low, high, those, before, after = parts.pop(0)
             nearest = np.minimum(before[:, 0], after[:, 0])
             length = high - low
             turned = 2.0 * lengths(after[:, 1:4] - before[:, 1:4])
@@ -240,22 +255,42 @@ class ShapeDistances:
             if not is_open.any():
                 continue
             if taken == _MOST_POINTS:
-                return False
+                return NearPairs(pairs[:0], before[:0])
             those = those[is_open]
             before = before[is_open]
             after = after[is_open]
             middle = 0.5 * (low + high)
             taken = taken + 1
-            between = self._found_at(
-                pin.integrate(self._model, q, middle * step), pairs[those]
-            )
-            if (between[:, 0] < kept[those]).any():
-                return False
+            there = pin.integrate(self._model, q, middle * step)
+            between = self._found_at(there, pairs[those])
+            if (meets := between[:, 0] < kept[those]).any():
+                return self._meetings(q, there, pairs[those[meets]], between[meets])
             parts += (
-                (middle, high, those, between, after),
                 (low, middle, those, before, between),
+                (middle, high, those, between, after),
             )
-        return True
+        return None
+
+    def _meetings(
+        self, q: np.ndarray, there: np.ndarray, pairs: np.ndarray, found: np.ndarray
+    ) -> NearPairs:
+        """Return what was found in one posture, `there`, of the same points in another one."""
+        first = self.bounds.first[pairs].tolist()
+        second = self.bounds.second[pairs].tolist()
+        self._place(there)
+        shapes = self._shapes.oMg
+        back = {shape: shapes[shape].inverse() for shape in (*first, *second)}
+        self._place(q)
+        rows = np.empty_like(found)
+        for row, known, a, b in zip(rows, found, first, second, strict=True):
+            normal = known[1:4]
+            point = known[4:]
+            moved_a = shapes[a] * back[a]
+            moved_b = shapes[b] * back[b]
+            row[1:4] = moved_a.rotation @ normal
+            row[4:] = moved_b * (point + known[0] * normal)
+            row[0] = row[1:4] @ (row[4:] - moved_a * point)
+        return NearPairs(pairs, rows)
 
 
 def _motions(joint: pin.JointModel) -> np.ndarray:
@@ -392,14 +427,14 @@ class CollisionLimit:
         kept = self.margin if margins is None else margins
         return self.shape_distances.measure(q, kept + reach)
 
-    def is_clear(self, q: np.ndarray, displacement: np.ndarray) -> bool:
-        """Return whether no pair of shapes touches on a straight path.
+    def met_on(self, q: np.ndarray, displacement: np.ndarray) -> NearPairs | None:
+        """Return what meets on a straight path; see `ShapeDistances.met_on`.
 
         Args:
             q: Pinocchio configuration where it begins, shape (nq,).
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
         """
-        return self.shape_distances.is_clear(q, self._expanded(displacement))
+        return self.shape_distances.met_on(q, self._expanded(displacement))
 
     def _expanded(self, displacement: np.ndarray) -> np.ndarray:
         return (
@@ -433,3 +468,13 @@ class CollisionLimit:
         )
         kept = self.margin if margins is None else margins[pairs]
         return configuration.contracted(G), _GAIN * (found[:, 0] - kept)
+
+    def rows_of_met(self, configuration: Configuration, met: NearPairs) -> Rows:
+        """Return the rows of points that met on a path.
+
+        Args:
+            configuration: Of the hand where the path begins, placed with Jacobians.
+            met: What `met_on` found.
+        """
+        count = len(self.shape_distances.bounds.first)
+        return self.rows(configuration, met, np.full(count, _CLEARED))

@@ -40,6 +40,9 @@ ends on the line that was found clear, and needs the time T - dt. Another displa
 admitted is shortened towards x_brake, and replaced by it at last. Both are within the limits of
 speed and acceleration, so all between are. A hand that starts without an overlap never has one.
 
+Where pairs meet on the line, the QP is solved again, with rows for the points that met (see
+`handmap_qp.ik.collision`), and its displacement is what is admitted or, at last, shortened.
+
 Where a limit is lowered while the hand moves, the stop that was found under the former one stays in
 force until a stop under the new one is admitted.
 
@@ -62,7 +65,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from handmap_qp.hands.configuration import Configuration
-    from handmap_qp.ik.collision import CollisionLimit
+    from handmap_qp.ik.collision import CollisionLimit, NearPairs
 
 Rows = tuple[np.ndarray, np.ndarray]
 """G, shape (r, n), and h, shape (r,), of `G x <= h`."""
@@ -90,6 +93,8 @@ _LEVER = 0.015
 # DAQP reports as infeasible.
 _INSIDE = 0.9
 _SHARES = (1.0, 0.5, 0.25, 0.1)
+# How often a way is sought around what meets.
+_TRIES = 3
 
 
 class Box(NamedTuple):
@@ -447,11 +452,19 @@ class Gate:
             placed, collisions.measure(q, dt, margins, last), margins
         )
 
+    def joined(self, rows: Rows, placed: Configuration, met: NearPairs) -> Rows:
+        """Return rows, and those of points that met; arguments as of `rows` and `admit`."""
+        assert self.collisions is not None
+        further = self.collisions.rows_of_met(placed, met)
+        return np.vstack([rows[0], further[0]]), np.append(rows[1], further[1])
+
     def admit(
         self,
         wanted: np.ndarray,
         first: np.ndarray,
         dt: float,
+        around: Callable[[NearPairs], np.ndarray] | None = None,
+        tries: int = _TRIES,
     ) -> np.ndarray:
         """Move the robot by a displacement, or by another one that is admitted.
 
@@ -459,6 +472,9 @@ class Gate:
             wanted: Displacement in the active coordinates, shape (nv,).
             first: Another one that is shortened if the wanted one is not admitted, likewise.
             dt: Time for it [s].
+            around: Finds another one in place of both, which keeps apart what meets on the line of
+                the wanted one.
+            tries: How often that is asked for.
 
         Returns:
             The displacement taken: `wanted` itself if it is admitted.
@@ -468,7 +484,11 @@ class Gate:
         taken = np.fmin(np.fmax(wanted, box.lower), box.upper)
         times = self.limits.stop_times(taken, dt)
         is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
-        if not (is_inside and self._is_clear(taken, times, dt)):
+        met = self._met_on(taken, times, dt) if is_inside else None
+        if met is not None and len(met.pairs) and around is not None and tries:
+            other = around(met)
+            return self.admit(other, other, dt, around, tries - 1)
+        if not is_inside or met is not None:
             first = np.fmin(np.fmax(first, box.lower), box.upper)
             taken, times = self._shortened(None if is_inside else taken, first, dt)
         self._move(taken, times, dt)
@@ -525,18 +545,20 @@ class Gate:
             taken = np.where(brakes, brake, tried)
             times = np.where(brakes, left, times)
             is_admitted = tried is not base and bool(can_stop[together].all())
-            if is_admitted and self._is_clear(taken, times, dt):
+            if is_admitted and self._met_on(taken, times, dt) is None:
                 return taken, times
         # The line of the stop in force was found clear before.
         return taken, np.where(together, left, times)
 
-    def _is_clear(self, displacement: np.ndarray, times: np.ndarray, dt: float) -> bool:
-        """Return whether a displacement and the stop behind it are clear of overlaps."""
+    def _met_on(
+        self, displacement: np.ndarray, times: np.ndarray, dt: float
+    ) -> NearPairs | None:
+        """Return what meets in a displacement and the stop behind it; None if nothing does."""
         if self.collisions is None:
-            return True
+            return None
         time = times.max(initial=0.0, where=self._together)
         whole = np.where(self._together, (1.0 + 0.5 * time / dt) * displacement, 0.0)
-        return self.collisions.is_clear(self.motion.q, whole)
+        return self.collisions.met_on(self.motion.q, whole)
 
     def _move(
         self, displacement: np.ndarray, stop_times: np.ndarray, dt: float

@@ -35,7 +35,7 @@ from handmap_qp.se3 import frozen, lengths
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
-    from handmap_qp.ik.collision import CollisionLimit
+    from handmap_qp.ik.collision import CollisionLimit, NearPairs
 
 # At DAQP's default tolerance of 1e-6 a joint was left 4e-7 rad outside its limit. Beyond 1000
 # iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000 hostile problems one
@@ -330,6 +330,18 @@ class PointIk:
         iterations = 0
         last_step = math.inf
         has_failed = False
+
+        def around(met: NearPairs) -> np.ndarray:
+            """Solve from the start again, and keep apart the points that met."""
+            nonlocal linear, iterations
+            assert linear is not None
+            configuration.place(start)
+            linear = gate.joined(linear, configuration, met)
+            rows = feasible(linear, lower, upper, stopping=gate.stopping(dt))
+            step = self._step(goal, lower, upper, rows)
+            iterations += 1
+            return np.clip(0.0 if step is None else step, lower, upper)
+
         while (
             last_step > self.options.step_tolerance
             and iterations < self.options.max_iterations
@@ -351,7 +363,7 @@ class PointIk:
             # Displace from the start rather than step by step, so that a floating wrist's twist
             # keeps its limits exactly.
             configuration.displace(start, total)
-        total = gate.admit(total, first, dt)
+        total = gate.admit(total, first, dt, around)
         status = "failed" if has_failed else "solved"
         return self._result(
             status, goal.points, total, lower, upper, iterations, last_step

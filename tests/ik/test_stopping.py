@@ -83,13 +83,29 @@ def test_a_way_is_clear_only_if_all_of_it_is(case: Case) -> None:
         configuration.place(start)
         end = start + (step if hand.expansion is None else hand.expansion.matrix @ step)
         configuration.place(end)
-        is_clear = limit.is_clear(start, step)
+        is_clear = limit.met_on(start, step) is None
         nearest = min(case.nearest_between(start, end), case.nearest(end))
         found[is_clear] += 1
         if is_clear:
             assert nearest > 0.0
         if nearest > 0.05:
             assert is_clear
+
+
+def test_the_rows_of_what_met_cut_off_the_way_on_which_it_met(case: Case) -> None:
+    rng, limit, hand = np.random.default_rng(5), case.limit(), case.hand
+    configuration, cut = hand.configuration(), []
+    while len(cut) < 40:
+        start = hand.configuration_vector(case.random_q(rng))
+        step = 0.03 * rng.normal(size=len(hand.active_columns))
+        met = limit.met_on(start, step)
+        if met is None or not len(met.pairs) or case.nearest(start) < 2.5e-4:
+            continue
+        configuration.place(start)
+        G, h = limit.rows_of_met(configuration, met)
+        np.testing.assert_allclose(np.linalg.norm(met.found[:, 1:4], axis=1), 1.0)
+        cut += (G @ step > h).tolist()
+    assert np.mean(cut) > 0.95
 
 
 def test_no_target_time_or_option_leads_to_an_overlap(case: Case) -> None:
@@ -407,9 +423,9 @@ def test_the_bound_of_a_way_counts_the_whole_bend() -> None:
     distances = distances_of(model, (joint, down, ball), (0, floor, wall))
     start = np.array([-angle])
     assert distances.measure(start).found[0, 0] == pytest.approx(gap, abs=1e-6)
-    assert not distances.is_clear(start, np.array([2.0 * angle]))
+    assert distances.met_on(start, np.array([2.0 * angle])) is not None
     # A part that ends before the floor rises into the path is clear.
-    assert distances.is_clear(start, np.array([0.02]))
+    assert distances.met_on(start, np.array([0.02])) is None
 
 
 def test_the_bound_of_a_way_counts_what_turning_does_to_what_slides() -> None:
@@ -429,7 +445,7 @@ def test_the_bound_of_a_way_counts_what_turning_does_to_what_slides() -> None:
     start = np.array([-turn, -out])
     assert distances.measure(start).found[0, 0] == pytest.approx(gap, abs=1e-6)
     assert distances.measure(np.zeros(2)).found[0, 0] < -1e-3
-    assert not distances.is_clear(start, np.array([2.0 * turn, 2.0 * out]))
+    assert distances.met_on(start, np.array([2.0 * turn, 2.0 * out])) is not None
 
 
 @pytest.mark.parametrize("half_turn", [0.1, 0.3, 0.7])
@@ -475,7 +491,7 @@ def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
         distances, clearance + np.array([-arc, 0.0, 0.0]), atol=1e-7
     )
     turn = 2.0 * half_turn * (hand.configuration_vector(np.array([1.0, 0.0])) == 1.0)
-    assert limit.is_clear(configuration.q, turn) == (share > 1.0)
+    assert (limit.met_on(configuration.q, turn) is None) == (share > 1.0)
 
 
 @pytest.mark.parametrize("change", [1e-6, 1e-3, 1.0])
