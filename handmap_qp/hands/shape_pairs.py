@@ -14,6 +14,9 @@ from handmap_qp.hands.fingers import Finger, zero_posture
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 
+# Pairs that are never farther apart than this in sampled postures count as joined [m].
+_PARTED, _POSTURES = 3e-3, 16
+
 
 class ShapePairs(NamedTuple):
     """Collision shapes, and the pairs of them that distances are measured between.
@@ -72,9 +75,10 @@ def named_pairs(hand: Hand, pairs: Sequence[tuple[str, str]]) -> ShapePairs:
 def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     """Pair all shapes that may collide.
 
-    Pairs on one joint, on neighbouring joints, on one finger, or that overlap at rest or with the
-    hand stretched are left out. Shapes of one finger overlap at its joints as it bends, and its
-    joint limits keep it from touching itself.
+    Pairs on one joint, on neighbouring joints, on one finger, that overlap at rest or with the hand
+    stretched, or that stay within 3 mm in every posture are left out. Shapes of one finger overlap
+    at its joints as it bends, and its joint limits keep it from touching itself. A pair that never
+    parts from its margin would hold its joints for good.
 
     Args:
         hand: The hand.
@@ -93,7 +97,7 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
         b = joints[j]
         if owner[a] != owner[b] and parents[a] != b and parents[b] != a:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
-    for pair in _overlapping(hand, geometry):
+    for pair in _left_out(hand, geometry):
         geometry.removeCollisionPair(pair)
     return ShapePairs(geometry, _pinching_fingers(geometry, chains))
 
@@ -132,13 +136,22 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
     return next(filter(None, found), [])
 
 
-def _overlapping(hand: Hand, geometry: pin.GeometryModel) -> list[pin.CollisionPair]:
-    """Return the pairs that overlap at rest or with the hand stretched."""
+def _left_out(hand: Hand, geometry: pin.GeometryModel) -> list[pin.CollisionPair]:
+    """Return the pairs that overlap at rest or with the hand stretched, or never part."""
     postures = np.array([hand.rest, zero_posture(hand)])
     distances = pair_distances(hand, geometry, postures)
     overlaps = np.any(distances <= 0.0, axis=0)
-    pairs = zip(geometry.collisionPairs, overlaps, strict=True)
-    return [pin.CollisionPair(p.first, p.second) for p, overlap in pairs if overlap]
+    pairs = [pin.CollisionPair(p.first, p.second) for p in geometry.collisionPairs]
+    near = np.flatnonzero(~overlaps & np.all(distances < _PARTED, axis=0))
+    few = geometry.copy()
+    few.removeAllCollisionPairs()
+    for k in near:
+        few.addCollisionPair(pairs[k])
+    limits = hand.lower_limits, hand.upper_limits
+    shape = _POSTURES, len(hand.rest)
+    postures = np.random.default_rng(0).uniform(*limits, shape)
+    farthest = pair_distances(hand, few, postures).max(axis=0)
+    return [pairs[k] for k in (*np.flatnonzero(overlaps), *near[farthest < _PARTED])]
 
 
 def pair_distances(

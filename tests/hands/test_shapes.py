@@ -256,6 +256,35 @@ def test_pairs_are_of_different_fingers_and_apart_at_rest(name: str) -> None:
             assert robot.model.frames[shapes[i].parentFrame].name == link
 
 
+@pytest.mark.parametrize(("gap", "count"), [(0.97e-3, 0), (4e-3, 1)])
+def test_a_pair_that_never_parts_is_left_out(gap: float, count: int) -> None:
+    # A disc on two joints about its own axis, always as far from the palm.
+    joints = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{name}"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" velocity="1" effort="1"/></joint>'
+        for parent, name in (("palm", "swing"), ("swing", "disc"))
+    )
+    urdf = (
+        '<robot name="disc"><link name="palm"><collision><geometry><box size="0.1 0.1 0.02"/>'
+        '</geometry></collision></link><link name="swing"/><link name="disc"><collision>'
+        f'<origin xyz="0.01 0 {0.015 + gap}"/><geometry><cylinder radius="0.01" length="0.01"/>'
+        f"</geometry></collision></link>{joints}</robot>"
+    )
+    spec = HandSpec(
+        name="disc",
+        urdf="",
+        side="right",
+        palm=PalmSpec("palm", distal=(1.0, 0.0, 0.0), dorsal=(0.0, 0.0, 1.0)),
+        wrist=WristSpec("palm", mount="fixed"),
+        joints=("swing", "disc"),
+        rest={"swing": 0.0, "disc": 0.0},
+        points=(PointSpec("tip", "disc", (0.02, 0.0, 0.0)),),
+        sets={"tips": ("tip",)},
+        reference="tips",
+    )
+    assert len(all_pairs(Hand(spec, urdf_text=urdf), {}).fingers) == count
+
+
 def test_named_pairs_are_those_of_the_description() -> None:
     robot = hand("allegro_right")
     assert robot.spec.collision is not None
