@@ -6,8 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from handmap_qp import Hand, load_hand
+from handmap_qp import Hand, hand_names, load_hand
 from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.pads import _corners as corners
 from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.ik.collision import ShapeDistances
 
@@ -72,3 +73,38 @@ def test_a_hand_without_pairs_has_no_distances(hand: Hand) -> None:
     )
     assert near.pairs.shape == (0,)
     assert near.found.shape == (0, 7)
+
+
+@pytest.mark.parametrize("name", [n for n in hand_names() if not n.startswith("human")])
+def test_no_pair_of_any_hand_is_nearer_than_it_is_measured(name: str) -> None:
+    # Between two planes across the normal, the shapes are apart by what their own points say.
+    hand = load_hand(name)
+    geometry = all_pairs(hand, find_fingers(hand)).geometry
+    measured, placed = ShapeDistances(hand.model, geometry), geometry.createData()
+    data, rng = hand.model.createData(), np.random.default_rng(2)
+    limits, size = (hand.lower_limits, hand.upper_limits), (8, len(hand.rest))
+    for q in rng.uniform(*limits, size):
+        vector = hand.configuration_vector(q)
+        pin.updateGeometryPlacements(hand.model, data, geometry, placed, vector)
+        for k, (distance, *normal) in zip(
+            *(part.tolist() for part in measured.measure(vector, HORIZON)), strict=True
+        ):
+            pair = geometry.collisionPairs[k]
+            reach = sum(
+                support(
+                    geometry.geometryObjects[i],
+                    placed.oMg[i],
+                    sign * np.array(normal[:3]),
+                )
+                for i, sign in ((pair.first, 1.0), (pair.second, -1.0))
+            )
+            if distance > 1e-4:
+                assert -reach == pytest.approx(distance, abs=1e-6)
+
+
+def support(shape: pin.GeometryObject, pose: pin.SE3, normal: np.ndarray) -> float:
+    """Return how far a placed shape reaches along a unit vector [m]."""
+    points, radius = corners(shape.geometry)
+    return float(
+        (points @ (pose.rotation.T @ normal)).max() + radius + normal @ pose.translation
+    )
