@@ -1,4 +1,4 @@
-// What an episode is measured by, and its archive: see handmap_qp/apps/datasets.
+// What an episode is measured by: see handmap_qp/apps/datasets.
 #pragma once
 
 #include <algorithm>
@@ -109,50 +109,6 @@ struct EpisodeMeter {
     for (const double value : values) sum += value;
     return sum / static_cast<double>(values.size());
   }
-};
-
-// An archive of files as they are, of less than 4 GB together (APPNOTE.TXT of PKWARE).
-class Archive {
- public:
-  void add(const std::string& name, const char* content, size_t size, uint32_t checksum) {
-    // Version, flags, method, time, first of January 1980, checksum, sizes, lengths of the names.
-    std::string common;
-    for (const uint32_t part : {20, 0, 0, 0, 33}) put(common, part, 2);
-    for (const size_t part : {size_t{checksum}, size, size}) put(common, part, 4);
-    for (const size_t part : {name.size(), size_t{0}}) put(common, part, 2);
-    directory_ += "PK\1\2";
-    put(directory_, 20, 2);
-    directory_ += common;
-    put(directory_, 0, 2);  // comment, disk and attributes
-    put(directory_, 0, 4);
-    put(directory_, 0, 4);
-    put(directory_, whole_.size(), 4);
-    directory_ += name;
-    whole_ += "PK\3\4";
-    whole_ += common;
-    whole_ += name;
-    whole_.append(content, size);
-    ++count_;
-  }
-
-  // The content of the archive, after its last file.
-  const std::string& finish() {
-    const size_t size = whole_.size();
-    whole_ += directory_;
-    whole_ += "PK\5\6";
-    for (const size_t part : {size_t{0}, size_t{0}, count_, count_}) put(whole_, part, 2);
-    for (const size_t part : {directory_.size(), size}) put(whole_, part, 4);
-    put(whole_, 0, 2);
-    return whole_;
-  }
-
- private:
-  static void put(std::string& to, size_t value, int bytes) {
-    for (int i = 0; i < bytes; ++i) to.push_back(static_cast<char>(value >> (8 * i) & 0xff));
-  }
-
-  std::string whole_, directory_;
-  size_t count_ = 0;
 };
 
 }  // namespace handmap

@@ -9,7 +9,6 @@
 #include "arrays.hpp"
 #include "build_guard.hpp"
 #include "episode.hpp"
-#include "hdf5.hpp"
 #include "mapper.hpp"
 #include "person.hpp"
 #include "posture.hpp"
@@ -143,46 +142,6 @@ nb::tuple measure_shapes(const nb::object& a, const Array& pose_a, const nb::obj
                         nb::make_tuple(found.point.x, found.point.y, found.point.z));
 }
 
-// See EgoDexFormat.read, for a path as bytes: points (T, 21, 3), wrist (T, 4, 4), and where the file has
-// them confidences (21, T) and time (T,); None for what libhdf5 has to read.
-nb::object read_poses(const nb::bytes& path, const std::vector<std::string>& names, size_t count) {
-  const size_t joints = names.size();
-  Vector points(3 * count * joints), wrist, shares, time, numbers;
-  try {
-    const Hdf5File file(path.c_str());
-    const Hdf5File::Group root = file.root();
-    const auto header_of = [](const Hdf5File::Group& group, const std::string& name) {
-      const auto found = group.find(name);
-      expect_read(found != group.end());
-      return found->second;
-    };
-    const Hdf5File::Group poses = file.group(header_of(root, "transforms"));
-    for (size_t j = 0; j < joints; ++j) {
-      file.numbers(header_of(poses, names[j]), {count, 4, 4}, numbers);
-      for (size_t t = 0; t < count; ++t)
-        for (size_t i = 0; i < 3; ++i)
-          points[3 * (joints * t + j) + i] = numbers[16 * t + 4 * i + 3];
-      if (j == 0) wrist = numbers;
-    }
-    if (root.count("confidences")) {
-      const Hdf5File::Group given = file.group(header_of(root, "confidences"));
-      for (const std::string& name : names) {
-        file.numbers(header_of(given, name), {count}, numbers);
-        append(numbers, shares);
-      }
-    }
-    if (root.count("time")) file.numbers(header_of(root, "time"), {count}, time);
-  } catch (const Unread&) {
-    return nb::none();
-  }
-  const auto if_any = [](std::initializer_list<size_t> shape, const Vector& from) -> nb::object {
-    return from.empty() ? nb::none() : array_of(shape, from.data());
-  };
-  return nb::make_tuple(array_of({count, joints, 3}, points.data()),
-                        array_of({count, 4, 4}, wrist.data()), if_any({joints, count}, shares),
-                        if_any({count}, time));
-}
-
 // See hand_pair._pinching_thumb: of a hand that has the limits of the solver's, pads by their places and
 // the distances at which they touch, the thumb's first.
 nb::object pinching_thumb(const Tree& tree, const nb::object& solver, const nb::object& pads, const Array& touching, const nb::object& tip) {
@@ -264,33 +223,6 @@ nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
   found["speed_limited"] = meter.share(meter.at_speed_limit, true);
   found["jerk"] = meter.jerk();
   return found;
-}
-
-// The content of an `.npz` file as of `np.savez`, of plain arrays by name.
-nb::bytes pack(const nb::dict& arrays) {
-  const nb::object checksum = nb::module_::import_("zlib").attr("crc32");
-  Archive archive;
-  for (const auto& [name, each] : arrays) {
-    const Fields array(nb::borrow(each));
-    const std::string type = array.get<std::string>("dtype.str");
-    const std::string shape = nb::cast<std::string>(nb::str(array.object("shape")));
-    std::string head =
-        "{'descr': '" + type + "', 'fortran_order': False, 'shape': " + shape + ", }";
-    // The array begins at a multiple of 64 bytes behind the ten of this and the end of line.
-    head.resize((head.size() + 11 + 63) / 64 * 64 - 11, ' ');
-    head += '\n';
-    const char start[] = {'\x93', 'N', 'U', 'M', 'P', 'Y', 1, 0,
-                          static_cast<char>(head.size() & 0xff),
-                          static_cast<char>(head.size() >> 8)};
-    const nb::bytes numbers = nb::cast<nb::bytes>(array.object("tobytes")());
-    const nb::object member =
-        nb::bytes(start, sizeof start) + nb::bytes(head.data(), head.size()) + numbers;
-    const nb::bytes content = nb::cast<nb::bytes>(member);
-    archive.add(nb::cast<std::string>(name) + ".npy", content.c_str(), content.size(),
-                nb::cast<uint32_t>(checksum(content)));
-  }
-  const std::string& whole = archive.finish();
-  return nb::bytes(whole.data(), whole.size());
 }
 
 nb::tuple bone_lengths_of(const Array& landmarks) {
@@ -468,8 +400,6 @@ NB_MODULE(_core, m) {
   m.def("bone_lengths", &bone_lengths_of);
   m.def("smallest_gap", &smallest_gap_of);
   m.def("measure_episode", &measure_episode);
-  m.def("pack", &pack);
-  m.def("read_poses", &read_poses);
   m.def("solve_qp", &solve_qp, "H"_a, "c"_a, "lower"_a, "upper"_a, "G"_a.none() = nb::none(),
         "h"_a.none() = nb::none());
   m.def("measure_shapes", &measure_shapes);

@@ -35,7 +35,6 @@ from handmap_qp.errors import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
-from handmap_qp.ik.core import core
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
@@ -214,12 +213,9 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
         InvalidInputError: If the file cannot be written.
     """
     columns = trajectory.columns | {"side": np.array(side)}
-    if core is None:
-        buffer = BytesIO()
-        np.savez(buffer, allow_pickle=False, **columns)
-        archive = buffer.getvalue()
-    else:
-        archive = core.pack(columns)
+    buffer = BytesIO()
+    np.savez(buffer, allow_pickle=False, **columns)
+    archive = buffer.getvalue()
     make_folder(file.parent, "--out")
     with replaced_file(file, "--out", is_synced=False) as stream:
         stream.write(archive)

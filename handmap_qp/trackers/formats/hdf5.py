@@ -14,10 +14,11 @@ And from that of EgoDex (Hoque et al. 2025, arXiv 2505.11709, and the README of 
 from __future__ import annotations
 
 import json
+import math
 import os
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,6 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, finite_samples
-from handmap_qp.ik.core import core
 from handmap_qp.output_files import replaced_path
 from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE
 from handmap_qp.trackers.formats.base import (
@@ -75,7 +75,11 @@ def has_group(path: Path, name: str) -> bool:
         return name in file
 
 
-def numbers(group: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
+def numbers(
+    group: Any,
+    name: str,
+    shape: tuple[int, ...],
+) -> np.ndarray:
     """Read an array of numbers.
 
     Args:
@@ -86,6 +90,17 @@ def numbers(group: Any, name: str, shape: tuple[int, ...]) -> np.ndarray:
     Raises:
         InvalidInputError: If it is missing, of another shape or type, or impossibly large.
     """
+    h5py = require("h5py", "files")
+    # The objects of h5py's upper layer take four times as long, and EgoDex has 43 arrays a hand.
+    # What it does not read is left to them.
+    with suppress(KeyError, TypeError, OSError):
+        array = h5py.h5d.open(group.id, name.encode())
+        size = array.shape
+        if size[: len(shape)] == shape and 8 * math.prod(size) <= LARGEST_ARCHIVE:
+            found = np.empty(size)
+            everything = h5py.h5s.ALL
+            array.read(everything, everything, found, h5py.h5t.NATIVE_DOUBLE)
+            return found
     item = group.get(name)
     problem = ""
     if not hasattr(item, "dtype"):
@@ -219,27 +234,6 @@ def joint_names(side: Side) -> tuple[str, ...]:
     )
 
 
-def _poses(
-    path: Path, names: Sequence[str], count: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """Read T samples of 21 joints, the wrist first; the core does it for most files.
-
-    Returns:
-        Positions of the joints [m], shape (T, 21, 3), poses of the wrist, shape (T, 4, 4),
-        confidences, shape (21, T), and instants [s], shape (T,); None for what the file lacks.
-    """
-    shares = time = None
-    with opened(path) as file:
-        group = file["transforms"]
-        poses = np.array([numbers(group, n, (count, 4, 4)) for n in names])
-        if "confidences" in file:
-            given = file["confidences"]
-            shares = np.array([numbers(given, n, (count,)) for n in names])
-        if "time" in file:
-            time = numbers(file, "time", (count,))
-    return poses[:, :, :3, 3].swapaxes(0, 1), poses[0], shares, time
-
-
 class EgoDexFormat(RecordingFormat):
     """Both hands as poses of ARKit's joints.
 
@@ -271,21 +265,29 @@ class EgoDexFormat(RecordingFormat):
         """Read one hand."""
         names = joint_names(entry.side)
         count = entry.samples
-        read: Any = core and core.read_poses(bytes(path), names, count)
-        points, wrist, shares, time = read or _poses(path, names, count)
-        is_seen = finite_samples(wrist)
-        if shares is not None:
-            is_seen &= shares[0] > 0.0
+        columns: dict[str, Any] = {}
+        with opened(path) as file:
+            group = file["transforms"]
+            poses = np.array([numbers(group, n, (count, 4, 4)) for n in names])
+            is_seen = finite_samples(poses[0])
+            if "confidences" in file:
+                given = file["confidences"]
+                shares = np.array([numbers(given, n, (count,)) for n in names])
+                is_seen &= shares[0] > 0.0
+                columns["confidence"] = shares.mean(axis=0)
+            time = np.arange(count) / RATE
+            if "time" in file:
+                time = numbers(file, "time", (count,))
         return build_recording(
             path,
             entry,
-            np.arange(count) / RATE if time is None else time,
-            points,
+            time,
+            poses[:, :, :3, 3].swapaxes(0, 1),
             prefix=f"{entry.side} hand: ",
             valid=is_seen,
             source="EgoDex",
-            wrist=wrist,
-            confidence=None if shares is None else shares.mean(axis=0),
+            wrist=poses[0],
+            **columns,
         )
 
     def unread(self, path: Path) -> tuple[str, ...]:
