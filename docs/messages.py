@@ -65,7 +65,7 @@ CODES = {
 
 _NARROWED = {
     "solver": f"`{'` or `'.join(SOLVERS)}`, because the time of other solvers has no bound.",
-    "max_iterations": "Linearisations per sample, at most; "
+    "max_iterations": "QPs of a sample, and three more where links would meet; "
     f"the service accepts up to {MOST_ITERATIONS}.",
 }
 """Options that the service restricts."""

@@ -437,8 +437,10 @@ class PythonGuard {
     for (const char* name : {"time", "landmarks", "wrist", "valid", "confidence", "side"})
       names_.push_back(nb::steal(PyUnicode_InternFromString(name)));
     const nb::object saved = from.object("_saved");
+    former = guard.state;
     if (saved.is_none()) return;
     put_back(item(saved, 0), guard.state);
+    former = guard.state;
     put_back(item(saved, 1), guard.rate);
     put_back(item(saved, 2), guard.input.state);
     explainer.put_back(item(saved, 3));
@@ -479,11 +481,11 @@ class PythonGuard {
 
   Verdict judge_one(const StreamSample& sample) {
     tidy();
-    former_ = guard.state;
+    former = guard.state;
     return guard.check(sample);
   }
   // Forget the sample that was judged last.
-  void forget() { guard.state = former_; }
+  void forget() { guard.state = former; }
 
   nb::object check(const nb::object& sample, const nb::object& arrival) {
     return verdict_of(judge_one(Given(*this, sample, arrival).sample));
@@ -514,9 +516,10 @@ class PythonGuard {
     return new_tuple_(verdict_, fields);
   }
 
+  GuardState former = guard.state;  // before the sample that was judged last
+
  private:
   nb::object verdict_, new_tuple_, side_;
-  GuardState former_{};
   std::vector<nb::object> rules_, names_;
 
   std::vector<Verdict> judged(const nb::object& recording) {

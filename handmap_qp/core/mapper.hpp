@@ -286,6 +286,7 @@ class SampleMapper {
         failure = std::current_exception();
       }
     }
+    guard.former = run.former;
     if (run.count) leave_motion(gate_, nb::cast(std::move(run.step)));
     if (failure) std::rethrow_exception(failure);
     return nb::make_tuple(next, run.leaves ? guard.verdict_of(run.verdict) : nb::none(),

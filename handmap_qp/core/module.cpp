@@ -208,6 +208,10 @@ nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
   for (const size_t size : {errors.shape(0), q.shape(0), seen.size(), followed.size(),
                             at_limit.shape(0), at_speed.shape(0)})
     if (size != count) throw std::invalid_argument("columns of different lengths");
+  const auto has_any = [&](const Flags& flags) {
+    return std::count(flags.data(), flags.data() + count, true) > 0;
+  };
+  if (!has_any(seen) || !has_any(followed)) throw std::invalid_argument("no sample was followed");
   const EpisodeMeter meter{count, time.data(), landmarks.data(), seen.data(), followed.data(),
                            errors.data(), errors.shape(1), {at_limit.data(), at_limit.shape(1)},
                            {at_speed.data(), at_speed.shape(1)}, q.data(), q.shape(1)};
@@ -226,7 +230,8 @@ nb::dict measure_episode(const nb::object& recorded, const nb::object& moved) {
 }
 
 nb::tuple bone_lengths_of(const Array& landmarks) {
-  const Vector found = bone_lengths(points_of(landmarks));
+  const bool has_any = landmarks.size() > 0;
+  const Vector found = has_any ? bone_lengths(points_of(landmarks)) : Vector(16, std::nan(""));
   return nb::make_tuple(array_of({5, 3}, found.data()), found.back());
 }
 

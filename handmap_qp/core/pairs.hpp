@@ -213,7 +213,6 @@ class Pairs {
     const int n = tree_.size;
     std::sort(met_.begin(), met_.end(),
               [this](const Met& a, const Met& b) { return place(a.pair) < place(b.pair); });
-    rows.G.resize(rows.h.size() * n);
     rows.G.resize((rows.h.size() + met_.size()) * n, 0.0);
     double* row = rows.G.data() + rows.h.size() * n;
     for (const Met& met : met_) {

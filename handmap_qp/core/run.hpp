@@ -28,6 +28,7 @@ struct Run {
   double unproven_speed;  // share of the speed limits; see human.sample.UNPROVEN_SPEED
 
   Verdict verdict{};
+  GuardState former = guard.state;  // before the last sample
   bool leaves = false;  // whether the last sample was judged, and is left to Python
   size_t count = 0;     // samples that moved the hand, or held it
   Step step{};
@@ -41,7 +42,7 @@ struct Run {
     std::optional<Pose> wrist;
     if (sample.valid && !is_near(sample.landmarks, 3 * kLandmarks)) return false;
     if (sample.wrist && sample.valid && !(wrist = exact_pose(sample.wrist))) return false;
-    const GuardState former = guard.state;
+    former = guard.state;
     verdict = guard.check(sample);
     // Python leads back to the hand after a hold.
     leaves = verdict.is_return;

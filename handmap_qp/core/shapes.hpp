@@ -220,7 +220,8 @@ class Expansion {
       const double gain = dot(s.w, face.normal) - face.distance;
       if (gain <= 1e-12 || is_known(s) || !grow(s)) return finish(face, depth, normal, point);
     }
-    return finish(faces_[nearest_face()], depth, normal, point);
+    const int k = nearest_face();
+    return k >= 0 && finish(faces_[k], depth, normal, point);
   }
 
  private:

@@ -154,20 +154,20 @@ def _stl_vertices(file: str) -> np.ndarray | None:
     return triangles["corners"].reshape(-1, 3).astype(float)
 
 
-_SIDES = 48
+_SIDES, _THINNEST = 48, 1e-5
 
 
 def _prism_around(cylinder: coal.Cylinder) -> coal.Convex | None:
-    """Return a prism around a cylinder; its edges stand out by 0.2 % of the radius.
+    """Return a prism around a cylinder, 20 um thick at least; its edges stand out by 0.2 %.
 
     On curved surfaces coal's normals are exact to 1e-5 only, and searches for them take long. On a
     polyhedron they end at a face, an edge or a corner, and are exact to rounding.
     """
     angles = 2.0 * np.pi / _SIDES * np.arange(_SIDES)
-    across = cylinder.radius / np.cos(np.pi / _SIDES)
-    rim = np.column_stack([np.cos(angles), np.sin(angles)]) * across
-    half = np.full((_SIDES, 1), cylinder.halfLength)
-    return _convex_hull(np.vstack([np.hstack([rim, half]), np.hstack([rim, -half])]))
+    across = max(cylinder.radius, _THINNEST) / np.cos(np.pi / _SIDES)
+    half = np.full(_SIDES, max(cylinder.halfLength, _THINNEST))
+    rim = np.column_stack([across * np.cos(angles), across * np.sin(angles), half])
+    return _convex_hull(np.vstack([rim, -rim]))
 
 
 def _convex_hull(points: np.ndarray) -> coal.Convex | None:

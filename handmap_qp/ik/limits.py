@@ -46,8 +46,8 @@ Where pairs meet on the line, the QP is solved again, with rows for the points t
 Where a limit is lowered while the hand moves, the stop that was found under the former one stays in
 force until a stop under the new one is admitted.
 
-The displacement that is shortened is that of the first iteration of the QP. The sum of all
-iterations is longer, and farther from the start, where the rows of the QP are exact.
+What is shortened is the displacement of the first iteration of the QP, or of the last one around
+what met: the sum of all iterations is longer, and farther from where the rows are exact.
 """
 
 from __future__ import annotations

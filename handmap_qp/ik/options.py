@@ -85,7 +85,7 @@ class IkOptions(Options, frozen=True):
         str, text("`daqp`, `proxqp`, or any other that `qpsolvers` finds.")
     ] = "daqp"
     max_iterations: Annotated[
-        int, text("Linearisations per sample, at most.", ge=1)
+        int, text("QPs of a sample, and three more where links would meet.", ge=1)
     ] = 3
     step_tolerance: Annotated[
         float,

@@ -137,6 +137,21 @@ def test_a_cylinder_counts_as_a_prism_that_holds_it(tmp_path: Path) -> None:
     assert excess.max() < 0.0025 * 0.01
 
 
+@pytest.mark.parametrize(("radius", "length"), [(0.01, 0.0), (0.0, 0.06), (0.0, 0.0)])
+def test_a_flat_cylinder_is_a_thin_one(
+    tmp_path: Path, radius: float, length: float
+) -> None:
+    size = f'<cylinder radius="{radius}" length="{length}"/>'
+    (tmp_path / "hand.urdf").write_text(
+        FINGER.replace('<mesh filename="{mesh}"/>', size)
+    )
+    hand = Hand(msgspec.structs.replace(SPEC, directory=tmp_path))
+    shape = read_collision_shapes(hand).geometryObjects[0].geometry
+    shape.computeLocalAABB()
+    half = np.maximum([radius, radius, 0.5 * length], 1e-5)
+    np.testing.assert_allclose(shape.aabb_local.max_, half, rtol=0.003)
+
+
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii", "obj"])
 def test_distances_between_meshes_are_those_of_their_hulls(
     tmp_path: Path, kind: str

@@ -14,6 +14,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import SampleColumns, sample_columns
 from handmap_qp.human.sample import HumanSample
+from handmap_qp.stream.follower import Rejoin
 from handmap_qp.stream.step_table import StepTable
 from handmap_qp.trackers.injection import inject, parse_faults
 
@@ -150,3 +151,20 @@ def test_samples_of_the_other_hand_are_an_error_and_change_nothing() -> None:
     with pytest.raises(InvalidInputError, match="side: expected samples of a right"):
         whole.map_sample(replace(rest.sample(0), side="left"))
     assert_same(whole.map_samples(rest), single.map_samples(rest))
+
+
+def test_a_return_at_fault_is_forgotten(monkeypatch: pytest.MonkeyPatch) -> None:
+    columns = columns_of(samples_with("dropout@0.5+0.4"))
+
+    def fail(*_: object) -> None:
+        raise InvalidInputError("no way back", argument="landmarks")
+
+    verdicts = []
+    for maps in (Follower.map_samples, one_by_one):
+        follower = Follower(HandMapper(HUMAN, ROBOT, dt=1.0 / 60.0))
+        with monkeypatch.context() as patched:
+            patched.setattr(Rejoin, "start", fail)
+            with pytest.raises(InvalidInputError, match="no way back"):
+                maps(follower, columns)
+        verdicts.append(follower.map_sample(columns.sample(149)).verdict)
+    assert verdicts[0] == verdicts[1]
