@@ -6,7 +6,8 @@
 Every labelled pose of a right hand follows every other one, half a second between them (minimum
 jerk) and half a second each. The palm stays. Poses are those of `HANDMAP_POSES`, else of
 `../shared/poses`. A finger counts as caught where, at the end of its pose, it points or bends more
-than 60 degrees off the person's. `start` maps one recording from 20 cuts: the share of samples
+than 60 degrees off the person's. *still* counts samples in which the person moves, and no joint of
+the robot does. `start` maps one recording from 20 cuts: the share of samples
 whose joints differ by more than 5 degrees, a second later, from those of the whole recording.
 """
 
@@ -120,21 +121,31 @@ def stream(poses: Sequence[Pose], order: Sequence[int]) -> Iterator[np.ndarray]:
 
 def map_tour(
     robot: Hand, poses: Sequence[Pose], order: Sequence[int], preset: str
-) -> tuple[Hand, np.ndarray, np.ndarray]:
-    """Map the poses after one another; return the robot, and joints and wrist at each one's end."""
+) -> tuple[Hand, np.ndarray, np.ndarray, int]:
+    """Map the poses after one another.
+
+    Returns:
+        The robot, joints and wrist at each pose's end, and the number of samples in which the robot
+        stood still while the person moved.
+    """
     every = np.array([pose.landmarks for pose in poses])
     whole = Recording(
         "poses", np.arange(len(every)) / RATE, every, np.ones(len(every), bool), "right"
     )
     human = scaled_human(whole, points="landmarks")
     mapper = HandMapper(human, robot, preset, dt=1.0 / RATE)
-    q, wrist = [], []
+    q, wrist, still, last = [], [], 0, None
     for i, landmarks in enumerate(stream(poses, order)):
         step = mapper.map_landmarks(landmarks)
+        # The ease in and out at both ends of a way is slow.
+        if last is not None and 5 <= i % (_MOVE + _HOLD) < _MOVE - 5:
+            is_other = order[i // (_MOVE + _HOLD)] != order[i // (_MOVE + _HOLD) - 1]
+            still += is_other and np.abs(step.command.q - last).max() < 1e-9
+        last = step.command.q
         if (i + 1) % (_MOVE + _HOLD) == 0:
             q.append(step.command.q)
             wrist.append(step.command.wrist)
-    return mapper.robot, np.array(q), np.array(wrist)
+    return mapper.robot, np.array(q), np.array(wrist), int(still)
 
 
 class Errors(NamedTuple):
@@ -179,7 +190,7 @@ def measure(
     """Measure a hand; return its row, and what a sheet is drawn of."""
     robot = shared_hands.load(name)
     order = tour(len(poses))
-    robot, q, wrist = map_tour(robot, poses, order, preset)
+    robot, q, wrist, still = map_tour(robot, poses, order, preset)
     shown = np.array([poses[k].landmarks for k in order])
     lengths = HumanLengths.from_hand_length(0.19)
     errors = compare(trace_human(shown, lengths), trace_robot(robot, q, wrist))
@@ -201,6 +212,7 @@ def measure(
         "worst finger": np.median(worst),
         "worst p95": np.percentile(worst, 95),
         "caught": int(caught.sum()),
+        "still": still,
         "closed": pinches_closed(meter, q, shown, errors.names),
         "deepest_mm": 1e3 * min(0.0, meter.nearest(q[first]).min()),
     }
