@@ -16,7 +16,14 @@ from handmap_qp import MissingExtraError, hand_names, load_hand
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import hand_files
 from handmap_qp.hands.sources import read_urdf, urdf_directory
-from handmap_qp.hands.spec import WristSpec, read_hand_spec
+from handmap_qp.hands.spec import (
+    CollisionSpec,
+    HandSpec,
+    PalmSpec,
+    PointSpec,
+    WristSpec,
+    read_hand_spec,
+)
 from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.ik.qp import PointIk, direct_cost
@@ -227,3 +234,27 @@ def problem_of(
     goal = Goal(points, wrist, ik.postures(dt, None), tasks)
     cost = direct_cost(ik.hand, ik.options, ik.configuration, goal)
     return *cost, *ik.gate.bounds(dt)
+
+
+def two_joint_hand(
+    urdf: str,
+    joints: tuple[str, str],
+    tip: PointSpec,
+    distal: tuple[float, float, float],
+    collision: CollisionSpec | None = None,
+) -> Hand:
+    """Return a fixed hand of two joints on the link `palm`, with one point, at rest at zero."""
+    spec = HandSpec(
+        name="two_joints",
+        urdf="",
+        side="right",
+        palm=PalmSpec("palm", distal=distal, dorsal=(0.0, 0.0, 1.0)),
+        wrist=WristSpec("palm", mount="fixed"),
+        joints=joints,
+        rest=dict.fromkeys(joints, 0.0),
+        points=(tip,),
+        sets={"tips": (tip.name,)},
+        reference="tips",
+        collision=collision,
+    )
+    return Hand(spec, urdf_text=urdf)

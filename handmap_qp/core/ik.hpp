@@ -95,7 +95,6 @@ class Ik {
     }
     total_.assign(n, 0.0);
     first_.assign(n, 0.0);
-    step_.resize(n);
     least_.resize(n);
     most_.resize(n);
     int iterations = 0;
@@ -504,7 +503,7 @@ class Ik {
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
   std::vector<Vec3> levers_;
-  Vector lower_, upper_, total_, first_, step_, least_, most_, h_, H_, c_, diagonal_, block_, taken_,
+  Vector lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_, taken_,
       times_, path_, whole_, reached_;
 };
 

@@ -9,6 +9,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from ik_cases import two_joint_hand
 from scipy.spatial import ConvexHull
 
 from handmap_qp import HandSpec, PointSpec, hand_names, load_hand
@@ -270,19 +271,9 @@ def test_a_pair_that_never_parts_is_left_out(gap: float, count: int) -> None:
         f'<origin xyz="0.01 0 {0.015 + gap}"/><geometry><cylinder radius="0.01" length="0.01"/>'
         f"</geometry></collision></link>{joints}</robot>"
     )
-    spec = HandSpec(
-        name="disc",
-        urdf="",
-        side="right",
-        palm=PalmSpec("palm", distal=(1.0, 0.0, 0.0), dorsal=(0.0, 0.0, 1.0)),
-        wrist=WristSpec("palm", mount="fixed"),
-        joints=("swing", "disc"),
-        rest={"swing": 0.0, "disc": 0.0},
-        points=(PointSpec("tip", "disc", (0.02, 0.0, 0.0)),),
-        sets={"tips": ("tip",)},
-        reference="tips",
-    )
-    assert len(all_pairs(Hand(spec, urdf_text=urdf), {}).fingers) == count
+    tip = PointSpec("tip", "disc", (0.02, 0.0, 0.0))
+    robot = two_joint_hand(urdf, ("swing", "disc"), tip, (1.0, 0.0, 0.0))
+    assert len(all_pairs(robot, {}).fingers) == count
 
 
 def test_named_pairs_are_those_of_the_description() -> None:

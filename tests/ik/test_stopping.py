@@ -8,11 +8,11 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
+from ik_cases import two_joint_hand
 from marks import slow
 
 from handmap_qp import (
     Hand,
-    HandSpec,
     IkOptions,
     MissingExtraError,
     PointSpec,
@@ -21,7 +21,7 @@ from handmap_qp import (
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import LONGEST_STOP
 from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
-from handmap_qp.hands.spec import CollisionSpec, PalmSpec, WristSpec
+from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.ik.collision import CollisionLimit, ShapeDistances
 from handmap_qp.ik.limits import braking_displacement
 from handmap_qp.ik.qp import PointIk
@@ -468,20 +468,13 @@ def test_a_fingertip_that_swings_past_a_wall_touches_it_between_the_ends(
         '<link name="other"/><joint name="other" type="revolute"><parent link="palm"/>'
         '<child link="other"/><limit lower="-2" upper="2" velocity="8" effort="1"/></joint></robot>'
     )
-    spec = HandSpec(
-        name="swing",
-        urdf="",
-        side="right",
-        palm=PalmSpec("palm", distal=(0.0, 1.0, 0.0), dorsal=(0.0, 0.0, 1.0)),
-        wrist=WristSpec("palm", mount="fixed"),
-        joints=("swing", "other"),
-        rest={"swing": 0.0, "other": 0.0},
-        points=(PointSpec("tip", "finger", (lever, 0.0, 0.0)),),
-        sets={"tips": ("tip",)},
-        reference="tips",
-        collision=CollisionSpec(pairs=(("palm", "finger"),)),
+    hand = two_joint_hand(
+        urdf,
+        ("swing", "other"),
+        PointSpec("tip", "finger", (lever, 0.0, 0.0)),
+        (0.0, 1.0, 0.0),
+        CollisionSpec(pairs=(("palm", "finger"),)),
     )
-    hand = Hand(spec, urdf_text=urdf)
     limit, configuration = CollisionLimit(hand), hand.configuration()
     distances = []
     for angle in (0.0, half_turn, -half_turn):

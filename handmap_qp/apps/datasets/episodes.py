@@ -213,13 +213,13 @@ def save_episode(file: Path, trajectory: Trajectory, side: str) -> str:
         InvalidInputError: If the file cannot be written.
     """
     columns = trajectory.columns | {"side": np.array(side)}
-    buffer = BytesIO()
-    np.savez(buffer, allow_pickle=False, **columns)
-    archive = buffer.getvalue()
+    # Written at once: the parts of an archive, one by one, take twice as long.
+    archive = BytesIO()
+    np.savez(archive, allow_pickle=False, **columns)
     make_folder(file.parent, "--out")
     with replaced_file(file, "--out", is_synced=False) as stream:
-        stream.write(archive)
-    return sha256(archive).hexdigest()
+        stream.write(archive.getbuffer())
+    return sha256(archive.getbuffer()).hexdigest()
 
 
 def synced(folder: Path, lines: Sequence[Line]) -> Sequence[Line]:
