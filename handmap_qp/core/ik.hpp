@@ -37,11 +37,13 @@ struct Settings {
   int max_iterations;
   double step_tolerance, point_tolerance;
   double rest_weight, speed_weight, acceleration_weight;
+  bool takes_detours;
 };
 
 struct Posture {
   double weight;
-  Vector q;  // in the user's order of joints
+  Vector q;            // in the user's order of joints
+  Vector shares = {};  // of the weight, of each joint; all of it if empty
 };
 
 // What the cost of one sample asks for.
@@ -54,6 +56,13 @@ struct Goal {
   Vector aims, aim_weights;
   // Further rows at a configuration, of tasks written elsewhere.
   std::function<void(const Vector& q, TaskRows& rows)> further;
+};
+
+// See detours.Detour.
+struct Detour {
+  std::vector<Vector> via;
+  std::vector<Vec3> points;
+  double left = 0.0, wait = 0.0;
 };
 
 enum class Status { converged, limited, unreachable, unsettled, failed, released };
@@ -76,6 +85,7 @@ class Ik {
   BoxLimits limits;
   std::unique_ptr<Pairs> pairs;
   Motion motion;
+  Detour detour;
 
   explicit Ik(Tree given)
       : tree(std::move(given)), at(tree), start_(tree), path_end_(tree) {}
@@ -141,6 +151,7 @@ class Ik {
   // Take the stop that was admitted last, for one sample; see qp.PointIk.hold.
   void hold(double dt, Result& result) {
     dt = std::max(dt, kShortestDt);
+    detour = {};
     braking(dt, taken_);
     times_.resize(tree.size);
     for (int i = 0; i < tree.size; ++i) times_[i] = std::max(motion.stop_times[i] - dt, 0.0);
@@ -278,9 +289,10 @@ class Ik {
       diagonal_[i] = weights.damping * weights.damping +
                      (tree.is_floating && i < 3 ? 0.0 : scale * std::sqrt(H_[i * n + i]));
     for (const Posture& posture : goal.postures) {
-      const double weight2 = posture.weight * posture.weight;
       for (size_t j = 0; j < tree.joint_columns.size(); ++j) {
         const int i = tree.joint_columns[j];
+        const double weight = posture.weight * (posture.shares.empty() ? 1.0 : posture.shares[j]);
+        const double weight2 = weight * weight;
         diagonal_[i] += weight2;
         c_[i] += weight2 * (at.q[tree.q_indices[j]] - posture.q[j]);
       }

@@ -21,6 +21,7 @@ inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double
   ik.motion.displacement = vector_of(displacement);
   ik.motion.dt = dt;
   ik.motion.stop_times = vector_of(stop_times);
+  ik.detour = {};
 }
 
 // Take the motion over if something else has moved the hand.

@@ -82,11 +82,29 @@ nb::object solve(Ik& ik, const nb::object& gate, const Array& points,
   goal.further = rows_of(linearise, ik.tree.size);
   take_motion(ik, gate);
   Step step;
-  ik.solve(goal, dt, margins_of(ik, margins), speed, step.result);
+  seek(ik, goal, dt, margins_of(ik, margins), speed, step.result);
   finish(ik, step);
   nb::object made = nb::cast(std::move(step));
   leave_motion(gate, made);
   return made;
+}
+
+// The detour of a hand, as a `Detour` of Python has it.
+nb::tuple detour_of(const Ik& ik) {
+  const size_t n = ik.tree.q_indices.size();
+  double* to;
+  const NumpyArray via = array_of({ik.detour.via.size(), n}, to);
+  for (const Vector& posture : ik.detour.via) to = std::copy(posture.begin(), posture.end(), to);
+  return nb::make_tuple(via, array_of(ik.detour.points), ik.detour.left, ik.detour.wait);
+}
+
+void set_detour(Ik& ik, const nb::object& given) {
+  const Array via = nb::cast<Array>(item(given, 0)), points = nb::cast<Array>(item(given, 1));
+  const size_t n = ik.tree.q_indices.size(), count = via.size() / n;
+  if (count) expect_size(points, 3 * ik.tree.points.size(), "points");
+  ik.detour = {{}, points_of(points), nb::cast<double>(item(given, 2)), nb::cast<double>(item(given, 3))};
+  for (size_t k = 0; k < count; ++k)
+    ik.detour.via.emplace_back(via.data() + k * n, via.data() + (k + 1) * n);
 }
 
 // Many samples of one goal each, one after the other and without the GIL, from where the hand is.
@@ -329,6 +347,7 @@ NB_MODULE(_core, m) {
   nb::class_<Ik>(m, "Ik")
       .def("__init__", &make_ik)
       .def("set_motion", &set_motion)
+      .def_prop_rw("detour", &detour_of, &set_detour)
       .def("solve", &solve, "gate"_a, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a, "distances"_a.none(), "aims"_a.none(),
            "aim_weights"_a.none(), "linearise"_a.none())

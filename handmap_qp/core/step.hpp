@@ -4,6 +4,7 @@
 #include <optional>
 #include <stdexcept>
 
+#include "detours.hpp"
 #include "targets.hpp"
 
 namespace handmap {
@@ -129,7 +130,7 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double d
   goal.distances = asked.distances;
   goal.aims = asked.aims;
   goal.aim_weights = asked.weights;
-  ik.solve(goal, dt, asked.margins, speed, step.result);
+  seek(ik, goal, dt, asked.margins, speed, step.result);
   finish(ik, step);
 }
 

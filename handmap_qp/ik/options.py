@@ -119,6 +119,13 @@ class IkOptions(Options, frozen=True):
             "Whether the pairs of links that the hand's `collision` names are kept apart."
         ),
     ] = False
+    takes_detours: Annotated[
+        bool,
+        text(
+            "Whether a hand whose points stay away from their targets looks for a way round, by "
+            "another posture."
+        ),
+    ] = False
     tasks: Annotated[
         tuple[str, ...],
         text(

@@ -28,6 +28,7 @@ import pinocchio as pin
 from handmap_qp import ik
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
+from handmap_qp.ik.detours import Detour, Detours
 from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
@@ -199,6 +200,7 @@ class PointIk:
         contacts: Pairs of shapes that are kept apart, whatever `avoids_self_collision` says; those
             within 12 mm beyond their margin get a row, in short samples fewer. Or the rows of
             another `PointIk` of this hand.
+        detour: The one that a hand is on which this solver moves on, if any.
 
     Attributes:
         hand: The hand.
@@ -218,6 +220,7 @@ class PointIk:
         motion: Motion | None = None,
         *,
         contacts: ShapePairs | CollisionLimit | None = None,
+        detour: Detour | None = None,
     ) -> None:
         self.hand = hand
         self.options = options
@@ -247,15 +250,20 @@ class PointIk:
             collisions=collisions,
         )
         self.core = ik.compiled.compile_ik(hand, options, self.gate)
+        self._detours = Detours(self, detour)
+        if self.core and detour:
+            self.core.core.detour = detour
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what a copy is built from, without the workspace."""
-        return self.hand, self.options, self.gate.motion, self._contacts
+        detours = self._detours if self.core is None else self.core.core
+        motion = self.gate.motion
+        return self.hand, self.options, motion, self._contacts, Detour(*detours.detour)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         """Build a solver with a workspace of its own that continues the same motion."""
-        *arguments, contacts = state
-        PointIk.__init__(self, *arguments, contacts=contacts)
+        *arguments, contacts, detour = state
+        PointIk.__init__(self, *arguments, contacts=contacts, detour=detour)
 
     @cached_property
     def _configuration(self) -> Configuration:
@@ -314,12 +322,13 @@ class PointIk:
         goal = Goal(point_targets, wrist_target, self.postures(dt, rest), tasks)
         if self.core is not None:
             return self.core.solve(goal, dt, margins, speed)
-        return self._solve_directly(goal, dt, margins, speed)
+        solver = self._detours.solve if self.options.takes_detours else self.solve_once
+        return solver(goal, dt, margins, speed)
 
-    def _solve_directly(
+    def solve_once(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
     ) -> IkResult:
-        """Solve in Python; arguments as of `solve`."""
+        """Move the hand straight towards its targets, in Python; arguments as of `solve`."""
         gate = self.gate
         configuration = self.configuration
         start = gate.motion.q

@@ -69,14 +69,14 @@ class Goal(NamedTuple):
     Attributes:
         points: Targets of the reference points in the world [m], shape (m, 3).
         wrist: Target of the wrist frame, shape (4, 4); None leaves it free.
-        postures: Weights, each with the joint positions that it pulls to, shape (n,), in the order
-            of `Hand.joint_names` [rad or m].
+        postures: Weights, of each joint or one for all, each with the joint positions that it pulls
+            to, shape (n,), in the order of `Hand.joint_names` [rad or m].
         tasks: Further terms.
     """
 
     points: np.ndarray
     wrist: np.ndarray | None
-    postures: Sequence[tuple[float, np.ndarray]]
+    postures: Sequence[tuple[float | np.ndarray, np.ndarray]]
     tasks: Sequence[Task]
 
 
