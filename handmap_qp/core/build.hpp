@@ -208,8 +208,17 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
                 options.get<double>("damping"), options.get<double>("error_damping")};
   ik.settings = {options.get<int>("max_iterations"), options.get<double>("step_tolerance"),
                  options.get<double>("point_tolerance"), options.get<double>("rest_weight"),
-                 options.get<double>("speed_weight"), options.get<double>("acceleration_weight"),
-                 options.get<bool>("takes_detours")};
+                 options.get<double>("speed_weight"), options.get<double>("acceleration_weight")};
+}
+
+inline void set_detours(Ik& ik, const Fields& options) {
+  if (!options.get<bool>("takes_detours")) return;
+  const Fields from = module_of("handmap_qp.ik.detours");
+  const auto number = [&](const char* name) { return from.get<double>(name); };
+  ik.detour_rules = {number("_AWAY"), number("_SAMPLE"), number("_SETTLED"), number("_AGAIN"),
+                     number("_AFTER"), number("_LATER"), number("_OF_POINT"), number("_OF_ALL"),
+                     number("_PULL"), number("_REACHED"), number("_MOVED"), number("_SAME"),
+                     number("_FORGOTTEN"), from.get<int>("_SAMPLES"), from.get<int>("_LONGEST")};
 }
 
 inline void set_limits(Ik& ik, const Fields& from) {
@@ -286,6 +295,7 @@ inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb
   Ik& ik = *new (self) Ik(tree);
   ik.tree.points = reference_points(Fields(hand));
   set_weights(ik, Fields(hand), Fields(options));
+  set_detours(ik, Fields(options));
   set_limits(ik, Fields(nb::getattr(gate, "limits")));
   const nb::object collisions = nb::getattr(gate, "collisions");
   if (!collisions.is_none()) ik.pairs = make_pairs(ik.tree, Fields(collisions));

@@ -8,7 +8,7 @@ namespace handmap {
 // Solves a sample, by a detour where that leads nearer to the targets.
 class Detours {
  public:
-  explicit Detours(Ik& ik) : ik_(ik), detour_(ik.detour), is_finger_(ik.tree.joint_columns.size()) {
+  explicit Detours(Ik& ik) : ik_(ik), rules_(*ik.detour_rules), detour_(ik.detour), is_finger_(ik.tree.joint_columns.size()) {
     static const std::vector<int> none;
     const int joint = ik.tree.wrist_origin.joint;
     const std::vector<int>& arm = joint < 0 ? none : ik.tree.moving[joint];
@@ -20,29 +20,26 @@ class Detours {
   void solve(const Goal& goal, double dt, const Vector& margins, double speed, Result& result) {
     dt = std::max(dt, kShortestDt);
     detour_.wait -= dt;
-    if (!detour_.via.empty() && has_moved(goal)) detour_.via.clear();
+    const double moved = moved_by(goal);
+    if (moved > rules_.moved) detour_.via.clear();
     if (!detour_.via.empty()) {
       ik_.solve(pulled(goal, detour_.via.front()), dt, margins, speed, result);
       detour_.left -= dt;
       if (detour_.left < 0.0 || is_at(detour_.via.front())) {
         detour_.via.erase(detour_.via.begin());
-        detour_.left = kLongest * kSample;
-        detour_.wait = kAfter;
+        detour_.left = rules_.longest * rules_.sample;
+        detour_.wait = rules_.after;
       }
       return;
     }
     ik_.solve(goal, dt, margins, speed, result);
-    if (detour_.wait <= 0.0 && largest(errors(goal, result)) > kAway) look_ahead(goal, margins);
+    const bool is_due = detour_.wait <= (moved > rules_.same ? 0.0 : -rules_.forgotten);
+    if (is_due && largest(errors(goal, result)) > rules_.away) look_ahead(goal, margins);
   }
 
  private:
-  static constexpr double kAway = 3.0, kSample = 0.05, kSettled = 1e-3;
-  static constexpr int kSamples = 12, kLongest = 6;
-  static constexpr double kAgain = 0.05, kAfter = 0.1, kLater = 0.2;
-  static constexpr double kOfPoint = 0.75, kOfAll = 0.85;
-  static constexpr double kPull = 20.0, kReached = 0.15, kMoved = 0.05;
-
   Ik& ik_;
+  const DetourRules& rules_;
   Detour& detour_;
   Vector is_finger_;  // 0 for the joints of an arm, which follow the wrist at all times
 
@@ -52,9 +49,9 @@ class Detours {
 
   void look_ahead(const Goal& goal, const Vector& margins) {
     const Vector ahead = foresee(goal, margins, {}).errors;
-    detour_.wait = kAgain;
-    if (largest(ahead) <= kAway) return;
-    detour_.wait = kLater;
+    detour_ = {{}, {}, 0.0, rules_.again};
+    if (largest(ahead) <= rules_.away) return;
+    detour_ = {{}, goal.points, 0.0, rules_.later};
     const Vector& rest = goal.postures.front().q;
     const Motion motion = ik_.motion;
     start_from(rest);
@@ -64,7 +61,7 @@ class Detours {
     const std::vector<Vector> ways[] = {{found.joints}, {rest, found.joints}};
     for (const std::vector<Vector>& via : ways)
       if (is_nearer(foresee(goal, margins, via).errors, ahead)) {
-        detour_ = {via, goal.points, kLongest * kSample, 0.0};
+        detour_ = {via, goal.points, rules_.longest * rules_.sample, 0.0};
         return;
       }
   }
@@ -77,16 +74,16 @@ class Detours {
     Result result;
     for (const Vector& posture : via) {
       const Goal towards = pulled(goal, posture);
-      for (int k = 0; k < kLongest; ++k) {
-        ik_.solve(towards, kSample, margins, 1.0, result);
+      for (int k = 0; k < rules_.longest; ++k) {
+        ik_.solve(towards, rules_.sample, margins, 1.0, result);
         if (is_at(posture)) break;
       }
     }
-    for (int k = 0; k < kSamples; ++k) {
-      ik_.solve(goal, kSample, margins, 1.0, result);
+    for (int k = 0; k < rules_.samples; ++k) {
+      ik_.solve(goal, rules_.sample, margins, 1.0, result);
       double most = 0.0;
       for (const double x : result.displacement) most = std::max(most, std::abs(x));
-      if (most < kSettled) break;
+      if (most < rules_.settled) break;
     }
     End end{errors(goal, result), joints()};
     ik_.motion = motion;
@@ -105,22 +102,23 @@ class Detours {
 
   Goal pulled(const Goal& goal, const Vector& posture) const {
     Goal towards = goal;
-    towards.postures = {{kPull, posture, is_finger_}};
+    towards.postures = {{rules_.pull, posture, is_finger_}};
     return towards;
   }
 
-  bool has_moved(const Goal& goal) const {
-    double most = 0.0;
-    for (size_t k = 0; k < goal.points.size(); ++k)
+  // How far the farthest target is from where the detour was looked for.
+  double moved_by(const Goal& goal) const {
+    double most = detour_.points.empty() ? kInfinity : 0.0;
+    for (size_t k = 0; k < detour_.points.size(); ++k)
       most = std::max(most, norm(goal.points[k] - detour_.points[k]));
-    return most > kMoved;
+    return most;
   }
 
   bool is_at(const Vector& posture) const {
     double most = 0.0;
     for (size_t j = 0; j < posture.size(); ++j)
       most = std::max(most, is_finger_[j] * std::abs(ik_.motion.q[ik_.tree.q_indices[j]] - posture[j]));
-    return most < kReached;
+    return most < rules_.reached;
   }
 
   Vector joints() const {
@@ -140,22 +138,22 @@ class Detours {
     return errors.empty() ? 0.0 : *std::max_element(errors.begin(), errors.end());
   }
 
-  static bool is_nearer(const Vector& errors, const Vector& ahead) {
+  bool is_nearer(const Vector& errors, const Vector& ahead) const {
     bool is_any = false;
     double squares = 0.0, squares_ahead = 0.0;
     for (size_t k = 0; k < errors.size(); ++k) {
-      is_any |= ahead[k] > kAway && errors[k] < kOfPoint * ahead[k];
+      is_any |= ahead[k] > rules_.away && errors[k] < rules_.of_point * ahead[k];
       squares += errors[k] * errors[k];
       squares_ahead += ahead[k] * ahead[k];
     }
-    return is_any && squares < kOfAll * squares_ahead;
+    return is_any && squares < rules_.of_all * squares_ahead;
   }
 };
 
 // Move the hand for one sample, by a detour if its options allow any.
 inline void seek(Ik& ik, const Goal& goal, double dt, const Vector& margins, double speed,
                   Result& result) {
-  if (ik.settings.takes_detours)
+  if (ik.detour_rules)
     Detours(ik).solve(goal, dt, margins, speed, result);
   else
     ik.solve(goal, dt, margins, speed, result);

@@ -5,6 +5,7 @@
 #include <functional>
 #include <iterator>
 #include <memory>
+#include <optional>
 
 #include "pairs.hpp"
 #include "qp.hpp"
@@ -37,7 +38,6 @@ struct Settings {
   int max_iterations;
   double step_tolerance, point_tolerance;
   double rest_weight, speed_weight, acceleration_weight;
-  bool takes_detours;
 };
 
 struct Posture {
@@ -56,6 +56,13 @@ struct Goal {
   Vector aims, aim_weights;
   // Further rows at a configuration, of tasks written elsewhere.
   std::function<void(const Vector& q, TaskRows& rows)> further;
+};
+
+// The constants of detours.py, by their names there.
+struct DetourRules {
+  double away, sample, settled, again, after, later, of_point, of_all, pull, reached, moved, same,
+      forgotten;
+  int samples, longest;
 };
 
 // See detours.Detour.
@@ -85,6 +92,7 @@ class Ik {
   BoxLimits limits;
   std::unique_ptr<Pairs> pairs;
   Motion motion;
+  std::optional<DetourRules> detour_rules;
   Detour detour;
 
   explicit Ik(Tree given)

@@ -32,8 +32,9 @@ _OF_POINT, _OF_ALL = 0.75, 0.85
 # Weight of the pull to a posture, which outweighs all targets; distance of its joints at which it is
 # reached [rad or m], and the longest time for it, in samples.
 _PULL, _REACHED, _LONGEST = 20.0, 0.15, 6
-# Targets that move farther than this end a detour [m].
-_MOVED = 0.05
+# Targets that move farther than this end a detour; those that move less, or this time, are the same
+# as when none was known [m, s].
+_MOVED, _SAME, _FORGOTTEN = 0.05, 0.02, 1.0
 
 
 class Detour(NamedTuple):
@@ -41,7 +42,7 @@ class Detour(NamedTuple):
 
     Attributes:
         via: Postures that it still has to pass, shape (k, n); none in most samples.
-        points: Targets for which they were found [m], shape (m, 3).
+        points: Targets for which they were found, or none was [m], shape (m, 3).
         left: Time left for the first of them [s].
         wait: Time until it may look ahead again [s].
     """
@@ -86,7 +87,8 @@ class Detours:
             self.detour = self._none
         via, points, left, wait = self.detour
         wait = wait - dt
-        if len(via) and lengths(goal.points - points).max() > _MOVED:
+        moved = lengths(goal.points - points).max() if len(points) else np.inf
+        if moved > _MOVED:
             via = via[1:0]
         if len(via):
             result = ik.solve_once(self._pulled(goal, via[0]), dt, margins, speed)
@@ -98,8 +100,9 @@ class Detours:
             self.detour = Detour(via, points, left, wait)
         else:
             result = ik.solve_once(goal, dt, margins, speed)
-            self.detour = self._none._replace(wait=wait)
-            if wait <= 0.0 and self._errors(result).max() > _AWAY:
+            self.detour = Detour(via, points, left, wait)
+            is_due = wait <= (0.0 if moved > _SAME else -_FORGOTTEN)
+            if is_due and self._errors(result).max() > _AWAY:
                 self.detour = self._look_ahead(goal, margins)
         self._motion = ik.gate.motion
         return result
@@ -119,7 +122,7 @@ class Detours:
                 if _is_nearer(self._foresee(goal, margins, via)[0], ahead):
                     left = _LONGEST * _SAMPLE
                     return Detour(np.array(via), goal.points, left, 0.0)
-        return self._none._replace(wait=_LATER)
+        return self._none._replace(points=goal.points, wait=_LATER)
 
     def _foresee(
         self, goal: Goal, margins: np.ndarray | None, via: tuple[np.ndarray, ...]

@@ -1,0 +1,188 @@
+"""Ways round: a caught hand comes as near to its targets as from rest, and within its limits."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handmap_qp import HandMapper, load_hand
+from handmap_qp.ik import core as core_module
+from handmap_qp.ik.limits import Motion
+from handmap_qp.mapping.presets import get_preset
+
+DT = 1.0 / 60.0
+PRESET = get_preset("teleoperation").ik
+PALM = np.eye(4)
+FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+each_formulation = pytest.mark.parametrize("formulation", FORMULATIONS)
+
+
+def mapper_of(robot: str = "allegro_right", **options: Any) -> HandMapper:
+    """Return a mapper that stands at the human's rest."""
+    human = load_hand("human", points="landmarks")
+    ik = PRESET.replaced(**options)
+    mapper = HandMapper(human, load_hand(robot), "teleoperation", ik=ik, dt=DT)
+    mapper.map_step(human.rest, PALM)
+    return mapper
+
+
+def human_postures() -> Iterator[np.ndarray]:
+    """Yield joint angles of a person, anywhere inside the limits."""
+    human = load_hand("human")
+    rng = np.random.default_rng(1)
+    while True:
+        yield rng.uniform(human.lower_limits, human.upper_limits)
+
+
+def starts(mapper: HandMapper, count: int) -> list[Motion]:
+    """Return random postures of the fingers without overlaps; the wrist is where it is."""
+    rng = np.random.default_rng(0)
+    ik, robot = mapper.point_ik, mapper.robot
+    assert ik.gate.collisions is not None
+    wrist = ik.configuration.wrist.homogeneous.copy()
+    found: list[Motion] = []
+    while len(found) < count:
+        q = rng.uniform(robot.lower_limits, robot.upper_limits)
+        vector = robot.configuration_vector(q, wrist)
+        if not len(ik.gate.collisions.shape_distances.measure(vector, 1e-3).pairs):
+            found.append(Motion.at_rest(vector, len(robot.active_columns)))
+    return found
+
+
+def run(
+    mapper: HandMapper, start: Motion, human_q: np.ndarray, seconds: float = 1.5
+) -> np.ndarray:
+    """Map one posture of a person from a start on; return the joints of all samples."""
+    mapper.motion = start
+    samples = range(round(seconds / DT))
+    return np.array([mapper.map_step(human_q, PALM).command.q for _ in samples])
+
+
+def end_error(mapper: HandMapper, start: Motion, human_q: np.ndarray) -> float:
+    """Return the largest weighted error of a point where the hand ends [cost]."""
+    run(mapper, start, human_q)
+    errors = mapper.map_step(human_q, PALM).ik.errors
+    costs = PRESET.point_costs(mapper.robot)
+    return float((costs * np.linalg.norm(errors, axis=1)).max())
+
+
+def is_on_detour(mapper: HandMapper) -> bool:
+    """Return whether a hand is on a detour, on either path."""
+    return bool(len(mapper.point_ik.__getstate__()[-1].via))
+
+
+@pytest.fixture(scope="module")
+def caught() -> tuple[Motion, np.ndarray]:
+    """Return a start from which a hand without detours is caught, and the person's posture."""
+    plain = mapper_of(takes_detours=False)
+    rest = plain.motion
+    for human_q, _ in zip(human_postures(), range(12), strict=False):
+        least = max(3.0, end_error(plain, rest, human_q))
+        for start in starts(plain, 8):
+            if end_error(plain, start, human_q) > 2.0 * least:
+                return start, human_q
+    pytest.fail("no start is caught")
+
+
+def test_a_hand_ends_as_near_as_from_rest_whatever_its_start() -> None:
+    mapper, plain = mapper_of(), mapper_of(takes_detours=False)
+    rest = mapper.motion
+    cases = [
+        (human_q, start)
+        for human_q, _ in zip(human_postures(), range(12), strict=False)
+        for start in starts(mapper, 8)
+    ]
+    worse = np.zeros(2, dtype=int)
+    for human_q, start in cases:
+        most = max(3.0, end_error(mapper, rest, human_q)) + 1.0
+        ends = [end_error(each, start, human_q) for each in (mapper, plain)]
+        worse += np.array(ends) > most
+        # A detour is taken only where it helps.
+        assert ends[0] < ends[1] + 0.5
+    assert worse[0] <= 2 < worse[1]
+
+
+@each_formulation
+def test_a_detour_frees_a_caught_finger_within_all_limits(
+    formulation: str, caught: tuple[Motion, np.ndarray]
+) -> None:
+    start, human_q = caught
+    mapper = mapper_of(formulation=formulation)
+    robot, collisions = mapper.robot, mapper.point_ik.gate.collisions
+    assert collisions is not None
+    free = max(3.0, end_error(mapper, mapper.motion, human_q))
+    mapper.motion = start
+    before = start.q[robot.q_indices]
+    for _ in range(90):
+        q = mapper.map_step(human_q, PALM).command.q
+        assert (q >= robot.lower_limits).all() and (q <= robot.upper_limits).all()
+        speeds = np.abs(q - before) / DT
+        assert (speeds <= robot.velocity_limits * (1.0 + 1e-9)).all()
+        assert collisions.distances(mapper.point_ik.configuration).min() > 0.0
+        before = q
+    assert end_error(mapper, mapper.motion, human_q) < free + 1.0
+
+
+def test_both_paths_take_the_same_detour(caught: tuple[Motion, np.ndarray]) -> None:
+    start, human_q = caught
+    ways = [run(mapper_of(formulation=f), start, human_q) for f in FORMULATIONS]
+    for way in ways[1:]:
+        np.testing.assert_allclose(way, ways[0], atol=1e-6)
+    straight = run(mapper_of(takes_detours=False), start, human_q)
+    assert np.abs(straight - ways[0]).max() > 0.3
+
+
+@each_formulation
+@pytest.mark.parametrize(
+    "way", [copy.deepcopy, lambda mapper: pickle.loads(pickle.dumps(mapper))]
+)
+def test_a_copy_in_a_detour_goes_on_with_it(
+    formulation: str,
+    way: Callable[[HandMapper], HandMapper],
+    caught: tuple[Motion, np.ndarray],
+) -> None:
+    start, human_q = caught
+    mapper = mapper_of(formulation=formulation)
+    run(mapper, start, human_q, 0.1)
+    other = way(mapper)
+    assert is_on_detour(mapper) and is_on_detour(other)
+    for _ in range(30):
+        one, two = (each.map_step(human_q, PALM) for each in (mapper, other))
+        np.testing.assert_allclose(one.command.q, two.command.q, atol=1e-9)
+
+
+@each_formulation
+def test_a_detour_ends_where_the_person_or_something_else_moves(
+    formulation: str, caught: tuple[Motion, np.ndarray]
+) -> None:
+    start, human_q = caught
+    mapper = mapper_of(formulation=formulation)
+    rest = mapper.motion
+    moved = PALM.copy()
+    moved[0, 3] = 0.06
+    for motion, pose in ((None, moved), (rest, PALM)):
+        run(mapper, start, human_q, 0.1)
+        assert is_on_detour(mapper)
+        if motion is not None:
+            mapper.motion = motion
+        step = mapper.map_step(human_q, pose)
+        # A new one may begin at once, towards the targets of this sample.
+        via, points, *_ = mapper.point_ik.__getstate__()[-1]
+        assert not len(via) or np.array_equal(points, step.ik.targets)
+    run(mapper, start, human_q, 0.1)
+    held = mapper.hold(DT).command.q
+    np.testing.assert_allclose(mapper.hold(DT).command.q, held, atol=1e-12)
+
+
+@each_formulation
+def test_the_wrist_of_an_arm_follows_during_a_detour(formulation: str) -> None:
+    mapper = mapper_of("ur5_allegro", formulation=formulation)
+    robot = mapper.robot
+    arm = [name for name in robot.joint_names if name in (robot.spec.arm or {}).rest]
+    pulls = mapper.point_ik._detours._is_finger
+    assert len(arm) and not pulls[: len(arm)].any() and pulls[len(arm) :].all()
