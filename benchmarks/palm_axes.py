@@ -24,15 +24,10 @@ import numpy as np
 import shared_hands
 
 from handmap_qp import Hand, read_recording
-from handmap_qp.apps.offline.comparison import (
-    Run,
-    Take,
-    compare_methods,
-    own_method,
-    prepare_take,
-)
-from handmap_qp.apps.offline.fidelity import SETTLING, angles_between
+from handmap_qp.apps.offline.comparison import Take, own_method, prepare_take
+from handmap_qp.apps.offline.fidelity import SETTLING, angles_between, assess_fidelity
 from handmap_qp.apps.offline.hand_trace import KNUCKLE, TIP, HandTrace, trace_robot
+from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.hands.fingers import zero_posture
 from handmap_qp.hands.human import THUMB
 from handmap_qp.se3 import rigid_fit, unit
@@ -92,24 +87,26 @@ def turned_takes(file: str, robot: Hand) -> dict[str, Take]:
     return takes
 
 
-def fingers_apart(run: Run, robot: Hand) -> dict[str, float]:
-    """Return angles of the fingers in the world, and after the best rotation [deg]."""
-    assert run.motion is not None, run.problem
-    time = run.take.recording.time
-    counts = run.take.recording.valid & (time >= time[0] + SETTLING)
-    other = trace_robot(robot, run.motion.q, run.motion.wrist)
-    shared = [name for name in run.take.trace.names if name in other.names]
-    a, b = (hand.part(counts, shared).local for hand in (run.take.trace, other))
+def measure(take: Take, robot: Hand) -> dict[str, float]:
+    """Map a take; return angles of the fingers [deg] and some metrics of `handmap compare`."""
+    q, wrist, *_ = own_method("teleoperation").map_take(take, robot)
+    human, other = take.trace, trace_robot(robot, q, wrist)
+    time, valid = take.recording.time, take.recording.valid
+    counts = valid & (time >= time[0] + SETTLING)
+    shared = [name for name in human.names if name in other.names]
+    a, b = (hand.part(counts, shared).local for hand in (human, other))
     a, b = (unit(points[:, :, TIP] - points[:, :, KNUCKLE]) for points in (a, b))
     # Opposite pairs: their centre is the origin, so that the fit is a rotation about it.
     one, two = (np.concatenate([v, -v]).reshape(-1, 3) for v in (a, b))
     best = rigid_fit(one, two)[:3, :3]
     apart = angles_between(a, b)
+    gaps = measure_gaps(robot, q)
+    values = assess_fidelity(human, other, time, valid=valid, gaps=gaps).values
     return {
         "direction": apart.mean(),
         "thumb": np.median(apart[:, shared.index(THUMB)]),
         "turned": angles_between(a @ best.T, b).mean(),
-    }
+    } | {key: values[key] for key in _KEYS}
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -126,11 +123,7 @@ def main(words: Sequence[str] | None = None) -> None:
         found: dict[str, list[dict[str, float]]] = {axes: [] for axes in AXES}
         for file in files:
             for axes, take in turned_takes(str(file), robot).items():
-                (run,) = compare_methods(
-                    [take], robot, [own_method("teleoperation")]
-                ).runs
-                values = {key: run.values[key] for key in _KEYS}
-                found[axes].append(fingers_apart(run, robot) | values)
+                found[axes].append(measure(take, robot))
         for axes, each in found.items():
             means = {key: np.nanmean([row[key] for row in each]) for key in each[0]}
             rows.append({"robot": name, "axes": axes} | means)
