@@ -139,10 +139,10 @@ class HumanLengths:
     ) -> Self:
         """Return typical lengths for a hand of a given size (Buchholz et al. 1992).
 
-        The palm frame's origin lies on the distal wrist crease and its y axis on the third
-        metacarpal, from which the source measures. The source places joints in the plane of the
-        palm only, so all bases have z = 0. The arch of the metacarpals and the depth of the thumb's
-        CMC joint are missing, as they are in the default hand.
+        The palm frame's origin lies on the distal wrist crease, its axes are those of measured
+        people (`measure_hand`). The source places joints in the plane of the palm only, so all
+        bases have z = 0. The arch of the metacarpals and the depth of the thumb's CMC joint are
+        missing, as they are in the default hand.
 
         Args:
             hand_length: From the distal wrist crease to the tip of the middle finger [m]. Its bones
@@ -163,7 +163,7 @@ class HumanLengths:
             breadth = _checked_length(hand_breadth, "hand_breadth")
         across = np.multiply(-breadth, _BUCHHOLZ["radial"])
         along = np.multiply(length, _BUCHHOLZ["distal"])
-        bases = np.column_stack([across, along, np.zeros(5)])
+        bases = np.column_stack([across, along]) @ _BUCHHOLZ["axes"]
         return cls(bases, np.multiply(length, _BUCHHOLZ["segments"]))
 
     @classmethod

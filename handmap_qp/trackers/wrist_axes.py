@@ -49,7 +49,7 @@ _FARTHEST_APART = 0.10  # m, of the wrist's landmark from the pose
 
 
 def palm_axes(landmarks: np.ndarray, sign: float) -> np.ndarray:
-    """Return the palm's rotations: +y distal, +z dorsal, as in the human model's wrist frame.
+    """Return the palm's rotations: +y to the middle knuckle, 8 to 11 degrees from ours, +z dorsal.
 
     Args:
         landmarks: Some samples, shape (T, 21, 3).

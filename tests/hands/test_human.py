@@ -28,6 +28,7 @@ from handmap_qp.hands.human import (
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.hands.synergies import load_synergies
 from handmap_qp.hands.urdf import mirror, parse_urdf
+from handmap_qp.se3 import rigid_fit, unit
 
 HUMAN = (urdf_directory() / "human" / "hand.urdf").read_text(encoding="utf-8")
 MODEL = pin.buildModelFromXML(HUMAN)
@@ -289,15 +290,22 @@ def test_capsules_and_metacarpals_still_end_at_their_joints(
 @settings(max_examples=15)
 @given(length=st.floats(0.12, 0.24))
 def test_typical_hand_follows_the_ratios(length: float) -> None:
-    positions = tip_and_joint_positions(
-        scaled_human_urdf(HUMAN, HumanLengths.from_hand_length(length)), np.zeros(20)
-    )
+    person = HumanLengths.from_hand_length(length)
+    positions = tip_and_joint_positions(scaled_human_urdf(HUMAN, person), np.zeros(20))
     middle_tip = positions[FINGERS.index("middle"), -1]
     # Third MCP joint at 0.446 of the length, then 0.266, 0.170 and 0.108.
-    np.testing.assert_allclose(middle_tip, [0.0, 0.990 * length, 0.0], atol=1e-9)
-    assert HumanLengths.from_hand_length(length).hand_length == pytest.approx(
-        0.990 * length
+    assert np.linalg.norm(person.bases[2]) == pytest.approx(0.446 * length)
+    finger = middle_tip - person.bases[2]
+    np.testing.assert_allclose(finger, [0.0, 0.544 * length, 0.0], atol=1e-9)
+    assert person.hand_length == pytest.approx(0.990 * length)
+
+
+def test_typical_hand_has_the_palm_axes_of_measured_people() -> None:
+    person = HumanLengths.from_hand_length(0.19)
+    own, standard = (
+        np.vstack([np.zeros(3), lengths.bases[1:]]) for lengths in (person, DEFAULT)
     )
+    np.testing.assert_allclose(rigid_fit(own, standard)[:3, :3], np.eye(3), atol=1e-4)
 
 
 def test_breadth_moves_knuckles_apart_and_nothing_else() -> None:
@@ -306,8 +314,13 @@ def test_breadth_moves_knuckles_apart_and_nothing_else() -> None:
         HumanLengths.from_hand_length(0.19, 0.10),
     )
     np.testing.assert_array_equal(slim.segments, broad.segments)
-    np.testing.assert_allclose(broad.bases[:, 0], 1.25 * slim.bases[:, 0], atol=1e-12)
-    np.testing.assert_array_equal(broad.bases[:, 1:], slim.bases[:, 1:])
+    # The radial direction of the source is at right angles to the third metacarpal.
+    distal = unit(slim.bases[2])
+    radial = np.cross([0.0, 0.0, 1.0], distal)
+    for axis, ratio in ((radial, 1.25), (distal, 1.0)):
+        np.testing.assert_allclose(
+            broad.bases @ axis, ratio * (slim.bases @ axis), atol=1e-12
+        )
 
 
 def test_default_breadth_sets_knuckles_as_trackers_do() -> None:

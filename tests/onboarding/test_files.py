@@ -285,7 +285,8 @@ def test_reach_of_a_hand_on_an_arm_is_that_of_the_hand() -> None:
 def test_a_human_hand_has_the_size_of_one() -> None:
     hand = load_hand("human", points="fingertips", hand_length=0.19)
     size = measure_size(hand)
-    assert size.length == pytest.approx(0.19, abs=0.002)
+    # Bones are 0.990 of it, and straight fingers lean away from their metacarpals.
+    assert size.length == pytest.approx(0.19, abs=0.003)
     assert size.cloud == pytest.approx(size.human_cloud, rel=1e-9)
 
 

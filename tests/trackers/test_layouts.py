@@ -97,7 +97,7 @@ def test_a_sample_comes_back_and_flat_rows_are_read(layout: Layout) -> None:
         np.linalg.norm(points[[4, 8, 12, 16, 20]] - points[0], axis=1)
         for points in (again.landmarks, sample.landmarks)
     ]
-    np.testing.assert_allclose(*gaps, atol=1e-9 if is_exact else 0.03)
+    np.testing.assert_allclose(*gaps, atol=1e-9 if is_exact else 0.04)
 
 
 @pytest.mark.parametrize("name", ["openxr26", "unity26", "visionpro27", "webxr25"])
