@@ -94,6 +94,8 @@ class Fields {
   nb::object owner_;
 };
 
+inline Fields module_of(const char* name) { return Fields(nb::module_::import_(name)); }
+
 
 // The element of a sequence of Python.
 inline nb::object item(const nb::object& sequence, size_t i) { return sequence[nb::int_(i)]; }
@@ -213,9 +215,9 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
 
 inline void set_detours(Ik& ik, const Fields& options) {
   if (!options.get<bool>("takes_detours")) return;
-  const Fields from = module_of("handmap_qp.ik.detours");
+  const Fields from = module_of("handmap_qp.ik.collision");
   const auto number = [&](const char* name) { return from.get<double>(name); };
-  ik.detour_rules = {number("_AWAY"), number("_SAMPLE"), number("_SETTLED"), number("_AGAIN"),
+  ik.detour_rules = {number("AWAY"), number("_SAMPLE"), number("_SETTLED"), number("_AGAIN"),
                      number("_AFTER"), number("_LATER"), number("_OF_POINT"), number("_OF_ALL"),
                      number("_PULL"), number("_REACHED"), number("_MOVED"), number("_SAME"),
                      number("_FORGOTTEN"), from.get<int>("_SAMPLES"), from.get<int>("_LONGEST")};

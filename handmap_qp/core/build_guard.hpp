@@ -14,8 +14,6 @@ namespace handmap {
 
 using Flags = nb::ndarray<const bool, nb::c_contig, nb::device::cpu>;
 
-inline Fields module_of(const char* name) { return Fields(nb::module_::import_(name)); }
-
 inline void copy_numbers(const Fields& from, const std::string& path, double* to, size_t size) {
   const nb::object list = from.object(path).attr("__iter__")();
   size_t i = 0;

@@ -1,4 +1,4 @@
-// A way round, from a posture that holds fingers: see handmap_qp/ik/detours.py, whose names these are.
+// A way round, from a posture that holds fingers: see handmap_qp/ik/collision.py, whose names these are.
 #pragma once
 
 #include "ik.hpp"

@@ -58,14 +58,14 @@ struct Goal {
   std::function<void(const Vector& q, TaskRows& rows)> further;
 };
 
-// The constants of detours.py, by their names there.
+// The constants of collision.py, by their names there.
 struct DetourRules {
   double away, sample, settled, again, after, later, of_point, of_all, pull, reached, moved, same,
       forgotten;
   int samples, longest;
 };
 
-// See detours.Detour.
+// See collision.Detour.
 struct Detour {
   std::vector<Vector> via;
   std::vector<Vec3> points;

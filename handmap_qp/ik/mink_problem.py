@@ -81,7 +81,7 @@ def wrist_term(target: pin.SE3, costs: tuple[float, float]) -> Term:
     return Term(np.repeat(costs, 3), linearise)
 
 
-def posture_term(hand: Hand, cost: float, posture: np.ndarray) -> Term:
+def posture_term(hand: Hand, cost: float | np.ndarray, posture: np.ndarray) -> Term:
     """Return the term of all joints to a posture: the null-space term of eq. (8), costs of speed.
 
     Args:

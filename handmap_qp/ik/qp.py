@@ -28,7 +28,6 @@ import pinocchio as pin
 from handmap_qp import ik
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.detours import Detour, Detours
 from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
@@ -36,7 +35,7 @@ from handmap_qp.se3 import frozen, lengths
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
-    from handmap_qp.ik.collision import CollisionLimit, NearPairs
+    from handmap_qp.ik.collision import CollisionLimit, Detours, NearPairs
 
 # At DAQP's default tolerance of 1e-6 a joint was left 4e-7 rad outside its limit. Beyond 1000
 # iterations DAQP cycles, and scaling the problem ends the cycle. Of 90,000 hostile problems one
@@ -200,7 +199,6 @@ class PointIk:
         contacts: Pairs of shapes that are kept apart, whatever `avoids_self_collision` says; those
             within 12 mm beyond their margin get a row, in short samples fewer. Or the rows of
             another `PointIk` of this hand.
-        detour: The one that a hand is on which this solver moves on, if any.
 
     Attributes:
         hand: The hand.
@@ -220,7 +218,6 @@ class PointIk:
         motion: Motion | None = None,
         *,
         contacts: ShapePairs | CollisionLimit | None = None,
-        detour: Detour | None = None,
     ) -> None:
         self.hand = hand
         self.options = options
@@ -250,20 +247,22 @@ class PointIk:
             collisions=collisions,
         )
         self.core = ik.compiled.compile_ik(hand, options, self.gate)
-        self._detours = Detours(self, detour)
-        if self.core and detour:
-            self.core.core.detour = detour
+        self._detours: Detours | None = None
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what a copy is built from, without the workspace."""
-        detours = self._detours if self.core is None else self.core.core
-        motion = self.gate.motion
-        return self.hand, self.options, motion, self._contacts, Detour(*detours.detour)
+        detours = self.core.core if self.core else self._detours
+        detour = detours and tuple(detours.detour)
+        return self.hand, self.options, self.gate.motion, self._contacts, detour
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         """Build a solver with a workspace of its own that continues the same motion."""
         *arguments, contacts, detour = state
-        PointIk.__init__(self, *arguments, contacts=contacts, detour=detour)
+        PointIk.__init__(self, *arguments, contacts=contacts)
+        if self.core:
+            self.core.core.detour = detour
+        elif detour:
+            self._detours = ik.collision.Detours(self, detour)
 
     @cached_property
     def _configuration(self) -> Configuration:
@@ -322,8 +321,17 @@ class PointIk:
         goal = Goal(point_targets, wrist_target, self.postures(dt, rest), tasks)
         if self.core is not None:
             return self.core.solve(goal, dt, margins, speed)
-        solver = self._detours.solve if self.options.takes_detours else self.solve_once
-        return solver(goal, dt, margins, speed)
+        if self._detours:
+            return self._detours.solve(goal, dt, margins, speed)
+        result = self.solve_once(goal, dt, margins, speed)
+        if self.options.takes_detours and self.costs(result).max() > ik.collision.AWAY:
+            self._detours = ik.collision.Detours(self)
+            self._detours.look_ahead(goal, margins)
+        return result
+
+    def costs(self, result: IkResult) -> np.ndarray:
+        """Return the weighted error of every point [cost], shape (m,)."""
+        return _costs(self.hand, self.options)[:-6:3] * lengths(result.errors)
 
     def solve_once(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
