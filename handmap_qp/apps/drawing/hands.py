@@ -8,7 +8,6 @@ of anything drawn over it.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -18,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
+from handmap_qp.apps.drawing.shapes import read_shapes
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.sources import find_mesh, urdf_path
-from handmap_qp.hands.spec import HandSpec
-from handmap_qp.hands.urdf import get_numbers, origin_of, parse_urdf
+from handmap_qp.hands.sources import urdf_path
+from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.se3 import affine, lengths, unit
 
 if TYPE_CHECKING:
@@ -110,20 +109,12 @@ def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    trimesh = require("trimesh", "plot")
     robot = parse_urdf(hand.urdf_text)
-    named = {each.get("name"): each for each in robot.iter("material") if len(each)}
     kind = "visual" if robot.find("link/visual") is not None else "collision"
-    links = {}
-    for link in robot.iterfind("link"):
-        parts = []
-        for shape in link.iterfind(kind):
-            tint = colour or _colour(shape.find("material"), named)
-            for solid in shape.iterfind("geometry/*"):
-                if (found := _geometry(trimesh, solid, hand.spec)) is not None:
-                    parts.append(_triangles(found, tint).moved(origin_of(shape)))
-        if parts:
-            links[link.get("name", "")] = merged(parts)
+    links = {
+        link: merged([_drawn(shape, colour or own or GREY) for shape, own in shapes])
+        for link, shapes in read_shapes(robot, kind, mesh_folder(hand)).items()
+    }
     return HandShape(hand, links)
 
 
@@ -318,53 +309,24 @@ def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
         ) from error
 
 
-def _geometry(
-    trimesh: Any,
-    solid: ET.Element,
-    spec: HandSpec,
-) -> Any:
-    """Return a URDF geometry as a mesh of trimesh; None for an unreadable one."""
-    made = trimesh.creation
-    match solid.tag:
-        case "box":
-            return made.box(get_numbers(solid, "size", 3))
-        case "sphere":
-            return made.icosphere(3, *get_numbers(solid, "radius", 1))
-        case "cylinder":
-            size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
-            return made.cylinder(*size, sections=40)
-        case "mesh":
-            return _mesh(trimesh, solid, spec)
-    return None
+def mesh_folder(hand: Hand) -> Path:
+    """Return the folder in which the meshes of a hand's URDF are looked for."""
+    return urdf_path(hand.spec).parent
 
 
-def _mesh(
-    trimesh: Any,
-    mesh: ET.Element,
-    spec: HandSpec,
-) -> Any:
-    """Read a mesh with outward faces only, or with both sides if it is not closed."""
-    try:
-        found = trimesh.load_mesh(mesh_file(mesh.get("filename", ""), spec))
-    # Mesh readers raise many types; draw the hand without this part.
-    except Exception:
-        return None
-    if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:
-        return None
-    found.merge_vertices(merge_norm=True, merge_tex=True)
-    coarse = trimesh.Trimesh(*_simplified(found.vertices, found.faces), process=False)
-    is_closed = found.is_watertight and found.is_winding_consistent
-    if not is_closed or found.volume < 0.0:
+def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
+    """Simplify a shape's meshes, and turn faces outwards, or to both sides of an open one."""
+    trimesh = require("trimesh", "plot")
+    bare = [trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes]
+    mesh = trimesh.util.concatenate(bare)
+    mesh.merge_vertices(merge_norm=True, merge_tex=True)
+    coarse = trimesh.Trimesh(*_simplified(mesh.vertices, mesh.faces), process=False)
+    is_closed = mesh.is_watertight and mesh.is_winding_consistent
+    if not is_closed or mesh.volume < 0.0:
         inverse = coarse.copy()
         inverse.invert()
         coarse = inverse if is_closed else trimesh.util.concatenate(coarse, inverse)
-    # Faces of a mirrored mesh are turned over.
-    return coarse.apply_scale(get_numbers(mesh, "scale", 3, "1 1 1"))
-
-
-def mesh_file(name: str, spec: HandSpec) -> Path:
-    """Return the path of a mesh of a hand's URDF; see `find_mesh`."""
-    return find_mesh(name, urdf_path(spec).parent)
+    return _triangles(coarse, colour)
 
 
 def _simplified(
@@ -397,14 +359,3 @@ def _triangles(mesh: Any, colour: Colour) -> Triangles:
     corners = smooth.vertices[smooth.faces]
     normals = unit(smooth.vertex_normals[smooth.faces])
     return Triangles.painted(corners, normals, colour)
-
-
-def _colour(material: ET.Element | None, named: dict[str | None, ET.Element]) -> Colour:
-    """Return the colour of a URDF material, its own or by name; grey without one."""
-    if material is not None and not len(material):
-        material = named.get(material.get("name"))
-    colour = None if material is None else material.find("color")
-    if colour is None:
-        return GREY
-    red, green, blue, _ = get_numbers(colour, "rgba", 4)
-    return red, green, blue
