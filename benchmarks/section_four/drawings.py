@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 import common
@@ -201,7 +201,7 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
         corners, (800, 475), azimuth=-103.0, elevation=20.0, margin=0.02
     )
     blue, red = (
-        tube(held[:, :3, 3], 0.0022, colour)
+        merged([tube(ends, 0.0022, colour) for ends in pairwise(held[:, :3, 3])])
         for held, colour in zip(poses, (HUMAN_COLOUR, ROBOT_COLOUR), strict=True)
     )
     panels = (

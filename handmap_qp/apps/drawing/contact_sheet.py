@@ -275,16 +275,6 @@ def save_contact_sheet(
     return Path(file)
 
 
-def cell_of(
-    column: int,
-    row: int,
-    view: int,
-) -> tuple[int, int]:
-    """Left and upper edge of a view in the picture [pixel]; column 0 is the human's."""
-    width, height = CELL
-    return _LEFT + (column * len(VIEWS) + view) * width, _TOP + row * height
-
-
 def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> None:
     advice = "find_poses finds them"
     expect(rows, "rows", "at least one pose", got="none", advice=advice)

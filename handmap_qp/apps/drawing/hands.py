@@ -18,12 +18,12 @@ import numpy.typing as npt
 
 from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
 from handmap_qp.apps.drawing.shapes import read_shapes
-from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_qp.errors import InvalidInputError, require
 from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.urdf import parse_urdf
-from handmap_qp.se3 import affine, lengths, unit
+from handmap_qp.se3 import affine, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -164,46 +164,22 @@ def spheres(
 
 
 def tube(
-    path: npt.ArrayLike,
+    ends: npt.ArrayLike,
     radius: float,
     colour: Colour,
 ) -> Triangles:
-    """Return a thin tube along a path.
+    """Return a thin straight tube.
 
     Args:
-        path: Points of the path [m], shape (n, 3), n >= 2.
+        ends: Both ends, which must not coincide [m], shape (2, 3).
         radius: Radius [m].
         colour: Red, green and blue in 0..1.
 
-    Returns:
-        Its triangles.
-
     Raises:
-        InvalidInputError: If the path has no two different points.
+        MissingExtraError: If trimesh is not installed.
     """
-    points = np.asarray(path, dtype=float).reshape(-1, 3)
-    steps = lengths(np.diff(points, axis=0, prepend=np.inf))
-    points = points[steps > 1e-6]
-    expect(len(points) > 1, "path", "at least two different points", value=path)
-    tangents = unit(np.gradient(points, axis=0))
-    # Propagate the first normal and project it at right angles to each tangent: no twist.
-    normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
-    angles = 2.0 * np.pi * np.arange(_TUBE_SIDES) / _TUBE_SIDES
-    circle = np.column_stack([np.cos(angles), np.sin(angles)])
-    rings = []
-    for tangent in tangents:
-        normal = unit(normal - (normal @ tangent) * tangent)
-        rings.append(circle @ [normal, np.cross(tangent, normal)])
-    normals = np.array(rings)
-    surface = points[:, None] + radius * normals
-    return Triangles.painted(_between_rings(surface), _between_rings(normals), colour)
-
-
-def _between_rings(rings: np.ndarray) -> np.ndarray:
-    """Return the corners of two triangles for each piece between closed rings (n, sides, 3)."""
-    after = np.roll(rings, -1, axis=1)
-    corners = rings[:-1], after[:-1], rings[1:], after[:-1], after[1:], rings[1:]
-    return np.stack(corners, axis=2).reshape(-1, 3, 3)
+    cylinder = require("trimesh", "plot").creation.cylinder
+    return _triangles(cylinder(radius, segment=ends, sections=_TUBE_SIDES), colour)
 
 
 def draw_hands(
