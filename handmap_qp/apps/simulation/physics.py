@@ -151,6 +151,7 @@ def parse_object(text: str) -> Shape | MeshShape:
 
     Raises:
         InvalidInputError: If it is none of these.
+        InvalidOptionsError: If a size is not positive.
         MissingExtraError: If a mesh is given and trimesh is not installed.
     """
     kind, _, rest = text.partition(":")
