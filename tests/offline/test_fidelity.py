@@ -438,7 +438,6 @@ def test_hands_of_the_shared_folder_are_described(name: str) -> None:
     if shared.shared_hands_folder() is None:
         pytest.skip("no folder with shared hands")
     hand = load_hand(shared.shared_hand_spec(name))
-    chains = find_fingers(hand)
     stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)[None]
     trace = trace_robot(hand, stretched)
     local = dict(zip(trace.names, trace.local[0], strict=True))
