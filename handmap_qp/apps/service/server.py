@@ -45,7 +45,6 @@ from handmap_qp.apps.service.logs import (
     Metrics,
     Throttle,
     logs_on_stderr,
-    naming,
     report,
 )
 from handmap_qp.apps.service.opening import HandCache
@@ -55,7 +54,7 @@ from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.apps.service.websocket import WebSocketTransport
 from handmap_qp.client.messages import TOPIC_END
-from handmap_qp.errors import InvalidOptionsError, expect
+from handmap_qp.errors import InvalidOptionsError, expect, naming
 
 TICK = 0.005
 """Least time between checks of the watchdogs [s]."""
