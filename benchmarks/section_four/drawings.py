@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, ParamSpec
 
 import common
 import numpy as np
+import trimesh
 
 from handmap_qp.apps.drawing.hands import (
     HUMAN_COLOUR,
@@ -371,7 +372,8 @@ def box_triangles(pose: np.ndarray, size: np.ndarray) -> Triangles:
         size: Lengths of its sides [m], shape (3,).
     """
     faces = np.concatenate([_FACES[:, [0, 1, 2]], _FACES[:, [0, 2, 3]]])
-    return solid(_CORNERS * size, faces, _CUBE_COLOUR).moved(pose)
+    box = trimesh.Trimesh(_CORNERS * size, faces, process=False)
+    return solid(box, _CUBE_COLOUR).moved(pose)
 
 
 def _box_size(grasp: Grasp) -> np.ndarray:

@@ -118,24 +118,21 @@ def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
     return HandShape(hand, links)
 
 
-def solid(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    colour: Colour,
-) -> Triangles:
+def solid(mesh: Any, colour: Colour) -> Triangles:
     """Return a mesh of one colour, with normals that are smooth except at edges.
 
     Args:
-        vertices: Its vertices [m], shape (v, 3).
-        faces: Indices of the corners of each triangle, shape (n, 3).
+        mesh: A `trimesh.Trimesh` [m].
         colour: Red, green and blue in 0..1.
 
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    return _triangles(
-        require("trimesh", "plot").Trimesh(vertices, faces, process=False), colour
-    )
+    shade = require("trimesh", "plot").graph.smooth_shade
+    smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
+    corners = smooth.vertices[smooth.faces]
+    normals = unit(smooth.vertex_normals[smooth.faces])
+    return Triangles.painted(corners, normals, colour)
 
 
 def spheres(
@@ -179,7 +176,7 @@ def tube(
         MissingExtraError: If trimesh is not installed.
     """
     cylinder = require("trimesh", "plot").creation.cylinder
-    return _triangles(cylinder(radius, segment=ends, sections=_TUBE_SIDES), colour)
+    return solid(cylinder(radius, segment=ends, sections=_TUBE_SIDES), colour)
 
 
 def draw_hands(
@@ -302,7 +299,7 @@ def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
         inverse = coarse.copy()
         inverse.invert()
         coarse = inverse if is_closed else trimesh.util.concatenate(coarse, inverse)
-    return _triangles(coarse, colour)
+    return solid(coarse, colour)
 
 
 def _simplified(
@@ -326,12 +323,3 @@ def _simplified(
         [np.bincount(cell_of, weights) / counts for weights in vertices.T]
     )
     return means, coarse
-
-
-def _triangles(mesh: Any, colour: Colour) -> Triangles:
-    """Return the triangles of a mesh of trimesh; its surface breaks at edges."""
-    shade = require("trimesh", "plot").graph.smooth_shade
-    smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
-    corners = smooth.vertices[smooth.faces]
-    normals = unit(smooth.vertex_normals[smooth.faces])
-    return Triangles.painted(corners, normals, colour)
