@@ -15,7 +15,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 from msgspec import UNSET
 
@@ -268,16 +267,6 @@ def naming(argument: object = "", problem: str = "", **more: str) -> Iterator[No
         raise InvalidInputError(
             argument=str(argument or error.filename), problem=reason, **more
         ) from error
-
-
-def at_fault(error: msgspec.ValidationError) -> tuple[str, str]:
-    """Return what msgspec complains of, and the path of the value, such as `q[1]`.
-
-    It has no attributes for them. It appends a JSON path to its message, as in "Expected `float`,
-    got `str` - at `$.q[1]`"; not for a value of the outermost table.
-    """
-    message, _, path = str(error).partition(" - at `$")
-    return message, path.rstrip("`").lstrip(".")
 
 
 def describe_value(value: Any) -> str:

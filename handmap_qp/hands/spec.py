@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from msgspec import Meta
 
-from handmap_qp.errors import HandError, at_fault, without_errno
+from handmap_qp.errors import HandError, without_errno
 
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
@@ -322,12 +322,12 @@ def _typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
             document, kind, dec_hook=lambda wanted, text: wanted(text)
         )
     except msgspec.ValidationError as error:
-        message, key = at_fault(error)
+        # msgspec names the place in its message only.
+        message, _, place = str(error).partition(" - at `$")
+        key = place.rstrip("`").lstrip(".") or None
         at = _value_at(document, key)
         got = "" if at is None else f" (value {at!r})"
-        raise HandError(
-            f"{message}{got}", file=file, key=key or None, value=at
-        ) from error
+        raise HandError(f"{message}{got}", file=file, key=key, value=at) from error
 
 
 def _plain(value: Any) -> Any:
@@ -352,9 +352,9 @@ def _not_finite(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
             yield from _not_finite(each, f"{key}[{i}]")
 
 
-def _value_at(document: Any, key: str) -> Any:
+def _value_at(document: Any, key: str | None) -> Any:
     """Return the value at a path such as `points[2].weight`; None where there is none."""
-    for part in re.findall(r"[^.\[\]]+", key):
+    for part in re.findall(r"[^.\[\]]+", key or ""):
         try:
             document = document[int(part) if isinstance(document, list) else part]
         except (KeyError, IndexError, TypeError, ValueError):

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.errors import InvalidInputError, at_fault, expect, without_errno
+from handmap_qp.errors import InvalidInputError, expect, without_errno
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.human.sample import expect_hand_length
 from handmap_qp.output_files import replaced_file
@@ -125,8 +125,10 @@ def read_person(path: Path | str) -> Person:
         key = _KEYS.get(error.argument, error.argument)
         raise _unreadable(file, key, error.what) from error
     except msgspec.ValidationError as error:
-        message, key = at_fault(error)
-        raise _unreadable(file, key or "person", message) from error
+        # msgspec names the place in its message only.
+        message, _, place = str(error).partition(" - at `$")
+        key = place.rstrip("`").lstrip(".") or "person"
+        raise _unreadable(file, key, message) from error
     # ValueError and TypeError: also those of yaml and msgspec.
     except (OSError, ValueError, TypeError, RecursionError) as error:
         problem = f"cannot be read: {without_errno(error)}"

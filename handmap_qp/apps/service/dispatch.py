@@ -53,7 +53,7 @@ from handmap_qp.client.messages import (
     Stop,
     Subscribe,
 )
-from handmap_qp.errors import RefusedError, at_fault
+from handmap_qp.errors import RefusedError
 
 Answer = Callable[[bytes], None]
 """Callback of a transport that sends an answer; it must not block."""
@@ -133,12 +133,17 @@ def _wrong_protocol(request: _Head | AnyRequest) -> Error:
 def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
     """Return what msgspec complains of, in words that help a client, and the path of the value.
 
-    For a missing or unknown field of the message itself, msgspec quotes the field, as in "Object
-    missing required field `time`".
+    msgspec has no attributes for them. It appends a JSON path to its message, as in "Expected
+    `float`, got `str` - at `$.q[1]`". For a missing or unknown field of the message itself, it
+    quotes the field instead, as in "Object missing required field `time`".
     """
-    message, path = at_fault(error)
-    if not path and (named := re.search(r"field `(\w+)`$", message)):
-        path = named[1]
+    message, separator, path = str(error).rpartition(" - at `$")
+    if separator:
+        path = path.rstrip("`").lstrip(".")
+    else:
+        message = path
+        named = re.search(r"field `(\w+)`$", path)
+        path = named[1] if named else ""
     if "matching regex" in message:
         message = f"expected {NAME}"
     elif path == "name" and message.startswith("Object contains unknown field"):
