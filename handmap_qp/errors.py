@@ -10,8 +10,7 @@ from __future__ import annotations
 import copyreg
 import difflib
 import importlib
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -246,27 +245,6 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
 def without_errno(error: Exception) -> str:
     """Return the text of an error without number and file name, which `OSError` adds to it."""
     return getattr(error, "strerror", None) or str(error)
-
-
-@contextmanager
-def naming(argument: object = "", problem: str = "", **more: str) -> Iterator[None]:
-    """Raise what the system refuses as an error of an argument.
-
-    Args:
-        argument: Name of the argument, or the file; that of the system's error if omitted.
-        problem: What cannot be done, before the system's reason.
-        **more: Further fields of the error.
-
-    Raises:
-        InvalidInputError: In place of OSError.
-    """
-    try:
-        yield
-    except OSError as error:
-        reason = ": ".join(filter(None, (problem, without_errno(error))))
-        raise InvalidInputError(
-            argument=str(argument or error.filename), problem=reason, **more
-        ) from error
 
 
 def describe_value(value: Any) -> str:

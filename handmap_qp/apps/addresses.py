@@ -7,7 +7,8 @@ import re
 import socket
 from contextlib import suppress
 
-from handmap_qp.errors import InvalidInputError, expect, naming
+from handmap_qp.apps.refusals import naming
+from handmap_qp.errors import InvalidInputError, expect
 
 REQUESTS_PORT = 5570
 """Default port of requests to `handmap serve`."""

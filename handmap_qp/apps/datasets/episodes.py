@@ -26,12 +26,12 @@ from handmap_qp.apps.datasets.workers import time_limit
 from handmap_qp.apps.offline.look_ahead import LookAhead, map_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory
+from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import (
     DiskFullError,
     HandmapError,
     InvalidInputError,
     RecordingError,
-    naming,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path

@@ -27,9 +27,9 @@ from logging import WARNING
 
 import zmq
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.service.logs import Metrics, Throttle
 from handmap_qp.apps.service.safety import Bucket
-from handmap_qp.errors import naming
 
 _RATE = 1024.0
 """Credit that a connection gets without a message, for heartbeats and topics [bytes/s]."""

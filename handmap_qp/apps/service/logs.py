@@ -31,8 +31,8 @@ from prometheus_client.core import (
     Metric,
 )
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.service.safety import Bucket
-from handmap_qp.errors import naming
 
 log = logging.getLogger("handmap_qp.apps.service")
 """Logger of the service; `report` writes to it."""

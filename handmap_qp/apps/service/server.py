@@ -32,6 +32,7 @@ import zmq.asyncio
 from zmq.auth.asyncio import AsyncioAuthenticator
 from zmq.utils.monitor import recv_monitor_message
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.service.connection_gate import ConnectionGate, cost_of
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.keys import (
@@ -54,7 +55,7 @@ from handmap_qp.apps.service.settings import Settings
 from handmap_qp.apps.service.store import PostureStore
 from handmap_qp.apps.service.websocket import WebSocketTransport
 from handmap_qp.client.messages import TOPIC_END
-from handmap_qp.errors import InvalidOptionsError, expect, naming
+from handmap_qp.errors import InvalidOptionsError, expect
 
 TICK = 0.005
 """Least time between checks of the watchdogs [s]."""

@@ -31,13 +31,14 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import report, websocket_log
 from handmap_qp.apps.service.pages import page_response
 from handmap_qp.apps.service.safety import Bucket
 from handmap_qp.apps.service.sessions import Caller, Sessions
 from handmap_qp.apps.service.settings import MOST_SESSIONS, Settings
-from handmap_qp.errors import InvalidInputError, naming
+from handmap_qp.errors import InvalidInputError
 
 SUBPROTOCOL = Subprotocol("handmap.v1")
 """Subprotocol that a browser offers besides `bearer.TOKEN`, because it cannot set headers."""

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from handmap_qp.apps.addresses import is_loopback, names_loopback
-from handmap_qp.errors import expect, naming, require
+from handmap_qp.apps.refusals import naming
+from handmap_qp.errors import expect, require
 
 if TYPE_CHECKING:
     import viser
