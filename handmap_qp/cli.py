@@ -39,123 +39,98 @@ class Command(Protocol):
 
 
 class _Place(NamedTuple):
-    """Where the class of a command is, and one line about it for the list of commands."""
+    """Module of a command, whose class has the command's name, and one line about it."""
 
     module: str
-    name: str
     about: str
 
-    def load(self) -> Any:
-        """Import the class."""
-        return getattr(
-            importlib.import_module(f"handmap_qp.apps.{self.module}"), self.name
-        )
+    def load(self, name: str) -> Any:
+        """Import the class of a command, such as `HandsList` of `hands list`."""
+        module = importlib.import_module(f"handmap_qp.apps.{self.module}")
+        return getattr(module, name.title().replace(" ", ""))
 
 
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
 COMMANDS: dict[str, _Place] = {
     "demo": _Place(
         "offline.demo",
-        "Demo",
         "Map a human hand's motion to a robot hand; needs no data of your own.",
     ),
-    "map": _Place(
-        "offline.cli", "Map", "Map a recording of a human hand to a robot hand."
-    ),
+    "map": _Place("offline.cli", "Map a recording of a human hand to a robot hand."),
     "calibrate": _Place(
         "offline.cli",
-        "Calibrate",
         "Measure a person's hand in recordings, and keep it in a file.",
     ),
     "convert": _Place(
         "datasets.cli",
-        "Convert",
         "Convert recordings of human hands between file formats.",
     ),
     "batch": _Place(
-        "datasets.cli", "Batch", "Map whole data sets of human hands to robot hands."
+        "datasets.cli", "Map whole data sets of human hands to robot hands."
     ),
     "report": _Place(
         "datasets.cli",
-        "Report",
         "Report the quality of the episodes of a batch, and write a filter.",
     ),
     "compare": _Place(
         "offline.compare",
-        "Compare",
         "Compare mapping methods on recordings of a human hand, by what the robot's hand shows.",
     ),
     "view": _Place(
         "viewer.cli",
-        "View",
         "Show a mapping in the browser, and change its preset and options while it plays.",
     ),
-    "hands list": _Place(
-        "onboarding.cli", "HandsList", "List the hands of the package."
-    ),
+    "hands list": _Place("onboarding.cli", "List the hands of the package."),
     "hands show": _Place(
         "onboarding.cli",
-        "HandsShow",
         "Describe a hand: joints, limits and reference points.",
     ),
     "hands init": _Place(
         "onboarding.cli",
-        "HandsInit",
         "Find a hand in a URDF or MJCF file and write its description, hand.yaml.",
     ),
     "hands migrate": _Place(
         "onboarding.cli",
-        "HandsMigrate",
         "Turn a configuration of dex-retargeting into a hand.yaml.",
     ),
     "hands check": _Place(
         "onboarding.cli",
-        "HandsCheck",
         "Check a hand.yaml against its URDF, and draw the hand with its labels.",
     ),
     "hands match": _Place(
         "onboarding.cli",
-        "HandsMatch",
         "Find the robot posture that corresponds to the resting human hand.",
     ),
     "layouts": _Place(
         "offline.layouts_cli",
-        "Layouts",
         "List the layouts of trackers, or show one: order, frame and units.",
     ),
     "simulate": _Place(
         "simulation.cli",
-        "Simulate",
         "Simulate a mapped hand that holds an object, with contacts, friction and gravity.",
     ),
     "serve": _Place(
         "service.cli",
-        "Serve",
         "Serve the mapper to trackers and robots over ZeroMQ and WebSocket.",
     ),
     "keys": _Place(
         "service.cli",
-        "Keys",
         "Make the keys that `handmap serve --keys` needs; existing keys stay.",
     ),
     "track replay": _Place(
         "live.cli",
-        "TrackReplay",
         "Play a recording as if it were live, with faults if wanted.",
     ),
     "track mediapipe": _Place(
         "live.cli",
-        "TrackMediapipe",
         "Track a hand in a camera's picture or a video file with MediaPipe.",
     ),
     "track record": _Place(
         "live.cli",
-        "TrackRecord",
         "Record the human samples that lead a session of the service.",
     ),
     "doctor": _Place(
         "doctor",
-        "Doctor",
         "Report versions, extras, solvers, recordings and rendering.",
     ),
 }
@@ -284,7 +259,7 @@ def parse(arguments: Sequence[str]) -> Command:
     name = command_name(words)
     if name is None:
         _answer_without_command(words)
-    command = COMMANDS[name].load()
+    command = COMMANDS[name].load(name)
     # Options of a method had the name of one in front, before methods could be added.
     rest = [
         re.sub(r"^--teleoperation\.", "--", word) for word in words[len(name.split()) :]
@@ -414,12 +389,12 @@ def _any_command() -> Any:
     """Return a type whose values are all commands."""
     tyro = _tyro()
 
-    def union(places: dict[str, _Place]) -> Any:
+    def union(places: dict[str, _Place], group: str = "") -> Any:
         return reduce(
             or_,
             (
                 Annotated[
-                    place.load(),  # ty: ignore[invalid-type-form]
+                    place.load(f"{group} {word}"),  # ty: ignore[invalid-type-form]
                     tyro.conf.subcommand(
                         word, description=place.about, prefix_name=False
                     ),
@@ -431,7 +406,7 @@ def _any_command() -> Any:
     single = {name: place for name, place in COMMANDS.items() if " " not in name}
     groups: list[Any] = []
     for group in _GROUPS:
-        members = union(_members(group))
+        members = union(_members(group), group)
         named = tyro.conf.subcommand(group, prefix_name=False)
         groups.append(Annotated[members, named])  # ty: ignore[invalid-type-form]
     return reduce(or_, groups, union(single))

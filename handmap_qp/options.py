@@ -240,7 +240,10 @@ def _in_words(kind: Any) -> str:
     if parts := get_args(bare):  # a tuple
         row = get_args(_bare(parts[0]))
         shape = f"({len(parts)}, {len(row)})"
-        return f"a matrix of shape {shape}" if row else f"{len(parts)} finite numbers"
+        if row:
+            return f"a matrix of shape {shape}"
+        low = _meta(parts[0]).gt
+        return f"{len(parts)} finite numbers" + ("" if low is None else f" > {low:g}")
     if bare not in (int, float):
         return {bool: "true or false", str: "a name"}.get(bare, "none")
     noun = "an integer" if bare is int else "a number"

@@ -170,15 +170,10 @@ def rotation_from_quat_wxyz(
         got = f"{quats.reshape(-1, 4)[row].tolist()} in row {row}"
         raise InvalidInputError(argument=name, expected=expected, value=quats, got=got)
     quats = quats / largest
-    w, x, y, z = np.moveaxis(
-        quats / np.linalg.norm(quats, axis=-1, keepdims=True), -1, 0
-    )
-    rows = (
-        (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)),
-        (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)),
-        (2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)),
-    )
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
+    quats /= np.linalg.norm(quats, axis=-1, keepdims=True)
+    # With the matrix [v] of the cross product: 1 + 2 w [v] + 2 [v]^2.
+    cross = np.cross(np.eye(3), quats[..., None, 1:])
+    return np.eye(3) + 2.0 * (quats[..., :1, None] * cross + cross @ cross)
 
 
 def quat_wxyz_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:

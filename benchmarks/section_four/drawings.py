@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import wraps
-from itertools import combinations, product
+from itertools import combinations, pairwise, product
 from typing import TYPE_CHECKING, Any, ParamSpec
 
 import common
 import numpy as np
+import trimesh
 
 from handmap_qp.apps.drawing.hands import (
     HUMAN_COLOUR,
@@ -201,7 +202,7 @@ def draw_ways(run: Run, ways: Mapping[tuple[str, str], Sequence[np.ndarray]]) ->
         corners, (800, 475), azimuth=-103.0, elevation=20.0, margin=0.02
     )
     blue, red = (
-        tube(held[:, :3, 3], 0.0022, colour)
+        merged([tube(ends, 0.0022, colour) for ends in pairwise(held[:, :3, 3])])
         for held, colour in zip(poses, (HUMAN_COLOUR, ROBOT_COLOUR), strict=True)
     )
     panels = (
@@ -371,7 +372,8 @@ def box_triangles(pose: np.ndarray, size: np.ndarray) -> Triangles:
         size: Lengths of its sides [m], shape (3,).
     """
     faces = np.concatenate([_FACES[:, [0, 1, 2]], _FACES[:, [0, 2, 3]]])
-    return solid(_CORNERS * size, faces, _CUBE_COLOUR).moved(pose)
+    box = trimesh.Trimesh(_CORNERS * size, faces, process=False)
+    return solid(box, _CUBE_COLOUR).moved(pose)
 
 
 def _box_size(grasp: Grasp) -> np.ndarray:

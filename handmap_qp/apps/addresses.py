@@ -7,6 +7,7 @@ import re
 import socket
 from contextlib import suppress
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError, expect
 
 REQUESTS_PORT = 5570
@@ -90,18 +91,13 @@ def service_address(name: str, host: str) -> str:
         if ":" in text.rpartition("]")[2]
         else (text, "", str(REQUESTS_PORT))
     )
-    try:
-        number = int(port if place.strip() else "")
-        socket.getaddrinfo(place.strip("[]"), None)
-    except ValueError as error:
-        raise InvalidInputError(
-            argument=name, expected="HOST or HOST:PORT", value=host
-        ) from error
-    except OSError as error:
-        raise InvalidInputError(
-            argument=name,
-            problem=f"unknown host {place!r}: {error.strerror}",
-            value=host,
-        ) from error
+    with naming(name, f"unknown host {place!r}", value=host):
+        try:
+            number = int(port if place.strip() else "")
+            socket.getaddrinfo(place.strip("[]"), None)
+        except ValueError as error:
+            raise InvalidInputError(
+                argument=name, expected="HOST or HOST:PORT", value=host
+            ) from error
     check_port(name, number)
     return f"tcp://{place}:{number}"

@@ -131,11 +131,8 @@ class PalmKinematics:
 
     def on_axis(self, q: np.ndarray, joint: int, near: Place) -> Place:
         """Return the point of a turning joint's axis that is nearest to another point."""
-        self._place(q)
-        placed = self._data.oMi[joint]
-        axis = self._data.J[3:, self._model.idx_vs[joint]]
-        lever = self._data.oMi[near[0]].act(near[1]) - placed.translation
-        return joint, placed.rotation.T @ ((lever @ axis) * axis)
+        _, (point,) = self.axes(q, [joint], near)
+        return joint, self._data.oMi[joint].actInv(self._palm.act(point))
 
     def motion(self, q: np.ndarray, place: Place) -> np.ndarray:
         """Return a point's velocity and turn on the palm per unit of every joint, shape (6, n)."""

@@ -376,8 +376,7 @@ class Hand:
             Jacobian [m/rad, or without unit], rows x, y, z of each point in turn, columns in the
             order of `joint_names`, shape (3 m, n).
         """
-        self._scratch.place(self.configuration_vector(q, wrist_pose))
-        return self._scratch.point_jacobian()[:, self.joint_columns]
+        return self._placed(q, wrist_pose).point_jacobian()[:, self.joint_columns]
 
     def frame_pose(
         self, frame: str, q: npt.ArrayLike, wrist_pose: PoseLike | None = None

@@ -149,23 +149,22 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
     data = mujoco.MjData(model)
     robot = pin.buildModelFromXML(text)
     robot_data = robot.createData()
-    places = model.jnt_qposadr[list(converted.joints)]
-    columns = [robot.idx_vs[robot.getJointId(n)] for n in converted.joints.values()]
-    bodies = list(converted.links)
-    kind = pin.FrameType.BODY
-    frames = [robot.getFrameId(link, kind) for link in converted.links.values()]
     worst = 0.0
     for _ in range(postures):
         turns = np.zeros(robot.nv)
-        turns[columns] = random.uniform(-1.0, 1.0, len(columns))
         data.qpos[:] = model.qpos0
-        data.qpos[places] = turns[columns]
+        for joint, name in converted.joints.items():
+            turn = random.uniform(-1.0, 1.0)
+            data.qpos[model.jnt_qposadr[joint]] = turn
+            turns[robot.idx_vs[robot.getJointId(name)]] = turn
         mujoco.mj_kinematics(model, data)
         q = pin.integrate(robot, pin.neutral(robot), turns)
         pin.framesForwardKinematics(robot, robot_data, q)
-        poses = affine(data.xmat[bodies].reshape(-1, 3, 3), data.xpos[bodies])
-        found = [robot_data.oMf[frame].homogeneous for frame in frames]
-        worst = max(worst, float(np.abs(found - poses).max()))
+        for body, link in converted.links.items():
+            frame = robot.getFrameId(link, pin.FrameType.BODY)
+            pose = affine(data.xmat[body].reshape(3, 3), data.xpos[body])
+            apart = np.abs(robot_data.oMf[frame].homogeneous - pose)
+            worst = max(worst, float(apart.max()))
     return worst
 
 

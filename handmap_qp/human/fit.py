@@ -264,19 +264,11 @@ def fit_recording(
         "a hand that keeps its size",
         got="no sample as large as the median of all",
     )
-    count = len(recording)
-    first = int(np.argmax(valid))
-    q = np.empty((count, _SHAPE[0] * _SHAPE[1]))
-    wrist = np.empty((count, 4, 4))
-    error = np.full((count, LANDMARK_COUNT), np.nan)
-    for i in range(first, count):
-        if valid[i]:
-            q[i], wrist[i], error[i] = fitter.fit(recording.landmarks[i])
-        else:
-            q[i] = q[i - 1]
-            wrist[i] = wrist[i - 1]
-    q[:first] = q[first]
-    wrist[:first] = wrist[first]
+    fits = zip(*map(fitter.fit, recording.landmarks[valid]), strict=True)
+    # The samples before the first fit take it too.
+    last = np.maximum(np.cumsum(valid) - 1, 0)
+    q, wrist, error = (np.array(column)[last] for column in fits)
+    error[~valid] = np.nan
     steps = recording.steps
     return HumanMotion(fitter.human, recording.time, steps, q, wrist, valid, error)
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from comparison_cases import write_closing
 from PIL import Image
+from sheet_cells import cell_of
 
 from handmap_qp import cli
-from handmap_qp.apps.drawing.contact_sheet import CELL, FINGER_COLOURS, cell_of
+from handmap_qp.apps.drawing.contact_sheet import CELL, FINGER_COLOURS
 from handmap_qp.apps.offline.metrics import METRICS
 
 PROGRAM = """

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from sheet_cells import cell_of
 
 from handmap_qp.apps.drawing.contact_sheet import (
     CELL,
     FINGER_COLOURS,
     VIEWS,
     SheetRow,
-    cell_of,
     contact_sheet,
     save_contact_sheet,
     sheet_rows,

@@ -15,7 +15,7 @@ from handmap_qp.apps.drawing.raster import (
     merged,
     render,
 )
-from handmap_qp.errors import InvalidInputError, MissingExtraError
+from handmap_qp.errors import MissingExtraError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import HandSpec, PalmSpec, PointSpec, WristSpec
@@ -289,15 +289,15 @@ def test_marks_shine_through_and_stand_in_front() -> None:
     assert bare[1] > hidden[1] > shown[1]
 
 
-def test_a_tube_follows_its_path() -> None:
-    way = np.column_stack(
-        [np.linspace(0.0, 1.0, 20), np.zeros(20), np.linspace(0.0, 1.0, 20) ** 2]
-    )
-    wall = tube(way, 0.01, RED).vertices.reshape(-1, 3)
-    distance = np.linalg.norm(wall[:, None] - way, axis=2).min(axis=1)
-    np.testing.assert_allclose(distance, 0.01, atol=1e-9)
-    with pytest.raises(InvalidInputError, match="two different points"):
-        tube(np.zeros((5, 3)), 0.01, RED)
+def test_a_tube_has_its_radius_and_its_ends() -> None:
+    start, end = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.0, 0.5])
+    along = (end - start) / np.linalg.norm(end - start)
+    offsets = tube([start, end], 0.01, RED).vertices.reshape(-1, 3) - start
+    beside = np.linalg.norm(offsets - np.outer(offsets @ along, along), axis=1)
+    # The middles of both lids lie on the axis.
+    assert np.isclose(beside[:, None], [0.0, 0.01]).any(axis=1).all()
+    length = np.linalg.norm(end - start)
+    assert np.isclose((offsets @ along)[:, None], [0.0, length]).any(axis=1).all()
 
 
 def test_draw_hands_makes_the_axes_pixels_and_leaves_no_figure_behind() -> None:
@@ -372,10 +372,10 @@ def test_creases_are_hollows_and_neither_slopes_nor_outlines() -> None:
 
 
 def test_the_faces_of_a_tube_look_outward() -> None:
-    bent = tube([[0.0, 0.0, 0.0], [0.0, 0.0, 0.1], [0.05, 0.0, 0.2]], 0.004, RED)
-    a, b, c = np.moveaxis(bent.vertices, 1, 0)
+    rod = tube([[0.0, 0.0, 0.1], [0.05, 0.0, 0.2]], 0.004, RED)
+    a, b, c = np.moveaxis(rod.vertices, 1, 0)
     outward = np.cross(b - a, c - a)[:, None]
-    assert ((outward * bent.normals).sum(axis=2) > 0.0).all()
+    assert ((outward * rod.normals).sum(axis=2) > 0.0).all()
 
 
 def test_depth_is_measured_along_the_axis_of_the_camera() -> None:

@@ -380,16 +380,14 @@ def test_knuckles_stay_in_the_palm_and_the_reach_is_the_largest_distance(
     q = random.uniform(
         hand.lower_limits, hand.upper_limits, (200, len(hand.joint_names))
     )
-    trace = trace_robot(hand, q, None, chains)
+    trace = trace_robot(hand, q)
     # Two fingers of `three_finger` spread about the middle of the palm, with their knuckles.
     assert (
         np.ptp(trace.local[:, :, KNUCKLE], axis=0).max() < 1e-9
         or name == "three_finger"
     )
     assert trace.extension.max() <= 1.0 + 1e-3
-    stretched = trace_robot(
-        hand, np.array([c.stretched for c in chains.values()]), None, chains
-    )
+    stretched = trace_robot(hand, np.array([c.stretched for c in chains.values()]))
     assert np.diag(stretched.extension) == pytest.approx(1.0, abs=1e-6)
 
 
@@ -440,9 +438,8 @@ def test_hands_of_the_shared_folder_are_described(name: str) -> None:
     if shared.shared_hands_folder() is None:
         pytest.skip("no folder with shared hands")
     hand = load_hand(shared.shared_hand_spec(name))
-    chains = find_fingers(hand)
     stretched = np.clip(0.0, hand.lower_limits, hand.upper_limits)[None]
-    trace = trace_robot(hand, stretched, None, chains)
+    trace = trace_robot(hand, stretched)
     local = dict(zip(trace.names, trace.local[0], strict=True))
     for finger, points in local.items():
         direction = points[TIP] - points[KNUCKLE]

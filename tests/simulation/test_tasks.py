@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from simulation_cases import CUBE
 
-from handmap_qp import HandError, InvalidInputError, cli, load_hand
+from handmap_qp import HandError, InvalidInputError, InvalidOptionsError, cli, load_hand
 from handmap_qp.apps.simulation.commands import Commands, PinchWindow, find_pinch
 from handmap_qp.apps.simulation.physics import (
     Body,
@@ -246,10 +246,18 @@ def test_a_mesh_is_its_convex_hull_about_its_centre(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "box", "box:", "box:-1", "box:1..2", "sphere:1x2", "gone.stl", "box:0"]
+    "text", ["", "box", "box:", "box:1..2", "sphere:1x2", "gone.stl"]
 )
 def test_other_words_are_no_objects(text: str) -> None:
     with pytest.raises(InvalidInputError):
+        parse_object(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "option"), [("box:-1", "size"), ("box:0", "size"), ("sphere:0", "radius")]
+)
+def test_a_size_is_positive(text: str, option: str) -> None:
+    with pytest.raises(InvalidOptionsError, match=f"{option}: .*> 0"):
         parse_object(text)
 
 

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+import trimesh
 
 pytest.importorskip(
     "viser", reason="viser is not installed: pip install 'handmap-qp[view]'"
@@ -26,7 +27,7 @@ from handmap_qp.apps.viewer.controls import KEPT, NOTHING
 from handmap_qp.apps.viewer.gauges import SECOND
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.replay import ReplayViewer
-from handmap_qp.apps.viewer.sample import Solid, Variant, ViewSample
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import BrowserCameras, HandScene
 from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.by_name import METHODS
@@ -189,7 +190,7 @@ def test_trails_are_the_paths_of_the_tips_until_they_are_cleared(
 
 def test_a_page_of_a_robot_and_an_object_needs_no_human_hand(server: Any) -> None:
     robot = load_hand("three_finger")
-    cube = Solid(np.eye(3), np.array([[0, 1, 2]]))
+    cube = trimesh.Trimesh(np.eye(3), [[0, 1, 2]], process=False)
     pose = affine(np.eye(3), np.array([0.1, 0.2, 0.3]))
     samples = [
         ViewSample(

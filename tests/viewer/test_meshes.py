@@ -12,7 +12,6 @@ import pytest
 from handmap_qp.apps.viewer.figure import link_meshes
 
 trimesh = pytest.importorskip("trimesh", reason="pip install 'handmap-qp[view]'")
-pytest.importorskip("yourdfpy", reason="pip install 'handmap-qp[view]'")
 
 SHAPE = """<visual name="{name}"><origin xyz="{xyz}" rpy="0.3 0 0"/><geometry>{shape}</geometry>
 <material name="{name}"><color rgba="{rgba}"/></material></visual>"""
@@ -25,9 +24,7 @@ def test_a_link_is_one_mesh_with_the_surface_and_colours_of_its_shapes(
     corner = trimesh.creation.box((0.1, 0.2, 0.3))
     corner.vertices += 0.5
     corner.export(tmp_path / "corner.stl")
-    monkeypatch.setattr(
-        "handmap_qp.apps.viewer.figure.mesh_file", lambda name, _: tmp_path / name
-    )
+    monkeypatch.setattr("handmap_qp.apps.viewer.figure.mesh_folder", lambda _: tmp_path)
     # A visual may have the name of a link.
     box = SHAPE.format(
         name="b", xyz="1 0 0", shape='<box size="0.1 0.1 0.1"/>', rgba="1 0 0 1"

@@ -26,6 +26,7 @@ from handmap_qp.apps.datasets.workers import time_limit
 from handmap_qp.apps.offline.look_ahead import LookAhead, map_hand
 from handmap_qp.apps.offline.surface_gaps import GapMeter
 from handmap_qp.apps.offline.trajectory import Trajectory
+from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import (
     DiskFullError,
     HandmapError,
@@ -38,6 +39,7 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.base import reading
 from handmap_qp.trackers.plausibility import check_recording
 
 _READING = 120
@@ -79,13 +81,8 @@ class JobOptions:
             digest.update(side.encode() + msgspec.json.encode(robot.spec, enc_hook=str))
             files.append(urdf_path(robot.spec))
         for file in files:
-            try:
+            with naming("--options", f"{file}: cannot be read"):
                 digest.update(file.read_bytes())
-            except OSError as error:
-                problem = f"{file}: cannot be read: {error.strerror or error}"
-                raise InvalidInputError(
-                    argument="--options", problem=problem
-                ) from error
         return digest.hexdigest()[:16]
 
 
@@ -249,13 +246,8 @@ def read_episode(folder: Path, line: Line) -> dict[str, np.ndarray]:
         RecordingError: If the file is missing, or is not what was written.
     """
     file = folder / line.out
-    try:
-        with file.open("rb") as stream:
-            is_same = line.sha256 in ("", file_digest(stream, "sha256").hexdigest())
-    except OSError as error:
-        raise RecordingError(
-            f"cannot be read: {error.strerror or error}", file=file
-        ) from error
+    with reading(file), file.open("rb") as stream:
+        is_same = line.sha256 in ("", file_digest(stream, "sha256").hexdigest())
     if not is_same:
         raise RecordingError("is not what was written: its digest differs", file=file)
     arrays = read_archive(file, _COLUMNS if line.sha256 else None)

@@ -18,6 +18,7 @@ from typing import Literal
 
 import msgspec
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers.formats import SEPARATOR
@@ -156,15 +157,11 @@ def read_manifests(folder: Path) -> dict[str, Line]:
 
 def _lines_of(file: Path) -> Iterator[Line]:
     """Read the lines of one manifest."""
-    try:
-        with file.open("rb") as stream:
-            for text in stream:
-                # Without a line break, it was being written when the process was killed.
-                with suppress(msgspec.DecodeError, UnicodeDecodeError):
-                    yield _DECODER.decode(text if text.endswith(b"\n") else b"")
-    except OSError as error:
-        problem = f"{file}: cannot be read: {error.strerror or error}"
-        raise InvalidInputError(argument="DIR", problem=problem) from error
+    with naming("DIR", f"{file}: cannot be read"), file.open("rb") as stream:
+        for text in stream:
+            # Without a line break, it was being written when the process was killed.
+            with suppress(msgspec.DecodeError, UnicodeDecodeError):
+                yield _DECODER.decode(text if text.endswith(b"\n") else b"")
 
 
 def _cut_torn_line(stream: FileIO) -> None:

@@ -32,7 +32,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.measure import measure_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import LANDMARK_COUNT, PALM, TIPS
+from handmap_qp.human.sample import FIRST_JOINTS, LANDMARK_COUNT, PALM, TIPS
 from handmap_qp.se3 import (
     as_floats,
     inverse_pose,
@@ -77,7 +77,7 @@ _HUMAN_BACKGROUND = 0.965
 _RULE = 0.86
 _INK, _PALE = "#222831", "#6b7280"
 # Across the palm: wrist to knuckles, and from knuckle to knuckle.
-_KNUCKLES = (1, 5, 9, 13, 17)
+_KNUCKLES = FIRST_JOINTS.tolist()
 _PALM_BONES = (*product((0,), _KNUCKLES), *pairwise(_KNUCKLES))
 _PALM_FACES = [(0, *pair) for pair in pairwise(_KNUCKLES)]
 
@@ -273,16 +273,6 @@ def save_contact_sheet(
     )
     figure.savefig(file, dpi=_DPI)
     return Path(file)
-
-
-def cell_of(
-    column: int,
-    row: int,
-    view: int,
-) -> tuple[int, int]:
-    """Left and upper edge of a view in the picture [pixel]; column 0 is the human's."""
-    width, height = CELL
-    return _LEFT + (column * len(VIEWS) + view) * width, _TOP + row * height
 
 
 def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> None:

@@ -8,7 +8,6 @@ of anything drawn over it.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -18,13 +17,13 @@ import numpy as np
 import numpy.typing as npt
 
 from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged, render
-from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_qp.apps.drawing.shapes import read_shapes
+from handmap_qp.errors import InvalidInputError, require
 from handmap_qp.hands.fingers import carrier_of
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.sources import find_mesh, urdf_path
-from handmap_qp.hands.spec import HandSpec
-from handmap_qp.hands.urdf import get_numbers, origin_of, parse_urdf
-from handmap_qp.se3 import affine, lengths, unit
+from handmap_qp.hands.sources import urdf_path
+from handmap_qp.hands.urdf import parse_urdf
+from handmap_qp.se3 import affine, unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,41 +109,30 @@ def load_shape(hand: Hand, *, colour: Colour | None = None) -> HandShape:
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    trimesh = require("trimesh", "plot")
     robot = parse_urdf(hand.urdf_text)
-    named = {each.get("name"): each for each in robot.iter("material") if len(each)}
     kind = "visual" if robot.find("link/visual") is not None else "collision"
-    links = {}
-    for link in robot.iterfind("link"):
-        parts = []
-        for shape in link.iterfind(kind):
-            tint = colour or _colour(shape.find("material"), named)
-            for solid in shape.iterfind("geometry/*"):
-                if (found := _geometry(trimesh, solid, hand.spec)) is not None:
-                    parts.append(_triangles(found, tint).moved(origin_of(shape)))
-        if parts:
-            links[link.get("name", "")] = merged(parts)
+    links = {
+        link: merged([_drawn(shape, colour or own or GREY) for shape, own in shapes])
+        for link, shapes in read_shapes(robot, kind, mesh_folder(hand)).items()
+    }
     return HandShape(hand, links)
 
 
-def solid(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    colour: Colour,
-) -> Triangles:
+def solid(mesh: Any, colour: Colour) -> Triangles:
     """Return a mesh of one colour, with normals that are smooth except at edges.
 
     Args:
-        vertices: Its vertices [m], shape (v, 3).
-        faces: Indices of the corners of each triangle, shape (n, 3).
+        mesh: A `trimesh.Trimesh` [m].
         colour: Red, green and blue in 0..1.
 
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    return _triangles(
-        require("trimesh", "plot").Trimesh(vertices, faces, process=False), colour
-    )
+    shade = require("trimesh", "plot").graph.smooth_shade
+    smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
+    corners = smooth.vertices[smooth.faces]
+    normals = unit(smooth.vertex_normals[smooth.faces])
+    return Triangles.painted(corners, normals, colour)
 
 
 def spheres(
@@ -173,46 +161,22 @@ def spheres(
 
 
 def tube(
-    path: npt.ArrayLike,
+    ends: npt.ArrayLike,
     radius: float,
     colour: Colour,
 ) -> Triangles:
-    """Return a thin tube along a path.
+    """Return a thin straight tube.
 
     Args:
-        path: Points of the path [m], shape (n, 3), n >= 2.
+        ends: Both ends, which must not coincide [m], shape (2, 3).
         radius: Radius [m].
         colour: Red, green and blue in 0..1.
 
-    Returns:
-        Its triangles.
-
     Raises:
-        InvalidInputError: If the path has no two different points.
+        MissingExtraError: If trimesh is not installed.
     """
-    points = np.asarray(path, dtype=float).reshape(-1, 3)
-    steps = lengths(np.diff(points, axis=0, prepend=np.inf))
-    points = points[steps > 1e-6]
-    expect(len(points) > 1, "path", "at least two different points", value=path)
-    tangents = unit(np.gradient(points, axis=0))
-    # Propagate the first normal and project it at right angles to each tangent: no twist.
-    normal = np.cross(tangents[0], np.eye(3)[np.argmin(np.abs(tangents[0]))])
-    angles = 2.0 * np.pi * np.arange(_TUBE_SIDES) / _TUBE_SIDES
-    circle = np.column_stack([np.cos(angles), np.sin(angles)])
-    rings = []
-    for tangent in tangents:
-        normal = unit(normal - (normal @ tangent) * tangent)
-        rings.append(circle @ [normal, np.cross(tangent, normal)])
-    normals = np.array(rings)
-    surface = points[:, None] + radius * normals
-    return Triangles.painted(_between_rings(surface), _between_rings(normals), colour)
-
-
-def _between_rings(rings: np.ndarray) -> np.ndarray:
-    """Return the corners of two triangles for each piece between closed rings (n, sides, 3)."""
-    after = np.roll(rings, -1, axis=1)
-    corners = rings[:-1], after[:-1], rings[1:], after[:-1], after[1:], rings[1:]
-    return np.stack(corners, axis=2).reshape(-1, 3, 3)
+    cylinder = require("trimesh", "plot").creation.cylinder
+    return solid(cylinder(radius, segment=ends, sections=_TUBE_SIDES), colour)
 
 
 def draw_hands(
@@ -318,53 +282,24 @@ def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
         ) from error
 
 
-def _geometry(
-    trimesh: Any,
-    solid: ET.Element,
-    spec: HandSpec,
-) -> Any:
-    """Return a URDF geometry as a mesh of trimesh; None for an unreadable one."""
-    made = trimesh.creation
-    match solid.tag:
-        case "box":
-            return made.box(get_numbers(solid, "size", 3))
-        case "sphere":
-            return made.icosphere(3, *get_numbers(solid, "radius", 1))
-        case "cylinder":
-            size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
-            return made.cylinder(*size, sections=40)
-        case "mesh":
-            return _mesh(trimesh, solid, spec)
-    return None
+def mesh_folder(hand: Hand) -> Path:
+    """Return the folder in which the meshes of a hand's URDF are looked for."""
+    return urdf_path(hand.spec).parent
 
 
-def _mesh(
-    trimesh: Any,
-    mesh: ET.Element,
-    spec: HandSpec,
-) -> Any:
-    """Read a mesh with outward faces only, or with both sides if it is not closed."""
-    try:
-        found = trimesh.load_mesh(mesh_file(mesh.get("filename", ""), spec))
-    # Mesh readers raise many types; draw the hand without this part.
-    except Exception:
-        return None
-    if not isinstance(found, trimesh.Trimesh) or len(found.faces) == 0:
-        return None
-    found.merge_vertices(merge_norm=True, merge_tex=True)
-    coarse = trimesh.Trimesh(*_simplified(found.vertices, found.faces), process=False)
-    is_closed = found.is_watertight and found.is_winding_consistent
-    if not is_closed or found.volume < 0.0:
+def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
+    """Simplify a shape's meshes, and turn faces outwards, or to both sides of an open one."""
+    trimesh = require("trimesh", "plot")
+    bare = [trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes]
+    mesh = trimesh.util.concatenate(bare)
+    mesh.merge_vertices(merge_norm=True, merge_tex=True)
+    coarse = trimesh.Trimesh(*_simplified(mesh.vertices, mesh.faces), process=False)
+    is_closed = mesh.is_watertight and mesh.is_winding_consistent
+    if not is_closed or mesh.volume < 0.0:
         inverse = coarse.copy()
         inverse.invert()
         coarse = inverse if is_closed else trimesh.util.concatenate(coarse, inverse)
-    # Faces of a mirrored mesh are turned over.
-    return coarse.apply_scale(get_numbers(mesh, "scale", 3, "1 1 1"))
-
-
-def mesh_file(name: str, spec: HandSpec) -> Path:
-    """Return the path of a mesh of a hand's URDF; see `find_mesh`."""
-    return find_mesh(name, urdf_path(spec).parent)
+    return solid(coarse, colour)
 
 
 def _simplified(
@@ -388,23 +323,3 @@ def _simplified(
         [np.bincount(cell_of, weights) / counts for weights in vertices.T]
     )
     return means, coarse
-
-
-def _triangles(mesh: Any, colour: Colour) -> Triangles:
-    """Return the triangles of a mesh of trimesh; its surface breaks at edges."""
-    shade = require("trimesh", "plot").graph.smooth_shade
-    smooth = shade(mesh, angle=_SMOOTH_ANGLE, facet_minarea=None)
-    corners = smooth.vertices[smooth.faces]
-    normals = unit(smooth.vertex_normals[smooth.faces])
-    return Triangles.painted(corners, normals, colour)
-
-
-def _colour(material: ET.Element | None, named: dict[str | None, ET.Element]) -> Colour:
-    """Return the colour of a URDF material, its own or by name; grey without one."""
-    if material is not None and not len(material):
-        material = named.get(material.get("name"))
-    colour = None if material is None else material.find("color")
-    if colour is None:
-        return GREY
-    red, green, blue, _ = get_numbers(colour, "rgba", 4)
-    return red, green, blue

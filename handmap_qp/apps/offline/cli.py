@@ -30,8 +30,7 @@ from handmap_qp.human.person import write_person
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream.measurement import measure_person
-
-SIDES = ("left", "right")
+from handmap_qp.trackers.formats.base import SIDES
 
 
 @dataclass(frozen=True)

@@ -239,11 +239,9 @@ def palm_metrics(human: HandTrace, robot: HandTrace) -> Values:
 
 def pinch_gaps(hand: HandTrace) -> dict[str, np.ndarray]:
     """Distances from the thumb's tip to the other fingertips [m], shape (T,) each."""
-    if THUMB not in hand.names:
-        return {}
-    tips = dict(zip(hand.names, hand.points[:, :, TIP].swapaxes(0, 1), strict=True))
-    thumb = tips.pop(THUMB)
-    return {name: lengths(tip - thumb) for name, tip in tips.items()}
+    tips = _tips_by_finger(hand)
+    thumb = tips.pop(THUMB, None)
+    return {} if thumb is None else {f: lengths(tip - thumb) for f, tip in tips.items()}
 
 
 def pinch_order(human: HandTrace, robot: HandTrace) -> float:

@@ -11,7 +11,6 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.hands.fingers import (
     Finger,
@@ -115,7 +114,6 @@ def trace_robot(
     hand: Hand,
     q: np.ndarray,
     wrist: np.ndarray | None = None,
-    chains: dict[str, Finger] | None = None,
 ) -> HandTrace:
     """Describe a robot's motion by its joint angles and wrist poses.
 
@@ -123,26 +121,19 @@ def trace_robot(
         hand: The robot hand.
         q: Joint angles in the order of `hand.joint_names` [rad], shape (T, n).
         wrist: Wrist poses in the world, shape (T, 4, 4); omitted for a fixed hand.
-        chains: Its fingers, if they have been found before.
 
     Returns:
         The trace.
     """
-    chains = chains or fingers_of(hand)
-    wrists = np.broadcast_to(np.eye(4), (len(q), 4, 4)) if wrist is None else wrist
-    data = hand.model.createData()
-    vector = np.zeros(hand.model.nq)
-    palm = np.empty((len(q), 4, 4))
-    points = np.empty((len(q), len(chains), 3, 3))
-    places = [(chain.knuckle, chain.middle, chain.tip) for chain in chains.values()]
-    for t, angles in enumerate(q):
-        hand.write_configuration(vector, angles, wrists[t])
-        pin.framesForwardKinematics(hand.model, data, vector)
-        palm[t] = data.oMf[hand.palm_frame_id].homogeneous
-        points[t] = [
-            [data.oMi[joint].act(offset) for joint, offset in three] for three in places
-        ]
-    reach = np.array([chain.reach for chain in chains.values()])
+    chains = fingers_of(hand)
+    wrists = [None] * len(q) if wrist is None else wrist
+    poses = [hand.frame_pose("palm", *pair) for pair in zip(q, wrists, strict=True)]
+    palm = np.array(poses)
+    fingers = chains.values()
+    places = [place for one in fingers for place in (one.knuckle, one.middle, one.tip)]
+    local = PalmKinematics(hand).points(q, places).reshape(len(q), -1, 3, 3)
+    points = transform_points(palm[:, None], local)
+    reach = np.array([one.reach for one in fingers])
     return HandTrace(tuple(chains), points, reach, palm, _size(hand, chains))
 
 

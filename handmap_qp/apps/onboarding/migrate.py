@@ -18,11 +18,10 @@ from handmap_qp.apps.onboarding.detect import Detection, detect, point_sets
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError, without_errno
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.human.sample import LANDMARK_NAMES
+from handmap_qp.human.sample import LANDMARK_NAMES, TIPS
 
 _Kind = Literal["dexpilot", "vector", "position"]
 _Index = Annotated[int, Meta(ge=0, lt=len(LANDMARK_NAMES))]
-_TIPS = (4, 8, 12, 16, 20)
 # Settings without a counterpart, and what takes their place.
 _ELSEWHERE = {
     "scaling_factor": "sizes are measured on both hands; --scale of the presets object and paper",
@@ -91,7 +90,7 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         # It has two rows of indices: where vectors begin, and where they end.
         indices = indices[1]
     elif kind == "dexpilot":
-        indices = [*_TIPS[:count]]
+        indices = TIPS[:count].tolist()
     indices = setting(
         "target_link_human_indices",
         Annotated[list[_Index], Meta(min_length=count, max_length=count)],

@@ -8,7 +8,6 @@ written to the `hand.yaml` for its owner to correct.
 from __future__ import annotations
 
 import math
-import warnings
 import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.apps.drawing.shapes import shape_meshes
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import Place, zero_posture
 from handmap_qp.hands.model import (
@@ -24,14 +24,12 @@ from handmap_qp.hands.model import (
     read_mimic_rules,
     tighten_model,
 )
-from handmap_qp.hands.sources import find_mesh
 from handmap_qp.hands.spec import LimitSpec, MimicSpec
 from handmap_qp.hands.urdf import (
     MOVABLE,
     check_tree,
     cut_subtree,
     fix_free_joints,
-    get_numbers,
     joints_by_name,
     mimics_of,
     origin_of,
@@ -271,52 +269,22 @@ class Robot:
             clouds = [np.zeros((0, 3))]
             for link in self.links[body]:
                 placement = self.model.frames[self.frames[link]].placement.homogeneous
-                visuals, others = (
-                    [*map(self._cloud, self._elements[link].iterfind(kind))]
-                    for kind in ("visual", "collision")
-                )
-                shapes = visuals if any(map(len, visuals)) else others
-                clouds += [transform_points(placement, cloud) for cloud in shapes]
+                points = self._points(link, "visual") or self._points(link, "collision")
+                clouds += [transform_points(placement, cloud) for cloud in points]
             self._surfaces[body] = np.concatenate(clouds)
         return self._surfaces[body]
 
-    def _cloud(self, shape: ET.Element) -> np.ndarray:
-        """Return points on one shape in its link's frame; none if its mesh cannot be read."""
-        # Loading it takes half a second, and hands without shapes need it not.
-        import trimesh
+    def _points(self, link: str, kind: str) -> list[np.ndarray]:
+        """Return points of each shape of a link in its frame, at most some of each mesh."""
 
-        solid = shape.find("geometry/*")
-        made = trimesh.creation
-        points = np.zeros((0, 3))
-        if solid is None:
-            return points
-        match solid.tag:
-            case "box":
-                points = made.box(get_numbers(solid, "size", 3)).vertices
-            case "sphere":
-                points = made.icosphere(2, *get_numbers(solid, "radius", 1)).vertices
-            case "cylinder":
-                size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
-                points = made.cylinder(*size, sections=24).vertices
-            case "mesh":
-                scale = get_numbers(solid, "scale", 3, "1 1 1")
-                points = self._mesh(solid.get("filename", "")) * scale
-        return transform_points(origin_of(shape), np.array(points))
-
-    def _mesh(self, name: str) -> np.ndarray:
-        """Return vertices of a mesh, shape (k, 3); none if it cannot be read."""
-        import trimesh
-
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                found = trimesh.load_mesh(find_mesh(name, self.file.parent))
-                whole = found if isinstance(found, trimesh.Trimesh) else found.to_mesh()
-        # Mesh readers raise many types; the end of a finger can be found without its mesh.
-        except Exception:
+        def note(name: str) -> None:
             self._remark(f"the mesh {name}", "cannot be read")
-            return np.zeros((0, 3))
-        return whole.vertices[:: max(1, len(whole.vertices) // _MOST_POINTS)]
+
+        return [
+            np.array(mesh.vertices[:: max(1, len(mesh.vertices) // _MOST_POINTS)])
+            for shape in self._elements[link].iterfind(kind)
+            for mesh in shape_meshes(shape, self.file.parent, note)
+        ]
 
     # -- assumptions
 

@@ -27,7 +27,8 @@ from logging import WARNING
 
 import zmq
 
-from handmap_qp.apps.service.logs import Metrics, Throttle, naming
+from handmap_qp.apps.refusals import naming
+from handmap_qp.apps.service.logs import Metrics, Throttle
 from handmap_qp.apps.service.safety import Bucket
 
 _RATE = 1024.0

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from zmq.auth import create_certificates, load_certificate
 
-from handmap_qp.apps.service.logs import Throttle, naming, report
+from handmap_qp.apps.refusals import naming
+from handmap_qp.apps.service.logs import Throttle, report
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError, expect
 
 _KEY_LENGTH = 40

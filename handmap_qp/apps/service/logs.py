@@ -31,8 +31,8 @@ from prometheus_client.core import (
     Metric,
 )
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.service.safety import Bucket
-from handmap_qp.errors import InvalidInputError, without_errno
 
 log = logging.getLogger("handmap_qp.apps.service")
 """Logger of the service; `report` writes to it."""
@@ -70,27 +70,6 @@ def report(
 ) -> None:
     """Log an event with its data, and with the traceback of a failure."""
     log.log(level, event, exc_info=failure, extra={"data": data})
-
-
-@contextmanager
-def naming(argument: object = "", problem: str = "", **more: str) -> Iterator[None]:
-    """Raise what the system refuses as an error of an argument.
-
-    Args:
-        argument: Name of the argument, or the file; that of the system's error if omitted.
-        problem: What cannot be done, before the system's reason.
-        **more: Further fields of the error.
-
-    Raises:
-        InvalidInputError: In place of OSError.
-    """
-    try:
-        yield
-    except OSError as error:
-        reason = ": ".join(filter(None, (problem, without_errno(error))))
-        raise InvalidInputError(
-            argument=str(argument or error.filename), problem=reason, **more
-        ) from error
 
 
 class JsonLines(logging.Formatter):

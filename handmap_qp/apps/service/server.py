@@ -32,6 +32,7 @@ import zmq.asyncio
 from zmq.auth.asyncio import AsyncioAuthenticator
 from zmq.utils.monitor import recv_monitor_message
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.service.connection_gate import ConnectionGate, cost_of
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.keys import (
@@ -45,7 +46,6 @@ from handmap_qp.apps.service.logs import (
     Metrics,
     Throttle,
     logs_on_stderr,
-    naming,
     report,
 )
 from handmap_qp.apps.service.opening import HandCache

@@ -31,8 +31,9 @@ from websockets.http11 import Request, Response
 from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
+from handmap_qp.apps.refusals import naming
 from handmap_qp.apps.service.dispatch import Dispatcher
-from handmap_qp.apps.service.logs import naming, report, websocket_log
+from handmap_qp.apps.service.logs import report, websocket_log
 from handmap_qp.apps.service.pages import page_response
 from handmap_qp.apps.service.safety import Bucket
 from handmap_qp.apps.service.sessions import Caller, Sessions

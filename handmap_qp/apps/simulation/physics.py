@@ -21,34 +21,20 @@ from handmap_qp.se3 import as_floats, lengths, unit
 
 KINDS = ("box", "sphere", "cylinder")
 """Names of shapes with one size."""
+Length = Annotated[float, number("Length [m].", above=True)]
 
 
-def positive(value: float, name: str) -> None:
-    """Reject anything but a finite number > 0.
-
-    Raises:
-        InvalidInputError: If it is not one.
-    """
-    number = as_floats(value, name, shape=(), is_finite=True)
-    expect(number > 0.0, name, "a number > 0", value=value)
-
-
-@dataclass(frozen=True, slots=True)
-class Box:
+class Box(Options, frozen=True):
     """A box.
 
     Attributes:
         size: Lengths of its sides along x, y and z [m].
 
     Raises:
-        InvalidInputError: If a side is not > 0.
+        InvalidOptionsError: If a side is not > 0.
     """
 
-    size: Vector
-
-    def __post_init__(self) -> None:
-        for side in as_floats(self.size, "size", shape=(3,)):
-            positive(side, "size")
+    size: tuple[Length, Length, Length]
 
     @property
     def width(self) -> float:
@@ -56,21 +42,17 @@ class Box:
         return self.size[0]
 
 
-@dataclass(frozen=True, slots=True)
-class Sphere:
+class Sphere(Options, frozen=True):
     """A sphere.
 
     Attributes:
         radius: Radius [m].
 
     Raises:
-        InvalidInputError: If the radius is not > 0.
+        InvalidOptionsError: If the radius is not > 0.
     """
 
-    radius: float
-
-    def __post_init__(self) -> None:
-        positive(self.radius, "radius")
+    radius: Length
 
     @property
     def width(self) -> float:
@@ -78,8 +60,7 @@ class Sphere:
         return 2.0 * self.radius
 
 
-@dataclass(frozen=True, slots=True)
-class Cylinder:
+class Cylinder(Options, frozen=True):
     """A cylinder along z.
 
     Attributes:
@@ -87,15 +68,11 @@ class Cylinder:
         length: Length [m].
 
     Raises:
-        InvalidInputError: If radius or length is not > 0.
+        InvalidOptionsError: If radius or length is not > 0.
     """
 
-    radius: float
-    length: float
-
-    def __post_init__(self) -> None:
-        positive(self.radius, "radius")
-        positive(self.length, "length")
+    radius: Length
+    length: Length
 
     @property
     def width(self) -> float:
@@ -149,7 +126,8 @@ class Body:
     def __post_init__(self) -> None:
         is_shape = isinstance(self.shape, Shape | MeshShape)
         expect(is_shape, "shape", "a shape", value=self.shape)
-        positive(self.mass, "mass")
+        mass = as_floats(self.mass, "mass", shape=(), is_finite=True)
+        expect(mass > 0.0, "mass", "a number > 0", value=self.mass)
 
 
 def named_shape(kind: str, size: float) -> Shape:
@@ -173,6 +151,7 @@ def parse_object(text: str) -> Shape | MeshShape:
 
     Raises:
         InvalidInputError: If it is none of these.
+        InvalidOptionsError: If a size is not positive.
         MissingExtraError: If a mesh is given and trimesh is not installed.
     """
     kind, _, rest = text.partition(":")

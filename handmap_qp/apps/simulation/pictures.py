@@ -16,7 +16,7 @@ from handmap_qp.apps.simulation.physics import surface, turn_up
 from handmap_qp.apps.simulation.simulator import Episode, Instant
 from handmap_qp.apps.tables import progress
 from handmap_qp.apps.viewer.page import make_page
-from handmap_qp.apps.viewer.sample import Solid, Variant, ViewSample
+from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Display
 from handmap_qp.errors import require
 from handmap_qp.output_files import replaced_file
@@ -25,7 +25,6 @@ from handmap_qp.se3 import affine
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
 _PAPER = np.array([0.965, 0.97, 0.975])
 _SIZE = (480, 360)
-# From +z up, as in pictures, to +y up and seen along +z, as in the view.
 
 
 def frames(
@@ -46,8 +45,7 @@ def frames(
     """
     at = episode.at
     shape = load_shape(episode.hand)
-    mesh = surface(episode.body.shape)
-    held = solid(mesh.vertices, mesh.faces, _OBJECT_COLOUR)
+    held = solid(surface(episode.body.shape), _OBJECT_COLOUR)
     turn = affine(turn_up(up), np.zeros(3))
     wrists = at.wrist if episode.hand.is_floating else [None] * len(at.time)
 
@@ -138,16 +136,16 @@ def write_page(
         MissingExtraError: If viser is not installed.
         InvalidInputError: If the file cannot be written.
     """
+    # From +z up, as in pictures, to +y up and seen along +z, as in the view.
     axes = UPRIGHT[:3, :3] @ turn_up(up)
     variants = []
     for name, episode in episodes.items():
-        mesh = surface(episode.body.shape)
-        solid = Solid(np.asarray(mesh.vertices), np.asarray(mesh.faces))
+        held = surface(episode.body.shape)
         samples = [
             _view_sample(episode, Instant(*row))
             for row in zip(*episode.at, strict=True)
         ]
-        variants.append(Variant(name, episode.hand, None, samples, solid, axes))
+        variants.append(Variant(name, episode.hand, None, samples, held, axes))
     page = make_page(title, None, variants, display=Display("world"))
     with replaced_file(path, "--html") as file:
         file.write(page)

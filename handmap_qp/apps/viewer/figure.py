@@ -6,18 +6,17 @@ sends what has changed only.
 
 from __future__ import annotations
 
-import io
-import xml.etree.ElementTree as ET
 from abc import ABC, abstractmethod
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Iterable
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_file
+from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR, mesh_folder
 from handmap_qp.apps.drawing.raster import Colour
+from handmap_qp.apps.drawing.shapes import LinkShape, read_shapes
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.fingers import finger_tips
 from handmap_qp.hands.hand import Hand
@@ -544,39 +543,25 @@ def link_meshes(hand: Hand) -> dict[str, list[Any]]:
     Returns:
         Meshes of trimesh by the link's name.
     """
-    from yourdfpy import URDF
-
-    robot = parse_urdf(hand.urdf_text)
-    # yourdfpy names the nodes of links and of shapes alike, and a shape with a link's name would
-    # replace the link: rename all shapes.
-    for link in robot.iterfind("link"):
-        for i, visual in enumerate(link.iterfind("visual")):
-            visual.set("name", f"{link.get('name')}_shape_{i}")
-    text = io.BytesIO(ET.tostring(robot))
-    urdf = URDF.load(
-        text, filename_handler=lambda fname: str(mesh_file(fname, hand.spec))
-    )
-    graph = urdf.scene.graph
-    shapes = defaultdict(list)
-    for node in graph.nodes_geometry:
-        link = graph.transforms.parents[node]
-        pose, name = graph.get(node, link)
-        shapes[link].append(urdf.scene.geometry[name].copy().apply_transform(pose))
-    return {link: _merged(meshes) for link, meshes in shapes.items()}
+    shapes = read_shapes(parse_urdf(hand.urdf_text), "visual", mesh_folder(hand))
+    return {link: _merged(parts) for link, parts in shapes.items()}
 
 
-def _merged(meshes: list[Any]) -> list[Any]:
+def _merged(shapes: list[LinkShape]) -> list[Any]:
     """Return one mesh of those without textures, each face in its colour, and the others."""
     from trimesh.util import concatenate
     from trimesh.visual import ColorVisuals
 
-    plain = [mesh for mesh in meshes if mesh.visual.kind != "texture"]
-    if len(plain) < 2:
-        return meshes
-    for mesh in plain:
-        mesh.visual = ColorVisuals(mesh, face_colors=mesh.visual.face_colors)
-    merged = concatenate(plain)
-    return [merged, *(mesh for mesh in meshes if mesh.visual.kind == "texture")]
+    plain, textured = [], []
+    for meshes, colour in shapes:
+        for mesh in meshes:
+            if mesh.visual.kind == "texture":
+                textured.append(mesh)
+                continue
+            own = mesh.visual.face_colors if colour is None else as_bytes(colour)
+            mesh.visual = ColorVisuals(mesh, face_colors=own)
+            plain.append(mesh)
+    return [concatenate(plain), *textured] if plain else textured
 
 
 def _add_lines(

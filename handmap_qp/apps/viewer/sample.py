@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,18 +67,6 @@ class ViewSample:
         return np.linalg.norm(targets - self.robot_points, axis=1)
 
 
-class Solid(NamedTuple):
-    """An object in the world of a robot.
-
-    Attributes:
-        vertices: Vertices in the object's frame [m], shape (n, 3).
-        faces: Indices of the vertices of each triangle, shape (m, 3).
-    """
-
-    vertices: np.ndarray
-    faces: np.ndarray
-
-
 class Variant(NamedTuple):
     """A robot hand that the view shows, and what moves it.
 
@@ -87,7 +75,7 @@ class Variant(NamedTuple):
         robot: The robot hand, with the reference points that the method moves.
         choice: Preset and options; None for a motion that they do not explain.
         samples: Its samples; at least the first.
-        solid: An object, placed by `ViewSample.object_pose`.
+        solid: An object, a `trimesh.Trimesh`, placed by `ViewSample.object_pose`; None for none.
         axes: Rotation from V to the scene's axes, in which +y is up and the view is along +z,
             shape (3, 3); as the mapping aligns both hands if omitted.
     """
@@ -96,5 +84,5 @@ class Variant(NamedTuple):
     robot: Hand
     choice: Choice | None
     samples: Sequence[ViewSample]
-    solid: Solid | None = None
+    solid: Any = None
     axes: np.ndarray | None = None

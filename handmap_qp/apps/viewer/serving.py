@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from handmap_qp.apps.addresses import is_loopback, names_loopback
-from handmap_qp.errors import InvalidInputError, expect, require
+from handmap_qp.apps.refusals import naming
+from handmap_qp.errors import expect, require
 
 if TYPE_CHECKING:
     import viser
@@ -43,15 +44,12 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
     expect(host.strip(), "--host", "an address", value=host, advice=advice)
     # viser treats every bind error as a port in use and silently tries the next thousand, so bind
     # once here to report the real reason.
-    try:
-        with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
-            probe.bind((host, 0))
-    except OSError as error:
-        raise InvalidInputError(
-            argument="--host",
-            problem=f"cannot listen on {host}: {error.strerror or error}",
-            value=host,
-        ) from error
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with (
+        naming("--host", f"cannot listen on {host}", value=host),
+        socket.socket(family) as probe,
+    ):
+        probe.bind((host, 0))
     with _own_pages_only(host), contextlib.redirect_stdout(io.StringIO()):
         server = make_server(host=host, port=port, label="handmap view", verbose=False)
     server.gui.configure_theme(

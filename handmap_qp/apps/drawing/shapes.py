@@ -1,0 +1,106 @@
+"""The shapes of a URDF's links as meshes of trimesh: `read_shapes`."""
+
+from __future__ import annotations
+
+import warnings
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from handmap_qp.apps.drawing.raster import Colour
+from handmap_qp.errors import require
+from handmap_qp.hands.sources import find_mesh
+from handmap_qp.hands.urdf import get_numbers, origin_of
+
+LinkShape = tuple[list[Any], Colour | None]
+"""Meshes of trimesh, several of some files, and their colour; None for that of the file."""
+
+
+def read_shapes(
+    robot: ET.Element, kind: str, folder: Path
+) -> dict[str, list[LinkShape]]:
+    """Read the shapes of each link that has any, in the link's frame [m].
+
+    Meshes that cannot be read are left out.
+
+    Args:
+        robot: The `<robot>` element.
+        kind: `visual` or `collision`.
+        folder: Folder of the URDF, for `find_mesh`.
+
+    Raises:
+        HandError: If a shape lacks its numbers.
+        MissingExtraError: If trimesh is not installed.
+    """
+    named = {each.get("name"): each for each in robot.iter("material") if len(each)}
+    found = {}
+    for link in robot.iterfind("link"):
+        shapes = [
+            (meshes, _colour(shape.find("material"), named))
+            for shape in link.iterfind(kind)
+            if (meshes := shape_meshes(shape, folder))
+        ]
+        if shapes:
+            found[link.get("name", "")] = shapes
+    return found
+
+
+def shape_meshes(
+    shape: ET.Element, folder: Path, miss: Callable[[str], object] = str
+) -> list[Any]:
+    """Read one shape in the frame of its link; a file may hold several meshes.
+
+    Args:
+        shape: A `<visual>` or `<collision>` element.
+        folder: As of `read_shapes`.
+        miss: Called with the name of a mesh that cannot be read.
+    """
+    return [
+        mesh.apply_transform(origin_of(shape))
+        for solid in shape.iterfind("geometry/*")
+        for mesh in _meshes(solid, folder, miss)
+    ]
+
+
+def _meshes(
+    solid: ET.Element, folder: Path, miss: Callable[[str], object]
+) -> list[Any]:
+    """Return the meshes of a URDF geometry; those of a file may be several."""
+    trimesh = require("trimesh", "plot")
+    made = trimesh.creation
+    match solid.tag:
+        case "box":
+            return [made.box(get_numbers(solid, "size", 3))]
+        case "sphere":
+            return [made.icosphere(3, *get_numbers(solid, "radius", 1))]
+        case "cylinder":
+            size = (get_numbers(solid, key, 1)[0] for key in ("radius", "length"))
+            return [made.cylinder(*size, sections=40)]
+        case "mesh":
+            name = solid.get("filename", "")
+            scale = get_numbers(solid, "scale", 3, "1 1 1")
+            # Mesh readers raise many types; the other shapes do without this one.
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore")
+                    found = trimesh.load_scene(find_mesh(name, folder)).dump()
+            except Exception:
+                miss(name)
+                return []
+            # Faces of a mirrored mesh are turned over.
+            return [each.apply_scale(scale) for each in found if len(each.faces)]
+    return []
+
+
+def _colour(
+    material: ET.Element | None, named: dict[str | None, ET.Element]
+) -> Colour | None:
+    """Return the colour of a URDF material, its own or by name; None without one."""
+    if material is not None and not len(material):
+        material = named.get(material.get("name"))
+    colour = None if material is None else material.find("color")
+    if colour is None:
+        return None
+    red, green, blue, _ = get_numbers(colour, "rgba", 4)
+    return red, green, blue
