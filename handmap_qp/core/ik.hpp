@@ -66,6 +66,7 @@ struct Result {
   std::vector<std::int8_t> active;
   int iterations;
   double last_step;
+  int held_by;  // the pair of shapes that holds the hand back, or -1
 };
 
 class Ik {
@@ -153,6 +154,7 @@ class Ik {
     result.active.assign(tree.size, 0);
     result.iterations = 0;
     result.last_step = 0.0;
+    result.held_by = -1;
     result.status = Status::released;
   }
 
@@ -189,6 +191,7 @@ class Ik {
         around();
         return admit(total_, total_, dt, around, tries - 1);
       }
+      if (is_inside && pairs->has_met()) held_by_ = pairs->nearest_met();
       Vector short_first(n);
       for (int i = 0; i < n; ++i)
         short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
@@ -215,11 +218,26 @@ class Ik {
   bool step(const Goal& goal, int rows, double& length2) {
     cost(goal);
     length2 = 0.0;
+    held_by_ = -1;
     if (!qp_.solve(tree.size, H_.data(), c_.data(), least_.data(), most_.data(), rows,
                    linear_.G.data(), h_.data()))
       return false;
     for (const double x : qp_.x) length2 += x * x;
-    return std::isfinite(length2);
+    if (!std::isfinite(length2)) return false;
+    if (rows > 0 && qp_.has_active_row()) find_holding();
+    return true;
+  }
+
+  // The pair whose row the cost presses the last step against most.
+  void find_holding() {
+    const int n = tree.size;
+    slope_ = c_;
+    for (int i = 0; i < n; ++i)
+      for (int j = 0; j <= i; ++j) {
+        slope_[i] += H_[i * n + j] * qp_.x[j];
+        if (j < i) slope_[j] += H_[i * n + j] * qp_.x[i];
+      }
+    held_by_ = pairs->pair_of(pressing_row(slope_, qp_.x, least_, most_, linear_, h_));
   }
 
   // Add rows of one block, nonzero in `columns_` only, to the cost.
@@ -487,6 +505,7 @@ class Ik {
     }
     result.iterations = iterations;
     result.last_step = last_step;
+    result.held_by = held_by_;
     result.status = has_failed                                              ? Status::failed
                     : std::sqrt(farthest2) <= settings.point_tolerance ? Status::converged
                     : at_bound                                              ? Status::limited
@@ -500,11 +519,12 @@ class Ik {
   Box box_;
   TaskRows further_;
   Placed start_, path_end_;
+  int held_by_ = -1;
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
   std::vector<Vec3> levers_;
-  Vector lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_, taken_,
-      times_, path_, whole_, reached_;
+  Vector lower_, upper_, total_, first_, least_, most_, h_, H_, c_, slope_, diagonal_, block_,
+      taken_, times_, path_, whole_, reached_;
 };
 
 }  // namespace handmap

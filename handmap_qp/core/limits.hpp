@@ -19,6 +19,8 @@ constexpr double kRoughly = 2e-5;
 constexpr double kParted = 0.3;
 constexpr double kLever = 0.015;
 constexpr double kInside = 0.9;
+constexpr double kTight = 1e-7;
+constexpr double kPressing = 10.0;
 constexpr int kTries = 3;
 constexpr double kShares[] = {1.0, 0.5, 0.25, 0.1};
 
@@ -118,6 +120,27 @@ struct Rows {
   int count = 0;
   Vector G, h;
 };
+
+// Return the row that a cost presses a step against most, or -1; see limits.pressing_row.
+inline int pressing_row(const Vector& slope, const Vector& step, const Vector& lower,
+                        const Vector& upper, const Rows& rows, const Vector& h) {
+  const int n = static_cast<int>(step.size());
+  int found = -1;
+  double most = kPressing;
+  for (int k = 0; k < rows.count; ++k) {
+    const double* g = rows.G.data() + k * n;
+    double moved = 0.0, pressed = 0.0, length2 = kLever * kLever;
+    for (int i = 0; i < n; ++i) {
+      moved += g[i] * step[i];
+      length2 += g[i] * g[i];
+      if (std::min(step[i] - lower[i], upper[i] - step[i]) > kTight) pressed -= g[i] * slope[i];
+    }
+    if (h[k] - moved > kTight || !(pressed / length2 > most)) continue;
+    most = pressed / length2;
+    found = k;
+  }
+  return found;
+}
 
 // Loosen rows where they contradict each other or a box; see limits.feasible.
 class Feasible {

@@ -51,6 +51,11 @@ class Qp {
     return false;
   }
 
+  // Whether a row holds the minimum.
+  bool has_active_row() const {
+    return std::any_of(active_.begin(), active_.end(), [this](int k) { return k >= 2 * n_; });
+  }
+
  private:
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
   // A constraint whose normal has less than this share outside the active ones depends on them.

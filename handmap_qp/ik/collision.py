@@ -393,6 +393,11 @@ class CollisionLimit:
             levers = levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
 
+    @cached_property
+    def links(self) -> tuple[tuple[str, ...], ...]:
+        """Links of both shapes of each pair; behind the last, and so at -1, there is none."""
+        return (*ShapePairs(self.shape_distances.bounds.geometry, ()).links, ())
+
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
 

@@ -92,6 +92,9 @@ _LEVER = 0.015
 # Parting takes this share of the box at most. All of it may leave nothing but its corner, which
 # DAQP reports as infeasible.
 _INSIDE = 0.9
+# A row is tight within this [m]. It holds a step back where the cost would fall by this much per
+# metre: where a point stays a millimetre from its target because of it.
+_TIGHT, _PRESSING = 1e-7, 10.0
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 # How often a way is sought around what meets.
 _TRIES = 3
@@ -322,6 +325,25 @@ def feasible(
     return G, loose if does_harm.any() else np.maximum(h, parted)
 
 
+def pressing_row(
+    slope: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows
+) -> int:
+    """Return the row that a cost presses a step against most; -1 if against none.
+
+    Args:
+        slope: Derivative of the cost there, shape (n,).
+        step: Solution of a QP with these bounds and rows, likewise.
+        lower: Lower bound, likewise; `upper` the upper one.
+        rows: G and h.
+    """
+    G, h = rows
+    is_free = np.minimum(step - lower, upper - step) > _TIGHT
+    pressed = -G.dot(slope * is_free) / (np.square(G).sum(axis=1) + _LEVER**2)
+    pressed[h - G.dot(step) > _TIGHT] = 0.0
+    most = pressed.max(initial=_PRESSING)
+    return int(pressed.argmax()) if most > _PRESSING else -1
+
+
 class Motion(NamedTuple):
     """How a robot moves; do not write to the arrays.
 
@@ -369,6 +391,7 @@ class Gate:
         limits: Of position, speed and acceleration.
         collisions: As given.
         was_set: Whether the motion was set since the compiled core last moved the robot.
+        held_by: Index of the pair that holds the robot back; -1 for none.
     """
 
     def __init__(
@@ -390,6 +413,8 @@ class Gate:
             together=None if collisions is None else collisions.columns,
         )
         self._together = self.limits.together
+        self.held_by = -1
+        self._row_pairs = np.zeros(0, dtype=int)
 
     @property
     def motion(self) -> Motion:
@@ -448,15 +473,20 @@ class Gate:
         if collisions is None:
             return None
         q, last, *_ = self.motion
-        return collisions.rows(
-            placed, collisions.measure(q, dt, margins, last), margins
-        )
+        near = collisions.measure(q, dt, margins, last)
+        self._row_pairs = near.pairs
+        return collisions.rows(placed, near, margins)
 
     def joined(self, rows: Rows, placed: Configuration, met: NearPairs) -> Rows:
         """Return rows, and those of points that met; arguments as of `rows` and `admit`."""
         assert self.collisions is not None
         further = self.collisions.rows_of_met(placed, met)
+        self._row_pairs = np.append(self._row_pairs, met.pairs)
         return np.vstack([rows[0], further[0]]), np.append(rows[1], further[1])
+
+    def note_row(self, row: int) -> None:
+        """Note the row that holds the robot back; -1 for none."""
+        self.held_by = -1 if row < 0 else int(self._row_pairs[row])
 
     def admit(
         self,
@@ -489,6 +519,8 @@ class Gate:
             other = around(met)
             return self.admit(other, other, dt, around, tries - 1)
         if not is_inside or met is not None:
+            if met is not None and len(met.pairs):
+                self.held_by = int(met.pairs[met.found[:, 0].argmin()])
             first = np.fmin(np.fmax(first, box.lower), box.upper)
             taken, times = self._shortened(None if is_inside else taken, first, dt)
         self._move(taken, times, dt)

@@ -28,7 +28,7 @@ import pinocchio as pin
 from handmap_qp import ik
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible
+from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible, pressing_row
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
 from handmap_qp.se3 import frozen, lengths
@@ -74,6 +74,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
             shape (n,).
         iterations: QPs solved.
         last_step: Euclidean norm of the last iteration's step [rad or m].
+        held_by: Links of the pair of shapes that holds the hand back most; empty if none does.
     """
 
     status: Status
@@ -86,6 +87,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     joint_columns: np.ndarray
     iterations: int
     last_step: float
+    held_by: tuple[str, ...] = ()
 
     @property
     def errors(self) -> np.ndarray:
@@ -97,6 +99,11 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
 def _costs(hand: Hand, options: IkOptions) -> np.ndarray:
     """Return the cost of every row of `weighted_task`, shape (3 m + 6,), read-only."""
     return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
+
+
+def links_at(collisions: CollisionLimit | None, pair: int) -> tuple[str, ...]:
+    """Return the links of a pair of shapes by its index; none for -1."""
+    return () if collisions is None else collisions.links[pair]
 
 
 def weighted_task(
@@ -376,6 +383,7 @@ class PointIk:
             dt: Time since the last sample [s].
         """
         displacement = self.gate.brake(dt)
+        self.gate.note_row(-1)
         points = self.configuration.points.copy()
         free = np.full(len(displacement), np.inf)
         return self._result("released", points, displacement, -free, free, 0, 0.0)
@@ -406,11 +414,19 @@ class PointIk:
         if self.options.formulation == "mink":
             limit = ik.mink_problem.RowsLimit(lower, upper, rows)
             posed = ik.mink_problem.build_problem(*problem, limit)
+            H, c = posed.P, posed.q
             step = ik.solvers.solve_problem(posed, self.options.solver)
         else:
-            step = self._solver(*direct_cost(*problem), lower, upper, rows)
+            H, c = direct_cost(*problem)
+            step = self._solver(H, c, lower, upper, rows)
+        self.gate.note_row(-1)
         # Catch NaN too, which solvers return where extreme weights or targets overflow.
-        return step if step is not None and math.isfinite(step.dot(step)) else None
+        if step is None or not math.isfinite(step.dot(step)):
+            return None
+        if rows is not None:
+            slope = H.dot(step) + c
+            self.gate.note_row(pressing_row(slope, step, lower, upper, rows))
+        return step
 
     def _result(
         self,
@@ -447,4 +463,5 @@ class PointIk:
             self.hand.joint_columns,
             iterations,
             last_step,
+            links_at(self.gate.collisions, self.gate.held_by),
         )
