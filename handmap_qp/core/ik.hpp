@@ -133,7 +133,9 @@ class Ik {
       for (int i = 0; i < n; ++i)
         total_[i] = clip(has_step ? qp_.x[i] : 0.0, lower_[i], upper_[i]);
     };
+    has_stopped_ = false;
     admit(total_, first_, dt, around);
+    if (!has_stopped_) find_holding();
     at.place(motion.q.data());
     if (pairs) pairs->arrive(at, path_end_);
     finish(goal, iterations, last_step, has_failed, result);
@@ -191,7 +193,8 @@ class Ik {
         around();
         return admit(total_, total_, dt, around, tries - 1);
       }
-      if (is_inside && pairs->has_met()) held_by_ = pairs->nearest_met();
+      has_stopped_ = is_inside && pairs->has_met();
+      if (has_stopped_) held_by_ = pairs->nearest_met();
       Vector short_first(n);
       for (int i = 0; i < n; ++i)
         short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
@@ -218,19 +221,20 @@ class Ik {
   bool step(const Goal& goal, int rows, double& length2) {
     cost(goal);
     length2 = 0.0;
-    held_by_ = -1;
+    is_pressed_ = false;
     if (!qp_.solve(tree.size, H_.data(), c_.data(), least_.data(), most_.data(), rows,
                    linear_.G.data(), h_.data()))
       return false;
     for (const double x : qp_.x) length2 += x * x;
-    if (!std::isfinite(length2)) return false;
-    if (rows > 0 && qp_.has_active_row()) find_holding();
-    return true;
+    is_pressed_ = std::isfinite(length2) && qp_.has_active_row();
+    return std::isfinite(length2);
   }
 
-  // The pair whose row the cost presses the last step against most.
+  // Note the pair whose row the cost presses the last step against most.
   void find_holding() {
     const int n = tree.size;
+    held_by_ = -1;
+    if (!is_pressed_) return;
     slope_ = c_;
     for (int i = 0; i < n; ++i)
       for (int j = 0; j <= i; ++j) {
@@ -519,7 +523,9 @@ class Ik {
   Box box_;
   TaskRows further_;
   Placed start_, path_end_;
-  int held_by_ = -1;
+  // Whether a row is active in the last step, and whether pairs that met stopped the hand.
+  bool is_pressed_ = false, has_stopped_ = false;
+  int held_by_ = -1;  // the pair that holds the hand back
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
   std::vector<Vec3> levers_;
