@@ -121,7 +121,7 @@ struct Rows {
   Vector G, h;
 };
 
-// Return the row that a cost presses a step against most, or -1; see limits.pressing_row.
+// Return the row that a cost presses a step against most, or -1; see limits.Gate.press.
 inline int pressing_row(const Vector& slope, const Vector& step, const Vector& lower,
                         const Vector& upper, const Rows& rows, const Vector& h) {
   const int n = static_cast<int>(step.size());

@@ -111,10 +111,12 @@ class PairBounds(Compiled):
         turns: Bound of `S + 2 C` of each pair per change of each coordinate, shape (k, nv).
         signs: 1 where a coordinate moves the first shape of a pair, -1 where it moves the second, 0
             where both or neither, shape (k, nv).
+        links: Links of both shapes of each pair; at -1, there are none.
     """
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
         self.geometry = geometry
+        self.links = (*ShapePairs(geometry, ()).links, ())
         pairs = geometry.collisionPairs
         self.first = np.array([pair.first for pair in pairs], dtype=int)
         self.second = np.array([pair.second for pair in pairs], dtype=int)
@@ -392,11 +394,6 @@ class CollisionLimit:
         if self._expansion is not None:
             levers = levers @ np.abs(self._expansion)
         self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
-
-    @cached_property
-    def links(self) -> tuple[tuple[str, ...], ...]:
-        """Links of both shapes of each pair; behind the last, and so at -1, there is none."""
-        return (*ShapePairs(self.shape_distances.bounds.geometry, ()).links, ())
 
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).

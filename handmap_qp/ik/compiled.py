@@ -17,7 +17,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import core
 from handmap_qp.ik.limits import Gate
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, Status, links_at
+from handmap_qp.ik.qp import IkResult, Status
 from handmap_qp.ik.tasks import Goal, PointDistances, Task
 from handmap_qp.se3 import frozen
 
@@ -33,7 +33,7 @@ class CompiledIk:
         self.core = core_ik
         self._gate = gate
         # Without the gate, which refers to the steps.
-        self._result = partial(_result_of, hand.joint_columns, gate.collisions)
+        self._result = partial(_result_of, hand.joint_columns, gate.links)
 
     def solve(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
@@ -89,7 +89,7 @@ class CompiledIk:
 
 
 def _result_of(
-    columns: np.ndarray, collisions: Any, step: Any, targets: np.ndarray
+    columns: np.ndarray, links: Any, step: Any, targets: np.ndarray
 ) -> IkResult:
     """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
     return IkResult(
@@ -103,7 +103,7 @@ def _result_of(
         columns,
         step.iterations,
         step.last_step,
-        links_at(collisions, step.held_by),
+        links[step.held_by],
     )
 
 

@@ -93,8 +93,8 @@ _LEVER = 0.015
 # DAQP reports as infeasible.
 _INSIDE = 0.9
 # A row is tight within this [m]. It holds a step back where the cost would fall by this much per
-# metre: where a point stays a millimetre from its target because of it.
-_TIGHT, _PRESSING = 1e-7, 10.0
+# metre: where a point stays some millimetre from its target because of it.
+TIGHT, _PRESSING = 1e-7, 10.0
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 # How often a way is sought around what meets.
 _TRIES = 3
@@ -325,25 +325,6 @@ def feasible(
     return G, loose if does_harm.any() else np.maximum(h, parted)
 
 
-def pressing_row(
-    slope: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray, rows: Rows
-) -> int:
-    """Return the row that a cost presses a step against most; -1 if against none.
-
-    Args:
-        slope: Derivative of the cost there, shape (n,).
-        step: Solution of a QP with these bounds and rows, likewise.
-        lower: Lower bound, likewise; `upper` the upper one.
-        rows: G and h.
-    """
-    G, h = rows
-    is_free = np.minimum(step - lower, upper - step) > _TIGHT
-    pressed = -G.dot(slope * is_free) / (np.square(G).sum(axis=1) + _LEVER**2)
-    pressed[h - G.dot(step) > _TIGHT] = 0.0
-    most = pressed.max(initial=_PRESSING)
-    return int(pressed.argmax()) if most > _PRESSING else -1
-
-
 class Motion(NamedTuple):
     """How a robot moves; do not write to the arrays.
 
@@ -391,6 +372,7 @@ class Gate:
         limits: Of position, speed and acceleration.
         collisions: As given.
         was_set: Whether the motion was set since the compiled core last moved the robot.
+        links: Links of each pair; at -1, there are none.
         held_by: Index of the pair that holds the robot back; -1 for none.
     """
 
@@ -413,8 +395,8 @@ class Gate:
             together=None if collisions is None else collisions.columns,
         )
         self._together = self.limits.together
+        self.links = [()] if collisions is None else collisions.shape_distances.bounds.links
         self.held_by = -1
-        self._row_pairs = np.zeros(0, dtype=int)
 
     @property
     def motion(self) -> Motion:
@@ -484,9 +466,19 @@ class Gate:
         self._row_pairs = np.append(self._row_pairs, met.pairs)
         return np.vstack([rows[0], further[0]]), np.append(rows[1], further[1])
 
-    def note_row(self, row: int) -> None:
-        """Note the row that holds the robot back; -1 for none."""
-        self.held_by = -1 if row < 0 else int(self._row_pairs[row])
+    def press(self, slope: np.ndarray, step: np.ndarray, rows: Rows) -> None:
+        """Note the pair whose row the cost presses a step against most, if it is much.
+
+        Args:
+            slope: Derivative of the cost there, 0 at bounds of the box, shape (n,).
+            step: Solution of a QP with these rows, shape (n,).
+            rows: G and h.
+        """
+        G, h = rows
+        pressed = -G.dot(slope) / (np.square(G).sum(axis=1) + _LEVER**2)
+        pressed *= h - G.dot(step) <= TIGHT
+        if pressed.max(initial=0.0) > _PRESSING:
+            self.held_by = int(self._row_pairs[pressed.argmax()])
 
     def admit(
         self,
@@ -515,12 +507,12 @@ class Gate:
         times = self.limits.stop_times(taken, dt)
         is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
         met = self._met_on(taken, times, dt) if is_inside else None
-        if met is not None and len(met.pairs) and around is not None and tries:
-            other = around(met)
-            return self.admit(other, other, dt, around, tries - 1)
+        if met is not None and len(met.pairs):
+            if around is not None and tries:
+                other = around(met)
+                return self.admit(other, other, dt, around, tries - 1)
+            self.held_by = int(met.pairs[met.found[:, 0].argmin()])
         if not is_inside or met is not None:
-            if met is not None and len(met.pairs):
-                self.held_by = int(met.pairs[met.found[:, 0].argmin()])
             first = np.fmin(np.fmax(first, box.lower), box.upper)
             taken, times = self._shortened(None if is_inside else taken, first, dt)
         self._move(taken, times, dt)
@@ -533,6 +525,7 @@ class Gate:
             dt: Time of the sample [s].
         """
         dt = max(dt, SHORTEST_DT)
+        self.held_by = -1
         displacement = self._braking(dt)
         self._move(displacement, np.maximum(self.motion.stop_times - dt, 0.0), dt)
         return displacement

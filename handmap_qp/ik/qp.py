@@ -28,7 +28,7 @@ import pinocchio as pin
 from handmap_qp import ik
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible, pressing_row
+from handmap_qp.ik.limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
 from handmap_qp.se3 import frozen, lengths
@@ -99,11 +99,6 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
 def _costs(hand: Hand, options: IkOptions) -> np.ndarray:
     """Return the cost of every row of `weighted_task`, shape (3 m + 6,), read-only."""
     return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
-
-
-def links_at(collisions: CollisionLimit | None, pair: int) -> tuple[str, ...]:
-    """Return the links of a pair of shapes by its index; none for -1."""
-    return () if collisions is None else collisions.links[pair]
 
 
 def weighted_task(
@@ -383,7 +378,6 @@ class PointIk:
             dt: Time since the last sample [s].
         """
         displacement = self.gate.brake(dt)
-        self.gate.note_row(-1)
         points = self.configuration.points.copy()
         free = np.full(len(displacement), np.inf)
         return self._result("released", points, displacement, -free, free, 0, 0.0)
@@ -411,6 +405,7 @@ class PointIk:
     ) -> np.ndarray | None:
         """Pose the QP of one iteration and solve it; None if the solver fails."""
         problem = self.hand, self.options, self._configuration, goal
+        self.gate.held_by = -1
         if self.options.formulation == "mink":
             limit = ik.mink_problem.RowsLimit(lower, upper, rows)
             posed = ik.mink_problem.build_problem(*problem, limit)
@@ -419,13 +414,12 @@ class PointIk:
         else:
             H, c = direct_cost(*problem)
             step = self._solver(H, c, lower, upper, rows)
-        self.gate.note_row(-1)
         # Catch NaN too, which solvers return where extreme weights or targets overflow.
         if step is None or not math.isfinite(step.dot(step)):
             return None
         if rows is not None:
-            slope = H.dot(step) + c
-            self.gate.note_row(pressing_row(slope, step, lower, upper, rows))
+            is_free = np.minimum(step - lower, upper - step) > TIGHT
+            self.gate.press(is_free * (H.dot(step) + c), step, rows)
         return step
 
     def _result(
@@ -463,5 +457,5 @@ class PointIk:
             self.hand.joint_columns,
             iterations,
             last_step,
-            links_at(self.gate.collisions, self.gate.held_by),
+            self.gate.links[self.gate.held_by],
         )
