@@ -21,6 +21,7 @@ constexpr double kLever = 0.015;
 constexpr double kInside = 0.9;
 constexpr double kTight = 1e-7;
 constexpr double kPressing = 10.0;
+constexpr double kAlike = 1e-6;
 constexpr int kTries = 3;
 constexpr double kShares[] = {1.0, 0.5, 0.25, 0.1};
 
@@ -135,7 +136,7 @@ inline int pressing_row(const Vector& slope, const Vector& step, const Vector& l
       length2 += g[i] * g[i];
       if (std::min(step[i] - lower[i], upper[i] - step[i]) > kTight) pressed -= g[i] * slope[i];
     }
-    if (h[k] - moved > kTight || !(pressed / length2 > most)) continue;
+    if (h[k] - moved > kTight || !(pressed / length2 > most + kAlike * most)) continue;
     most = pressed / length2;
     found = k;
   }

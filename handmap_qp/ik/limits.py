@@ -93,8 +93,9 @@ _LEVER = 0.015
 # DAQP reports as infeasible.
 _INSIDE = 0.9
 # A row is tight within this [m]. It holds a step back where the cost would fall by this much per
-# metre: where a point stays some millimetre from its target because of it.
-TIGHT, _PRESSING = 1e-7, 10.0
+# metre: where a point stays some millimetre from its target because of it. Shapes of two links that
+# lie in one plane press alike, up to this share; the first one counts.
+TIGHT, _PRESSING, _ALIKE = 1e-7, 10.0, 1e-6
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 # How often a way is sought around what meets.
 _TRIES = 3
@@ -477,8 +478,10 @@ class Gate:
         G, h = rows
         pressed = -G.dot(slope) / (np.square(G).sum(axis=1) + _LEVER**2)
         pressed *= h - G.dot(step) <= TIGHT
-        if pressed.max(initial=0.0) > _PRESSING:
-            self.held_by = int(self._row_pairs[pressed.argmax()])
+        most = pressed.max(initial=0.0)
+        if most > _PRESSING:
+            first = (pressed >= most - _ALIKE * most).argmax()
+            self.held_by = int(self._row_pairs[first])
 
     def admit(
         self,
