@@ -396,7 +396,9 @@ class Gate:
             together=None if collisions is None else collisions.columns,
         )
         self._together = self.limits.together
-        self.links = [()] if collisions is None else collisions.shape_distances.bounds.links
+        self.links = (
+            [()] if collisions is None else collisions.shape_distances.bounds.links
+        )
         self.held_by = -1
 
     @property

@@ -28,6 +28,7 @@ from handmap_qp.apps.onboarding.measure import (
     measure_reach,
     measure_size,
     moves_wrist,
+    tour_gestures,
     try_motion,
 )
 from handmap_qp.apps.onboarding.robot import Robot
@@ -67,6 +68,8 @@ _ACROSS, _DISTAL = 25.0, 35.0
 _NARROW = 0.004
 # A thumb whose pad stays farther than this from every other opposes none of them [mm].
 _OPPOSING = 15.0
+# A joint moves if its range is more than this [rad], or this part of a narrower one.
+_MOVES = 0.2
 # A point this far from its target is out of reach [mm].
 _OUT_OF_REACH = 20.0
 # A person's hand moves this far to all sides in front of the body [m].
@@ -167,7 +170,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
             return report
         report.name = built.name
         report.measured["Joints"] = _joint_rows(built)
-        for check in _CHECKS[: None if has_motion else -1]:
+        for check in _CHECKS[: None if has_motion else -2]:
             try:
                 for found in check(built):
                     if isinstance(found, Finding):
@@ -521,6 +524,20 @@ def _check_arm(hand: Hand) -> Findings:
     yield advice("rest", what, change)
 
 
+def _check_contacts(hand: Hand) -> Measures:
+    """Find joints that links lock by lying on each other."""
+    rows = tour_gestures(hand)
+    yield "A tour of gestures", msgspec.to_builtins(rows)
+    width = hand.upper_limits - hand.lower_limits
+    for row, enough in zip(rows, _MOVES * np.minimum(width, 1.0), strict=False):
+        if row.free > enough and row.held < 0.5 * row.free:
+            what = (
+                f"contacts narrow the range of {row.joint} in a tour of gestures from "
+                f"{row.free:.2g} to {row.held:.2g}: {row.held_by} meet"
+            )
+            yield warning("urdf", what, "correct the collision shapes of these links")
+
+
 def _check_motion(hand: Hand) -> Measures:
     motion = try_motion(hand)
     yield "A standard motion", msgspec.to_builtins(motion)
@@ -554,5 +571,6 @@ _CHECKS = (
     _check_reach,
     _check_size,
     _check_arm,
+    _check_contacts,
     _check_motion,
 )

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import compress, product
+from collections import Counter
+from itertools import compress, pairwise, product
 from typing import NamedTuple
 
 import msgspec
@@ -23,6 +24,8 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import lengths, unit
 
 HUMAN_LENGTH = 0.19
@@ -35,6 +38,8 @@ _ARM_SAMPLES = 1500
 _DIRECTIONS = unit(np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
+# A joint is moved aside by this part of its range.
+_ASIDE = 0.25
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
 # Random postures in which the search for a pinch starts.
@@ -102,6 +107,22 @@ class MotionPart(_Row):
     worst_point: str
     error_mm: float
     joints_at_a_position_limit: str
+
+
+class JointRange(_Row):
+    """How far a joint moves in a tour of gestures.
+
+    Attributes:
+        joint: Its name.
+        free: Range without contacts [rad or m].
+        held: Range with contacts [rad or m].
+        held_by: Links that held the hand most often where contacts moved the joint aside.
+    """
+
+    joint: str
+    free: float = msgspec.field(name="without contacts, rad or m")
+    held: float = msgspec.field(name="with contacts")
+    held_by: str
 
 
 class Fist(NamedTuple):
@@ -225,12 +246,7 @@ def try_motion(hand: Hand) -> list[MotionPart]:
     for name, posture in standard_postures(human).items():
         mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
         mapper.map_step(human.rest, np.eye(4))
-        # 0.75 s of motion, then 0.25 s to settle.
-        ways = np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0)
-        *_, last = [
-            mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
-            for share in 0.5 - 0.5 * np.cos(ways)
-        ]
+        *_, last = _follow(mapper, [human.rest, posture])
         error = last.point_error
         worst = int(np.argmax(error))
         limited = compress(hand.joint_names, hand.at_position_limit(last.command.q))
@@ -245,29 +261,88 @@ def try_motion(hand: Hand) -> list[MotionPart]:
     return parts
 
 
+def _follow(mapper: HandMapper, postures: list[np.ndarray]) -> list[MapStep]:
+    """Move a human hand from posture to posture; each takes 0.75 s, and 0.25 s to settle."""
+    shares = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0))
+    return [
+        mapper.map_step(before + share * (after - before), np.eye(4))
+        for before, after in pairwise(postures)
+        for share in shares
+    ]
+
+
+def tour_gestures(hand: Hand) -> list[JointRange]:
+    """Map gestures of a human hand one after the other, with and without contacts.
+
+    The hand rests between them. Otherwise, fingers that pass through each other without contacts
+    may end in postures that say nothing about the next gestures.
+
+    Returns:
+        The range of each joint; none if the fingers have no partners on the human hand.
+    """
+    human = load_hand(
+        human_name(hand.side), points="landmarks", hand_length=HUMAN_LENGTH
+    )
+    preset = get_preset("teleoperation")
+    if not preset.suits(human, hand):
+        return []
+    options = [
+        preset.method.replaced(avoids_contact=avoids) for avoids in (False, True)
+    ]
+    mappers = [HandMapper(human, hand, each, ik=preset.ik, dt=_DT) for each in options]
+    free, held = (_follow(mapper, gestures(human)) for mapper in mappers)
+    q = np.array([[step.command.q for step in steps] for steps in (free, held)])
+    ranges = np.ptp(q, axis=1)
+    is_aside = np.abs(q[1] - q[0]) > _ASIDE * ranges[0]
+    names = [" and ".join(step.held_by) for step in held]
+    rows = []
+    for joint, ends, aside in zip(
+        hand.joint_names, ranges.T.tolist(), is_aside.T, strict=True
+    ):
+        pairs = Counter(filter(None, compress(names, aside)))
+        rows.append(JointRange(joint, *ends, max(pairs, key=pairs.get, default="")))
+    return rows
+
+
+def gestures(human: Hand) -> list[np.ndarray]:
+    """Return the postures of a tour: gestures, with rest around each, (20,) each."""
+    flat = dict.fromkeys(FINGERS, 0.05)
+    fist = {**dict.fromkeys(FINGERS, 1.4), THUMB: 0.7}
+    peace = _posture(human, **{**fist, "index": 0.05, "middle": 0.05})
+    found = [*standard_postures(human).values(), peace]
+    for finger in FINGERS:
+        found += (
+            _posture(human, **{**flat, finger: fist[finger]}),
+            _posture(human, **{**fist, finger: 0.05}),
+            _posture(human, **{**flat, finger: 0.9, THUMB: 0.6}),
+        )
+    return [human.rest, *(q for each in found for q in (each, human.rest))]
+
+
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
     """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
-
-    def posture(spread: float = 1.0, **flexions: float) -> np.ndarray:
-        q = human.rest.copy()
-        for i, name in enumerate(human.joint_names):
-            finger, _, joint = name.partition("_")
-            if finger in flexions and "flexion" in joint:
-                share = {"DIP_flexion": 0.8, "IP_flexion": -0.6}.get(joint, 1.0)
-                q[i] = share * flexions[finger]
-            elif joint == "MCP_abduction":
-                q[i] *= spread
-        return np.clip(q, human.lower_limits, human.upper_limits)
-
     fingers = dict.fromkeys(FINGERS[1:], 0.05)
     fist = dict.fromkeys(fingers, 1.4)
     return {
-        "flat hand": posture(thumb=0.1, **fingers),
-        "spread": posture(thumb=0.0, spread=3.0, **fingers),
-        "fist": posture(thumb=0.7, **fist),
-        "pointing": posture(thumb=0.7, **{**fist, "index": 0.05}),
-        "pinch": posture(thumb=0.6, index=0.9),
+        "flat hand": _posture(human, thumb=0.1, **fingers),
+        "spread": _posture(human, thumb=0.0, spread=3.0, **fingers),
+        "fist": _posture(human, thumb=0.7, **fist),
+        "pointing": _posture(human, thumb=0.7, **{**fist, "index": 0.05}),
+        "pinch": _posture(human, thumb=0.6, index=0.9),
     }
+
+
+def _posture(human: Hand, spread: float = 1.0, **flexions: float) -> np.ndarray:
+    """Bend fingers by angles [rad], and spread them by a factor, inside the limits."""
+    q = human.rest.copy()
+    for i, name in enumerate(human.joint_names):
+        finger, _, joint = name.partition("_")
+        if finger in flexions and "flexion" in joint:
+            share = {"DIP_flexion": 0.8, "IP_flexion": -0.6}.get(joint, 1.0)
+            q[i] = share * flexions[finger]
+        elif joint == "MCP_abduction":
+            q[i] *= spread
+    return np.clip(q, human.lower_limits, human.upper_limits)
 
 
 def _spread(hand: Hand) -> float:
