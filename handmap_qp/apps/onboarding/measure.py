@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from itertools import compress, pairwise, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -25,7 +25,6 @@ from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
-from handmap_qp.mapping.presets import get_preset
 from handmap_qp.se3 import lengths, unit
 
 HUMAN_LENGTH = 0.19
@@ -38,7 +37,7 @@ _ARM_SAMPLES = 1500
 _DIRECTIONS = unit(np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
-# A joint is moved aside by this part of its range.
+# Contacts move a joint aside by more than this part of its range.
 _ASIDE = 0.25
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
@@ -114,13 +113,13 @@ class JointRange(_Row):
 
     Attributes:
         joint: Its name.
-        free: Range without contacts [rad or m].
-        held: Range with contacts [rad or m].
-        held_by: Links that held the hand most often where contacts moved the joint aside.
+        free: Its range without contacts [rad or m].
+        held: The same with contacts.
+        held_by: Links that lie on each other most often where contacts move the joint aside.
     """
 
     joint: str
-    free: float = msgspec.field(name="without contacts, rad or m")
+    free: float = msgspec.field(name="range, rad or m")
     held: float = msgspec.field(name="with contacts")
     held_by: str
 
@@ -246,7 +245,7 @@ def try_motion(hand: Hand) -> list[MotionPart]:
     for name, posture in standard_postures(human).items():
         mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
         mapper.map_step(human.rest, np.eye(4))
-        *_, last = _follow(mapper, [human.rest, posture])
+        *_, last = _follow(mapper, human.rest, posture)
         error = last.point_error
         worst = int(np.argmax(error))
         limited = compress(hand.joint_names, hand.at_position_limit(last.command.q))
@@ -261,8 +260,8 @@ def try_motion(hand: Hand) -> list[MotionPart]:
     return parts
 
 
-def _follow(mapper: HandMapper, postures: list[np.ndarray]) -> list[MapStep]:
-    """Move a human hand from posture to posture; each takes 0.75 s, and 0.25 s to settle."""
+def _follow(mapper: HandMapper, *postures: np.ndarray) -> list[MapStep]:
+    """Lead from posture to posture, each in 0.75 s and 0.25 s to settle."""
     shares = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0))
     return [
         mapper.map_step(before + share * (after - before), np.eye(4))
@@ -272,77 +271,85 @@ def _follow(mapper: HandMapper, postures: list[np.ndarray]) -> list[MapStep]:
 
 
 def tour_gestures(hand: Hand) -> list[JointRange]:
-    """Map gestures of a human hand one after the other, with and without contacts.
-
-    The hand rests between them. Otherwise, fingers that pass through each other without contacts
-    may end in postures that say nothing about the next gestures.
+    """Map gestures after one another, each two from rest, with and without contacts.
 
     Returns:
-        The range of each joint; none if the fingers have no partners on the human hand.
+        The range of each joint; none if the hand's preset avoids no contacts.
     """
     human = load_hand(
         human_name(hand.side), points="landmarks", hand_length=HUMAN_LENGTH
     )
-    preset = get_preset("teleoperation")
-    if not preset.suits(human, hand):
+    mapper = HandMapper(human, hand, dt=_DT)
+    method: Any = mapper.method
+    if not getattr(method, "avoids_contact", False):
         return []
-    options = [
-        preset.method.replaced(avoids_contact=avoids) for avoids in (False, True)
-    ]
-    mappers = [HandMapper(human, hand, each, ik=preset.ik, dt=_DT) for each in options]
-    free, held = (_follow(mapper, gestures(human)) for mapper in mappers)
-    q = np.array([[step.command.q for step in steps] for steps in (free, held)])
-    ranges = np.ptp(q, axis=1)
-    is_aside = np.abs(q[1] - q[0]) > _ASIDE * ranges[0]
-    names = [" and ".join(step.held_by) for step in held]
+    method = method.replaced(avoids_contact=False)
+    tours: list[list[MapStep]] = [[], []]
+    mappers = HandMapper(human, hand, method, ik=mapper.ik, dt=_DT), mapper
+    for each, steps in zip(mappers, tours, strict=True):
+        for pair in pairwise(gestures(human)):
+            each.reset()
+            steps += _follow(each, human.rest, *pair)
+    free, held = (np.array([step.command.q for step in steps]) for steps in tours)
+    ranges = np.ptp([free, held], axis=1)
+    is_aside = np.abs(held - free) > _ASIDE * ranges[0]
     rows = []
-    for joint, ends, aside in zip(
-        hand.joint_names, ranges.T.tolist(), is_aside.T, strict=True
-    ):
-        pairs = Counter(filter(None, compress(names, aside)))
-        rows.append(JointRange(joint, *ends, max(pairs, key=pairs.get, default="")))
+    for i, joint in enumerate(hand.joint_names):
+        aside = compress(tours[1], is_aside[:, i])
+        pairs = Counter(" and ".join(step.held_by) for step in aside)
+        del pairs[""]
+        rows.append(
+            JointRange(
+                joint,
+                *ranges[:, i].tolist(),
+                max(pairs, key=pairs.__getitem__, default=""),
+            )
+        )
     return rows
 
 
 def gestures(human: Hand) -> list[np.ndarray]:
-    """Return the postures of a tour: gestures, with rest around each, (20,) each."""
-    flat = dict.fromkeys(FINGERS, 0.05)
-    fist = {**dict.fromkeys(FINGERS, 1.4), THUMB: 0.7}
-    peace = _posture(human, **{**fist, "index": 0.05, "middle": 0.05})
-    found = [*standard_postures(human).values(), peace]
-    for finger in FINGERS:
+    """Return postures that bend, stretch and oppose single fingers and two, (20,) each."""
+    found = [*standard_postures(human).values()]
+    flat, _, fist, *_ = found
+    pinch = (flat + 2.0 * fist) / 3.0
+
+    def of(*fingers: str) -> np.ndarray:
+        return np.array([joint.startswith(fingers) for joint in human.joint_names])
+
+    for finger, other in zip(FINGERS, (*FINGERS[1:], THUMB), strict=True):
         found += (
-            _posture(human, **{**flat, finger: fist[finger]}),
-            _posture(human, **{**fist, finger: 0.05}),
-            _posture(human, **{**flat, finger: 0.9, THUMB: 0.6}),
+            np.where(of(finger), fist, flat),
+            np.where(of(finger), flat, fist),
+            np.where(of(finger, other), flat, fist),
+            np.where(of(finger, THUMB), pinch, flat),
         )
-    return [human.rest, *(q for each in found for q in (each, human.rest))]
+    return found
 
 
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
     """Return common postures of the human hand, inside its limits [rad], shape (20,) each."""
+
+    def posture(spread: float = 1.0, **flexions: float) -> np.ndarray:
+        q = human.rest.copy()
+        for i, name in enumerate(human.joint_names):
+            finger, _, joint = name.partition("_")
+            if finger in flexions and "flexion" in joint:
+                share = {"DIP_flexion": 0.8, "IP_flexion": -0.6}.get(joint, 1.0)
+                q[i] = share * flexions[finger]
+            elif joint == "MCP_abduction":
+                q[i] *= spread
+        return np.clip(q, human.lower_limits, human.upper_limits)
+
     fingers = dict.fromkeys(FINGERS[1:], 0.05)
     fist = dict.fromkeys(fingers, 1.4)
     return {
-        "flat hand": _posture(human, thumb=0.1, **fingers),
-        "spread": _posture(human, thumb=0.0, spread=3.0, **fingers),
-        "fist": _posture(human, thumb=0.7, **fist),
-        "pointing": _posture(human, thumb=0.7, **{**fist, "index": 0.05}),
-        "pinch": _posture(human, thumb=0.6, index=0.9),
+        "flat hand": posture(thumb=0.1, **fingers),
+        "spread": posture(thumb=0.0, spread=3.0, **fingers),
+        "fist": posture(thumb=0.7, **fist),
+        "pointing": posture(thumb=0.7, **{**fist, "index": 0.05}),
+        "pinch": posture(thumb=0.6, index=0.9),
     }
-
-
-def _posture(human: Hand, spread: float = 1.0, **flexions: float) -> np.ndarray:
-    """Bend fingers by angles [rad], and spread them by a factor, inside the limits."""
-    q = human.rest.copy()
-    for i, name in enumerate(human.joint_names):
-        finger, _, joint = name.partition("_")
-        if finger in flexions and "flexion" in joint:
-            share = {"DIP_flexion": 0.8, "IP_flexion": -0.6}.get(joint, 1.0)
-            q[i] = share * flexions[finger]
-        elif joint == "MCP_abduction":
-            q[i] *= spread
-    return np.clip(q, human.lower_limits, human.upper_limits)
 
 
 def _spread(hand: Hand) -> float:
