@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.onboarding.anatomy import FINGERS, Clue, angle_between
-from handmap_qp.apps.onboarding.collision_pairs import colliding_links
+from handmap_qp.apps.onboarding.collision_pairs import colliding_links, joined_notes
 from handmap_qp.apps.onboarding.detect import detect_text, left_out_wrist
 from handmap_qp.apps.onboarding.measure import (
     fingertip_pads,
@@ -44,7 +44,7 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.shape_pairs import named_pairs
+from handmap_qp.hands.shape_pairs import all_pairs, named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.se3 import lengths
@@ -526,6 +526,8 @@ def _check_arm(hand: Hand) -> Findings:
 
 def _check_contacts(hand: Hand) -> Measures:
     """Find joints that links lock by lying on each other."""
+    for note in joined_notes(all_pairs(hand, find_fingers(hand))):
+        yield fine("collision", note)
     rows = tour_gestures(hand)
     yield "A tour of gestures", msgspec.to_builtins(rows)
     width = hand.upper_limits - hand.lower_limits
