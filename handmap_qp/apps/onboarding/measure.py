@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from itertools import compress, pairwise, product
+from statistics import mode
 from typing import Any, NamedTuple
 
 import msgspec
@@ -39,6 +39,8 @@ _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
 # Contacts move a joint aside by more than this part of its range.
 _ASIDE = 0.25
+# Thumb and finger meet in this part of a fist.
+_PINCHED = 0.65
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
 # Random postures in which the search for a pinch starts.
@@ -283,48 +285,32 @@ def tour_gestures(hand: Hand) -> list[JointRange]:
     method: Any = mapper.method
     if not getattr(method, "avoids_contact", False):
         return []
-    method = method.replaced(avoids_contact=False)
-    tours: list[list[MapStep]] = [[], []]
-    mappers = HandMapper(human, hand, method, ik=mapper.ik, dt=_DT), mapper
-    for each, steps in zip(mappers, tours, strict=True):
+    tours = []
+    for avoids in (False, True):
+        mapper.configure(method.replaced(avoids_contact=avoids))
+        tours.append([])
         for pair in pairwise(gestures(human)):
-            each.reset()
-            steps += _follow(each, human.rest, *pair)
-    free, held = (np.array([step.command.q for step in steps]) for steps in tours)
-    ranges = np.ptp([free, held], axis=1)
-    is_aside = np.abs(held - free) > _ASIDE * ranges[0]
-    rows = []
-    for i, joint in enumerate(hand.joint_names):
-        aside = compress(tours[1], is_aside[:, i])
-        pairs = Counter(" and ".join(step.held_by) for step in aside)
-        del pairs[""]
-        rows.append(
-            JointRange(
-                joint,
-                *ranges[:, i].tolist(),
-                max(pairs, key=pairs.__getitem__, default=""),
-            )
+            mapper.reset()
+            tours[-1] += _follow(mapper, human.rest, *pair)
+    q = np.array([[step.command.q for step in tour] for tour in tours])
+    ranges = np.ptp(q, axis=1).T
+    is_aside = np.abs(q[1] - q[0]) > _ASIDE * ranges[:, 0]
+    pairs = [" and ".join(step.held_by) for step in tours[1]]
+    return [
+        JointRange(joint, *ends, mode([*filter(None, compress(pairs, aside)), ""]))
+        for joint, ends, aside in zip(
+            hand.joint_names, ranges.tolist(), is_aside.T, strict=True
         )
-    return rows
+    ]
 
 
-def gestures(human: Hand) -> list[np.ndarray]:
-    """Return postures that bend, stretch and oppose single fingers and two, (20,) each."""
-    found = [*standard_postures(human).values()]
-    flat, _, fist, *_ = found
-    pinch = (flat + 2.0 * fist) / 3.0
-
-    def of(*fingers: str) -> np.ndarray:
-        return np.array([joint.startswith(fingers) for joint in human.joint_names])
-
-    for finger, other in zip(FINGERS, (*FINGERS[1:], THUMB), strict=True):
-        found += (
-            np.where(of(finger), fist, flat),
-            np.where(of(finger), flat, fist),
-            np.where(of(finger, other), flat, fist),
-            np.where(of(finger, THUMB), pinch, flat),
-        )
-    return found
+def gestures(human: Hand) -> np.ndarray:
+    """Return gestures: spread fingers, any of them bent, each at the thumb, shape (k, 20)."""
+    flat, spread, fist, *_ = standard_postures(human).values()
+    fingers = [FINGERS.index(name.partition("_")[0]) for name in human.joint_names]
+    first, *others = np.eye(len(FINGERS))
+    bends = [*product((0.0, 1.0), repeat=len(FINGERS)), *(first + others) * _PINCHED]
+    return np.vstack([spread, flat + np.array(bends)[:, fingers] * (fist - flat)])
 
 
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
