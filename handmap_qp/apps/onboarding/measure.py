@@ -273,7 +273,7 @@ def _follow(mapper: HandMapper, *postures: np.ndarray) -> list[MapStep]:
 
 
 def tour_gestures(hand: Hand) -> list[JointRange]:
-    """Map gestures after one another, each two from rest, with and without contacts.
+    """Map gestures after one another, two of them from rest each time, with and without contacts.
 
     Returns:
         The range of each joint; none if the hand's preset avoids no contacts.
@@ -289,7 +289,7 @@ def tour_gestures(hand: Hand) -> list[JointRange]:
     for avoids in (False, True):
         mapper.configure(method.replaced(avoids_contact=avoids))
         tours.append([])
-        for pair in pairwise(gestures(human)):
+        for pair in gestures(human).reshape(-1, 2, len(human.rest)):
             mapper.reset()
             tours[-1] += _follow(mapper, human.rest, *pair)
     q = np.array([[step.command.q for step in tour] for tour in tours])
@@ -308,9 +308,10 @@ def gestures(human: Hand) -> np.ndarray:
     """Return gestures: spread fingers, any of them bent, each at the thumb, shape (k, 20)."""
     flat, spread, fist, *_ = standard_postures(human).values()
     fingers = [FINGERS.index(name.partition("_")[0]) for name in human.joint_names]
-    first, *others = np.eye(len(FINGERS))
-    bends = [*product((0.0, 1.0), repeat=len(FINGERS)), *(first + others) * _PINCHED]
-    return np.vstack([spread, flat + np.array(bends)[:, fingers] * (fist - flat)])
+    each = np.eye(len(FINGERS))
+    pinches = _PINCHED * np.maximum(each, each[FINGERS.index(THUMB)])
+    bends = np.array([*product((0.0, 1.0), repeat=len(each)), *pinches])
+    return np.vstack([spread, flat + bends[:, fingers] * (fist - flat)])
 
 
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:
