@@ -21,7 +21,6 @@ constexpr double kLever = 0.015;
 constexpr double kInside = 0.9;
 constexpr double kTight = 1e-7;
 constexpr double kPressing = 10.0;
-constexpr double kAlike = 1e-6;
 constexpr int kTries = 3;
 constexpr double kShares[] = {1.0, 0.5, 0.25, 0.1};
 
@@ -127,7 +126,7 @@ inline int pressing_row(const Vector& slope, const Vector& step, const Vector& l
                         const Vector& upper, const Rows& rows, const Vector& h) {
   const int n = static_cast<int>(step.size());
   int found = -1;
-  double most = kPressing;
+  double most = 0.0;
   for (int k = 0; k < rows.count; ++k) {
     const double* g = rows.G.data() + k * n;
     double moved = 0.0, pressed = 0.0, length2 = kLever * kLever;
@@ -136,8 +135,10 @@ inline int pressing_row(const Vector& slope, const Vector& step, const Vector& l
       length2 += g[i] * g[i];
       if (std::min(step[i] - lower[i], upper[i] - step[i]) > kTight) pressed -= g[i] * slope[i];
     }
-    if (h[k] - moved > kTight || !(pressed / length2 > most + kAlike * most)) continue;
-    most = pressed / length2;
+    if (h[k] - moved > kTight || !(pressed / length2 > kPressing)) continue;
+    const double rounded = std::nearbyint(1e3 * (pressed / length2));
+    if (found >= 0 && !(rounded > most)) continue;
+    most = rounded;
     found = k;
   }
   return found;

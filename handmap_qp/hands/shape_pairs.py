@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from itertools import combinations, product
+from collections.abc import Sequence
+from itertools import combinations, compress, product
 from typing import NamedTuple
 
 import numpy as np
@@ -37,15 +37,9 @@ class ShapePairs(NamedTuple):
     @property
     def links(self) -> tuple[tuple[str, str], ...]:
         """Links of both shapes of each pair."""
-        return links_of(self.geometry, self.geometry.collisionPairs)
-
-
-def links_of(
-    geometry: pin.GeometryModel, pairs: Iterable[pin.CollisionPair]
-) -> tuple[tuple[str, str], ...]:
-    """Return the links of both shapes of pairs."""
-    names = _links(geometry)
-    return tuple((names[pair.first], names[pair.second]) for pair in pairs)
+        names = _links(self.geometry)
+        pairs = self.geometry.collisionPairs
+        return tuple((names[pair.first], names[pair.second]) for pair in pairs)
 
 
 def _links(geometry: pin.GeometryModel) -> list[str]:
@@ -107,11 +101,8 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
         b = joints[j]
         if owner[a] != owner[b] and parents[a] != b and parents[b] != a:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
-    overlapping, joined = _left_out(hand, geometry)
-    for pair in overlapping + joined:
-        geometry.removeCollisionPair(pair)
-    fingers = _pinching_fingers(geometry, chains)
-    return ShapePairs(geometry, fingers, links_of(geometry, joined))
+    joined = _leave_out(hand, geometry)
+    return ShapePairs(geometry, _pinching_fingers(geometry, chains), joined)
 
 
 def _pinching_fingers(
@@ -148,10 +139,8 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
     return next(filter(None, found), [])
 
 
-def _left_out(
-    hand: Hand, geometry: pin.GeometryModel
-) -> tuple[list[pin.CollisionPair], list[pin.CollisionPair]]:
-    """Return the pairs that overlap at rest or with the hand stretched, and that never part."""
+def _leave_out(hand: Hand, geometry: pin.GeometryModel) -> tuple[tuple[str, str], ...]:
+    """Remove pairs that overlap at rest or stretched, or never part; return links of the latter."""
     postures = np.array([hand.rest, zero_posture(hand)])
     distances = pair_distances(hand, geometry, postures)
     overlaps = np.any(distances <= 0.0, axis=0)
@@ -166,8 +155,10 @@ def _left_out(
     postures = np.random.default_rng(0).uniform(*limits, shape)
     distances = pair_distances(hand, few, postures)
     is_often = np.mean(distances <= 0.0, axis=0) > _OVERLAPPING
-    joined = near[distances.max(axis=0) < np.where(is_often, _COARSE, _PARTED)]
-    return [pairs[k] for k in np.flatnonzero(overlaps)], [pairs[k] for k in joined]
+    never = distances.max(axis=0) < np.where(is_often, _COARSE, _PARTED)
+    for k in (*np.flatnonzero(overlaps), *near[never]):
+        geometry.removeCollisionPair(pairs[k])
+    return tuple(compress(ShapePairs(few, ()).links, never))
 
 
 def pair_distances(

@@ -93,9 +93,8 @@ _LEVER = 0.015
 # DAQP reports as infeasible.
 _INSIDE = 0.9
 # A row is tight within this [m]. It holds a step back where the cost would fall by this much per
-# metre: where a point stays some millimetre from its target because of it. Shapes of two links that
-# lie in one plane press alike, up to this share; the first one counts.
-TIGHT, _PRESSING, _ALIKE = 1e-7, 10.0, 1e-6
+# metre: where a point stays some millimetre from its target because of it.
+TIGHT, _PRESSING = 1e-7, 10.0
 _SHARES = (1.0, 0.5, 0.25, 0.1)
 # How often a way is sought around what meets.
 _TRIES = 3
@@ -480,10 +479,9 @@ class Gate:
         G, h = rows
         pressed = -G.dot(slope) / (np.square(G).sum(axis=1) + _LEVER**2)
         pressed *= h - G.dot(step) <= TIGHT
-        most = pressed.max(initial=0.0)
-        if most > _PRESSING:
-            first = (pressed >= most - _ALIKE * most).argmax()
-            self.held_by = int(self._row_pairs[first])
+        if pressed.max(initial=0.0) > _PRESSING:
+            # Shapes in one plane press alike but for rounding: the first one counts.
+            self.held_by = int(self._row_pairs[pressed.round(3).argmax()])
 
     def admit(
         self,

@@ -37,10 +37,10 @@ _ARM_SAMPLES = 1500
 _DIRECTIONS = unit(np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
-# Contacts move a joint aside by more than this part of its range.
-_ASIDE = 0.25
 # Thumb and finger meet in this part of a fist.
 _PINCHED = 0.65
+# Contacts move a joint aside by more than this part of its range.
+_ASIDE = 0.25
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
 # Random postures in which the search for a pinch starts.
@@ -117,7 +117,7 @@ class JointRange(_Row):
         joint: Its name.
         free: Its range without contacts [rad or m].
         held: The same with contacts.
-        held_by: Links that lie on each other most often where contacts move the joint aside.
+        held_by: Links that hold the hand most often where contacts move the joint aside.
     """
 
     joint: str
