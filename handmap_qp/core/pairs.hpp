@@ -221,7 +221,7 @@ class Pairs {
   // The pair of a row, as it came; -1 of none.
   int pair_of(int row) const { return row < 0 ? -1 : row_pairs_[row]; }
 
-  // Add the rows of what met; see collision.CollisionLimit.rows_of_met.
+  // Add the rows of what met; see limits.Gate.joined.
   void add_met(const Placed& at, Rows& rows) {
     const int n = tree_.size;
     std::sort(met_.begin(), met_.end(),

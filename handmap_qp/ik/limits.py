@@ -96,8 +96,8 @@ _INSIDE = 0.9
 # metre: where a point stays some millimetre from its target because of it.
 TIGHT, _PRESSING = 1e-7, 10.0
 _SHARES = (1.0, 0.5, 0.25, 0.1)
-# How often a way is sought around what meets.
-_TRIES = 3
+# How often a way is sought around what meets, and how far apart its points are kept then [m].
+_TRIES, _CLEARED = 3, 5e-4
 
 
 class Box(NamedTuple):
@@ -464,7 +464,7 @@ class Gate:
     def joined(self, rows: Rows, placed: Configuration, met: NearPairs) -> Rows:
         """Return rows, and those of points that met; arguments as of `rows` and `admit`."""
         assert self.collisions is not None
-        further = self.collisions.rows_of_met(placed, met)
+        further = self.collisions.rows(placed, met, _CLEARED)
         self._row_pairs = np.append(self._row_pairs, met.pairs)
         return np.vstack([rows[0], further[0]]), np.append(rows[1], further[1])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,7 @@ FORMULATIONS = ["direct", "mink", pytest.param("compiled", marks=needs_core)]
 
 
 def pressed(
-    formulation: str, *, limit: float | None = None
+    formulation: Any, *, limit: float | None = None
 ) -> tuple[PointIk, IkResult]:
     """Lead the thumb of an Allegro hand through its index finger's place."""
     hand = load_hand("allegro_right")
@@ -39,7 +40,7 @@ def pressed(
 @pytest.mark.parametrize("limit", [None, 25.0], ids=["free", "accelerating"])
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_links_that_press_on_each_other_are_named(
-    formulation: str, limit: float | None
+    formulation: Any, limit: float | None
 ) -> None:
     ik, result = pressed(formulation, limit=limit)
     assert len(result.held_by) == 2
@@ -58,7 +59,7 @@ def test_links_that_press_on_each_other_are_named(
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_an_open_hand_is_held_by_nothing(formulation: str) -> None:
+def test_an_open_hand_is_held_by_nothing(formulation: Any) -> None:
     hand = load_hand("allegro_right")
     options = IkOptions(formulation=formulation)
     for contacts in (None, all_pairs(hand, find_fingers(hand))):
@@ -98,7 +99,7 @@ def test_both_paths_name_the_same_links_on_hostile_input(
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_a_step_and_its_copy_name_the_links(formulation: str) -> None:
+def test_a_step_and_its_copy_name_the_links(formulation: Any) -> None:
     recording = read_recording("demo", "right")
     human = load_hand("human", points="landmarks")
     mapper = HandMapper(human, load_hand("allegro_right"))

@@ -335,7 +335,7 @@ def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:
     ]
     assert found
     assert all("palm and finger3" in each.what for each in found)
-    report = check_hand(hand.spec)
+    report = check_hand("three_finger")
     assert "A tour of gestures" in report.measured
 
 

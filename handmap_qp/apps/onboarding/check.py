@@ -68,7 +68,7 @@ _ACROSS, _DISTAL = 25.0, 35.0
 _NARROW = 0.004
 # A thumb whose pad stays farther than this from every other opposes none of them [mm].
 _OPPOSING = 15.0
-# A joint moves if its range is more than this [rad], or this part of a narrower one.
+# A joint moves if its range is more than this [rad or m].
 _MOVES = 0.2
 # A point this far from its target is out of reach [mm].
 _OUT_OF_REACH = 20.0
@@ -530,12 +530,11 @@ def _check_contacts(hand: Hand) -> Measures:
         yield fine("collision", note)
     rows = tour_gestures(hand)
     yield "A tour of gestures", msgspec.to_builtins(rows)
-    width = hand.upper_limits - hand.lower_limits
-    for row, enough in zip(rows, _MOVES * np.minimum(width, 1.0), strict=False):
-        if row.free > enough and row.held < 0.5 * row.free:
+    for row in rows:
+        if row.free > _MOVES and row.held < 0.5 * row.free:
             what = (
                 f"contacts narrow the range of {row.joint} in a tour of gestures from "
-                f"{row.free:.2g} to {row.held:.2g}: {row.held_by} meet"
+                f"{row.free:.2g} to {row.held:.2g}: {row.held_by or 'some links'} meet"
             )
             yield warning("urdf", what, "correct the collision shapes of these links")
 

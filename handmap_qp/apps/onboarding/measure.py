@@ -253,10 +253,10 @@ def try_motion(hand: Hand) -> list[MotionPart]:
         limited = compress(hand.joint_names, hand.at_position_limit(last.command.q))
         parts.append(
             MotionPart(
-                posture=name,
-                worst_point=hand.reference_points[worst].name,
-                error_mm=1e3 * float(error[worst]),
-                joints_at_a_position_limit=", ".join(limited),
+                name,
+                hand.reference_points[worst].name,
+                1e3 * float(error[worst]),
+                ", ".join(limited),
             )
         )
     return parts
