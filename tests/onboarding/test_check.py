@@ -310,7 +310,7 @@ def test_contacts_leave_the_joints_of_right_hands_their_range(name: str) -> None
     assert {each.level for each in found} <= {"fine"}
     rows = tour_gestures(hand)
     assert [row.joint for row in rows] == [*hand.joint_names]
-    assert max(row.free for row in rows) > 0.5
+    assert max(row.without_contacts for row in rows) > 0.5
 
 
 def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:

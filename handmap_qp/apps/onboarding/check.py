@@ -531,10 +531,11 @@ def _check_contacts(hand: Hand) -> Measures:
     rows = tour_gestures(hand)
     yield "A tour of gestures", msgspec.to_builtins(rows)
     for row in rows:
-        if row.free > _MOVES and row.held < 0.5 * row.free:
+        free = row.without_contacts
+        if free > _MOVES and row.with_contacts < 0.5 * free:
             what = (
                 f"contacts narrow the range of {row.joint} in a tour of gestures from "
-                f"{row.free:.2g} to {row.held:.2g}: {row.held_by or 'some links'} meet"
+                f"{free:.2g} to {row.with_contacts:.2g}: {row.held_by or 'some links'} meet"
             )
             yield warning("urdf", what, "correct the collision shapes of these links")
 

@@ -115,14 +115,14 @@ class JointRange(_Row):
 
     Attributes:
         joint: Its name.
-        free: Its range without contacts [rad or m].
-        held: The same with contacts.
+        without_contacts: Its range without contacts [rad or m].
+        with_contacts: Its range with contacts [rad or m].
         held_by: Links that hold the hand most often where contacts move the joint aside.
     """
 
     joint: str
-    free: float = msgspec.field(name="range, rad or m")
-    held: float = msgspec.field(name="with contacts")
+    without_contacts: float
+    with_contacts: float
     held_by: str
 
 
@@ -244,10 +244,9 @@ def try_motion(hand: Hand) -> list[MotionPart]:
     # be the human's.
     alignment = "world" if hand.is_floating else "palm"
     parts = []
+    mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
     for name, posture in standard_postures(human).items():
-        mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
-        mapper.map_step(human.rest, np.eye(4))
-        *_, last = _follow(mapper, human.rest, posture)
+        *_, last = _follow(mapper, posture)
         error = last.point_error
         worst = int(np.argmax(error))
         limited = compress(hand.joint_names, hand.at_position_limit(last.command.q))
@@ -263,11 +262,12 @@ def try_motion(hand: Hand) -> list[MotionPart]:
 
 
 def _follow(mapper: HandMapper, *postures: np.ndarray) -> list[MapStep]:
-    """Lead from posture to posture, each in 0.75 s and 0.25 s to settle."""
+    """Lead from rest to posture after posture, each in 0.75 s and 0.25 s to settle."""
     shares = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0))
+    mapper.reset()
     return [
         mapper.map_step(before + share * (after - before), np.eye(4))
-        for before, after in pairwise(postures)
+        for before, after in pairwise([mapper.human.rest, *postures])
         for share in shares
     ]
 
@@ -285,19 +285,17 @@ def tour_gestures(hand: Hand) -> list[JointRange]:
     method: Any = mapper.method
     if not getattr(method, "avoids_contact", False):
         return []
+    pairs = gestures(human).reshape(-1, 2, len(human.rest))
     tours = []
     for avoids in (False, True):
         mapper.configure(method.replaced(avoids_contact=avoids))
-        tours.append([])
-        for pair in gestures(human).reshape(-1, 2, len(human.rest)):
-            mapper.reset()
-            tours[-1] += _follow(mapper, human.rest, *pair)
+        tours.append([step for pair in pairs for step in _follow(mapper, *pair)])
     q = np.array([[step.command.q for step in tour] for tour in tours])
     ranges = np.ptp(q, axis=1).T
     is_aside = np.abs(q[1] - q[0]) > _ASIDE * ranges[:, 0]
-    pairs = [" and ".join(step.held_by) for step in tours[1]]
+    links = [" and ".join(step.held_by) for step in tours[1]]
     return [
-        JointRange(joint, *ends, mode([*filter(None, compress(pairs, aside)), ""]))
+        JointRange(joint, *ends, mode([*filter(None, compress(links, aside)), ""]))
         for joint, ends, aside in zip(
             hand.joint_names, ranges.tolist(), is_aside.T, strict=True
         )
