@@ -230,18 +230,26 @@ class Ik {
     return std::isfinite(length2);
   }
 
-  // Note the pair whose row the cost presses the last step against most.
+  // Note the pair whose row the cost presses the last step against most; see limits.Gate.press.
   void find_holding() {
-    const int n = tree.size;
     held_by_ = -1;
     if (!is_pressed_) return;
-    slope_ = c_;
-    for (int i = 0; i < n; ++i)
-      for (int j = 0; j <= i; ++j) {
-        slope_[i] += H_[i * n + j] * qp_.x[j];
-        if (j < i) slope_[j] += H_[i * n + j] * qp_.x[i];
-      }
-    held_by_ = pairs->pair_of(pressing_row(slope_, qp_.x, least_, most_, linear_, h_));
+    const int n = tree.size;
+    const Vector& slope = qp_.slope(kTight);
+    int found = -1;
+    double most = 0.0;
+    for (int k = 0; k < linear_.count; ++k) {
+      const double* g = linear_.G.data() + k * n;
+      if (h_[k] - Qp::dot(g, qp_.x.data(), n) > kTight) continue;
+      const double length2 = Qp::dot(g, g, n) + kLever * kLever;
+      const double pressed = -Qp::dot(g, slope.data(), n) / length2;
+      if (!(pressed > kPressing)) continue;
+      const double rounded = std::nearbyint(1e3 * pressed);
+      if (found >= 0 && !(rounded > most)) continue;
+      most = rounded;
+      found = k;
+    }
+    held_by_ = pairs->pair_of(found);
   }
 
   // Add rows of one block, nonzero in `columns_` only, to the cost.
@@ -529,7 +537,7 @@ class Ik {
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
   std::vector<Vec3> levers_;
-  Vector lower_, upper_, total_, first_, least_, most_, h_, H_, c_, slope_, diagonal_, block_,
+  Vector lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
       taken_, times_, path_, whole_, reached_;
 };
 

@@ -121,29 +121,6 @@ struct Rows {
   Vector G, h;
 };
 
-// Return the row that a cost presses a step against most, or -1; see limits.Gate.press.
-inline int pressing_row(const Vector& slope, const Vector& step, const Vector& lower,
-                        const Vector& upper, const Rows& rows, const Vector& h) {
-  const int n = static_cast<int>(step.size());
-  int found = -1;
-  double most = 0.0;
-  for (int k = 0; k < rows.count; ++k) {
-    const double* g = rows.G.data() + k * n;
-    double moved = 0.0, pressed = 0.0, length2 = kLever * kLever;
-    for (int i = 0; i < n; ++i) {
-      moved += g[i] * step[i];
-      length2 += g[i] * g[i];
-      if (std::min(step[i] - lower[i], upper[i] - step[i]) > kTight) pressed -= g[i] * slope[i];
-    }
-    if (h[k] - moved > kTight || !(pressed / length2 > kPressing)) continue;
-    const double rounded = std::nearbyint(1e3 * (pressed / length2));
-    if (found >= 0 && !(rounded > most)) continue;
-    most = rounded;
-    found = k;
-  }
-  return found;
-}
-
 // Loosen rows where they contradict each other or a box; see limits.feasible.
 class Feasible {
  public:
