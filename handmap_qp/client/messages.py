@@ -453,6 +453,7 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
         pivot: Image of the human's pivot under T, about which it deforms [m].
         targets: Targets of the robot points that the method moves (eq. 7) [m].
         points: The same points after the step [m].
+        held_by: Both links of the pair that keeps the hand from its targets; empty if none does.
     """
 
     human_points: Points
@@ -466,6 +467,7 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
     pivot: Vector
     targets: Points
     points: Points
+    held_by: Names = ()
 
 
 class Command(Reply, frozen=True):

@@ -82,6 +82,7 @@ struct Result {
   std::vector<std::int8_t> active;
   int iterations;
   double last_step;
+  int held_by;  // the pair of shapes that holds the hand back, or -1
 };
 
 class Ik {
@@ -150,7 +151,9 @@ class Ik {
       for (int i = 0; i < n; ++i)
         total_[i] = clip(has_step ? qp_.x[i] : 0.0, lower_[i], upper_[i]);
     };
+    has_stopped_ = false;
     admit(total_, first_, dt, around);
+    if (!has_stopped_) find_holding();
     at.place(motion.q.data());
     if (pairs) pairs->arrive(at, path_end_);
     finish(goal, iterations, last_step, has_failed, result);
@@ -172,6 +175,7 @@ class Ik {
     result.active.assign(tree.size, 0);
     result.iterations = 0;
     result.last_step = 0.0;
+    result.held_by = -1;
     result.status = Status::released;
   }
 
@@ -208,6 +212,8 @@ class Ik {
         around();
         return admit(total_, total_, dt, around, tries - 1);
       }
+      has_stopped_ = is_inside && pairs->has_met();
+      if (has_stopped_) held_by_ = pairs->nearest_met();
       Vector short_first(n);
       for (int i = 0; i < n; ++i)
         short_first[i] = std::fmin(std::fmax(first[i], box_.lower[i]), box_.upper[i]);
@@ -234,11 +240,35 @@ class Ik {
   bool step(const Goal& goal, int rows, double& length2) {
     cost(goal);
     length2 = 0.0;
+    is_pressed_ = false;
     if (!qp_.solve(tree.size, H_.data(), c_.data(), least_.data(), most_.data(), rows,
                    linear_.G.data(), h_.data()))
       return false;
     for (const double x : qp_.x) length2 += x * x;
+    is_pressed_ = std::isfinite(length2) && qp_.has_active_row();
     return std::isfinite(length2);
+  }
+
+  // Note the pair whose row the cost presses the last step against most; see limits.Gate.press.
+  void find_holding() {
+    held_by_ = -1;
+    if (!is_pressed_) return;
+    const int n = tree.size;
+    const Vector& slope = qp_.slope(kTight);
+    int found = -1;
+    double most = 0.0;
+    for (int k = 0; k < linear_.count; ++k) {
+      const double* g = linear_.G.data() + k * n;
+      if (h_[k] - Qp::dot(g, qp_.x.data(), n) > kTight) continue;
+      const double length2 = Qp::dot(g, g, n) + kLever * kLever;
+      const double pressed = -Qp::dot(g, slope.data(), n) / length2;
+      if (!(pressed > kPressing)) continue;
+      const double rounded = std::nearbyint(1e3 * pressed);
+      if (found >= 0 && !(rounded > most)) continue;
+      most = rounded;
+      found = k;
+    }
+    held_by_ = pairs->pair_of(found);
   }
 
   // Add rows of one block, nonzero in `columns_` only, to the cost.
@@ -507,6 +537,7 @@ class Ik {
     }
     result.iterations = iterations;
     result.last_step = last_step;
+    result.held_by = held_by_;
     result.status = has_failed                                              ? Status::failed
                     : std::sqrt(farthest2) <= settings.point_tolerance ? Status::converged
                     : at_bound                                              ? Status::limited
@@ -520,11 +551,14 @@ class Ik {
   Box box_;
   TaskRows further_;
   Placed start_, path_end_;
+  // Whether a row is active in the last step, and whether pairs that met stopped the hand.
+  bool is_pressed_ = false, has_stopped_ = false;
+  int held_by_ = -1;  // the pair that holds the hand back
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
   std::vector<Vec3> levers_;
-  Vector lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_, taken_,
-      times_, path_, whole_, reached_;
+  Vector lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
+      taken_, times_, path_, whole_, reached_;
 };
 
 }  // namespace handmap

@@ -19,6 +19,8 @@ constexpr double kRoughly = 2e-5;
 constexpr double kParted = 0.3;
 constexpr double kLever = 0.015;
 constexpr double kInside = 0.9;
+constexpr double kTight = 1e-7;
+constexpr double kPressing = 10.0;
 constexpr int kTries = 3;
 constexpr double kShares[] = {1.0, 0.5, 0.25, 0.1};
 

@@ -369,6 +369,7 @@ NB_MODULE(_core, m) {
                    })
       .def_prop_ro("dt", [](const Step& step) { return step.motion.dt; })
       .def_prop_ro("outcome", [](const Step& step) { return static_cast<int>(step.result.status); })
+      .def_prop_ro("held_by", [](const Step& step) { return step.result.held_by; })
       .def_prop_ro("iterations", [](const Step& step) { return step.result.iterations; })
       .def_prop_ro("last_step", [](const Step& step) { return step.result.last_step; });
   nb::class_<Stages, Step>(m, "Stages")

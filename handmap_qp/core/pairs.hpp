@@ -164,12 +164,14 @@ class Pairs {
     rows.count = static_cast<int>(near_.size());
     rows.G.assign(near_.size() * n, 0.0);
     rows.h.clear();
+    row_pairs_.clear();
     double* row = rows.G.data();
     for (const auto& [place, k] : near_) {
       const Found& found = found_[k];
       linearise(at, k, found.normal, found.point, row);
       row += n;
       rows.h.push_back(kGain * (found.distance - margins_[place]));
+      row_pairs_.push_back(static_cast<int>(place));
     }
   }
 
@@ -208,7 +210,18 @@ class Pairs {
   // What met on the last path, where it began: see collision.ShapeDistances.met_on.
   bool has_met() const { return !met_.empty(); }
 
-  // Add the rows of what met; see collision.CollisionLimit.rows_of_met.
+  // The pair of those that is nearest where the path began, as it came.
+  int nearest_met() const {
+    const auto is_nearer = [](const Met& a, const Met& b) {
+      return a.found.distance < b.found.distance;
+    };
+    return static_cast<int>(place(std::min_element(met_.begin(), met_.end(), is_nearer)->pair));
+  }
+
+  // The pair of a row, as it came; -1 of none.
+  int pair_of(int row) const { return row < 0 ? -1 : row_pairs_[row]; }
+
+  // Add the rows of what met; see limits.Gate.joined.
   void add_met(const Placed& at, Rows& rows) {
     const int n = tree_.size;
     std::sort(met_.begin(), met_.end(),
@@ -219,6 +232,7 @@ class Pairs {
       linearise(at, met.pair, met.found.normal, met.found.point, row);
       row += n;
       rows.h.push_back(kGain * (met.found.distance - kCleared));
+      row_pairs_.push_back(static_cast<int>(place(met.pair)));
     }
     rows.count = static_cast<int>(rows.h.size());
   }
@@ -545,6 +559,7 @@ class Pairs {
   std::vector<char> changed_;
   std::vector<Parting> partings_;
   std::vector<std::pair<size_t, size_t>> near_;
+  std::vector<int> row_pairs_;
   std::vector<Warm> warm_;
   std::vector<Low> lows_;
   std::vector<std::pair<size_t, Found>> ends_;

@@ -51,6 +51,29 @@ class Qp {
     return false;
   }
 
+  // Whether a row holds the minimum.
+  bool has_active_row() const {
+    return std::any_of(active_.begin(), active_.end(), [this](int k) { return k >= 2 * n_; });
+  }
+
+  // The cost's derivative at the minimum, 0 where x is within `tight` of a bound.
+  const std::vector<double>& slope(double tight) {
+    find_slope();
+    for (int i = 0; i < n_; ++i)
+      if (!(std::min(x[i] - lower_[i], upper_[i] - x[i]) > tight)) v_[i] = 0.0;
+    return v_;
+  }
+
+  // With four sums, as one sum waits for itself.
+  static double dot(const double* a, const double* b, int n) {
+    double sums[4] = {0.0, 0.0, 0.0, 0.0};
+    int i = 0;
+    for (; i + 3 < n; i += 4)
+      for (int k = 0; k < 4; ++k) sums[k] += a[i + k] * b[i + k];
+    for (; i < n; ++i) sums[0] += a[i] * b[i];
+    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
+  }
+
  private:
   static constexpr double kInfinity = std::numeric_limits<double>::infinity();
   // A constraint whose normal has less than this share outside the active ones depends on them.
@@ -70,15 +93,6 @@ class Qp {
   double* Q(int j) { return Q_.data() + j * n_; }
   double& R(int i, int j) { return R_[i * n_ + j]; }
 
-  // With four sums, as one sum waits for itself.
-  static double dot(const double* a, const double* b, int n) {
-    double sums[4] = {0.0, 0.0, 0.0, 0.0};
-    int i = 0;
-    for (; i + 3 < n; i += 4)
-      for (int k = 0; k < 4; ++k) sums[k] += a[i + k] * b[i + k];
-    for (; i < n; ++i) sums[0] += a[i] * b[i];
-    return (sums[0] + sums[1]) + (sums[2] + sums[3]);
-  }
   static void add(double factor, const double* from, double* to, int n) {
     for (int i = 0; i < n; ++i) to[i] += factor * from[i];
   }

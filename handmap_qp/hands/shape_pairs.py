@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations, product
+from itertools import combinations, compress, product
 from typing import NamedTuple
 
 import numpy as np
@@ -14,8 +14,10 @@ from handmap_qp.hands.fingers import Finger, zero_posture
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 
-# Pairs that are never farther apart than this in sampled postures count as joined [m].
-_PARTED, _POSTURES = 3e-3, 16
+# Pairs that are never farther apart than this in sampled postures count as joined [m]. So do pairs
+# that are never much farther apart, and overlap in this share of them: coarse shapes at a joint.
+_PARTED, _POSTURES = 3e-3, 64
+_COARSE, _OVERLAPPING = 5e-3, 0.4
 
 
 class ShapePairs(NamedTuple):
@@ -25,10 +27,12 @@ class ShapePairs(NamedTuple):
         geometry: The shapes, with one collision pair for each of the pairs.
         fingers: Finger whose distal link the pair brings together with the thumb's; empty for
             pairs that do not pinch.
+        joined: Links of pairs that were left out because they never part.
     """
 
     geometry: pin.GeometryModel
     fingers: tuple[str, ...]
+    joined: tuple[tuple[str, str], ...] = ()
 
     @property
     def links(self) -> tuple[tuple[str, str], ...]:
@@ -76,7 +80,7 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     """Pair all shapes that may collide.
 
     Pairs on one joint, on neighbouring joints, on one finger, that overlap at rest or with the hand
-    stretched, or that stay within 3 mm in every posture are left out. Shapes of one finger overlap
+    stretched, or that never part are left out. Shapes of one finger overlap
     at its joints as it bends, and its joint limits keep it from touching itself. A pair that never
     parts from its margin would hold its joints for good.
 
@@ -97,9 +101,8 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
         b = joints[j]
         if owner[a] != owner[b] and parents[a] != b and parents[b] != a:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
-    for pair in _left_out(hand, geometry):
-        geometry.removeCollisionPair(pair)
-    return ShapePairs(geometry, _pinching_fingers(geometry, chains))
+    joined = _leave_out(hand, geometry)
+    return ShapePairs(geometry, _pinching_fingers(geometry, chains), joined)
 
 
 def _pinching_fingers(
@@ -136,13 +139,13 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
     return next(filter(None, found), [])
 
 
-def _left_out(hand: Hand, geometry: pin.GeometryModel) -> list[pin.CollisionPair]:
-    """Return the pairs that overlap at rest or with the hand stretched, or never part."""
+def _leave_out(hand: Hand, geometry: pin.GeometryModel) -> tuple[tuple[str, str], ...]:
+    """Remove pairs that overlap at rest or stretched, or never part; return links of the latter."""
     postures = np.array([hand.rest, zero_posture(hand)])
     distances = pair_distances(hand, geometry, postures)
     overlaps = np.any(distances <= 0.0, axis=0)
     pairs = [pin.CollisionPair(p.first, p.second) for p in geometry.collisionPairs]
-    near = np.flatnonzero(~overlaps & np.all(distances < _PARTED, axis=0))
+    near = np.flatnonzero(~overlaps & np.all(distances < _COARSE, axis=0))
     few = geometry.copy()
     few.removeAllCollisionPairs()
     for k in near:
@@ -150,8 +153,12 @@ def _left_out(hand: Hand, geometry: pin.GeometryModel) -> list[pin.CollisionPair
     limits = hand.lower_limits, hand.upper_limits
     shape = _POSTURES, len(hand.rest)
     postures = np.random.default_rng(0).uniform(*limits, shape)
-    farthest = pair_distances(hand, few, postures).max(axis=0)
-    return [pairs[k] for k in (*np.flatnonzero(overlaps), *near[farthest < _PARTED])]
+    distances = pair_distances(hand, few, postures)
+    is_often = np.mean(distances <= 0.0, axis=0) > _OVERLAPPING
+    never = distances.max(axis=0) < np.where(is_often, _COARSE, _PARTED)
+    for k in (*np.flatnonzero(overlaps), *near[never]):
+        geometry.removeCollisionPair(pairs[k])
+    return tuple(compress(ShapePairs(few, ()).links, never))
 
 
 def pair_distances(

@@ -76,8 +76,6 @@ if TYPE_CHECKING:
 KEPT = 2e-4
 """Pairs do not come nearer than this, or than they are at the start, where a path is measured; and
 not nearer than half of it between [m]."""
-# Points that met are kept this far apart [m].
-_CLEARED = 5e-4
 # GJK starts from the last result of the pair. With coal's 1e-6 the answer depends on it by as much.
 _TOLERANCE = 1e-12
 # Points of a path that are measured, at most; a path that needs more counts as not clear.
@@ -139,10 +137,12 @@ class PairBounds(Compiled):
         turns: Bound of `S + 2 C` of each pair per change of each coordinate, shape (k, nv).
         signs: 1 where a coordinate moves the first shape of a pair, -1 where it moves the second, 0
             where both or neither, shape (k, nv).
+        links: Links of both shapes of each pair; at -1, there are none.
     """
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
         self.geometry = geometry
+        self.links = (*ShapePairs(geometry, ()).links, ())
         pairs = geometry.collisionPairs
         self.first = np.array([pair.first for pair in pairs], dtype=int)
         self.second = np.array([pair.second for pair in pairs], dtype=int)
@@ -475,14 +475,15 @@ class CollisionLimit:
         self,
         configuration: Configuration,
         near: NearPairs,
-        margins: np.ndarray | None = None,
+        margins: np.ndarray | float | None = None,
     ) -> Rows:
         """Linearise the distances of the measured pairs as rows `G dq <= h`.
 
         Args:
             configuration: Of the hand, placed with Jacobians.
-            near: What `measure` found there.
-            margins: Distance that each of all pairs keeps [m], shape (k,); `margin` if omitted.
+            near: What `measure` found there, or `met_on` on a path from there.
+            margins: Distance that all pairs keep [m], or each of them, shape (k,); `margin` if
+                omitted.
 
         Returns:
             G, shape (r, n) over the active coordinates; h [m], shape (r,), negative where a pair is
@@ -494,18 +495,9 @@ class CollisionLimit:
         G = self.shape_distances.bounds.signs[pairs] * wrenches.dot(
             configuration.joint_jacobian()
         )
-        kept = self.margin if margins is None else margins[pairs]
+        kept = self.margin if margins is None else margins
+        kept = kept[pairs] if isinstance(kept, np.ndarray) else kept
         return configuration.contracted(G), _GAIN * (found[:, 0] - kept)
-
-    def rows_of_met(self, configuration: Configuration, met: NearPairs) -> Rows:
-        """Return the rows of points that met on a path.
-
-        Args:
-            configuration: Of the hand where the path begins, placed with Jacobians.
-            met: What `met_on` found.
-        """
-        count = len(self.shape_distances.bounds.first)
-        return self.rows(configuration, met, np.full(count, _CLEARED))
 
 
 class Detour(NamedTuple):

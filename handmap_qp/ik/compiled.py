@@ -33,7 +33,7 @@ class CompiledIk:
         self.core = core_ik
         self._gate = gate
         # Without the gate, which refers to the steps.
-        self._result = partial(_result_of, hand.joint_columns)
+        self._result = partial(_result_of, hand.joint_columns, gate.links)
 
     def solve(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
@@ -88,7 +88,9 @@ class CompiledIk:
         return self._hand.configuration()
 
 
-def _result_of(columns: np.ndarray, step: Any, targets: np.ndarray) -> IkResult:
+def _result_of(
+    columns: np.ndarray, links: Any, step: Any, targets: np.ndarray
+) -> IkResult:
     """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
     return IkResult(
         STATUSES[step.outcome],
@@ -101,6 +103,7 @@ def _result_of(columns: np.ndarray, step: Any, targets: np.ndarray) -> IkResult:
         columns,
         step.iterations,
         step.last_step,
+        links[step.held_by],
     )
 
 

@@ -92,9 +92,12 @@ _LEVER = 0.015
 # Parting takes this share of the box at most. All of it may leave nothing but its corner, which
 # DAQP reports as infeasible.
 _INSIDE = 0.9
+# A row is tight within this [m]. It holds a step back where the cost would fall by this much per
+# metre: where a point stays some millimetre from its target because of it.
+TIGHT, _PRESSING = 1e-7, 10.0
 _SHARES = (1.0, 0.5, 0.25, 0.1)
-# How often a way is sought around what meets.
-_TRIES = 3
+# How often a way is sought around what meets, and how far apart its points are kept then [m].
+_TRIES, _CLEARED = 3, 5e-4
 
 
 class Box(NamedTuple):
@@ -369,6 +372,8 @@ class Gate:
         limits: Of position, speed and acceleration.
         collisions: As given.
         was_set: Whether the motion was set since the compiled core last moved the robot.
+        links: Links of each pair; at -1, there are none.
+        held_by: Index of the pair that holds the robot back; -1 for none.
     """
 
     def __init__(
@@ -390,6 +395,10 @@ class Gate:
             together=None if collisions is None else collisions.columns,
         )
         self._together = self.limits.together
+        self.links = (
+            [()] if collisions is None else collisions.shape_distances.bounds.links
+        )
+        self.held_by = -1
 
     @property
     def motion(self) -> Motion:
@@ -448,15 +457,31 @@ class Gate:
         if collisions is None:
             return None
         q, last, *_ = self.motion
-        return collisions.rows(
-            placed, collisions.measure(q, dt, margins, last), margins
-        )
+        near = collisions.measure(q, dt, margins, last)
+        self._row_pairs = near.pairs
+        return collisions.rows(placed, near, margins)
 
     def joined(self, rows: Rows, placed: Configuration, met: NearPairs) -> Rows:
         """Return rows, and those of points that met; arguments as of `rows` and `admit`."""
         assert self.collisions is not None
-        further = self.collisions.rows_of_met(placed, met)
+        further = self.collisions.rows(placed, met, _CLEARED)
+        self._row_pairs = np.append(self._row_pairs, met.pairs)
         return np.vstack([rows[0], further[0]]), np.append(rows[1], further[1])
+
+    def press(self, slope: np.ndarray, step: np.ndarray, rows: Rows) -> None:
+        """Note the pair whose row the cost presses a step against most, if it is much.
+
+        Args:
+            slope: Derivative of the cost there, 0 at bounds of the box, shape (n,).
+            step: Solution of a QP with these rows, shape (n,).
+            rows: G and h.
+        """
+        G, h = rows
+        pressed = -G.dot(slope) / (np.square(G).sum(axis=1) + _LEVER**2)
+        pressed *= h - G.dot(step) <= TIGHT
+        if pressed.max(initial=0.0) > _PRESSING:
+            # Shapes in one plane press alike but for rounding: the first one counts.
+            self.held_by = int(self._row_pairs[pressed.round(3).argmax()])
 
     def admit(
         self,
@@ -485,9 +510,11 @@ class Gate:
         times = self.limits.stop_times(taken, dt)
         is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
         met = self._met_on(taken, times, dt) if is_inside else None
-        if met is not None and len(met.pairs) and around is not None and tries:
-            other = around(met)
-            return self.admit(other, other, dt, around, tries - 1)
+        if met is not None and len(met.pairs):
+            if around is not None and tries:
+                other = around(met)
+                return self.admit(other, other, dt, around, tries - 1)
+            self.held_by = int(met.pairs[met.found[:, 0].argmin()])
         if not is_inside or met is not None:
             first = np.fmin(np.fmax(first, box.lower), box.upper)
             taken, times = self._shortened(None if is_inside else taken, first, dt)
@@ -501,6 +528,7 @@ class Gate:
             dt: Time of the sample [s].
         """
         dt = max(dt, SHORTEST_DT)
+        self.held_by = -1
         displacement = self._braking(dt)
         self._move(displacement, np.maximum(self.motion.stop_times - dt, 0.0), dt)
         return displacement

@@ -28,7 +28,7 @@ import pinocchio as pin
 from handmap_qp import ik
 from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
-from handmap_qp.ik.limits import SHORTEST_DT, Gate, Motion, Rows, feasible
+from handmap_qp.ik.limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
 from handmap_qp.se3 import frozen, lengths
@@ -74,6 +74,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
             shape (n,).
         iterations: QPs solved.
         last_step: Euclidean norm of the last iteration's step [rad or m].
+        held_by: Links of the pair of shapes that holds the hand back most; empty if none does.
     """
 
     status: Status
@@ -86,6 +87,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     joint_columns: np.ndarray
     iterations: int
     last_step: float
+    held_by: tuple[str, ...] = ()
 
     @property
     def errors(self) -> np.ndarray:
@@ -420,14 +422,22 @@ class PointIk:
     ) -> np.ndarray | None:
         """Pose the QP of one iteration and solve it; None if the solver fails."""
         problem = self.hand, self.options, self._configuration, goal
+        self.gate.held_by = -1
         if self.options.formulation == "mink":
             limit = ik.mink_problem.RowsLimit(lower, upper, rows)
             posed = ik.mink_problem.build_problem(*problem, limit)
+            H, c = posed.P, posed.q
             step = ik.solvers.solve_problem(posed, self.options.solver)
         else:
-            step = self._solver(*direct_cost(*problem), lower, upper, rows)
+            H, c = direct_cost(*problem)
+            step = self._solver(H, c, lower, upper, rows)
         # Catch NaN too, which solvers return where extreme weights or targets overflow.
-        return step if step is not None and math.isfinite(step.dot(step)) else None
+        if step is None or not math.isfinite(step.dot(step)):
+            return None
+        if rows is not None:
+            is_free = np.minimum(step - lower, upper - step) > TIGHT
+            self.gate.press(is_free * (H.dot(step) + c), step, rows)
+        return step
 
     def _result(
         self,
@@ -464,4 +474,5 @@ class PointIk:
             self.hand.joint_columns,
             iterations,
             last_step,
+            self.gate.links[self.gate.held_by],
         )

@@ -372,6 +372,11 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return self.stages.ik
 
     @property
+    def held_by(self) -> tuple[str, ...]:
+        """Both links of the pair that keeps the hand from its targets; empty if none does."""
+        return self.ik.held_by
+
+    @property
     def is_held(self) -> bool:
         """Whether the sample was not followed, and the robot held its posture."""
         return self.verdict is not None and self.verdict.is_held

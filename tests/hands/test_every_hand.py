@@ -15,6 +15,8 @@ import pytest
 from handmap_qp import Hand, HandMapper, hand_names, load_hand, read_recording
 from handmap_qp.apps.onboarding.collision_pairs import find_collision_pairs
 from handmap_qp.apps.onboarding.detect import detect
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.shape_pairs import all_pairs
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.recording import HumanMotion
@@ -174,7 +176,7 @@ def test_links_that_are_to_stay_apart_are_apart_at_rest(name: str) -> None:
 @pytest.mark.parametrize("name", ["hey5", "romeo_right"])
 def test_the_pairs_of_a_description_are_those_that_are_found(name: str) -> None:
     hand = load_hand(name)
-    found = find_collision_pairs(hand)
+    found = find_collision_pairs(hand, all_pairs(hand, find_fingers(hand)))
     assert found is not None
     assert hand.spec.collision is not None
     assert set(hand.spec.collision.pairs) == set(found.pairs)

@@ -273,7 +273,9 @@ def test_a_pair_that_never_parts_is_left_out(gap: float, count: int) -> None:
     )
     tip = PointSpec("tip", "disc", (0.02, 0.0, 0.0))
     robot = two_joint_hand(urdf, ("swing", "disc"), tip, (1.0, 0.0, 0.0))
-    assert len(all_pairs(robot, {}).fingers) == count
+    pairs = all_pairs(robot, {})
+    assert len(pairs.fingers) == count
+    assert pairs.joined == (("palm", "disc"),)[count:]
 
 
 def test_named_pairs_are_those_of_the_description() -> None:

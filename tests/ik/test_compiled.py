@@ -70,6 +70,7 @@ def test_a_sample_of_both_paths_from_one_state_has_one_command(
         other = slow.map_landmarks(landmarks, dt=1.0 / 45.0)
         assert one.status == other.status
         assert one.iterations == other.iterations
+        assert one.held_by == other.held_by
         np.testing.assert_array_equal(one.at_bound, other.at_bound)
         np.testing.assert_allclose(one.targets, other.targets, atol=1e-11)
         np.testing.assert_allclose(one.wrist_target, other.wrist_target, atol=1e-11)

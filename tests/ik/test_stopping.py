@@ -102,7 +102,7 @@ def test_the_rows_of_what_met_cut_off_the_way_on_which_it_met(case: Case) -> Non
         if met is None or not len(met.pairs) or case.nearest(start) < 2.5e-4:
             continue
         configuration.place(start)
-        G, h = limit.rows_of_met(configuration, met)
+        G, h = limit.rows(configuration, met, 5e-4)
         np.testing.assert_allclose(np.linalg.norm(met.found[:, 1:4], axis=1), 1.0)
         cut += (G @ step > h).tolist()
     assert np.mean(cut) > 0.95

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from live_cases import moving_hand
@@ -202,5 +203,10 @@ def test_the_status_says_that_the_service_is_silent(
 
         wait_until(send)
         assert "three_finger" in sink.status()
+        assert "held by" not in sink.status()
+        assert sink.command is not None
+        detail = {"held_by": ["palm", "finger1_distal"]}
+        sink.command = msgspec.structs.replace(sink.command, detail=detail)
+        assert sink.status().endswith("held by palm and finger1_distal")
         monkeypatch.setattr("handmap_qp.apps.live.service._SILENCE", -1.0)
         assert "no answer" in sink.status()

@@ -9,19 +9,23 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pinocchio as pin
 import pytest
 import yaml
 
 from handmap_qp import HandError, load_hand
 from handmap_qp.apps.onboarding.check import (
+    Finding,
     Report,
     _check_arm,
+    _check_contacts,
     _check_wrist,
     _compare_detection,
     check_hand,
 )
 from handmap_qp.apps.onboarding.collision_pairs import (
     find_collision_pairs,
+    joined_notes,
     with_collision_pairs,
 )
 from handmap_qp.apps.onboarding.detect import detect, detect_text
@@ -29,12 +33,16 @@ from handmap_qp.apps.onboarding.measure import (
     make_fist,
     measure_arm,
     measure_pinches,
+    tour_gestures,
     try_motion,
 )
 from handmap_qp.apps.onboarding.picture import _Scene
 from handmap_qp.apps.onboarding.write import write_hand
+from handmap_qp.hands.fingers import find_fingers
+from handmap_qp.hands.shape_pairs import ShapePairs, all_pairs
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.ik.collision import CollisionLimit
+from handmap_qp.se3 import inverse_pose, transform_points
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -42,7 +50,7 @@ pytestmark = pytest.mark.slow
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 sys.path.insert(0, str(BENCHMARKS))
 from made_hands import MadeHand, make_hand  # noqa: E402
-from shared_hands import shared_hands_folder  # noqa: E402
+from shared_hands import NAMES, load, shared_hands_folder  # noqa: E402
 
 SHARED = shared_hands_folder()
 
@@ -267,7 +275,7 @@ def test_axes_of_leap_that_were_called_certain_are_refuted(tmp_path: Path) -> No
 
 def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
     hand = load_hand("allegro_right")
-    collision = find_collision_pairs(hand)
+    collision = find_collision_pairs(hand, all_pairs(hand, find_fingers(hand)))
     assert collision is not None
     described_hand = load_hand(msgspec.structs.replace(hand.spec, collision=collision))
     limit = CollisionLimit(described_hand)
@@ -284,15 +292,72 @@ def test_pairs_for_self_collision_are_apart_at_rest_and_named() -> None:
 
 def test_pairs_for_self_collision_let_pinches_close() -> None:
     hand = load_hand("allegro_right")
-    collision = find_collision_pairs(hand)
+    collision = find_collision_pairs(hand, all_pairs(hand, find_fingers(hand)))
     assert collision is not None
     # A pinch counts as closed with surfaces nearer than 3 mm.
     assert collision.margin < 0.001
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["allegro_right", "g1_right", "hey5", "leap_right", "svh_right", "ur5_allegro"],
+)
+def test_contacts_leave_the_joints_of_right_hands_their_range(name: str) -> None:
+    if name in NAMES and SHARED is None:
+        pytest.skip("set HANDMAP_HANDS")
+    hand = load(name)
+    found = [each for each in _check_contacts(hand) if isinstance(each, Finding)]
+    assert {each.level for each in found} <= {"fine"}
+    rows = tour_gestures(hand)
+    assert [row.joint for row in rows] == [*hand.joint_names]
+    assert max(row.without_contacts for row in rows) > 0.5
+
+
+def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:
+    # A ball on the palm, 0.45 rad of flexion away from the finger at rest.
+    hand = load_hand("three_finger")
+    q = hand.rest.copy()
+    q[hand.joint_names.index("f3_proximal")] += 0.45
+    palm, distal = hand.link_poses(["palm", "finger3_distal"], q)
+    x, y, z = transform_points(inverse_pose(palm), distal[:3, 3])
+    ball = (
+        f'<collision><origin xyz="{x} {y} {z}"/><geometry><sphere radius="0.012"/>'
+        "</geometry></collision>"
+    )
+    link = '<link name="palm">'
+    urdf = tmp_path / "hand.urdf"
+    urdf.write_text(hand.urdf_text.replace(link, link + ball))
+    locked = load_hand(msgspec.structs.replace(hand.spec, urdf=str(urdf)))
+    found = [
+        each
+        for each in _check_contacts(locked)
+        if isinstance(each, Finding) and each.level == "warning"
+    ]
+    assert found
+    assert all("palm and finger3" in each.what for each in found)
+    report = check_hand("three_finger")
+    assert "A tour of gestures" in report.measured
+
+
+@pytest.mark.skipif(SHARED is None, reason="set HANDMAP_HANDS")
+def test_coarse_shapes_at_a_joint_are_left_out() -> None:
+    # A box of the palm and the thumb's base, 2 mm inside to 4 mm apart, halved the thumb's range.
+    robot = load("svh_right")
+    joined = all_pairs(robot, find_fingers(robot)).joined
+    assert {frozenset(links) for links in joined} == {
+        frozenset({"right_hand_e1", "right_hand_a"})
+    }
+
+
+def test_links_that_are_always_close_are_noted(tmp_path: Path) -> None:
+    pairs = ShapePairs(pin.GeometryModel(), (), (("a", "b"), ("a", "b")))
+    (note,) = joined_notes(pairs)
+    assert note.startswith("a and b are close in every posture")
+
+
 def test_a_hand_without_shapes_has_no_pairs(made: MadeHand, tmp_path: Path) -> None:
     hand = load_hand(described(tmp_path, made.urdf))
-    assert find_collision_pairs(hand) is None
+    assert find_collision_pairs(hand, all_pairs(hand, find_fingers(hand))) is None
     found = detect(tmp_path / "hand.urdf")
     assert with_collision_pairs(found, hand).spec.collision is None
 

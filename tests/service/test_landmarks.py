@@ -69,6 +69,7 @@ def test_landmarks_are_measured_first_and_then_mapped(recordings: Any) -> None:
     assert "calibrating" not in states[31:]
     assert all(command.q == tuple(session.robot.rest) for command in commands[:30])
     assert commands[-1].detail is not None
+    assert {len(each.detail.held_by) for each in commands if each.detail} <= {0, 2}
 
 
 def test_landmarks_that_are_no_hand_are_refused_at_once_and_the_session_is_as_it_was() -> (

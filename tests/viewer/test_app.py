@@ -282,6 +282,9 @@ def test_both_hands_are_in_view_on_a_portrait_screen(
 
 def test_the_robots_name_says_that_the_hand_was_not_seen(viewer: ReplayViewer) -> None:
     assert state_text(viewer.sample) == ""
+    pressed = replace(viewer.sample, held_by=("palm", "finger1_distal"))
+    assert state_text(pressed) == "held by palm and finger1_distal"
+    assert state_text(replace(pressed, status="released")) == "released"
     seek(viewer, GAP.start)
     label: Any = viewer.server.scene.get_handle_by_name("/robot_name")
     assert label.text.splitlines() == ["three_finger", "paper", "held: missing"]

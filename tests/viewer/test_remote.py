@@ -174,6 +174,7 @@ def test_teleoperation_is_shown_with_the_points_that_it_moves(service: Server) -
         assert command.detail is not None
         assert sample.targets is not None
         assert sample.deformation is not None
+        assert sample.held_by == command.detail["held_by"]
         np.testing.assert_allclose(
             sample.targets, command.detail["targets"], atol=1e-12
         )

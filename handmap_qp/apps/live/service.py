@@ -120,7 +120,9 @@ class ServiceSink:
         if self.command is None:
             return f"{self._robot}: {self._refusal or 'waiting'}"
         flags = f" ({', '.join(self.command.flags)})" if self.command.flags else ""
-        return f"{self._robot}: {self.command.status}{flags}"
+        pair = (self.command.detail or {}).get("held_by")
+        held = f", held by {' and '.join(pair)}" if pair else ""
+        return f"{self._robot}: {self.command.status}{flags}{held}"
 
     def summary(self) -> dict[str, Any]:
         """Return counts of samples, commands, their states and flags, and refusals."""

@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.onboarding.anatomy import FINGERS, Clue, angle_between
-from handmap_qp.apps.onboarding.collision_pairs import colliding_links
+from handmap_qp.apps.onboarding.collision_pairs import colliding_links, joined_notes
 from handmap_qp.apps.onboarding.detect import detect_text, left_out_wrist
 from handmap_qp.apps.onboarding.measure import (
     fingertip_pads,
@@ -28,6 +28,7 @@ from handmap_qp.apps.onboarding.measure import (
     measure_reach,
     measure_size,
     moves_wrist,
+    tour_gestures,
     try_motion,
 )
 from handmap_qp.apps.onboarding.robot import Robot
@@ -43,7 +44,7 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.shape_pairs import named_pairs
+from handmap_qp.hands.shape_pairs import all_pairs, named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.se3 import lengths
@@ -67,6 +68,8 @@ _ACROSS, _DISTAL = 25.0, 35.0
 _NARROW = 0.004
 # A thumb whose pad stays farther than this from every other opposes none of them [mm].
 _OPPOSING = 15.0
+# A joint moves if its range is more than this [rad or m].
+_MOVES = 0.2
 # A point this far from its target is out of reach [mm].
 _OUT_OF_REACH = 20.0
 # A person's hand moves this far to all sides in front of the body [m].
@@ -167,7 +170,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
             return report
         report.name = built.name
         report.measured["Joints"] = _joint_rows(built)
-        for check in _CHECKS[: None if has_motion else -1]:
+        for check in _CHECKS[: None if has_motion else -2]:
             try:
                 for found in check(built):
                     if isinstance(found, Finding):
@@ -521,6 +524,22 @@ def _check_arm(hand: Hand) -> Findings:
     yield advice("rest", what, change)
 
 
+def _check_contacts(hand: Hand) -> Measures:
+    """Find joints that links lock by lying on each other."""
+    for note in joined_notes(all_pairs(hand, find_fingers(hand))):
+        yield fine("collision", note)
+    rows = tour_gestures(hand)
+    yield "A tour of gestures", msgspec.to_builtins(rows)
+    for row in rows:
+        free = row.without_contacts
+        if free > _MOVES and row.with_contacts < 0.5 * free:
+            what = (
+                f"contacts narrow the range of {row.joint} in a tour of gestures from "
+                f"{free:.2g} to {row.with_contacts:.2g}: {row.held_by or 'some links'} meet"
+            )
+            yield warning("urdf", what, "correct the collision shapes of these links")
+
+
 def _check_motion(hand: Hand) -> Measures:
     motion = try_motion(hand)
     yield "A standard motion", msgspec.to_builtins(motion)
@@ -554,5 +573,6 @@ _CHECKS = (
     _check_reach,
     _check_size,
     _check_arm,
+    _check_contacts,
     _check_motion,
 )

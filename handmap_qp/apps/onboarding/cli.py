@@ -18,7 +18,7 @@ from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.match import match_hand
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
 from handmap_qp.apps.onboarding.write import check_free, open_source, write_hand
-from handmap_qp.apps.tables import print_rows, print_table
+from handmap_qp.apps.tables import print_rows, print_table, progress
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
@@ -294,7 +294,7 @@ class HandsCheck:
     Attributes:
         hand: Path of a hand.yaml, or name of a hand of the package.
         picture: Picture to draw, PNG, SVG or PDF.
-        motion: Map a standard motion of a human hand to it (takes a second or two).
+        motion: Map motions of a human hand to it (takes seconds; without the core, half a minute).
         json: Print one JSON object instead of tables.
     """
 
@@ -310,7 +310,8 @@ class HandsCheck:
 
     def run(self) -> None:
         """Check the hand, draw it, and print the findings."""
-        report = check_hand(self.hand, has_motion=self.motion)
+        with progress("checking"):
+            report = check_hand(self.hand, has_motion=self.motion)
         if report.hand is None and not self.json:
             # A table of one error would say it twice.
             report.raise_if_unusable()

@@ -45,19 +45,32 @@ def with_collision_pairs(found: Detection, hand: Hand) -> Detection:
         The detection with `collision`; with a note instead if there are no shapes.
     """
     try:
-        collision = find_collision_pairs(hand)
+        pairs = all_pairs(hand, find_fingers(hand))
+        collision = find_collision_pairs(hand, pairs)
     except HandmapError as error:
         note = f"no pairs for self-collision: {error}"
         return found._replace(notes=(*found.notes, note))
     spec = msgspec.structs.replace(found.spec, collision=collision)
-    return found._replace(spec=spec)
+    return found._replace(spec=spec, notes=(*found.notes, *joined_notes(pairs)))
 
 
-def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
+def joined_notes(pairs: ShapePairs) -> list[str]:
+    """Name the links that are not kept apart because they never part."""
+    return [
+        f"{' and '.join(links)} are close in every posture: their contacts are left out"
+        for links in dict.fromkeys(pairs.joined)
+    ]
+
+
+def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
     """Find the pairs of links that may collide: thumb and fingers, thumb and palm, neighbours.
 
     Bars of linkages, pairs on one finger, pairs that overlap at rest, stretched or in most
     postures, and pairs that never come near each other are left out.
+
+    Args:
+        hand: The hand.
+        pairs: All pairs of its shapes that may collide.
 
     Returns:
         The pairs; None if there are none.
@@ -66,7 +79,6 @@ def find_collision_pairs(hand: Hand) -> CollisionSpec | None:
         HandError: If a collision shape cannot be read.
     """
     fingers = find_fingers(hand)
-    pairs = all_pairs(hand, fingers)
     others = [finger for finger in fingers if finger != THUMB]
     beside = [{THUMB, other} for other in ("palm", *others)]
     beside += map(set, itertools.pairwise(others))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from itertools import compress, product
-from typing import NamedTuple
+from itertools import compress, pairwise, product
+from statistics import mode
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -23,6 +24,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.method import MapStep
 from handmap_qp.se3 import lengths, unit
 
 HUMAN_LENGTH = 0.19
@@ -35,6 +37,10 @@ _ARM_SAMPLES = 1500
 _DIRECTIONS = unit(np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
+# Thumb and finger meet in this part of a fist.
+_PINCHED = 0.65
+# Contacts move a joint aside by more than this part of its range.
+_ASIDE = 0.25
 # The fingers' planes have a common normal if the mean of these unit vectors is this long.
 _COMMON = 0.8
 # Random postures in which the search for a pinch starts.
@@ -102,6 +108,22 @@ class MotionPart(_Row):
     worst_point: str
     error_mm: float
     joints_at_a_position_limit: str
+
+
+class JointRange(_Row):
+    """How far a joint moves in a tour of gestures.
+
+    Attributes:
+        joint: Its name.
+        without_contacts: Its range without contacts [rad or m].
+        with_contacts: Its range with contacts [rad or m].
+        held_by: Links that hold the hand most often where contacts move the joint aside.
+    """
+
+    joint: str
+    without_contacts: float
+    with_contacts: float
+    held_by: str
 
 
 class Fist(NamedTuple):
@@ -222,27 +244,72 @@ def try_motion(hand: Hand) -> list[MotionPart]:
     # be the human's.
     alignment = "world" if hand.is_floating else "palm"
     parts = []
+    mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
     for name, posture in standard_postures(human).items():
-        mapper = HandMapper(human, hand, rigid_from=rigid, alignment=alignment, dt=_DT)
-        mapper.map_step(human.rest, np.eye(4))
-        # 0.75 s of motion, then 0.25 s to settle.
-        ways = np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0)
-        *_, last = [
-            mapper.map_step(human.rest + share * (posture - human.rest), np.eye(4))
-            for share in 0.5 - 0.5 * np.cos(ways)
-        ]
+        *_, last = _follow(mapper, posture)
         error = last.point_error
         worst = int(np.argmax(error))
         limited = compress(hand.joint_names, hand.at_position_limit(last.command.q))
         parts.append(
             MotionPart(
-                posture=name,
-                worst_point=hand.reference_points[worst].name,
-                error_mm=1e3 * float(error[worst]),
-                joints_at_a_position_limit=", ".join(limited),
+                name,
+                hand.reference_points[worst].name,
+                1e3 * float(error[worst]),
+                ", ".join(limited),
             )
         )
     return parts
+
+
+def _follow(mapper: HandMapper, *postures: np.ndarray) -> list[MapStep]:
+    """Lead from rest to posture after posture, each in 0.75 s and 0.25 s to settle."""
+    shares = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0))
+    mapper.reset()
+    return [
+        mapper.map_step(before + share * (after - before), np.eye(4))
+        for before, after in pairwise([mapper.human.rest, *postures])
+        for share in shares
+    ]
+
+
+def tour_gestures(hand: Hand) -> list[JointRange]:
+    """Map gestures after one another, two of them from rest each time, with and without contacts.
+
+    Returns:
+        The range of each joint; none if the hand's preset avoids no contacts.
+    """
+    human = load_hand(
+        human_name(hand.side), points="landmarks", hand_length=HUMAN_LENGTH
+    )
+    mapper = HandMapper(human, hand, dt=_DT)
+    method: Any = mapper.method
+    if not getattr(method, "avoids_contact", False):
+        return []
+    pairs = gestures(human).reshape(-1, 2, len(human.rest))
+    tours = []
+    for avoids in (False, True):
+        mapper.configure(method.replaced(avoids_contact=avoids))
+        tours.append([step for pair in pairs for step in _follow(mapper, *pair)])
+    q = np.array([[step.command.q for step in tour] for tour in tours])
+    ranges = np.ptp(q, axis=1).T
+    is_aside = np.abs(q[1] - q[0]) > _ASIDE * ranges[:, 0]
+    links = [" and ".join(step.held_by) for step in tours[1]]
+    return [
+        JointRange(joint, *ends, mode([*filter(None, compress(links, aside)), ""]))
+        for joint, ends, aside in zip(
+            hand.joint_names, ranges.tolist(), is_aside.T, strict=True
+        )
+    ]
+
+
+def gestures(human: Hand) -> np.ndarray:
+    """Return gestures: spread fingers, any of them bent, each at the thumb, shape (k, 20)."""
+    flat, spread, fist, *_ = standard_postures(human).values()
+    fingers = [FINGERS.index(name.partition("_")[0]) for name in human.joint_names]
+    each = np.eye(len(FINGERS))
+    pinches = _PINCHED * np.maximum(each, each[FINGERS.index(THUMB)])
+    bends = np.array([*product((0.0, 1.0), repeat=len(each)), *pinches])
+    return np.vstack([spread, flat + bends[:, fingers] * (fist - flat)])
 
 
 def standard_postures(human: Hand) -> dict[str, np.ndarray]:

@@ -713,6 +713,7 @@ def to_detail(step: MapStep, sample: Step, landmarks: np.ndarray | None) -> Deta
         "points": step.points,
     }
     return Detail(
+        held_by=step.held_by,
         human_q=sample.q,
         human_wrist=to_pose(step.human_wrist),
         landmarks=None if landmarks is None else landmarks.tolist(),

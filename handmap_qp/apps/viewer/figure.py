@@ -526,7 +526,9 @@ def state_text(sample: ViewSample) -> str:
     if sample.note:
         return sample.note
     if sample.is_seen:
-        return sample.status if sample.status in ("released", "gliding") else ""
+        if sample.status in ("released", "gliding"):
+            return sample.status
+        return f"held by {' and '.join(sample.held_by)}" if sample.held_by else ""
     missed = f"{sample.status}: {sample.rule}"
     return missed if sample.rule else "hand not seen, robot held"
 

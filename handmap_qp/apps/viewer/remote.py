@@ -287,6 +287,7 @@ class ServiceSession:
             pivot=np.array(detail["pivot"]),
             is_limited=np.isin(self.robot.joint_names, command.at_limit),
             status=command.status,
+            held_by=detail.get("held_by", ()),
             rule=command.rule,
             duration=command.solve_time,
             is_seen=command.detail is not None,

@@ -217,6 +217,7 @@ class Replay:
             pivot=results.get("pivot_image"),
             is_limited=step.at_bound,
             status=step.status,
+            held_by=step.held_by,
             rule=step.rule,
             duration=step.duration,
             is_seen=is_seen,

@@ -34,6 +34,7 @@ class ViewSample:
         is_limited: Whether a position or speed limit held each robot joint in this step, shape
             (n,); None if the source does not report it.
         status: How the step ended.
+        held_by: Both links of the pair that keeps the robot from its targets; empty if none does.
         rule: The rule that the sample broke, such as `jump`; empty if it broke none.
         duration: Wall time of the mapping step [s]; NaN if there was none.
         is_seen: Whether the robot followed the sample; if not, the previous one is held.
@@ -55,6 +56,7 @@ class ViewSample:
     object_pose: np.ndarray | None = None
     is_limited: np.ndarray | None = None
     status: str = ""
+    held_by: Sequence[str] = ()
     rule: str = ""
     duration: float = float("nan")
     is_seen: bool = True
