@@ -90,9 +90,14 @@ class Checker:
         if self._free:
             moved = np.hstack([twists(before[:, :7], q[:, :7]), moved])
             moved[is_ambiguous, :6] = 0.0
-        speed = (np.abs(moved) - self._rounding) / (self._speed * dt[:, None])
+        rounding = np.tile(self._rounding, (len(q), 1))
+        # A wrist at 1e9 m has no place between two numbers, which are 1e-7 m apart there.
+        rounding[:, : self._free // 2] += np.spacing(
+            np.abs(q[:, : self._free // 2]).max(axis=1, initial=0.0, keepdims=True)
+        )
+        speed = (np.abs(moved) - rounding) / (self._speed * dt[:, None])
         self._note("speed", speed.max(axis=1), 1.0 + _SHARE)
-        self._judge_acceleration(moved, is_ambiguous, dt, limit)
+        self._judge_acceleration(moved, rounding, is_ambiguous, dt, limit)
         if self.meter is not None:
             self._judge_overlaps(self.meter, before, q, np.abs(moved).max(axis=1))
         self._q = q[-1].copy()
@@ -101,20 +106,21 @@ class Checker:
     def _judge_acceleration(
         self,
         moved: np.ndarray,
+        rounding: np.ndarray,
         is_ambiguous: np.ndarray,
         dt: np.ndarray,
         limit: float | None,
     ) -> None:
         limit = np.inf if limit is None else limit
         # A wrist whose turn is ambiguous is not known to be still.
-        is_still = np.all(np.abs(moved) <= self._rounding, axis=1) & ~is_ambiguous
+        is_still = np.all(np.abs(moved) <= rounding, axis=1) & ~is_ambiguous
         has_stood = np.logical_or.accumulate(np.concatenate([[False], is_still]))
         force = np.where(has_stood[:-1], limit, max(self._force, limit))
         velocity = moved / dt[:, None]
         velocity[is_ambiguous, : self._free] = np.nan
         last = np.vstack([self._last, velocity[:-1]])
         last_dt = np.concatenate([[self._dt], dt[:-1]])
-        noise = self._rounding * (1.0 / dt + 1.0 / last_dt)[:, None]
+        noise = rounding * (1.0 / dt + 1.0 / last_dt)[:, None]
         change = (np.abs(velocity - last) - noise) / (force * dt)[:, None]
         self._note("acceleration", np.fmax.reduce(change, axis=1), 1.0 + _SHARE)
         self._last, self._dt = velocity[-1], float(dt[-1])
