@@ -23,6 +23,7 @@ from typing import Any
 import common
 import numpy as np
 import pinocchio as pin
+from injection import FAULT_KINDS, inject, parse_faults
 
 from handmap_qp import HandMapper, load_hand, read_recording
 from handmap_qp.errors import HandmapError
@@ -34,7 +35,6 @@ from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.stream.follower import Follower, RejoinKind
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.injection import FAULT_KINDS, inject, parse_faults
 
 FAULTS = (
     "dropout@{}",

@@ -117,10 +117,7 @@ COMMANDS: dict[str, _Place] = {
         "service.cli",
         "Make the keys that `handmap serve --keys` needs; existing keys stay.",
     ),
-    "track replay": _Place(
-        "live.cli",
-        "Play a recording as if it were live, with faults if wanted.",
-    ),
+    "track replay": _Place("live.cli", "Play a recording as if it were live."),
     "track mediapipe": _Place(
         "live.cli",
         "Track a hand in a camera's picture or a video file with MediaPipe.",

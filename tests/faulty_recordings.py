@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from injection import inject, parse_faults
 
 from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.trackers.formats import read_recording
-from handmap_qp.trackers.injection import inject, parse_faults
 
 DEMO = read_recording("demo", "right")
 

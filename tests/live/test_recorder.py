@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from injection import inject, parse_faults
 from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError
@@ -15,7 +16,6 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.trackers.formats import read_recording
-from handmap_qp.trackers.injection import inject, parse_faults
 
 
 class Listed:

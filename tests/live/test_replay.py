@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from injection import inject, parse_faults
 from live_cases import moving_hand
 
 from handmap_qp import InvalidInputError
 from handmap_qp.apps.live import source
 from handmap_qp.apps.live.source import Replay
 from handmap_qp.human.recording import recording_samples
-from handmap_qp.trackers.injection import parse_faults
 
 
 class Clock:
@@ -85,8 +85,8 @@ def test_faults_count_in_the_time_of_the_replay(clock: Clock) -> None:
     start = clock.now
     lost = [
         sample.time - start
-        for sample in Replay(
-            moving_hand(), speed=0.5, faults=parse_faults("dropout@1+0.5")
+        for sample in inject(
+            Replay(moving_hand(), speed=0.5), parse_faults("dropout@1+0.5")
         )
         if not sample.valid
     ]
@@ -102,7 +102,7 @@ def test_a_fault_of_the_clock_does_not_delay_samples(clock: Clock) -> None:
     start = clock.now
     stamps = [
         sample.time
-        for sample in Replay(moving_hand(), faults=parse_faults("clock@0.5:1000"))
+        for sample in inject(Replay(moving_hand()), parse_faults("clock@0.5:1000"))
     ]
     assert clock.now - start == pytest.approx(
         moving_hand().time[-1] - moving_hand().time[0]

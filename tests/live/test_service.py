@@ -9,6 +9,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from faulty_replay import FaultyReplay
+from injection import parse_faults
 from live_cases import moving_hand
 from patience import wait_until
 from service_tools import (
@@ -28,7 +30,6 @@ from handmap_qp.human.person import Person
 from handmap_qp.human.recording import recording_samples
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import read_recording
-from handmap_qp.trackers.injection import parse_faults
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow
@@ -84,7 +85,7 @@ def test_a_lost_hand_is_sent_as_such_and_the_robot_holds(
     sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
     session = next(iter(server.dispatcher.sessions.entries.values())).session
     summary = run(
-        Replay(moving_hand(), faults=parse_faults("dropout@0.3+0.4,silence@0.8+0.05")),
+        FaultyReplay(moving_hand(), parse_faults("dropout@0.3+0.4,silence@0.8+0.05")),
         [sink],
     )
     # 0.4 s without a hand is more than the watchdog's 0.25 s.
@@ -97,7 +98,7 @@ def test_samples_that_are_no_hand_are_refused_and_counted(
     server: Server, person: Person
 ) -> None:
     sink = ServiceSink(address_of(server), "three_finger", "right", person=person)
-    summary = run(Replay(moving_hand(), faults=parse_faults("noise@0.5+9:1")), [sink])
+    summary = run(FaultyReplay(moving_hand(), parse_faults("noise@0.5+9:1")), [sink])
     assert sum(summary["refusals"].values()) > 0
     assert summary["commands"] > 0
     assert list(summary["refusals"]) == ["invalid landmarks"]

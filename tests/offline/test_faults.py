@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
+from injection import inject, parse_faults
 
 from handmap_qp import Hand, HandMapper, InvalidInputError, load_hand, read_recording
 from handmap_qp.apps.offline.summary import count_rules, find_holds
@@ -17,7 +18,6 @@ from handmap_qp.human.sample import HumanSample
 from handmap_qp.mapping.presets import preset_choice
 from handmap_qp.stream.follower import PALM_SPEED, TURN_SPEED, Follower
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.injection import inject, parse_faults
 
 # Processes, sockets, pictures or whole hands: not for the fast suite.
 pytestmark = pytest.mark.slow

@@ -12,6 +12,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+from injection import FAULT_KINDS, inject, parse_faults
 from pinocchio import exp3
 
 from handmap_qp import load_hand, read_recording
@@ -23,7 +24,6 @@ from handmap_qp.ik import core as core_module
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.measurement import without_faults
 from handmap_qp.trackers import hand_geometry, plausibility
-from handmap_qp.trackers.injection import FAULT_KINDS, inject, parse_faults
 from handmap_qp.trackers.plausibility import InputCheck
 
 core: Any = core_module.core

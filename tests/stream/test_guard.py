@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from injection import inject, parse_faults
 
 from handmap_qp import InvalidInputError, load_hand
 from handmap_qp.hands.hand import Hand
@@ -19,7 +20,6 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import RULES, HumanSample, Rule, Verdict
 from handmap_qp.stream.guard import FROZEN_AFTER, SETTLING, StreamGuard
 from handmap_qp.trackers.formats import read_recording
-from handmap_qp.trackers.injection import inject, parse_faults
 
 RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")

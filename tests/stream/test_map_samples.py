@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from faulty_recordings import DEMO
+from injection import inject, parse_faults
 
 from handmap_qp import Follower, HandMapper, HumanLengths, IkOptions, Smoothing
 from handmap_qp.errors import InvalidInputError
@@ -16,7 +17,6 @@ from handmap_qp.human.recording import SampleColumns, sample_columns
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.stream.follower import Rejoin
 from handmap_qp.stream.step_table import StepTable
-from handmap_qp.trackers.injection import inject, parse_faults
 
 HUMAN = load_hand(
     "human", points="landmarks", lengths=HumanLengths.from_hand_length(0.19)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from injection import inject, parse_faults
 
 from handmap_qp import (
     Follower,
@@ -29,7 +30,6 @@ from handmap_qp.stream.follower import (
     Rejoin,
     RejoinKind,
 )
-from handmap_qp.trackers.injection import inject, parse_faults
 
 RATE = 60.0
 HUMAN = load_hand("human", points="landmarks")

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from handmap_qp import HandmapError
-from handmap_qp.hands.library import load_hand
-from handmap_qp.human.sample import PALM, HumanSample
-from handmap_qp.se3 import rigid_fit
-from handmap_qp.trackers.injection import (
+from injection import (
     FAULT_KINDS,
     Fault,
     inject,
     parse_faults,
 )
+
+from handmap_qp import HandmapError
+from handmap_qp.hands.library import load_hand
+from handmap_qp.human.sample import PALM, HumanSample
+from handmap_qp.se3 import rigid_fit
 
 PERIOD = 1.0 / 50.0
 START = 100.0

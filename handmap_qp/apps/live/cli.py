@@ -21,7 +21,6 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import read_person
 from handmap_qp.trackers.formats import read_recording
-from handmap_qp.trackers.injection import parse_faults
 
 _RARE = (
     "not_in_order",
@@ -116,45 +115,29 @@ class Target:
 
 @dataclass(frozen=True)
 class TrackReplay:
-    """Play a recording as if it were live, with faults if wanted.
-
-    A fault is NAME@START[+DURATION][:SIZE], in seconds from the first sample, for example
-    dropout@2+0.5 or jump@4+1:0.3; separate several by commas. Names: dropout (hand not seen),
-    silence (no samples), frozen, jump (m), flip (palm and back), mirror (other hand), zero (all at
-    the origin), outlier (one landmark, m), noise (m), clock (s), jitter (s), late (s), duplicate.
+    """Play a recording as if it were live.
 
     Examples:
         handmap track replay demo.npz --to 127.0.0.1 --robot allegro_right
         handmap track replay demo.npz --speed 2 --loop --to 127.0.0.1 --robot hey5
-        handmap track replay demo.npz --faults dropout@2+0.5 --record spoilt.npz
 
     Attributes:
         recording: Recording of a human hand, as for `handmap map`.
         speed: Factor on the speed of time, 0.01 to 100.
         loop: Start again at the end, until Ctrl-C.
-        faults: Faults to put in.
-        seed: Seed of the faults' random numbers.
         target: Where the samples go.
     """
 
     recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
     speed: float = 1.0
     loop: bool = False
-    faults: Annotated[str | None, hinted("FAULTS")] = None
-    seed: int = 0
     target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
 
     def run(self) -> None:
         """Replay the recording until its end or Ctrl-C."""
         self.target.check()
-        source = Replay(
-            read_recording(self.recording),
-            speed=self.speed,
-            loop=self.loop,
-            faults=() if self.faults is None else parse_faults(self.faults),
-            seed=self.seed,
-        )
-        self.target.lead(source)
+        recording = read_recording(self.recording)
+        self.target.lead(Replay(recording, speed=self.speed, loop=self.loop))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,6 @@ from handmap_qp.human.recording import Recording, recording_samples
 from handmap_qp.human.sample import HumanSample
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers.formats import write_recordings
-from handmap_qp.trackers.injection import Fault, inject
 
 SPEEDS = (0.01, 100.0)
 """Least and largest speed of a replay."""
@@ -111,21 +110,13 @@ class Replay:
         recording: The recording.
         speed: Factor on the speed of time, from 0.01 to 100; the motion is as much faster.
         loop: Start again at the end, until interrupted.
-        faults: Faults to put in; their times count from the first sample of the replay.
-        seed: Seed of the faults' random numbers.
 
     Raises:
         InvalidInputError: If the speed is out of its range.
     """
 
     def __init__(
-        self,
-        recording: Recording,
-        *,
-        speed: float = 1.0,
-        loop: bool = False,
-        faults: tuple[Fault, ...] = (),
-        seed: int = 0,
+        self, recording: Recording, *, speed: float = 1.0, loop: bool = False
     ) -> None:
         low, high = SPEEDS
         expected = f"a factor from {low} to {high}"
@@ -136,17 +127,8 @@ class Replay:
         self._recording = recording
         self._speed = speed
         self._loop = loop
-        self._faults = faults
-        self._seed = seed
 
     def __iter__(self) -> Iterator[HumanSample]:
-        """Yield each sample when its time has come.
-
-        Time stamps are on this machine's monotonic clock, unless a fault changes them.
-        """
-        return inject(self._paced(), self._faults, self._seed)
-
-    def _paced(self) -> Iterator[HumanSample]:
         """Yield each sample at its time, through all loops, stamped by the monotonic clock."""
         recording = self._recording
         offset = -float(recording.time[0])

@@ -6,6 +6,9 @@ recording, a test and the table of faults mean the same by the same name.
 
     faults = parse_faults("dropout@2+0.5,jump@4+1:0.3")
     for sample in inject(samples, faults): ...
+
+`faulty_replay.py` plays a recording with faults into a service or a file, `bench_faults.py` makes
+the table.
 """
 
 from __future__ import annotations
@@ -99,6 +102,7 @@ class FaultKind(NamedTuple):
     """A kind of fault.
 
     Attributes:
+        about: What happens to the samples.
         duration: Usual duration [s].
         change: Changes a sample.
         size: Usual size; 0 where the kind has none.
@@ -106,6 +110,7 @@ class FaultKind(NamedTuple):
         copies: How often a sample is sent.
     """
 
+    about: str
     duration: float
     change: Change = lambda sample, onset: sample
     size: float = 0.0
@@ -114,16 +119,19 @@ class FaultKind(NamedTuple):
 
 
 FAULT_KINDS: dict[str, FaultKind] = {
-    # The hand is not seen: landmarks NaN, no wrist, confidence 0.
-    "dropout": FaultKind(0.5, lambda sample, onset: replace(sample, **_NOTHING)),
-    # Nothing is sent.
-    "silence": FaultKind(0.5, copies=0),
-    # The last valid sample that was sent before the fault, with new time stamps.
-    "frozen": FaultKind(
-        0.5, lambda sample, onset: replace(onset.before, time=sample.time)
+    "dropout": FaultKind(
+        "the hand is not seen: landmarks NaN, no wrist, confidence 0",
+        0.5,
+        lambda sample, onset: replace(sample, **_NOTHING),
     ),
-    # The whole hand is displaced.
+    "silence": FaultKind("no samples come", 0.5, copies=0),
+    "frozen": FaultKind(
+        "the last valid sample sent is repeated with new time stamps",
+        0.5,
+        lambda sample, onset: replace(onset.before, time=sample.time),
+    ),
     "jump": FaultKind(
+        "the whole hand is displaced",
         0.5,
         lambda sample, onset: _moved(
             sample, affine(np.eye(3), onset.size * onset.direction)
@@ -131,25 +139,34 @@ FAULT_KINDS: dict[str, FaultKind] = {
         0.2,
         "m",
     ),
-    # The hand is turned by 180 degrees about its long axis: palm and back confused.
-    "flip": FaultKind(0.2, _flip),
-    # Landmarks are reflected in the plane of the palm: the other hand at the same place.
-    "mirror": FaultKind(0.2, _mirror),
-    # All landmarks and the wrist are at the origin, and still called valid.
-    "zero": FaultKind(0.2, _zero),
-    # One landmark is displaced.
-    "outlier": FaultKind(0.1, _outlier, 0.1, "m"),
-    # Gaussian noise is added to every coordinate, its standard deviation the size.
-    "noise": FaultKind(math.inf, _noise, 0.005, "m"),
-    # The size is added to the time stamp: the tracker's clock was set.
+    "flip": FaultKind(
+        "the hand is turned by 180 degrees about its length: palm and back", 0.2, _flip
+    ),
+    "mirror": FaultKind(
+        "the landmarks are mirrored in the palm: the other hand", 0.2, _mirror
+    ),
+    "zero": FaultKind(
+        "landmarks and wrist are at the origin, and the sample counts as valid",
+        0.2,
+        _zero,
+    ),
+    "outlier": FaultKind("one landmark is displaced", 0.1, _outlier, 0.1, "m"),
+    "noise": FaultKind(
+        "Gaussian noise on every coordinate; the size is its standard deviation",
+        math.inf,
+        _noise,
+        0.005,
+        "m",
+    ),
     "clock": FaultKind(
+        "the time stamps are shifted: the tracker's clock was set",
         math.inf,
         lambda sample, onset: replace(sample, time=sample.time + onset.size),
         5.0,
         "s",
     ),
-    # Gaussian noise is added to the time stamp, its standard deviation the size.
     "jitter": FaultKind(
+        "Gaussian noise on time stamps; the size is its standard deviation",
         math.inf,
         lambda sample, onset: replace(
             sample, time=sample.time + onset.random.normal(scale=abs(onset.size))
@@ -157,8 +174,8 @@ FAULT_KINDS: dict[str, FaultKind] = {
         0.002,
         "s",
     ),
-    # One of two time stamps is set back by the size: samples arrive in disorder.
     "late": FaultKind(
+        "half of the time stamps are set back: samples arrive in disorder",
         0.5,
         lambda sample, onset: replace(
             sample, time=sample.time - onset.size * (onset.random.random() < 0.5)
@@ -166,12 +183,12 @@ FAULT_KINDS: dict[str, FaultKind] = {
         0.05,
         "s",
     ),
-    # Every sample is sent twice.
-    "duplicate": FaultKind(0.5, copies=2),
+    "duplicate": FaultKind("every sample comes twice", 0.5, copies=2),
 }
 """All kinds by name."""
+FORM = "NAME@START[+DURATION][:SIZE]"
+"""How a fault is written."""
 _MOST_SIZE = 1e6
-_FORM = "NAME@START[+DURATION][:SIZE]"
 
 
 class Fault(NamedTuple):
@@ -214,10 +231,10 @@ def _parse_fault(text: str) -> Fault:
     try:
         fault = Fault(kind, *(float(part or usual) for part, usual in pairs))
     except ValueError as error:
-        form = f"{_FORM}, such as dropout@2+0.5 or jump@4+1:0.3"
+        form = f"{FORM}, such as dropout@2+0.5 or jump@4+1:0.3"
         raise InvalidInputError(argument="faults", expected=form, value=text) from error
     for key, is_right, expected in (
-        ("start", 0.0 <= fault.start < math.inf, f"a finite time >= 0 s in {_FORM}"),
+        ("start", 0.0 <= fault.start < math.inf, f"a finite time >= 0 s in {FORM}"),
         ("duration", fault.duration > 0.0, "more than 0 s"),
         ("size", kind.unit or not size, "none: this fault has no size"),
         ("size", abs(fault.size) <= _MOST_SIZE, f"a finite number of {kind.unit}"),
