@@ -54,6 +54,9 @@ _RESTING_THUMB = {
     "thumb_MCP_flexion": 0.1,
     "thumb_IP_flexion": -0.2,
 }
+# Cosines of the angle between the resting thumbs where one is not at all like the other, 10 degrees,
+# and where it is wholly, 5 degrees.
+_UNLIKE, _LIKE = np.cos(np.radians([10.0, 5.0]))
 # Weight of the rest posture in the matched one: it decides only where the points do not.
 _REST_WEIGHT = 0.05
 _OPENING = IkOptions(
@@ -108,6 +111,9 @@ class HandPair:
         robot_rest: Robot reference points in the matched posture, in palm axes [m], shape (m, 3).
         human_knuckles: Centre of the knuckles but the thumb's, in the human's palm axes [m], (3,).
         robot_knuckles: The same of the robot.
+        thumb_likeness: 1 for a thumb that points as the human's in the matched posture, to 0 for one
+            that opposes from another side, and for none.
+        robot_base: Base of the robot's first finger there, the thumb's, likewise [m], (3,).
         robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
         robot_extension: Knuckle-to-tip distance of each robot finger in the matched posture, as a
             share of its reach, shape (f,).
@@ -173,6 +179,17 @@ class HandPair:
         self.human_knuckles = frozen(
             self.human_rest[self.knuckles[others]].mean(axis=0)
         )
+        self.robot_base = frozen(points[0, 0])
+        self.thumb_likeness = 0.0
+        if (standard := self.human.unscaled) is not None:
+            # It is the robot's, not a person's.
+            self.thumb_likeness = hand_pair(standard, self.measured.hand).thumb_likeness
+        elif THUMB in self.fingers and not self.has_jaws:
+            resting = self.human_rest[self.tips[0]] - self.human_rest[self.knuckles[0]]
+            robots = points[0, 1] - points[0, 0]
+            cosine = resting.dot(robots) / (lengths(resting) * lengths(robots))
+            likeness = (cosine - _UNLIKE) / (_LIKE - _UNLIKE)
+            self.thumb_likeness = float(np.clip(likeness, 0.0, 1.0))
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
         spans = lengths(points[:, 1] - points[:, 0])
         self.robot_extension = frozen(spans / self.robot_reach)

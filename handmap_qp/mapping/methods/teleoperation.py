@@ -71,6 +71,14 @@ class Teleoperation(MethodOptions, frozen=True):
             high=1e3,
         ),
     ] = 2.5
+    thumb_direction: Annotated[
+        float,
+        number(
+            "How far the target of a thumb that opposes from the person's side is turned to the "
+            "person's direction of the thumb; not where it pinches.",
+            high=1.0,
+        ),
+    ] = 1.0
     pinch_weight: Annotated[
         float,
         number(
@@ -323,6 +331,7 @@ class TeleoperationMap(Compiled, PalmMap):
         self.gain = method.choices.residual_gain * pair.finger_ratio
         partners = pair.human_rest[pair.partners] - self.estimator.centroid
         self.offsets = pair.robot_rest - pair.robot_centre - self.gain * partners
+        self.thumb_direction = pair.thumb_likeness * method.choices.thumb_direction
         m = len(self.offsets)
         k = len(self.to_points)
         shapes = [(m, 3), (4, 4), k, k, len(method.base_margins)]
@@ -341,7 +350,7 @@ class TeleoperationMap(Compiled, PalmMap):
         pinching = method.pinching(gaps)
         pinches = method.choices.pinch_weight * pinching
         return self._asked(
-            *self.placed(palm, self._moved(estimate, now)),
+            *self.placed(palm, self._moved(estimate, now, pinching)),
             method.aims(distances),
             np.append(method.extension_weights, pinches),
             method.margins(gaps),
@@ -380,21 +389,31 @@ class TeleoperationMap(Compiled, PalmMap):
             margins if self.method.contacts else None,
         )
 
-    def _moved(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
+    def _moved(
+        self, estimate: MotionEstimate, now: np.ndarray, pinching: np.ndarray
+    ) -> np.ndarray:
         """Move the matched points by T, and add each finger's residual; palm axes, (m, 3).
 
         With s the robot's points and c_r their centre, x and y the human partners at rest and now,
         c and c' the centroids, k the ratio of reaches and g the gain:
-        `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
+        `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`. Away from a pinch, a thumb that
+        rests like the human's is turned about its base to the human's direction.
         """
         pair = self.pair
         shift = estimate.centroid_after
         followed = self.offsets @ estimate.linear.T + pair.robot_centre
-        return (
+        points = (
             followed
             + pair.finger_ratio * (shift - estimate.centroid_before)
             + self.gain * (now[pair.partners] - shift)
         )
+        if self.thumb_direction:
+            thumb = now[pair.tips[0]] - now[pair.knuckles[0]]
+            led = points[0] - pair.robot_base
+            pointed = lengths(led) / lengths(thumb) * thumb
+            share = self.thumb_direction * (1.0 - pinching.max(initial=0.0))
+            points[0] += share * (pointed - led)
+        return points
 
 
 def smoothstep(x: np.ndarray) -> np.ndarray:
