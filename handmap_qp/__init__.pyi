@@ -101,7 +101,7 @@ from .mapping.methods.virtual_object import (
 )
 from .mapping.presets import PRESETS as PRESETS
 from .stream.follower import Follower as Follower
-from .stream.smoothing import Smoothing as Smoothing
+from .stream.follower import Smoothing as Smoothing
 from .trackers.formats import read_recording as read_recording
 from .trackers.layouts.base import Layout as Layout
 from .trackers.layouts.tables import load_layout as load_layout

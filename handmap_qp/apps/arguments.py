@@ -30,8 +30,8 @@ from handmap_qp.mapping.presets import (
     preset_with,
     read_options,
 )
+from handmap_qp.stream.follower import SMOOTH_IK
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.trackers.formats import read_hands, read_recording
 from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.layouts.files import layout_hint, read_with_layout
@@ -277,8 +277,7 @@ class MappingArguments:
         ik: Options of the QP. Those not given are the preset's.
         options: YAML file with a preset and options, as the view saves it. Options given on the
             command line count more.
-        smooth: Smooth the samples with a one-euro filter, and the robot's motion with costs of
-            speed and acceleration: half the jerk, for about 8 ms more lag.
+        smooth: Smooth the robot's motion by costs of speed and acceleration, for 4 ms more lag.
     """
 
     preset: Annotated[
@@ -312,11 +311,6 @@ class MappingArguments:
             *others, (_, last) = known[name]
             if not any(option.takes(value) for _, option in others):
                 last.read(value)
-
-    @property
-    def smoothing(self) -> Smoothing | None:
-        """How samples are smoothed."""
-        return Smoothing() if self.smooth else None
 
     def preset_for(self, human: Hand, robot: Hand) -> Choice:
         """Return the chosen preset, method and QP weights for two hands.

@@ -122,6 +122,14 @@ inline std::unique_ptr<InputRules> read_input_rules() {
   return found;
 }
 
+inline NoiseRules read_noise_rules() {
+  NoiseRules rules;
+  read_numbers(module_of("handmap_qp.trackers.hand_geometry"),
+               {{"_NORMAL", &rules.normal}, {"_SHARE", &rules.share}, {"_MOST", &rules.most},
+                {"_LEAST", &rules.least}});
+  return rules;
+}
+
 inline std::unique_ptr<GuardRules> read_guard_rules() {
   auto found = std::make_unique<GuardRules>();
   GuardRules& rules = *found;
@@ -138,14 +146,13 @@ inline std::unique_ptr<GuardRules> read_guard_rules() {
     throw std::invalid_argument("wrong size of _STARTS");
   std::copy(starts.begin(), starts.end(), rules.starts);
   std::copy(ends.begin(), ends.end(), rules.ends);
-  read_numbers(from, {{"FLIP", &rules.flip}, {"ZERO_SIZE", &rules.zero_size},
-                      {"MIRROR", &rules.mirror}, {"ALONE", &rules.alone}});
-  copy_numbers(from, "BELIEVED", rules.believed, 4);
-  copy_numbers(from, "FASTEST", rules.fastest, 3);
-  copy_numbers(from, "_EXCESS", rules.excess, 4);
+  read_numbers(from, {{"ZERO_SIZE", &rules.zero_size}, {"MIRROR", &rules.mirror},
+                      {"ALONE", &rules.alone}, {"FIRST_NOISE", &rules.first_noise}});
+  copy_numbers(from, "BELIEVED", rules.believed, kSizes);
+  copy_numbers(from, "NOISY", rules.noisy, kSizes);
+  rules.noise = read_noise_rules();
   read_numbers(from, {{"FROZEN_AFTER", &rules.frozen_after}, {"SETTLING", &rules.settling},
-                      {"_LONG_SETTLING", &rules.long_settling}, {"_BRIEF", &rules.brief},
-                      {"_RATE", &rules.rate}});
+                      {"_LONG_SETTLING", &rules.long_settling}, {"_BRIEF", &rules.brief}});
   copy_numbers(module_of("handmap_qp.human.sample"), "_PALM_RATIOS", rules.palm_ratios, 2);
   return found;
 }
@@ -240,6 +247,7 @@ class PythonExplainer : public Explainer {
 
   void give(const Examined& seen) const {
     check.attr("_misfit") = seen.misfit;
+    check.attr("_has_curled") = seen.has_curled;
     nb::list sizes, past;
     for (int i = 0; i < seen.size_count; ++i) sizes.append(seen.sizes[i]);
     for (int b = 0; b < seen.past_count; ++b) {
@@ -259,6 +267,7 @@ class PythonExplainer : public Explainer {
   void take(Examined& seen) const {
     const Fields from(check);
     seen.misfit = from.get<double>("_misfit");
+    seen.has_curled = from.get<bool>("_has_curled");
     seen.size_count = 0;
     for (const double size : from.get<std::vector<double>>("_sizes"))
       seen.sizes[seen.size_count++] = size;
@@ -427,7 +436,7 @@ class PythonGuard {
     guard.palm = from.get<double>("_palm._size");
     const Array person = from.array("_lengths", kFixed);
     std::copy(person.data(), person.data() + kFixed, guard.person.begin());
-    copy_numbers(module_of("handmap_qp.stream.guard"), "USUAL", guard.state.usual, 4);
+    guard.state.noise = guard.rules.first_noise;
     const Fields sample = module_of("handmap_qp.human.sample");
     verdict_ = sample.object("Verdict");
     new_tuple_ = nb::module_::import_("builtins").attr("tuple").attr("__new__");
@@ -510,7 +519,7 @@ class PythonGuard {
   nb::object verdict_of(const Verdict& verdict) const {
     const nb::tuple fields =
         nb::make_tuple(rules_[verdict.rule], verdict.is_held, verdict.is_return, verdict.dt,
-                       verdict.consistency, explainer.finding(verdict.finding));
+                       verdict.consistency, explainer.finding(verdict.finding), verdict.lost);
     return new_tuple_(verdict_, fields);
   }
 

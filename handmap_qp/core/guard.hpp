@@ -2,6 +2,7 @@
 #pragma once
 
 #include "input.hpp"
+#include "noise.hpp"
 
 namespace handmap {
 
@@ -15,7 +16,7 @@ constexpr const char* kRuleNames[] = {
     "settling",  "duplicate", "disorder",  "clock_jump", "time", "unit", "order", "side",
     "flexion",   "wrist",    "unproven"};
 
-constexpr int kFixed = 23;
+constexpr int kFixed = 23, kSizes = 8;
 
 // Numbers of Python.
 struct GuardRules {
@@ -25,9 +26,10 @@ struct GuardRules {
   double rate_window, largest_drift;
   // Motion
   int starts[kFixed], ends[kFixed];
-  double flip, zero_size, mirror, alone, believed[4], fastest[3];
+  double zero_size, mirror, alone, believed[kSizes], noisy[kSizes], first_noise;
+  NoiseRules noise;
   // Rules
-  double frozen_after, settling, long_settling, brief, excess[4], rate, palm_ratios[2];
+  double frozen_after, settling, long_settling, brief, palm_ratios[2];
 };
 
 // -- time
@@ -114,8 +116,8 @@ struct Track {
 };
 
 struct Change {
-  double sizes[4];
-  bool is_turned, is_alone, is_too_fast;
+  double sizes[kSizes], rates[kSizes], noise;
+  bool is_known, is_mirrored, is_alone;
 };
 
 inline Vec3 palm_centre(const Landmarks& points) {
@@ -158,40 +160,44 @@ inline bool is_same_hand(const Track& before, const Track& sample) {
 // Measure the motion from a track to a sample, which takes it over.
 inline Change change_between(const GuardRules& rules, const Track& track, Track& sample,
                              double dt) {
-  Mat3 palm = 0.0 * Mat3{}, whole = palm;
-  for (const int i : kPalm) palm = palm + outer(sample.points[i], track.points[i]);
+  Mat3 covariance = 0.0 * Mat3{}, whole = covariance;
+  for (const int i : kPalm)
+    covariance = covariance + outer(sample.points[i], track.points[i]);
   for (int i = 0; i < kLandmarks; ++i) whole = whole + outer(sample.points[i], track.points[i]);
-  const Mat3 rotation = nearest_rotation(palm);
+  const Mat3 rotation = nearest_rotation(covariance);
   const Vec3 turn = log3(rotation);
   const bool is_known = track.dt > 0.0;
-  const double span = is_known ? 0.5 * (dt + track.dt) : dt;
+  const double former = is_known ? track.dt : dt, span = 0.5 * (dt + former);
   sample.velocity = (1.0 / dt) * (sample.centre - track.centre);
   sample.turning = (1.0 / dt) * turn;
   sample.dt = dt;
-  Change change{};
-  double fastest = 0.0, second = 0.0, fingers = 0.0;
+  double fastest = 0.0, second = 0.0, fingers = 0.0, slips[kLandmarks];
   for (int i = 0; i < kLandmarks; ++i) {
     const Vec3 moved = (1.0 / dt) * (tmul(rotation, sample.points[i]) - track.points[i]);
     sample.bending[i] = rotation * moved;
     fastest = std::max(fastest, norm(moved));
-    const double slip = is_known ? norm(moved - track.bending[i]) / span : 0.0;
+    const double slip = is_known ? norm(moved - track.bending[i]) : 0.0;
     second = std::max(second, std::min(slip, fingers));
     fingers = std::max(fingers, slip);
+    slips[i] = slip;
   }
+  double palm = 0.0, turned = 0.0, stretch = 0.0;
   if (is_known) {
-    change.sizes[0] = norm(sample.velocity - track.velocity) / span;
-    change.sizes[1] = norm(sample.turning - track.turning) / span;
-    change.sizes[2] = fingers;
+    palm = norm(sample.velocity - track.velocity);
+    turned = norm(sample.turning - track.turning);
   }
   for (int k = 0; k < kFixed; ++k)
-    change.sizes[3] = std::max(change.sizes[3], std::abs(sample.lengths[k] - track.lengths[k]));
+    stretch = std::max(stretch, std::abs(sample.lengths[k] - track.lengths[k]));
+  const double angle = norm(turn), rate = change_rate(dt, former), step = 1.0 / dt;
   // A reflection that lays one hand better on the other than any rotation does.
   const bool is_mirrored = determinant(whole) < 0.0 && svd3(whole).s[2] < -rules.mirror;
-  change.is_turned = norm(turn) > rules.flip || is_mirrored;
-  change.is_alone = fingers > rules.alone * second;
-  change.is_too_fast = norm(sample.velocity) > rules.fastest[0] ||
-                       norm(turn) / dt > rules.fastest[1] || fastest > rules.fastest[2];
-  return change;
+  return {{palm / span, turned / span, fingers / span, stretch, norm(sample.velocity), angle / dt,
+           fastest, angle},
+          {rate / span, rate / span, rate / span, 1.0, step, step, step, 1.0},
+          is_known ? noise_of(rules.noise, slips, kLandmarks, rate) : 0.0,
+          is_known,
+          is_mirrored,
+          fingers > rules.alone * second};
 }
 
 // -- rules
@@ -210,6 +216,7 @@ struct Verdict {
   bool is_held, is_return;
   double dt, consistency;
   int finding;
+  double lost = HUGE_VAL;
 };
 
 struct GuardState {
@@ -217,9 +224,9 @@ struct GuardState {
   double now = 0.0;
   bool has_good = false, has_last = false;
   Track good, last;
-  double usual[4];
+  double noise = 0.0;
   int cause = kNothing;
-  double steady_since = 0.0, same_since = 0.0;
+  double steady_since = 0.0;
 };
 
 // See guard.StreamGuard.
@@ -294,7 +301,6 @@ class StreamGuard {
     }
     Verdict verdict{kNothing, false, false, tick.dt, std::sqrt(sum / kFixed), kNone};
     const bool was_held = state.cause != kNothing;
-    if (!state.has_last || !is_same_hand(state.last, fresh)) state.same_since = state.now;
     if (!state.has_last) {
       state.good = state.last = fresh;
       state.has_good = state.has_last = true;
@@ -303,19 +309,28 @@ class StreamGuard {
       return verdict;
     }
     verdict.is_held = true;
-    if (state.now - state.same_since >= rules.frozen_after) {
+    const double since_last = state.now - state.last.time;
+    int rule = kNothing;
+    // A tracker that is slower than its samples repeats them, which is no motion.
+    if (!is_same_hand(state.last, fresh)) {
+      rule = moved(fresh);
+    } else if (since_last >= rules.frozen_after) {
       hold(kFrozen);
       verdict.rule = kFrozen;
       return verdict;
     }
-    const int rule = moved(fresh, tick.rule == kGapped);
-    if (state.cause != kNothing && !has_returned(fresh, rule)) {
+    // Nothing is known of the time of a gap: the hand is where it was, or not.
+    const bool is_back = since_last > rules.gap ? rule == kNothing : has_returned(fresh, rule);
+    if (state.cause != kNothing && !is_back) {
       verdict.rule = rule != kNothing ? rule : kSettling;
       return verdict;
     }
+    verdict.lost = lost();
     verdict.rule = tick.rule;
     verdict.is_held = false;
-    verdict.is_return = was_held || rule != kNothing || tick.rule == kGapped || was_late;
+    verdict.is_return = tick.rule == kGapped || was_late ||
+                        (state.cause != kNothing && verdict.lost / state.clock.period >
+                                                         rules.longest_step + rules.shortest_step);
     state.good = state.last;
     state.has_good = true;
     state.cause = kNothing;
@@ -328,64 +343,66 @@ class StreamGuard {
     Track at = fresh;
     const double since = std::max(state.now - state.good.time, shortest());
     if (since <= rules.brief)
-      return named(change_between(rules, state.good, at, since), state.usual) == kNothing;
+      return named(change_between(rules, state.good, at, since)) == kNothing;
     if (rule != kNothing) return false;
     double settling = rules.settling;
     if (state.cause == kFlipped || state.cause == kOutlier) {
       // The hand may still be turned, mirrored or of other lengths.
-      const Change change = change_between(rules, state.good, at, 1.0);
-      if (change.is_turned || is_excess(change, state.usual, 3)) settling = rules.long_settling;
+      if (named(change_between(rules, state.good, at, 1.0)) != kNothing)
+        settling = rules.long_settling;
     }
     return state.now - state.steady_since >= settling;
   }
 
-  // Name what no hand does from one sample to the next, and learn what is usual.
-  int moved(const Track& fresh, bool is_gap) {
+  // Name what no hand does from one sample to the next, and learn the noise.
+  int moved(const Track& fresh) {
     const Track& last = state.last;
     Track at = fresh;
     const double since = std::max(state.now - last.time, shortest());
-    if (is_gap) {
-      const Change step = change_between(rules, last, at, state.clock.period);
-      at = fresh;
-      is_gap = named(step, state.usual) != kNothing;
-    }
     const Change change = change_between(rules, last, at, since);
-    const int rule = is_gap ? static_cast<int>(kGapped) : named(change, state.usual);
-    learn(change, last);
+    const bool is_gap = since > rules.gap;
+    if (change.is_known && !is_gap)
+      state.noise = learnt_noise(rules.noise, state.noise, change.noise);
+    int rule = named(change);
+    if (is_gap) {
+      Track near = fresh;
+      if (named(change_between(rules, last, near, state.clock.period)) != kNothing)
+        rule = state.cause != kNothing ? kSettling : kGapped;
+    }
     state.last = rule != kNothing ? fresh : at;
     if (rule != kNothing) hold(rule);
     return rule;
   }
 
-  // Begin a hold, or go on with it; samples must make sense again from now on.
+  // Begin a hold, or go on with it; samples must make sense again from now on. A few that are lost
+  // meanwhile do not count.
   void hold(int rule) {
     if (state.cause == kNothing) state.cause = rule;
-    state.steady_since = state.now;
+    const bool is_brief =
+        rule == kMissing && state.has_last && state.now - state.last.time <= rules.brief;
+    if (!is_brief) state.steady_since = state.now;
   }
 
-  bool is_excess(const Change& change, const double* usual, int i) const {
-    return change.sizes[i] > std::max(rules.believed[i], rules.excess[i] * usual[i]);
+  bool is_excess(const Change& change, int i) const {
+    return change.sizes[i] >
+           rules.believed[i] + state.noise * rules.noisy[i] * change.rates[i];
   }
 
-  int named(const Change& change, const double* usual) const {
-    if (change.is_turned) return kFlipped;
-    bool is_any = change.is_too_fast;
-    for (int i = 0; i < 4; ++i) is_any = is_any || is_excess(change, usual, i);
+  int named(const Change& change) const {
+    if (is_excess(change, 7) || change.is_mirrored) return kFlipped;
+    bool is_any = false;
+    for (int i = 0; i < kSizes; ++i) is_any = is_any || is_excess(change, i);
     if (!is_any) return kNothing;
-    return change.is_alone || is_excess(change, usual, 3) ? kOutlier : kJump;
-  }
-
-  // Move the running medians by a fixed share: a single fault hardly counts.
-  void learn(const Change& change, const Track& before) {
-    // After a first sample, only lengths can be compared.
-    for (int i = before.dt > 0.0 ? 0 : 3; i < 4; ++i) {
-      double& usual = state.usual[i];
-      usual *= change.sizes[i] > usual ? 1.0 + rules.rate : 1.0 - rules.rate;
-      usual = std::max(rules.believed[i] / rules.excess[i], usual);
-    }
+    return change.is_alone || is_excess(change, 3) ? kOutlier : kJump;
   }
 
   double shortest() const { return rules.shortest_step * state.clock.period; }
+  // Time without a sample, where that is brief and nothing else is wrong.
+  double lost() const {
+    if (state.cause != kMissing || !state.has_good) return HUGE_VAL;
+    const double time = state.now - state.good.time;
+    return time <= rules.brief ? time : HUGE_VAL;
+  }
 };
 
 }  // namespace handmap

@@ -216,7 +216,7 @@ struct Examined {
   int past_count = 0, past_first = 0;
   int past_sizes[kMostPast];
   Landmarks past[kMostPast][kMostSamples];
-  bool has_start = false, is_proven = false;
+  bool has_start = false, is_proven = false, has_curled = false;
   Mat3 start_palm, start_mean;
 
   template <class Visit>
@@ -402,6 +402,7 @@ inline bool is_plausible(const InputRules& rules, double sign, const Landmarks* 
   }
   if (count > seen.size_count) seen.sizes[seen.size_count++] = size;
   if (!is_known) seen.misfit = own;
+  seen.has_curled = seen.has_curled || bent >= -rules.backwards;
   return true;
 }
 

@@ -1,11 +1,12 @@
 // One call a sample, from what Python has to the step that it reads: see mapping/mapper.py, and
-// stream/follower.py for samples that a guard judges first.
+// stream/follower.py for samples that a guard judges and a filter smooths first.
 #pragma once
 
 #include <chrono>
 
 #include "arrays.hpp"
 #include "build_guard.hpp"
+#include "build_smoothing.hpp"
 #include "run.hpp"
 
 namespace handmap {
@@ -84,23 +85,6 @@ inline std::optional<HumanPose> read_joints(JointReader* reader, const nb::handl
   HumanPose found;
   if (!pose || !reader->read(angles.data, *pose, found)) return {};
   return found;
-}
-
-inline HumanPose make_pose(const Array& points, const std::optional<Array>& wrist) {
-  HumanPose pose{points_of(points), wrist.has_value(), {}};
-  if (wrist) {
-    expect_size(*wrist, 16, "wrist");
-    pose.wrist = pose_of(wrist->data());
-  }
-  return pose;
-}
-
-// A `HumanPose` of Python, or one of the core.
-inline HumanPose pose_from(const nb::handle& given) {
-  HumanPose* own;
-  if (nb::try_cast(given, own, false)) return *own;
-  return make_pose(nb::cast<Array>(nb::getattr(given, "points")),
-                   nb::cast<std::optional<Array>>(nb::getattr(given, "wrist")));
 }
 
 inline void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose) {
@@ -241,8 +225,8 @@ class SampleMapper {
 
   // Judge a `HumanSample` and map it. Return the step; only the verdict about a sample that is to be
   // held, or that the follower returns with; or None for one that Python has to judge.
-  nb::object map_sample(PythonGuard& guard, const LandmarkReader& reader, const nb::object& sample,
-                        const nb::object& dt, const nb::object& arrival) {
+  nb::object map_sample(PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader,
+                        const nb::object& sample, const nb::object& dt, const nb::object& arrival) {
     const std::optional<double> given = dt.is_none() ? 0.0 : plain_dt(dt);
     if (!given || !guard.is_own(sample)) return nb::none();
     const PythonGuard::Given from(guard, sample, arrival);
@@ -256,19 +240,20 @@ class SampleMapper {
     try {
       const double speed = verdict.rule == kUnproven ? unproven_speed() : 1.0;
       const double granted = dt.is_none() ? std::max(verdict.dt, kShortestDt) : *given;
-      nb::object stages =
-          moved(reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr), granted, speed);
+      HumanPose pose = reader.read(from.sample.landmarks, wrist ? &*wrist : nullptr);
+      nb::object stages = moved(smoother.smoother.smooth(std::move(pose), granted), granted, speed);
       return map_step_(stages, nb::tuple(), seconds_since(started), said, from.sample.confidence);
     } catch (...) {
       guard.forget();
+      smoother.smoother.forget();
       throw;
     }
   }
 
   // Map samples of a recording; see run.hpp. Return the first that is left out, the verdict about it
   // if it was judged, and the pose that was mapped last, if any.
-  nb::tuple run(PythonGuard& guard, const LandmarkReader& reader, const nb::object& columns,
-                size_t first, size_t last,
+  nb::tuple run(PythonGuard& guard, PythonSmoother& smoother, const LandmarkReader& reader,
+                const nb::object& columns, size_t first, size_t last,
                 const nb::ndarray<double, nb::c_contig, nb::device::cpu>& rows) {
     const Samples samples(columns, true);
     const size_t width = row_width(ik_);
@@ -277,7 +262,7 @@ class SampleMapper {
       throw std::invalid_argument("wrong sizes of samples or rows");
     check_map(ik_, map_, {std::vector<Vec3>(reader.used.size()), true, {}});
     take_motion(ik_, gate_);
-    Run run{ik_, map_, reader, guard.guard, unproven_speed()};
+    Run run{ik_, map_, reader, guard.guard, smoother.smoother, unproven_speed()};
     size_t next = first;
     std::exception_ptr failure;
     {

@@ -390,8 +390,8 @@ NB_MODULE(_core, m) {
            "dt"_a.none())
       .def("map", &SampleMapper::map_landmarks, "reader"_a.none(), "landmarks"_a.none(),
            "wrist"_a.none(), "dt"_a.none())
-      .def("map_sample", &SampleMapper::map_sample, "guard"_a, "reader"_a, "sample"_a,
-           "dt"_a.none(), "arrival"_a.none())
+      .def("map_sample", &SampleMapper::map_sample, "guard"_a, "smoother"_a, "reader"_a,
+           "sample"_a, "dt"_a.none(), "arrival"_a.none())
       .def("run", &SampleMapper::run);
   nb::class_<HumanPose>(m, "HumanPose")
       .def("__reduce__", &reduced_pose)
@@ -445,5 +445,12 @@ NB_MODULE(_core, m) {
       .def("check", &PythonGuard::check, "sample"_a, "arrival"_a.none())
       .def("holds", &PythonGuard::holds, "recording"_a)
       .def("judge", &PythonGuard::judge, "recording"_a);
+  nb::class_<PythonSmoother>(m, "Smoother")
+      .def(nb::init<const nb::object&>())
+      .def("save", &PythonSmoother::save)
+      .def("smooth", &PythonSmoother::smooth)
+      .def("wait", &PythonSmoother::wait)
+      .def("restart", &PythonSmoother::restart)
+      .def("forget", &PythonSmoother::forget);
   m.attr("RULES") = rule_names();
 }

@@ -4,7 +4,7 @@
 #include <time.h>
 
 #include "guard.hpp"
-#include "step.hpp"
+#include "smoothing.hpp"
 
 namespace handmap {
 
@@ -25,6 +25,7 @@ struct Run {
   const TargetMap& map;
   const LandmarkReader& reader;
   StreamGuard& guard;
+  Smoother& smoother;
   double unproven_speed;  // share of the speed limits; see human.sample.UNPROVEN_SPEED
 
   Verdict verdict{};
@@ -62,12 +63,19 @@ struct Run {
   void move(const StreamSample& sample, const std::optional<Pose>& wrist) {
     const double dt = std::max(verdict.dt, kShortestDt);
     if (verdict.is_held) {
+      smoother.wait(dt);
       hold(ik, dt, step);
       return;
     }
-    HumanPose pose = reader.read(sample.landmarks, wrist ? &*wrist : nullptr);
+    HumanPose pose =
+        smoother.smooth(reader.read(sample.landmarks, wrist ? &*wrist : nullptr), dt);
     const double speed = verdict.rule == kUnproven ? unproven_speed : 1.0;
-    follow(ik, map, pose, dt, speed, goal, step);
+    try {
+      follow(ik, map, pose, dt, speed, goal, step);
+    } catch (...) {
+      smoother.forget();
+      throw;
+    }
     seen = std::move(pose);
     has_seen = true;
   }

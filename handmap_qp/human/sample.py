@@ -52,8 +52,7 @@ _PALM_RATIOS = (0.5, 2.0)
 class HumanSample:
     """A human hand at one instant; its arrays are read-only copies.
 
-    Every tracker, file and layout is turned into samples of this form, and nothing behind it needs
-    to know where they came from.
+    Every tracker, file and layout is turned into samples of this form.
 
     Attributes:
         time: Instant [s]; only differences of it have a meaning.
@@ -336,8 +335,8 @@ class Verdict(NamedTuple):
         dt: Time that the sample accounts for [s].
         consistency: RMS difference of the distances that cannot change (bones, and neighbours in
             the palm) from the person's [m]; NaN if there are no landmarks.
-        finding: What the input is instead of what it says, in words, where the last samples agree
-            that it is something else (`trackers.plausibility`).
+        finding: What the input is instead of what it says, in words (`trackers.plausibility`).
+        lost: At a return from a brief loss alone, its time [s]; else infinite.
     """
 
     rule: Rule
@@ -346,6 +345,7 @@ class Verdict(NamedTuple):
     dt: float
     consistency: float
     finding: Finding | None = None
+    lost: float = math.inf
 
     @property
     def speed(self) -> float:

@@ -1,16 +1,17 @@
 """`Follower`: maps the samples of a tracker that make sense, and holds the robot at all others.
 
 The guard judges every sample by named rules. After a hold the robot comes back to the human without
-a snap, and samples may be smoothed before they are mapped. The sessions of the service, `handmap
-map` and `handmap view` all follow in this way.
+a snap. Samples, never commands, are smoothed by their noise, so that the QP's speed limits hold.
+The sessions of the service, `handmap map` and `handmap view` all follow in this way.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from copy import deepcopy
 from time import perf_counter, thread_time_ns
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -19,13 +20,15 @@ from msgspec import structs
 from handmap_qp.errors import HandmapError, InvalidOptionsError
 from handmap_qp.human.recording import SampleColumns
 from handmap_qp.human.sample import HumanSample, Verdict
+from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.ik.limits import SHORTEST_DT
 from handmap_qp.mapping.mapper import HandMapper, check_dt
 from handmap_qp.mapping.method import HumanPose, MapStep
-from handmap_qp.se3 import affine, lengths
+from handmap_qp.options import Options, number
+from handmap_qp.se3 import affine, lengths, transform_points
 from handmap_qp.stream.guard import StreamGuard
-from handmap_qp.stream.smoothing import Smoothing, SmoothState, smooth_sample
 from handmap_qp.stream.step_table import StepTable
+from handmap_qp.trackers.hand_geometry import change_rate, learnt_noise, noise_of
 
 RejoinKind = Literal["glide", "clutch"]
 """How the robot comes back to the human after a hold."""
@@ -36,37 +39,54 @@ PALM_SPEED = 0.5
 """Largest speed that fading adds to the wrist [m/s]."""
 TURN_SPEED = 3.0
 """Largest angular speed that fading adds to the wrist [rad/s]."""
-_SHORTEST = 0.1
-"""Shortest time of fading [s]."""
-_RUN = 1000
-"""Samples of a recording that the core maps before progress is told."""
-_PEAK = 1.875
-"""Largest speed of a minimum-jerk motion over its mean speed."""
+_SHORTEST = 0.05  # shortest time of fading [s]
+_RUN = 1000  # samples of a recording that the core maps before progress is told
+_PEAK = 1.875  # largest speed of a minimum-jerk motion over its mean speed
+_LONGEST_GAP = 0.5  # a gap in time longer than this starts the filter again [s]
+_HAND = 0.1  # lever that turns the wrist's angles into lengths [m]
+_MEMORY = 0.25  # time in which the speed of a point is forgotten: where it turns, it is slow [s]
+_LEAST_NOISE = 1e-9  # noise below this counts as this [m]
+_MOST_NOISE = 0.004  # noise above this is not worth the lag that it would cost [m]
+_FARTHEST = 3.0  # largest correction that is left out, over the noise
+_LEAST_INDEX = (
+    1e-9  # a tracking index below this counts as this: samples count, however little
+)
 
 
-class _Offset(NamedTuple):
-    """What was seen last minus what the tracker says, at the return.
+class _Place(NamedTuple):
+    """Where a hand is: points in wrist axes, with the wrist's position behind them (n + 1, 3) [m].
 
-    Attributes:
-        points: In wrist axes, or in the world without a wrist [m], shape (n, 3).
-        position: Of the wrist [m], shape (3,).
-        turn: Rotation vector of the wrist, in its own axes [rad], shape (3,).
-        duration: Time of fading [s].
+    Without a wrist, points are in the world, and the wrist is its origin.
     """
 
     points: np.ndarray
-    position: np.ndarray
-    turn: np.ndarray
-    duration: float
+    rotation: np.ndarray
+    has_wrist: bool
 
-    def added(self, pose: HumanPose, fingers: float, palm: float) -> HumanPose:
-        """Add shares of the offset to a pose."""
-        points = pose.in_wrist + fingers * self.points
-        wrist = pose.wrist
-        if wrist is not None:
-            rotation = wrist[:3, :3] @ pin.exp3(palm * self.turn)
-            wrist = affine(rotation, wrist[:3, 3] + palm * self.position)
-        return HumanPose.placed(points, wrist)
+    @classmethod
+    def of(cls, pose: HumanPose) -> _Place:
+        """Return where a sample is."""
+        has_wrist = pose.wrist is not None
+        wrist = pose.wrist if has_wrist else np.eye(4)
+        rotation, position = wrist[:3, :3], wrist[:3, 3]
+        points = np.vstack([(pose.points - position) @ rotation, position])
+        return cls(points, rotation, has_wrist)
+
+    def pose(self) -> HumanPose:
+        """Return a sample there."""
+        wrist = affine(self.rotation, self.points[-1])
+        points = transform_points(wrist, self.points[:-1])
+        return HumanPose(points, wrist if self.has_wrist else None)
+
+    def to(self, other: _Place) -> np.ndarray:
+        """Return the way to another place [m], with the turn in own axes behind it [rad]."""
+        turn = pin.log3(self.rotation.T @ other.rotation)
+        return np.vstack([other.points - self.points, turn])
+
+    def moved(self, way: np.ndarray) -> _Place:
+        """Return the place at the end of a way."""
+        rotation = self.rotation @ pin.exp3(way[-1])
+        return _Place(self.points + way[:-1], rotation, self.has_wrist)
 
 
 class Rejoin(NamedTuple):
@@ -75,60 +95,54 @@ class Rejoin(NamedTuple):
     Attributes:
         kind: `glide` or `clutch`.
         seen: The last pose that was mapped; None before the first.
-        offset: What is added to the samples; None if nothing.
+        offset: What was seen last minus what the tracker said at the return (`_Place.to`), shape
+            (n + 2, 3); None if nothing is added to the samples.
+        duration: Time of fading [s].
         elapsed: Time since the return [s].
     """
 
     kind: RejoinKind = "glide"
     seen: HumanPose | None = None
-    offset: _Offset | None = None
+    offset: np.ndarray | None = None
+    duration: float = 0.0
     elapsed: float = 0.0
 
     @property
     def is_fading(self) -> bool:
         """Whether the robot is still on its way to the human."""
-        return self.offset is not None and self.elapsed < self.offset.duration
+        return self.offset is not None and self.elapsed < self.duration
 
-    def start(self, pose: HumanPose) -> Rejoin:
+    def start(self, pose: HumanPose, lost: float = math.inf) -> Rejoin:
         """Begin at the first sample after a hold.
 
-        Args:
-            pose: The hand as the tracker sees it.
+        After a brief loss [s], fading takes no longer than that, and one that has begun goes on.
         """
         before = self.seen
+        if self.is_fading and lost < math.inf:
+            return self
         if before is None or (before.wrist is None) != (pose.wrist is None):
             return self._replace(offset=None)
-        points = before.in_wrist - pose.in_wrist
-        position = np.zeros(3)
-        turn = np.zeros(3)
-        if before.wrist is not None and pose.wrist is not None:
-            position = before.wrist[:3, 3] - pose.wrist[:3, 3]
-            turn = pin.log3(pose.wrist[:3, :3].T @ before.wrist[:3, :3])
-        times = [lengths(points).max() / FINGER_SPEED]
+        offset = _Place.of(pose).to(_Place.of(before))
+        *fingers, palm, turn = lengths(offset)
+        times = [max(fingers) / FINGER_SPEED]
         if self.kind == "glide":
-            times += [lengths(position) / PALM_SPEED, lengths(turn) / TURN_SPEED]
-        duration = max(_SHORTEST, _PEAK * float(max(times)))
-        return self._replace(
-            offset=_Offset(points, position, turn, duration),
-            elapsed=0.0,
-        )
+            times += [palm / PALM_SPEED, turn / TURN_SPEED]
+        duration = max(_SHORTEST, min(lost, _PEAK * max(times)))
+        return self._replace(offset=offset, duration=duration, elapsed=0.0)
 
     def advance(self, pose: HumanPose, dt: float) -> tuple[HumanPose, Rejoin]:
-        """Return the pose to map, and the state after it.
-
-        Args:
-            pose: The hand as the tracker sees it.
-            dt: Time since the sample before [s]; ignored in the first sample after a hold.
-        """
-        offset = self.offset
-        if offset is None:
+        """Return the pose to map for that of the tracker, dt [s] later, and the state after it."""
+        if self.offset is None:
             return pose, self._replace(seen=pose)
-        left = 1.0 - _minimum_jerk(self.elapsed / offset.duration)
+        left = 1.0 - _minimum_jerk(self.elapsed / self.duration)
+        offset = left * self.offset
         stays = self.kind == "clutch"
-        moved = offset.added(pose, left, 1.0 if stays else left)
+        if stays:
+            offset[-2:] = self.offset[-2:]
+        moved = _Place.of(pose).moved(offset).pose()
         return moved, self._replace(
             seen=moved,
-            offset=offset if left > 0.0 or stays else None,
+            offset=self.offset if left > 0.0 or stays else None,
             elapsed=self.elapsed + dt,
         )
 
@@ -139,22 +153,142 @@ def _minimum_jerk(share: float) -> float:
     return share * share * share * (10.0 + share * (6.0 * share - 15.0))
 
 
+class Smoothing(Options, frozen=True):
+    """How much samples are smoothed before they are mapped; see `Smoother`."""
+
+    acceleration: Annotated[
+        float, number("Acceleration that a point at rest may have [m/s^2].", above=True)
+    ] = 0.4
+    speed_gain: Annotated[
+        float, number("Rise of the acceleration with the speed of a point [1/s].")
+    ] = 12.0
+
+
+SMOOTH_IK = {"speed_weight": 2.0, "acceleration_weight": 8.0}
+"""Weights of `IkOptions` that smooth further: they damp what the QP adds to smooth targets."""
+
+
+class SmoothState(NamedTuple):
+    """State of the filter after a sample.
+
+    Attributes:
+        noise: Running estimate of the noise of the points [m]; 0 before there is one.
+        waited: Time since the sample came [s].
+        seen: The sample; None to start again.
+        dt: Time between it and the one before [s]; 0 for a first one.
+        moving: Velocity of its points, shape (n, 3) [m/s].
+        speeds: Smoothed velocities, as of `_Place.to`, shape (n + 2, 3) [m/s, rad/s].
+        recent: Largest recent speeds, of the turn at a lever, shape (n + 2,) [m/s].
+        stages: Where the three filters are; the last one is the smoothed sample.
+    """
+
+    noise: float = 0.0
+    waited: float = 0.0
+    seen: Any = None
+    dt: float = 0.0
+    moving: Any = None
+    speeds: Any = None
+    recent: Any = None
+    stages: tuple[_Place, ...] = ()
+
+
+class Smoother(Compiled):
+    """Smooths the samples of one hand as much as they are noisy; without options, not at all.
+
+    An alpha-beta filter predicts every point by its velocity, and corrects it by a share of what is
+    measured. Kalata's tracking index (IEEE Trans. AES 20 (1984) 174) gives the share: the
+    acceleration that a point may have, times the square of the time, over the noise. Two low-pass
+    filters of the same share follow, which take from the jerk; the velocity makes up for their lag.
+    Without noise, all shares are 1, and samples pass as they are.
+    """
+
+    def __init__(self, options: Smoothing | None) -> None:
+        self.options = options
+        self._state = self._former = SmoothState()
+
+    @in_core
+    def smooth(self, pose: HumanPose, dt: float) -> HumanPose:
+        """Smooth the next sample, dt [s] after the last call; one that repeats is the same one."""
+        if self.options is None:
+            return pose
+        before = self._former = self._state
+        seen, former = _Place.of(pose), before.seen
+        dt += before.waited
+        is_first = former is None or former.has_wrist != seen.has_wrist
+        if is_first or dt > _LONGEST_GAP:
+            still = np.zeros((len(seen.points) + 1, 3))
+            moves = still[2:], still, still[:, 0], (seen,) * 3
+            self._state = SmoothState(before.noise, 0.0, seen, 0.0, *moves)
+        elif all(map(np.array_equal, seen, former)):
+            self._state = before._replace(waited=dt)
+        else:
+            self._state = _smoothed(self.options, before, seen, dt)
+        return self._state.stages[-1].pose()
+
+    @in_core
+    def wait(self, dt: float) -> None:
+        """Let time pass without a sample [s]."""
+        self._state = self._state._replace(waited=self._state.waited + dt)
+
+    @in_core
+    def restart(self) -> None:
+        """Let the next sample pass as it is, and go on from there with the noise that is known."""
+        self._state = SmoothState(self._state.noise)
+
+    @in_core
+    def forget(self) -> None:
+        """Forget the sample that was smoothed last."""
+        self._state = self._former
+
+
+def _smoothed(
+    options: Smoothing, before: SmoothState, seen: _Place, dt: float
+) -> SmoothState:
+    """Smooth a sample that came dt [s] after the one before."""
+    moving = (seen.points - before.seen.points)[:-1] / dt
+    noise = before.noise
+    if before.dt > 0.0:
+        rate = change_rate(dt, before.dt)
+        noise = learnt_noise(noise, noise_of(lengths(moving - before.moving), rate))
+    noise = max(noise, _LEAST_NOISE)
+    speeds = before.speeds
+    levers = np.ones(len(speeds))
+    levers[-1] = _HAND
+    at = before.stages[0].moved(dt * speeds)
+    way = at.to(seen)
+    kept = math.exp(-dt / _MEMORY)
+    recent = np.maximum(levers * lengths(speeds), kept * before.recent)
+    # Kalata: alpha is 1 - r^2 and beta is 2 (1 - r)^2.
+    acceleration = options.acceleration + options.speed_gain * recent
+    index = acceleration * dt * dt / min(noise, _MOST_NOISE)
+    index = np.maximum(index, _LEAST_INDEX)
+    r = 4.0 / (4.0 + index + np.sqrt(8.0 * index + index * index))
+    farthest = _FARTHEST * noise / np.maximum(levers * lengths(way), noise)
+    left = np.minimum(r * r, farthest)[:, None]
+    alpha = 1.0 - left
+    speeds = speeds + 2.0 * (1.0 - np.sqrt(left)) ** 2 / dt * way
+    stages = [at.moved(alpha * way)]
+    at = stages[0].moved(2.0 * left / alpha * dt * speeds)
+    for stage in before.stages[1:]:
+        at = stage.moved(alpha * stage.to(at))
+        stages.append(at)
+    return SmoothState(noise, 0.0, seen, dt, moving, speeds, recent, tuple(stages))
+
+
 class Follower:
     """Lets a mapper follow the samples of a tracker.
 
-    A new reference of the mapper (`HandMapper.clutch`, `reset`) ends a return and restarts the
-    smoothing.
+    A new reference of the mapper (`HandMapper.clutch`, `reset`) ends a return and the smoothing.
 
     Args:
         mapper: Maps the samples; its human hand must be scaled to the person.
         rejoin: How the robot comes back to the human after a hold: `glide` there, or stay where it
             is with its palm, as after a `clutch`.
-        smoothing: How samples are smoothed before they are mapped; not at all if omitted.
+        smoothing: How samples are smoothed before they are mapped; None for not at all.
 
     Attributes:
         mapper: As given.
         rejoin: As given.
-        smoothing: As given; another one counts from the next sample.
 
     Raises:
         InvalidOptionsError: If `rejoin` is something else.
@@ -166,7 +300,7 @@ class Follower:
         mapper: HandMapper,
         *,
         rejoin: RejoinKind = "glide",
-        smoothing: Smoothing | None = None,
+        smoothing: Smoothing | None = Smoothing(),  # noqa: B008
     ) -> None:
         if rejoin not in get_args(RejoinKind):
             kinds = ", ".join(get_args(RejoinKind))
@@ -175,14 +309,12 @@ class Follower:
             )
         self.mapper = mapper
         self.rejoin = rejoin
-        self.smoothing = smoothing
+        self._smoother = Smoother(smoothing)
         self._guard = StreamGuard(mapper.human)
         self._return = Rejoin(rejoin)
-        self._smooth: SmoothState | None = None
         self._reference: HumanPose | None = None
-        # That of the mapper while the samples simply follow those before, and their last step.
+        # That of the mapper while the samples simply follow those before.
         self._core: Any = None
-        self._last: MapStep | None = None
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -214,11 +346,10 @@ class Follower:
         """
         found = None
         if self._simply_follows():
-            readers = self._guard.core, self.mapper.landmarks.core
             # The step, or the verdict about a sample that Python has to look at, if it is known.
-            found = self._core.map_sample(*readers, sample, dt, arrival)
+            found = self._core.map_sample(*self._cores(), sample, dt, arrival)
         if isinstance(found, MapStep):
-            self._last = found
+            self._return = self._return._replace(seen=found.stages.pose)
             return found
         dt = None if dt is None else check_dt(dt)
         verdict = found or self._guard.check(sample, arrival=arrival)
@@ -227,7 +358,7 @@ class Follower:
     def map_samples(
         self, samples: SampleColumns, progress: Callable[[int], None] | None = None
     ) -> StepTable:
-        """Map the samples of a recording, as `map_sample` one by one.
+        """Map the samples of a recording, as `map_sample` one by one; return all numbers.
 
         The compiled core maps those that simply follow the ones before by itself, without the
         interpreter's lock, so that threads map recordings side by side.
@@ -235,13 +366,6 @@ class Follower:
         Args:
             samples: The samples.
             progress: Called with the number of samples done.
-
-        Returns:
-            The numbers of all steps.
-
-        Raises:
-            InvalidInputError: As of `map_sample`.
-            DegeneratePointsError: Likewise.
         """
         self._guard.check_side(samples)
         count = len(samples.time)
@@ -263,19 +387,24 @@ class Follower:
 
     def map(self, pose: HumanPose, dt: float, *, speed: float = 1.0) -> MapStep:
         """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
-        smooth = None
-        if self.smoothing is not None:
-            before = None if self._has_new_reference else self._smooth
-            pose, smooth = smooth_sample(self.smoothing, before, pose, check_dt(dt))
-        step = self.mapper.map(pose, dt, speed=speed)
-        self._smooth = smooth
+        if self._has_new_reference:
+            self._smoother.restart()
+        smooth = self._smoother.smooth(pose, check_dt(dt))
+        try:
+            step = self.mapper.map(smooth, dt, speed=speed)
+        except HandmapError:
+            self._smoother.forget()
+            raise
         self._reference = self.mapper.reference
         return step
 
     def _simply_follows(self) -> bool:
         """Return whether the core maps the next sample, unless the guard stops it."""
-        is_same = self._core is self.mapper.core
-        return bool(self._core) and is_same and not self.smoothing
+        return bool(self._core) and self._core is self.mapper.core
+
+    def _cores(self) -> tuple[Any, Any, Any]:
+        """Return what the core judges, smooths and reads samples by."""
+        return self._guard.core, self._smoother.core, self.mapper.landmarks.core
 
     def _run(
         self, samples: SampleColumns, first: int, table: StepTable
@@ -283,13 +412,11 @@ class Follower:
         """Map samples in the core; return the first that it leaves, and its verdict if known."""
         if not self._simply_follows():
             return first, None
-        readers = self._guard.core, self.mapper.landmarks.core
         last = min(len(samples.time), first + _RUN)
-        run = *readers, samples, first, last, table.rows
-        count, verdict, seen = self._core.run(*run)
+        cores = self._cores()
+        count, verdict, seen = self._core.run(*cores, samples, first, last, table.rows)
         if seen is not None:
             self._return = self._return._replace(seen=seen)
-            self._last = None
         return count, verdict
 
     def _judged(
@@ -298,31 +425,26 @@ class Follower:
         """Map a sample that makes sense, else hold; an error leaves all as it was before."""
         started = perf_counter()
         granted = max(verdict.dt, SHORTEST_DT) if dt is None else dt
-        back = self._present_return()
+        back = Rejoin(self.rejoin) if self._has_new_reference else self._return
         said: dict[str, Any] = {"verdict": verdict, "confidence": sample.confidence}
         try:
             if verdict.is_held:
+                self._smoother.wait(granted)
                 return structs.replace(self.mapper.hold(granted, back.seen), **said)
             pose, _ = self.mapper.landmarks.read(sample.landmarks, sample.wrist)
-            back = back.start(pose) if verdict.is_return else back
+            if verdict.is_return:
+                back = back.start(pose, verdict.lost)
+                self._smoother.restart()
             moved, back = back.advance(pose, verdict.dt)
             step = self.map(moved, granted, speed=verdict.speed)
         except HandmapError:
             self._guard.forget()
             raise
-        self._return = back
-        self._last = None
-        is_plain = self._guard.core and not (self.smoothing or back.offset)
+        self._return = back._replace(seen=step.stages.pose)
+        is_plain = self._guard.core and back.offset is None
         self._core = self.mapper.core if is_plain else None
         said |= {"is_gliding": back.is_fading, "duration": perf_counter() - started}
         return structs.replace(step, **said)
-
-    def _present_return(self) -> Rejoin:
-        if self._has_new_reference:
-            return Rejoin(self.rejoin)
-        if self._last is None:
-            return self._return
-        return self._return._replace(seen=self._last.stages.pose)
 
     @property
     def _has_new_reference(self) -> bool:

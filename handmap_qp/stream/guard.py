@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import (
@@ -38,7 +38,13 @@ from handmap_qp.human.sample import (
 )
 from handmap_qp.ik.core import Compiled, in_core
 from handmap_qp.se3 import lengths, nearest_rotation
-from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
+from handmap_qp.trackers.hand_geometry import (
+    BONES,
+    NEIGHBOURS,
+    change_rate,
+    learnt_noise,
+    noise_of,
+)
 from handmap_qp.trackers.plausibility import InputCheck
 
 # -- time
@@ -53,21 +59,20 @@ After a longer one the robot has stood still, and must not make up for it in one
 """
 GAP = 0.25
 """A longer time between stamps is a gap: samples are missing, or the clock was set [s]."""
+# A stamp earlier by more than this is of a clock that was set back, not of a late sample [s].
 _SET_BACK = 1.0
-"""A stamp earlier by more than this is of a clock that was set back, not of a late sample [s]."""
-_SET_FORWARD = 10.0
-"""A stamp later by more than this is of a clock that was set forward [s]."""
+_SET_FORWARD = (
+    10.0  # a stamp later by more than this is of a clock that was set forward [s]
+)
+# Late samples in a row that increase among themselves: the clock was set back a little.
 _LATE_SAMPLES = 5
-"""Late samples in a row that increase among themselves: the clock was set back a little."""
-_PERIOD_SHARE = 0.05
-"""Share of a new interval in the usual period."""
+_PERIOD_SHARE = 0.05  # share of a new interval in the usual period
+# Least interval that speeds are computed from, over the usual period: stamps jitter.
 _SHORTEST_STEP = 0.5
-"""Least interval that speeds are computed from, over the usual period: stamps jitter."""
 
-_RATE_WINDOW = 0.5
-"""Time of arrival between two comparisons of the clocks [s]."""
+_RATE_WINDOW = 0.5  # time of arrival between two comparisons of the clocks [s]
+# Drift of stamps against arrival that a clock or a growing delay may have [s/s].
 _LARGEST_DRIFT = 0.3
-"""Drift of stamps against arrival that a clock or a growing delay may have [s/s]."""
 
 
 class Tick(NamedTuple):
@@ -103,14 +108,7 @@ class SampleClock(NamedTuple):
     is_idle: bool = False
 
     def advance(self, stamp: float) -> tuple[Tick, SampleClock]:
-        """Judge the time stamp of a sample.
-
-        Args:
-            stamp: Time stamp [s]; only differences of it have a meaning.
-
-        Returns:
-            What it says, and the clock after it.
-        """
+        """Return what the time stamp of a sample says [s], and the clock after it."""
         period = self.period
         if self.stamp is None:
             return Tick("", period, period), self._replace(stamp=stamp)
@@ -137,10 +135,9 @@ class SampleClock(NamedTuple):
 
 
 class RateCheck:
-    """Tells whether time stamps run as fast as their samples arrive.
+    """Tells whether time stamps run as fast as their samples arrive, every half second.
 
-    The clocks are compared each half second, by the last sample before. Two in a row must drift the
-    same way: a stall of the network, the burst behind it and a clock that is set do not.
+    Two in a row must drift the same way: a stall, the burst behind it and a clock set do not.
     """
 
     def __init__(self) -> None:
@@ -149,15 +146,9 @@ class RateCheck:
         self._rate: float | None = None
 
     def update(self, stamp: float, arrival: float) -> float | None:
-        """Take the next sample.
+        """Take the next sample; return seconds of stamps in a second of arrival.
 
-        Args:
-            stamp: Its time stamp [s].
-            arrival: When it arrived, on a monotonic clock [s].
-
-        Returns:
-            Seconds of stamps in a second of arrival, if two half seconds in a row differ from it by
-            more than 30 %; None otherwise.
+        None if no two half seconds in a row differ from 1 by more than 30 %.
         """
         elapsed = arrival - self._start
         # NaN: at the first sample, a half second begins; before there is a former one, no drift is
@@ -178,8 +169,6 @@ class RateCheck:
 
 # -- motion
 
-FLIP = math.radians(60.0)
-"""A turn by more than this between two samples is a flip."""
 ZERO_SIZE = 0.001
 """A hand whose palm has a smaller RMS radius is no hand but a point [m]."""
 MIRROR = 1e-4
@@ -188,14 +177,15 @@ MIRROR = 1e-4
 _STARTS, _ENDS = np.array(BONES + NEIGHBOURS).T
 """Pairs of landmarks whose distance does not change: bones, and neighbours in the palm."""
 
-BELIEVED = np.array([60.0, 600.0, 150.0, 0.008])
-"""Changes between two samples that are always believed: of the velocity of the palm [m/s^2], of its
-angular velocity [rad/s^2], of landmarks in palm axes [m/s^2], and of lengths [m]."""
-USUAL = np.array([8.0, 80.0, 12.0, 0.0015])
-"""First guess of the tracker's usual changes."""
-FASTEST = np.array([6.0, 40.0, 6.0])
-"""Speeds that are never believed: of the palm [m/s], of its turn [rad/s], and of landmarks in palm
-axes [m/s]. Recordings of free motion reach 1.5 m/s, 22 rad/s and 3.8 m/s."""
+BELIEVED = np.array([60.0, 600.0, 150.0, 0.008, 6.0, 40.0, 6.0, math.radians(60.0)])
+"""Sizes of `Change` that are believed of a tracker without noise.
+
+Recordings of free motion reach 1.5 m/s, 22 rad/s and 3.8 m/s.
+"""
+NOISY = np.array([6.0, 150.0, 20.0, 25.0, 4.0, 100.0, 8.0, 50.0])
+"""What noise adds to them, over the noise [m] and `Change.rates`: twice what white noise does."""
+FIRST_NOISE = 0.002
+"""Noise of a tracker before it is known: that of a poor one [m]."""
 ALONE = 3.0
 """A landmark that leaves its place alone is this many times as fast as the next one."""
 
@@ -231,17 +221,20 @@ class Change(NamedTuple):
         track: The sample with the motion that led to it.
         sizes: Change of the palm's velocity [m/s^2], and of its angular velocity [rad/s^2]; largest
             change of a landmark's velocity in palm axes [m/s^2], and of a distance that cannot
-            change [m]. Shape (4,), as `BELIEVED`.
-        is_turned: The hand turned by more than 60 degrees, or became its mirror image.
+            change [m]; speeds likewise [m/s, rad/s, m/s]; angle of the turn [rad]. Shape (8,).
+            The first three are 0 if no motion before is known.
+        rates: How noise [m] adds to the sizes: by one over time, or over time squared, shape (8,).
+        noise: Noise of the landmarks in palm axes [m]; 0 likewise.
+        is_mirrored: The hand became its mirror image.
         is_alone: One landmark changed its velocity far more than all others.
-        is_too_fast: A speed is above what hands reach.
     """
 
     track: Track
     sizes: np.ndarray
-    is_turned: bool
+    rates: np.ndarray
+    noise: float
+    is_mirrored: bool
     is_alone: bool
-    is_too_fast: bool
 
 
 def is_zero(landmarks: np.ndarray) -> bool:
@@ -262,8 +255,7 @@ def first_track(now: float, landmarks: np.ndarray) -> Track:
 
 def is_same_hand(before: Track, sample: Track) -> bool:
     """Tell whether two samples have exactly the same landmarks."""
-    is_same = before.points == sample.points
-    return bool(is_same.all() and (before.centre == sample.centre).all())
+    return all(map(np.array_equal, before[1:3], sample[1:3]))
 
 
 def change_between(track: Track, sample: Track, dt: float) -> Change:
@@ -280,25 +272,25 @@ def change_between(track: Track, sample: Track, dt: float) -> Change:
         dt=dt,
     )
     # No motion is known before a first sample: speeds decide.
-    is_known = track.dt > 0.0
-    span = 0.5 * (dt + track.dt) if is_known else dt
+    former = track.dt or dt
+    span = 0.5 * (dt + former)
+    rate = change_rate(dt, former)
     changes = [
         moved.velocity - track.velocity,
         moved.turning - track.turning,
         *(in_former_axes - track.bending),
     ]
-    palm, turned, *slips = (is_known * lengths(np.array(changes)) / span).tolist()
+    palm, turned, *slips = (bool(track.dt) * lengths(np.array(changes))).tolist()
     second, fingers = sorted(slips)[-2:]
     stretch = np.abs(moved.lengths - track.lengths).max()
-    speeds = np.array(
-        [lengths(moved.velocity), angle / dt, lengths(in_former_axes).max()]
-    )
+    speeds = [lengths(moved.velocity), angle / dt, lengths(in_former_axes).max()]
     return Change(
         moved,
-        np.array([palm, turned, fingers, stretch]),
-        is_turned=bool(angle > FLIP) or _is_mirrored(track.points, moved.points),
+        np.array([palm / span, turned / span, fingers / span, stretch, *speeds, angle]),
+        np.repeat([rate / span, 1.0, 1.0 / dt, 1.0], [3, 1, 3, 1]),
+        noise_of(np.array(slips), rate),
+        is_mirrored=_is_mirrored(track.points, moved.points),
         is_alone=fingers > ALONE * second,
-        is_too_fast=bool((speeds > FASTEST).any()),
     )
 
 
@@ -316,22 +308,13 @@ def fixed_lengths(landmarks: np.ndarray) -> np.ndarray:
 
 # -- rules
 
-FROZEN_AFTER = 0.25
-"""Landmarks that repeat exactly for longer are frozen [s]."""
+FROZEN_AFTER = 0.5
+"""Landmarks that repeat exactly for longer are frozen, and not those of a slow tracker [s]."""
 SETTLING = 0.1
 """Time that samples must make sense before they are followed again, after a fault [s]."""
-_LONG_SETTLING = 0.5
-"""The same after a flip or an outlier, which can last [s]."""
-_BRIEF = 0.1
-"""Holds up to this end at once when the hand is where it can have moved to meanwhile [s]."""
-_EXCESS = np.array([12.0, 12.0, 12.0, 15.0])
-"""A change is not a hand's if it is this many times the tracker's usual one."""
-_RATE = 0.05
-"""Share by which an estimate of a usual change moves with each sample.
-
-It falls no lower than where it has an effect, so that it rises within half a second when noise
-begins.
-"""
+_LONG_SETTLING = 0.5  # the same after a flip or an outlier, which can last [s]
+# Holds up to this end at once when the hand is where it can have moved to meanwhile [s].
+_BRIEF = 0.12
 
 
 class GuardState(NamedTuple):
@@ -341,21 +324,32 @@ class GuardState(NamedTuple):
         clock: The clock of the stream.
         now: Time of the stream [s]: the sum of the time steps.
         good: The last sample that was followed.
-        last: The last sample that could be a hand's.
-        usual: Running medians of the changes between samples, shape (4,), as `BELIEVED`.
+        last: The last sample that could be a hand's, at the first time that it came.
+        noise: Running estimate of the landmarks' noise [m].
         cause: The rule that began the present hold; empty if there is none.
         steady_since: Time since which samples make sense [s].
-        same_since: Time since which the landmarks are exactly the same [s].
     """
 
     clock: SampleClock = SampleClock()
     now: float = 0.0
     good: Track | None = None
     last: Track | None = None
-    usual: np.ndarray = USUAL
+    noise: float = FIRST_NOISE
     cause: Rule = ""
     steady_since: float = 0.0
-    same_since: float = 0.0
+
+    @property
+    def lost(self) -> float:
+        """Time without a sample where that is brief, and nothing else is wrong [s]; or infinite."""
+        good, now = self.good, self.now
+        is_brief = self.cause == "missing" and good and now - good.time <= _BRIEF
+        return now - good.time if is_brief else math.inf
+
+    @property
+    def has_paused(self) -> bool:
+        """Whether the robot has stood still for longer than one sample accounts for."""
+        periods = self.lost / self.clock.period
+        return self.cause != "" and periods > LONGEST_STEP + _SHORTEST_STEP
 
 
 class StreamGuard(Compiled):
@@ -417,26 +411,15 @@ class StreamGuard(Compiled):
         return verdict._replace(rule="unproven")
 
     def check_side(self, samples: HumanSample | SampleColumns) -> None:
-        """Reject samples of the other hand.
-
-        Raises:
-            InvalidInputError: If they are.
-        """
-        if samples.side != self._side:
-            raise InvalidInputError(
-                argument="side",
-                expected=f"samples of a {self._side} hand",
-                value=samples.side,
-                got=f"one of a {samples.side} hand",
-            )
+        """Reject samples of the other hand."""
+        given, own = samples.side, self._side
+        if given != own:
+            got = f"one of a {given} hand"
+            expect(False, "side", f"samples of a {own} hand", value=given, got=got)
 
     @in_core
     def holds(self, recording: Recording) -> np.ndarray:
-        """Tell which samples of a recording the robot may not follow, shape (T,).
-
-        Args:
-            recording: Samples of the hand; their wrist poses are not looked at.
-        """
+        """Tell which samples of a recording the robot may not follow, wrists apart, shape (T,)."""
         samples = recording_samples(recording)
         return np.array([self.check(sample).is_held for sample in samples])
 
@@ -467,41 +450,46 @@ class StreamGuard(Compiled):
         fresh = first_track(state.now, sample.landmarks)
         last = state.last
         consistency = math.sqrt(np.square(fresh.lengths - self._lengths).mean())
-        verdict = Verdict("", False, False, tick.dt, consistency)
-        if last is None or not is_same_hand(last, fresh):
-            state = state._replace(same_since=state.now)
+        held = Verdict("", True, False, tick.dt, consistency)
         if last is None:
             first = state._replace(good=fresh, last=fresh, cause="")
-            return verdict._replace(is_return=state.cause != ""), first
-        held = verdict._replace(is_held=True)
-        if state.now - state.same_since >= FROZEN_AFTER:
+            return held._replace(is_held=False, is_return=state.cause != ""), first
+        since_last = state.now - last.time
+        rule: Rule = ""
+        # A tracker that is slower than its samples repeats them, which is no motion.
+        if not is_same_hand(last, fresh):
+            rule, state = _moved(state, last, fresh)
+        elif since_last >= FROZEN_AFTER:
             return held._replace(rule="frozen"), _holding(state, "frozen")
-        rule, state = _moved(state, last, fresh, is_gap=tick.rule == "gap")
-        was_held = state.cause != ""
-        if was_held and not self._has_returned(fresh, rule, state):
+        if state.cause and not _has_returned(fresh, rule, state, since_last):
             return held._replace(rule=rule or "settling"), state
-        is_return = was_held or tick.rule == "gap" or was_late
-        state = state._replace(good=state.last, cause="")
-        return verdict._replace(rule=tick.rule, is_return=is_return), state
+        is_return = tick.rule == "gap" or was_late or state.has_paused
+        found = held._replace(
+            rule=tick.rule, is_held=False, is_return=is_return, lost=state.lost
+        )
+        return found, state._replace(good=state.last, cause="")
 
-    def _has_returned(self, fresh: Track, rule: Rule, state: GuardState) -> bool:
-        """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
-        good = state.good
-        now = state.now
-        if good is None:
-            return not rule
-        since_good = max(now - good.time, state.clock.shortest)
-        if since_good <= _BRIEF:
-            return not _named(change_between(good, fresh, since_good), state.usual)
-        if rule:
-            return False
-        settling = SETTLING
-        if state.cause in ("flip", "outlier"):
-            # The hand may still be turned, mirrored or of other lengths.
-            change = change_between(good, fresh, 1.0)
-            if change.is_turned or _excess(change, state.usual)[3]:
-                settling = _LONG_SETTLING
-        return now - state.steady_since >= settling
+
+def _has_returned(
+    fresh: Track, rule: Rule, state: GuardState, since_last: float
+) -> bool:
+    """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
+    good = state.good
+    now = state.now
+    # Nothing is known of the time of a gap.
+    if good is None or since_last > GAP:
+        return not rule
+    since_good = max(now - good.time, state.clock.shortest)
+    if since_good <= _BRIEF:
+        return not _named(change_between(good, fresh, since_good), state.noise)
+    if rule:
+        return False
+    settling = SETTLING
+    # The hand may still be turned, mirrored or of other lengths.
+    slow = state.cause in ("flip", "outlier")
+    if slow and _named(change_between(good, fresh, 1.0), state.noise):
+        settling = _LONG_SETTLING
+    return now - state.steady_since >= settling
 
 
 def _off_rate(rate: float) -> Finding:
@@ -512,45 +500,36 @@ def _off_rate(rate: float) -> Finding:
     )
 
 
-def _moved(
-    state: GuardState, last: Track, fresh: Track, *, is_gap: bool
-) -> tuple[Rule, GuardState]:
-    """Name what no hand does from one sample to the next, and learn what is usual."""
+def _moved(state: GuardState, last: Track, fresh: Track) -> tuple[Rule, GuardState]:
+    """Name what no hand does from one sample to the next, and learn the noise."""
     since = max(state.now - last.time, state.clock.shortest)
     change = change_between(last, fresh, since)
-    rule = _named(change, state.usual)
+    is_gap = since > GAP
+    if last.dt and not is_gap:
+        state = state._replace(noise=learnt_noise(state.noise, change.noise))
+    rule = _named(change, state.noise)
     if is_gap:
         usual_step = change_between(last, fresh, state.clock.period)
-        rule = "gap" if _named(usual_step, state.usual) else rule
-    state = state._replace(last=change.track, usual=_learnt(state.usual, change, last))
-    return rule, _holding(state._replace(last=fresh), rule) if rule else state
+        if _named(usual_step, state.noise):
+            rule = "settling" if state.cause else "gap"
+    if rule:
+        return rule, _holding(state._replace(last=fresh), rule)
+    return "", state._replace(last=change.track)
 
 
 def _holding(state: GuardState, rule: Rule) -> GuardState:
-    """Begin a hold, or go on with it; samples must make sense again from now on."""
-    return state._replace(cause=state.cause or rule, steady_since=state.now)
+    """Begin a hold, or go on with it; samples must make sense from now on, but for brief losses."""
+    last = state.last
+    is_brief = rule == "missing" and last and state.now - last.time <= _BRIEF
+    since = state.steady_since if is_brief else state.now
+    return state._replace(cause=state.cause or rule, steady_since=since)
 
 
-def _excess(change: Change, usual: np.ndarray) -> np.ndarray:
-    """Tell which changes no hand makes, given the tracker's usual ones, shape (4,)."""
-    return change.sizes > np.maximum(BELIEVED, _EXCESS * usual)
-
-
-def _named(change: Change, usual: np.ndarray) -> Rule:
-    """Name a change that no hand makes; empty if hands do."""
-    excess = _excess(change, usual)
-    if change.is_turned:
+def _named(change: Change, noise: float) -> Rule:
+    """Name a change that no hand makes, with some noise [m]; empty if hands do."""
+    excess = change.sizes > BELIEVED + noise * NOISY * change.rates
+    if excess[7] or change.is_mirrored:
         return "flip"
-    if not excess.any() and not change.is_too_fast:
+    if not excess.any():
         return ""
     return "outlier" if change.is_alone or excess[3] else "jump"
-
-
-def _learnt(usual: np.ndarray, change: Change, before: Track) -> np.ndarray:
-    """Move the running medians by a fixed share: a single fault hardly counts."""
-    rates = np.where(change.sizes > usual, 1.0 + _RATE, 1.0 - _RATE)
-    learnt = np.maximum(BELIEVED / _EXCESS, usual * rates)
-    if before.dt <= 0.0:
-        # After a first sample, only lengths can be compared.
-        learnt[:3] = usual[:3]
-    return learnt

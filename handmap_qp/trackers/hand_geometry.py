@@ -6,11 +6,16 @@ All of them are ratios or angles, so that they hold for every hand and in every 
   `misfit`),
 - the side of the palm's plane on which thumb and bent fingers lie (`palmar_evidence`), which is
   opposite on a left hand, in a mirrored world and where fingers bend backwards.
+
+`noise_of` tells how noisy points are, which the limits of `stream.guard`, the smoothing of
+`stream.follower` and `plausibility` ask for. A hand hardly changes its velocity between samples,
+and white noise does: the median change over all points is noise, whatever one of them does.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,6 +48,11 @@ _CARRIED, _STEP = 5e-6, 2e-6  # m
 _OTHERS_CHANGE = 0.8  # of the steps between samples, in the middle finger by that share
 _INSIDE = np.cos(np.radians([75.0, 2.0]))  # cosines of bends that are no limits
 _QUARTILES_APART = 1.349  # standard deviations, of a normal distribution
+_NORMAL = 1.538  # median length of vectors of three standard normal numbers
+_SHARE = 0.1  # of a sample in the running estimate of noise
+# A sample counts as no more than this many times the estimate, so that a fault hardly counts; an
+# estimate below the least rises as one of that size [m], so that noise is soon learnt.
+_MOST, _LEAST = 3.0, 3e-4
 
 HYPEREXTENSION = (0.75, 0.20)
 """Farthest that people's MCP and PIP joints bend backwards, as the mean sine of four fingers.
@@ -198,6 +208,21 @@ def palmar_evidence(landmarks: np.ndarray) -> PalmarEvidence:
     )
     evidence = np.clip(features / _FEATURE_SIZES, -1.0, 1.0)
     return PalmarEvidence(evidence.sum(axis=0), evidence[3:].sum(axis=0))
+
+
+def change_rate(dt: float, former: float) -> float:
+    """Return the change of velocity over the noise that makes it, from the last steps [1/s]."""
+    return math.hypot(1.0 / dt, 1.0 / former, 1.0 / dt + 1.0 / former)
+
+
+def noise_of(changes: np.ndarray, rate: float) -> float:
+    """Return the noise of points [m], of sizes (n,) of the changes of their velocities [m/s]."""
+    return median(changes) / (_NORMAL * rate)
+
+
+def learnt_noise(noise: float, seen: float) -> float:
+    """Return the running estimate of noise after a sample, from that before [m]."""
+    return noise + _SHARE * (min(seen, _MOST * max(noise, _LEAST)) - noise)
 
 
 def median(values: np.ndarray) -> float:

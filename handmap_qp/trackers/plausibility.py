@@ -24,12 +24,15 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HAND_LENGTHS, LANDMARK_COUNT, Finding, check_side
 from handmap_qp.ik.core import Compiled, in_core
+from handmap_qp.se3 import lengths
 from handmap_qp.trackers.hand_geometry import (
     Distances,
     carried_fingers,
+    change_rate,
     log_size,
     median,
     misfit,
+    noise_of,
     own_distances,
     palmar_evidence,
     stuck_fingers,
@@ -97,6 +100,7 @@ class InputCheck(Compiled):
         self._finding: Finding | None = None
         self._wrist = WristCheck(self._sign)
         self._misfit = np.nan
+        self._has_curled = False
         self._sizes: list[float] = []
         self._past: list[np.ndarray] = []
 
@@ -219,6 +223,7 @@ class InputCheck(Compiled):
         if finding is not None:
             return finding
         self._misfit = self._misfit if is_known else own
+        self._has_curled |= fingers >= -_BACKWARDS
         finding = self._stuck(landmarks) or self._resized(log_size(distances))
         if finding is not None or wrists is None:
             return finding
@@ -232,7 +237,9 @@ class InputCheck(Compiled):
         wrists: np.ndarray | None,
     ) -> Finding | None:
         """Tell whether the hand, or its fingers alone, bend to the other side of the palm."""
-        if fingers <= _BACKWARDS and total - fingers > _OTHERWISE_RIGHT:
+        # Fingers that were seen to curl are bent backwards by the person.
+        is_back = fingers <= _BACKWARDS and not self._has_curled
+        if is_back and total - fingers > _OTHERWISE_RIGHT:
             return _BENT_BACK
         return self._other_side(landmarks, wrists) if total < -_SURE_SIDE else None
 
@@ -336,6 +343,7 @@ def examine_recording(recording: Recording) -> Finding | None:
 _NO_HAND = 1.45
 # An order must fit better than ours by this much. Real recordings fit no other order better.
 _BETTER_BY = 0.12
+_NOISY = 15.0  # what noise adds to both [1/m]
 # Evidence of `palmar_evidence`, from -5 to 5, that the order or the side cannot be right.
 _CONTRADICTION = 0.6
 
@@ -345,31 +353,29 @@ def _find_order(
     sign: float,
     own_evidence: float,
 ) -> Finding | None:
-    """Look for another order that explains landmarks much better than ours.
+    """Look for another order that explains landmarks (T, 21, 3) much better than ours.
 
     Args:
-        landmarks: Some samples, as they came, shape (T, 21, 3).
+        landmarks: Some samples, as they came.
         sign: 1 for a right hand, -1 for a left one.
         own_evidence: How well the palmar side fits in our order, from -5 to 5.
-
-    Returns:
-        Which order explains them, if one does; None if our order is plausible and none is much
-        better.
     """
     names, orders = _known_orders()
     distances = own_distances(landmarks[:, orders])
     misfits = misfit(distances)
     own = misfits[0]
+    changes = lengths(np.diff(landmarks - landmarks[:, :1], 2, axis=0)).ravel()
+    slack = _NOISY * noise_of(changes, change_rate(1.0, 1.0)) if len(changes) else 0.0
     # The other hand is an explanation too, so an order of fingers must beat it only where our own
     # order contradicts the side.
-    needed = own - _BETTER_BY if own_evidence > -_CONTRADICTION else own
+    needed = own - slack - _BETTER_BY * (own_evidence > -_CONTRADICTION)
     better = np.argsort(misfits)
     for k in better[misfits[better] < needed]:
         total = palmar_evidence(landmarks[:, orders[k]]).total
         if sign * np.median(total) > min(-_CONTRADICTION, own_evidence):
             return _other_order(names[k] if misfits[k] < _NO_HAND else "")
     shape = Distances(distances.medians[0], np.zeros(1))
-    if misfit(shape) <= _NO_HAND:
+    if misfit(shape) <= _NO_HAND + slack:
         return None
     best = misfits.argmin()
     is_hand = misfits[best] < min(_NO_HAND, own - 3.0 * _BETTER_BY)
@@ -403,14 +409,7 @@ _PIXELS = 30.0  # a hand that is longer in any unit
 
 
 def _find_time_unit(times: np.ndarray) -> Finding | None:
-    """Tell whether instants are not in seconds.
-
-    Args:
-        times: Instants in the order of the samples [s], shape (T,).
-
-    Returns:
-        What is wrong; None if the median step is one of a tracker in seconds.
-    """
+    """Tell whether the median step of instants (T,) is not one of a tracker in seconds."""
     step = median(np.diff(times)) if len(times) > 1 else 0.0
     low, high = _STEPS
     if step <= 0.0 or low <= step <= high:
@@ -437,15 +436,12 @@ def _find_length_unit(
     *,
     is_hand: bool,
 ) -> Finding | None:
-    """Tell whether landmarks are not in metres.
+    """Tell whether landmarks (T, 21, 3) are not in metres; None also if they are no hand at all.
 
     Args:
-        landmarks: Some samples, shape (T, 21, 3).
+        landmarks: Some samples.
         distances: Of `own_distances`.
         is_hand: Whether their proportions are those of a hand in our order.
-
-    Returns:
-        What is wrong; None if they are in metres, or if they are no hand at all.
     """
     low, high = HAND_LENGTHS
     wrist = landmarks[:, 0]

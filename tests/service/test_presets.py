@@ -24,7 +24,14 @@ from service_tools import (
     speeds,
 )
 
-from handmap_qp import HandMapper, IkOptions, MappingOptions, Recording, read_recording
+from handmap_qp import (
+    Follower,
+    HandMapper,
+    IkOptions,
+    MappingOptions,
+    Recording,
+    read_recording,
+)
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.service.opening import CALIBRATION_SAMPLES
 from handmap_qp.apps.service.server import Server
@@ -325,13 +332,15 @@ def test_landmarks_are_mapped_as_they_come(
     hands, choice = session._hands, session._hands.choice
     mapper = HandMapper(hands.mapper.human, hands.robot, choice.method, ik=choice.ik)
     mapper.reset(robot_q=hands.robot.rest)
+    follower = Follower(mapper)
     turn = rotation_from_quat_wxyz((0.8, 0.0, 0.6, 0.0))
     for i in range(10):
         wrist = affine(turn, np.array([0.01 * i, 1.0, 0.0])) if has_wrist else None
         message = sample(i * PERIOD, landmarks=landmarks_of(recording, i))
         message = msgspec.structs.replace(message, wrist=to_pose(wrist))
         command = session.step(message, i * PERIOD)
-        step = mapper.map_landmarks(recording.landmarks[i], wrist, dt=command.dt)
+        pose, _ = mapper.landmarks.read(recording.landmarks[i], wrist)
+        step = follower.map(pose, command.dt)
         # This wrist does not turn with the palm, so the session follows it more slowly.
         assert command.rule == ("unproven" if has_wrist else "")
         if not {"slewing", "unproven"} & set(command.flags):
@@ -339,9 +348,10 @@ def test_landmarks_are_mapped_as_they_come(
         assert command.detail is not None
         assert command.detail.human_q is None
         np.testing.assert_array_equal(command.detail.landmarks, message.landmarks)
-        measured = {tuple(point) for point in recording.landmarks[i].tolist()}
-        assert {tuple(point) for point in command.detail.human_points} <= measured
-        expected = to_pose(step.human_wrist if wrist is None else wrist)
+        np.testing.assert_allclose(
+            command.detail.human_points, step.human_points, atol=1e-9
+        )
+        expected = to_pose(step.human_wrist)
         assert expected is not None
         np.testing.assert_allclose(command.detail.targets, step.targets, atol=1e-9)
         assert command.detail.human_wrist is not None

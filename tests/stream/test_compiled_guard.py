@@ -141,6 +141,19 @@ def test_recordings_and_faults_in_them_have_one_verdict(recording: Recording) ->
     assert len(rules) > 8
 
 
+@pytest.mark.parametrize("size", [0.002, 0.005, 0.02])
+def test_noise_has_one_verdict(recording: Recording, size: float) -> None:
+    random = np.random.default_rng(2)
+    landmarks = recording.landmarks + random.normal(
+        scale=size, size=recording.landmarks.shape
+    )
+    valid = recording.valid & (random.random(len(recording)) > 0.2)
+    noisy = replace(recording, landmarks=landmarks, valid=valid)
+    human = scaled_human(recording, points="landmarks")
+    rules = expect_same_stream(human, recording_samples(noisy))
+    assert size > 0.01 or rules <= {"", "missing", "settling"}
+
+
 @pytest.mark.parametrize("name", MISTAKES)
 def test_mistakes_are_named_in_the_same_words(name: str) -> None:
     samples = recording_samples(DEMO.part(slice(0, 260)))

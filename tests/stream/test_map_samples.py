@@ -15,7 +15,8 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import SampleColumns, sample_columns
 from handmap_qp.human.sample import HumanSample
-from handmap_qp.stream.follower import Rejoin
+from handmap_qp.stream.follower import Rejoin, Smoother
+from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.step_table import StepTable
 
 HUMAN = load_hand(
@@ -95,6 +96,39 @@ def test_what_the_core_does_not_do_is_done_all_the_same(choice: dict) -> None:
     columns = columns_of(samples_with("dropout@0.5+0.4"))
     whole, single = (Follower(HandMapper(HUMAN, ROBOT), **choice) for _ in range(2))
     assert_same(whole.map_samples(columns), one_by_one(single, columns))
+
+
+class ReferenceGuard(StreamGuard):
+    """Runs in Python, as every class that the core does not know."""
+
+
+class ReferenceSmoother(Smoother):
+    """Runs in Python."""
+
+
+@pytest.mark.parametrize("noise", [0.0, 2e-3, 5e-3])
+@pytest.mark.parametrize("lost", [0.0, 0.2])
+@pytest.mark.parametrize("copies", [1, 3])
+def test_noise_losses_and_repetition_are_met_in_the_core_as_in_python(
+    noise: float, lost: float, copies: int
+) -> None:
+    random, columns = np.random.default_rng(4), columns_of(samples_with(""))
+    landmarks = columns.landmarks[np.arange(150) // copies * copies]
+    noisy = (
+        landmarks
+        + random.normal(scale=noise, size=(150, 21, 3))[np.arange(150) // copies]
+    )
+    columns = columns._replace(landmarks=noisy, valid=random.random(150) >= lost)
+    whole, single = (Follower(HandMapper(HUMAN, ROBOT)) for _ in range(2))
+    single._guard = ReferenceGuard(single.mapper.human)
+    single._smoother = ReferenceSmoother(Smoothing())
+    found, expected = whole.map_samples(columns), one_by_one(single, columns)
+    np.testing.assert_allclose(
+        found.rows[:, :-1], expected.rows[:, :-1], rtol=0.0, atol=1e-9
+    )
+    # Little else is held than what was lost.
+    is_held = found.columns[8] > 0.0
+    assert (is_held & columns.valid).mean() < 0.05
 
 
 def test_threads_map_recordings_side_by_side() -> None:

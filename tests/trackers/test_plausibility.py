@@ -358,6 +358,41 @@ def test_fingers_that_are_splayed_backwards_for_a_moment_are_followed(
         assert guard.check(sample).rule == ""
 
 
+@pytest.mark.parametrize("curls", [True, False])
+def test_middle_joints_bent_backwards_are_a_mistake_unless_fingers_curled_before(
+    curls: bool,
+) -> None:
+    human, random = load_hand("human", points="landmarks"), np.random.default_rng(6)
+    curled, flared = human.rest.copy(), human.rest.copy()
+    for i, name in enumerate(human.joint_names):
+        if not name.startswith("thumb") and name.endswith("flexion"):
+            curled[i], flared[i] = 0.5, 0.0
+    landmarks = human.points(flared)
+    turn = exp3(np.array([np.radians(25.0), 0.0, 0.0]))
+    for base in (6, 10, 14, 18):
+        bones = landmarks[base + 1 : base + 3] - landmarks[base]
+        landmarks[base + 1 : base + 3] = landmarks[base] + bones @ turn.T
+    first = human.points(curled if curls else flared)
+    check, kinds = InputCheck("right"), set()
+    for i in range(150):
+        points = landmarks if i >= 60 else first
+        sample = points + random.normal(0.0, 3e-4, points.shape)
+        finding = check.update(i / 60.0, sample)
+        kinds.add(finding and finding.kind)
+    assert kinds == ({None} if curls else {None, "flexion"})
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_in_depth_is_no_other_order(lies: ModuleType, seed: int) -> None:
+    take = lies.model_take("right", 0.185, seed, duration=6.0)
+    noise = np.random.default_rng(seed).normal(0.0, 0.03, take.landmarks.shape)
+    noise[..., :2] = 0.0
+    check = InputCheck(take.side)
+    for time, landmarks in zip(take.time, take.landmarks + noise, strict=True):
+        finding = check.update(float(time), landmarks)
+        assert finding is None or finding.kind != "order"
+
+
 @pytest.mark.parametrize("size", [0.5, 1.6])
 def test_sizes_that_no_operator_has_are_refused(take: Any, size: float) -> None:
     scaled = take._replace(landmarks=size * take.landmarks, wrist=take.wrist.copy())

@@ -79,8 +79,8 @@ class Compare:
         recordings: Recordings of a human hand, as of `handmap map`. The tracker's wrist poses are
             used where a file has them: wrist_pose, shape (T, 7), position [m] and quaternion wxyz.
         robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
-        methods: Methods to run: presets and other mappings by name, with +smooth for smoothed
-            samples, with +look-ahead for smoothing with the future too. Peers may be named too,
+        methods: Methods to run: presets and other mappings by name, with +smooth for smoother
+            motion, with +look-ahead for smoothing with the future too. Peers may be named too,
             such as dex-vector; then --peers runs those only.
         peers: Run the peers too.
         peers_from: Folder of the program that runs the peers, compare.py.

@@ -58,14 +58,14 @@ from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.se3 import as_floats, inverse_pose
+from handmap_qp.stream.follower import SMOOTH_IK
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.stream.smoothing import SMOOTH_IK, Smoothing
 from handmap_qp.trackers.formats.archive import read_archive
 
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
 SMOOTH = "+smooth"
-"""Ending of a name that asks for smoothed samples and motion, as `--smooth` of `handmap map`."""
+"""Ending of a name that asks for smoother motion, as `--smooth` of `handmap map`."""
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
 # fixed_wrist is for hands that cannot follow a palm.
@@ -329,7 +329,7 @@ def own_method(name: str) -> ComparedMethod:
     """Return a method of the package.
 
     Args:
-        name: Name of a preset; with `+smooth` for smoothed samples, with `+look-ahead` for
+        name: Name of a preset; with `+smooth` for smoother motion, with `+look-ahead` for
             smoothing with the future too.
 
     Raises:
@@ -401,7 +401,6 @@ def _map_own(
         mapper,
         recording,
         wrist_poses=wrist,
-        smoothing=Smoothing() if name.endswith(SMOOTH) else None,
         is_guarded=False,
     )
     return RobotMotion(trajectory.q, trajectory.wrist, trajectory.step_cpu)

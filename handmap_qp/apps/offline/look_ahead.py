@@ -37,7 +37,7 @@ from handmap_qp.se3 import (
     rotation_from_quat_wxyz,
     transform_points,
 )
-from handmap_qp.stream.smoothing import SMOOTH_IK
+from handmap_qp.stream.follower import SMOOTH_IK
 
 if TYPE_CHECKING:
     from handmap_qp.apps.arguments import MappingArguments
@@ -184,10 +184,7 @@ def map_hand(
     choice = arguments.preset_for(human, robot)
     ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
     mapper = HandMapper(human, robot, choice.method, ik=ik)
-    trajectory = map_recording(
-        mapper, recording, progress, smoothing=arguments.smoothing
-    )
-    return recording, trajectory
+    return recording, map_recording(mapper, recording, progress)
 
 
 def continuous_quats(rotations: np.ndarray) -> np.ndarray:

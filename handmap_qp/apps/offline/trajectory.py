@@ -26,7 +26,6 @@ from handmap_qp.mapping.method import MapStep
 from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import lengths
 from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.smoothing import Smoothing
 from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
 
@@ -118,7 +117,6 @@ def map_recording(
     progress: Callable[[int], None] | None = None,
     *,
     wrist_poses: np.ndarray | None = None,
-    smoothing: Smoothing | None = None,
     is_guarded: bool = True,
 ) -> Trajectory:
     """Map the landmarks of a recording as a live stream: by a `Follower`.
@@ -131,7 +129,6 @@ def map_recording(
         progress: Called after each sample with the number of samples done.
         wrist_poses: Poses of the human model's wrist frame, shape (T, 4, 4); fitted to the palm's
             landmarks if omitted.
-        smoothing: How samples are smoothed before they are mapped; not at all if omitted.
         is_guarded: False to follow every valid sample, whatever it shows: to compare mappings.
 
     Returns:
@@ -140,7 +137,7 @@ def map_recording(
     Raises:
         InvalidInputError: If no sample makes sense, or a sample cannot be mapped.
     """
-    follower = Follower(mapper, smoothing=smoothing)
+    follower = Follower(mapper)
     if is_guarded:
         columns = sample_columns(recording, wrist_poses)
         table = follower.map_samples(columns, progress)

@@ -25,7 +25,7 @@ _Index = Annotated[int, Meta(ge=0, lt=len(LANDMARK_NAMES))]
 # Settings without a counterpart, and what takes their place.
 _ELSEWHERE = {
     "scaling_factor": "sizes are measured on both hands; --scale of the presets object and paper",
-    "low_pass_alpha": "--smooth filters samples, without lag of 56 ms",
+    "low_pass_alpha": "samples are smoothed by their noise, without lag of 56 ms",
     "project_dist": "pinches begin at a gap of 70 mm; --contact-gap",
     "escape_dist": "pinches begin at a gap of 70 mm; --contact-gap",
     "ignore_mimic_joint": "mimic joints always follow",

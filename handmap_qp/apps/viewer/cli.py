@@ -218,8 +218,7 @@ class View:
                 advice=did_you_mean(self.compare, names),
             )
         choice = self.arguments.preset_for(human, robot)
-        smoothing = self.arguments.smoothing
-        replay = Replay(recording, motion, human, robot, choice, smoothing=smoothing)
+        replay = Replay(recording, motion, human, robot, choice)
         if self.compare is not None:
             replay.compare(replay.preset(self.compare))
         return replay

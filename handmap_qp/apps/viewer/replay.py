@@ -31,7 +31,6 @@ from handmap_qp.mapping.presets import (
     preset_choice,
 )
 from handmap_qp.stream.follower import Follower
-from handmap_qp.stream.smoothing import Smoothing
 
 if TYPE_CHECKING:
     import viser
@@ -48,7 +47,6 @@ class Replay:
         human: The human hand, scaled to the person, with the reference points to use.
         robot: The robot hand.
         choice: Preset and options.
-        smoothing: How samples are smoothed; not at all if omitted.
 
     Attributes:
         human: The human hand.
@@ -70,8 +68,6 @@ class Replay:
         human: Hand,
         robot: Hand,
         choice: Choice,
-        *,
-        smoothing: Smoothing | None = None,
     ) -> None:
         if not motion.valid.any():
             raise InvalidInputError(
@@ -84,7 +80,6 @@ class Replay:
         self._recording = recording
         self._motion = motion
         self._given_robot = robot
-        self._smoothing = smoothing
         self.other: Variant | None = None
         self.remap(choice)
 
@@ -181,7 +176,7 @@ class Replay:
             choice.method,
             ik=choice.ik,
         )
-        follower = Follower(mapper, smoothing=self._smoothing)
+        follower = Follower(mapper)
         steps = []
         for i, sample in enumerate(recording_samples(self._recording)):
             if i in self.switches:

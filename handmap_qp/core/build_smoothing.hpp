@@ -1,0 +1,104 @@
+// The smoothing of Python: its numbers, and its state.
+#pragma once
+
+#include "build_guard.hpp"
+#include "smoothing.hpp"
+
+namespace handmap {
+
+inline HumanPose make_pose(const Array& points, const std::optional<Array>& wrist) {
+  HumanPose pose{points_of(points), wrist.has_value(), {}};
+  if (wrist) {
+    expect_size(*wrist, 16, "wrist");
+    pose.wrist = pose_of(wrist->data());
+  }
+  return pose;
+}
+
+// A `HumanPose` of Python, or one of the core.
+inline HumanPose pose_from(const nb::handle& given) {
+  HumanPose* own;
+  if (nb::try_cast(given, own, false)) return *own;
+  return make_pose(nb::cast<Array>(nb::getattr(given, "points")),
+                   nb::cast<std::optional<Array>>(nb::getattr(given, "wrist")));
+}
+
+// Numbers of a state, one behind the other.
+template <class Visit>
+void each_number(SmoothState& state, const Visit& visit) {
+  const auto visit_all = [&](std::vector<Vec3>& points) {
+    for (Vec3& point : points)
+      for (int i = 0; i < 3; ++i) visit(point[i]);
+  };
+  const auto visit_place = [&](Place& place) {
+    visit_all(place.points);
+    for (double& number : place.rotation.m) visit(number);
+  };
+  for (double* number : {&state.noise, &state.waited, &state.dt}) visit(*number);
+  visit_place(state.seen);
+  for (Place& stage : state.stages) visit_place(stage);
+  visit_all(state.moving);
+  visit_all(state.speeds);
+  for (double& number : state.recent) visit(number);
+}
+
+// A `Smoother` for Python.
+class PythonSmoother {
+ public:
+  Smoother smoother;
+
+  explicit PythonSmoother(const nb::object& owner) {
+    const Fields from(owner), module = module_of("handmap_qp.stream.follower");
+    SmoothRules& rules = smoother.rules;
+    rules.is_on = !from.object("options").is_none();
+    if (!rules.is_on) return;
+    read_numbers(from, {{"options.acceleration", &rules.acceleration},
+                        {"options.speed_gain", &rules.speed_gain}});
+    read_numbers(module, {{"_LONGEST_GAP", &rules.longest_gap}, {"_HAND", &rules.hand},
+                          {"_MEMORY", &rules.memory}, {"_FARTHEST", &rules.farthest},
+                          {"_LEAST_NOISE", &rules.least_noise},
+                          {"_MOST_NOISE", &rules.most_noise},
+                          {"_LEAST_INDEX", &rules.least_index}});
+    rules.noise = read_noise_rules();
+    const nb::object saved = from.object("_saved");
+    if (!saved.is_none()) put_back(saved);
+  }
+
+  nb::tuple save() const {
+    SmoothState state = smoother.state;
+    Vector numbers;
+    each_number(state, [&](double& number) { numbers.push_back(number); });
+    return nb::make_tuple(state.seen.points.size(), state.seen.has_wrist, array_of(numbers));
+  }
+
+  HumanPose smooth(const nb::handle& pose, double dt) {
+    return smoother.smooth(pose_from(pose), dt);
+  }
+  void wait(double dt) { smoother.wait(dt); }
+  void restart() { smoother.restart(); }
+  void forget() { smoother.forget(); }
+
+ private:
+  void put_back(const nb::object& saved) {
+    SmoothState& state = smoother.state;
+    const size_t n = nb::cast<size_t>(item(saved, 0));
+    const bool has_wrist = nb::cast<bool>(item(saved, 1));
+    for (Place* place : {&state.seen, &state.stages[0], &state.stages[1], &state.stages[2]}) {
+      place->points.resize(n);
+      place->has_wrist = has_wrist;
+    }
+    state.moving.resize(n > 0 ? n - 1 : 0);
+    state.speeds.resize(n > 0 ? n + 1 : 0);
+    state.recent.resize(state.speeds.size());
+    const Array numbers = nb::cast<Array>(item(saved, 2));
+    size_t i = 0;
+    each_number(state, [&](double& number) {
+      if (i < numbers.size()) number = numbers.data()[i];
+      ++i;
+    });
+    if (i != numbers.size()) throw std::invalid_argument("a state of another core");
+    smoother.former = state;
+  }
+};
+
+}  // namespace handmap
