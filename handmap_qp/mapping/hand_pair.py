@@ -154,13 +154,14 @@ class HandPair:
         if not len(self._others):
             self._others = np.array([0])
         self.finger_ratio = float(self.reach_ratios[self._others].mean())
+        knuckles = self.human_rest[self.knuckles[self._others]]
+        self.human_knuckles = frozen(knuckles.mean(axis=0))
         given = robot.matched
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
 
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
-        others = self._others
         self.robot_rest = frozen(points_in_palm(self.robot, self.matched))
         chains = [self.chains[finger] for finger in self.fingers]
         places = [
@@ -169,10 +170,7 @@ class HandPair:
             for place in (chain.knuckle, chain.tip, chain.middle)
         ]
         points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
-        self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
-        self.human_knuckles = frozen(
-            self.human_rest[self.knuckles[others]].mean(axis=0)
-        )
+        self.robot_knuckles = frozen(points[self._others, 0].mean(axis=0))
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
         spans = lengths(points[:, 1] - points[:, 0])
         self.robot_extension = frozen(spans / self.robot_reach)
@@ -211,13 +209,11 @@ class HandPair:
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
         """Place the thumb between where it pinches and where it is above the knuckles."""
-        others = self._others
         gain = _THUMB_GAIN * self.finger_ratio
         if self.fingers == (THUMB,):
             return knuckles[0] + gain * (tip - self.human_rest[self.knuckles[0]])
-        middle = knuckles[others].mean(axis=0)
-        human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
-        above = middle + gain * (tip - human_middle)
+        middle = knuckles[self._others].mean(axis=0)
+        above = middle + gain * (tip - self.human_knuckles)
         chains = _human_fingers(self.human)
         pads = find_pads(self.human, chains)
         human_pinching = _pinching_thumb(self.human, chains, pads)
@@ -234,13 +230,11 @@ class RobotFingers:
     def __init__(self, robot: Hand) -> None:
         self.hand = robot
         self.chains = find_fingers(robot)
-        self.names = tuple(
-            f for f in FINGERS if f in self.chains and self.chains[f].joints
-        )
-        used = [self.chains[finger] for finger in self.names]
-        self.has_jaws = (
-            len(used) > 1 and THUMB in self.names and all(c.is_jaw for c in used)
-        )
+        # In the order of FINGERS.
+        self._used = {f: chain for f, chain in self.chains.items() if chain.joints}
+        self.names = tuple(self._used)
+        are_jaws = all(chain.is_jaw for chain in self._used.values())
+        self.has_jaws = are_jaws and len(self.names) > 1 and THUMB in self.names
 
     @cached_property
     def pads(self) -> dict[str, Pad]:
@@ -250,9 +244,9 @@ class RobotFingers:
     @cached_property
     def with_points(self) -> Hand:
         """The robot with its fingers' points."""
-        used = {finger: self.chains[finger] for finger in self.names}
         weight = _JAW_WEIGHT if self.has_jaws else 1.0
-        return self.hand.with_points(tuple(_finger_points(self.hand, used, weight)))
+        points = _finger_points(self.hand, self._used, weight)
+        return self.hand.with_points(points)
 
     @cached_property
     def pinching_thumb(self) -> np.ndarray:
@@ -340,8 +334,8 @@ def _point(
         for frame in robot.model.frames
         if frame.parentJoint == joint and frame.type == pin.FrameType.BODY
     )
-    xyz = frame.placement.actInv(offset).tolist()
-    return PointSpec(name, frame.name, (xyz[0], xyz[1], xyz[2]), finger, weight, name)
+    x, y, z = frame.placement.actInv(offset).tolist()
+    return PointSpec(name, frame.name, (x, y, z), finger, weight, name)
 
 
 def points_in_palm(
