@@ -154,7 +154,9 @@ def _stl_vertices(file: str) -> np.ndarray | None:
     return triangles["corners"].reshape(-1, 3).astype(float)
 
 
-_SIDES, _THINNEST = 48, 1e-5
+# Sides of a prism in the place of a cylinder, and its least radius and half length [m].
+_SIDES = 48
+_THINNEST = 1e-5
 
 
 def _prism_around(cylinder: coal.Cylinder) -> coal.Convex | None:

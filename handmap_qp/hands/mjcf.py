@@ -99,7 +99,7 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
         notes = []
         is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
         low, high = model.jnt_range[is_hinge & (model.jnt_limited != 0)].T
-        widest = float((high - low).max(initial=0.0))
+        widest = (high - low).max(initial=0.0)
         if spec.compiler.degree and 0.0 < widest < _SMALL_RANGE:
             notes.append(
                 f"ranges of at most {math.degrees(widest):.2g} deg make no sense: angles are "
@@ -162,9 +162,8 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
         pin.framesForwardKinematics(robot, robot_data, q)
         for body, link in converted.links.items():
             frame = robot.getFrameId(link, pin.FrameType.BODY)
-            pose = affine(data.xmat[body].reshape(3, 3), data.xpos[body])
-            apart = np.abs(robot_data.oMf[frame].homogeneous - pose)
-            worst = max(worst, float(apart.max()))
+            apart = robot_data.oMf[frame].homogeneous - _body_pose(data, body)
+            worst = max(worst, np.abs(apart).max())
     return worst
 
 
@@ -221,7 +220,7 @@ class _Converter:
             joint: _unique(self._joint_name(joint), self._joint_names)
             for joint in range(model.njnt)
             if model.jnt_type[joint] not in (_FREE, _BALL)
-            and int(model.jnt_bodyid[joint]) in self.links
+            and model.jnt_bodyid[joint] in self.links
         }
         self.data = mujoco.MjData(model)
         self.data.qpos[model.jnt_qposadr[list(self.joints)]] = 0.0
@@ -268,16 +267,12 @@ class _Converter:
             )
         return np.flatnonzero(is_kept).tolist()
 
-    def _pose(self, body: int) -> np.ndarray:
-        """Return the pose of a body in the world where all joints are at zero, shape (4, 4)."""
-        return affine(self.data.xmat[body].reshape(3, 3), self.data.xpos[body])
-
     def _add_body(self, robot: ET.Element, body: int, name: str) -> None:
         """Add a body's link, the joints that move it, and the links between these."""
-        above = int(self.model.body_parentid[body])
-        pose = self._pose(body)
+        above = self.model.body_parentid[body]
+        pose = _body_pose(self.data, body)
         parent = self.links[above]
-        placed = self._pose(above)
+        placed = _body_pose(self.data, above)
         steps = self._steps(body)
         for number, step in enumerate(steps):
             is_last = number == len(steps) - 1
@@ -349,7 +344,7 @@ class _Converter:
         element.set("type", "prismatic" if self._slides(joint) else kind)
         _add(element, "axis", xyz=np.round(direction, 14))
         _add(element, "limit", **ends, effort=self._effort(joint))
-        dof = int(model.jnt_dofadr[joint])
+        dof = model.jnt_dofadr[joint]
         damping = np.ravel(model.dof_damping[dof])[:1]
         _add(element, "dynamics", damping=damping, friction=model.dof_frictionloss[dof])
         if rule is not None and rule.leader is not None:
@@ -378,6 +373,11 @@ class _Converter:
         _add(element, "mass", value=model.body_mass[body])
         xx, yy, zz = model.body_inertia[body]
         _add(element, "inertia", ixx=xx, ixy=0.0, ixz=0.0, iyy=yy, iyz=0.0, izz=zz)
+
+
+def _body_pose(data: mujoco.MjData, body: int) -> np.ndarray:
+    """Return the pose of a body in the world, shape (4, 4)."""
+    return affine(data.xmat[body].reshape(3, 3), data.xpos[body])
 
 
 def _add(parent: ET.Element, tag: str, **numbers: npt.ArrayLike) -> None:
@@ -422,7 +422,7 @@ class _ShapeWriter:
         shown = geoms[is_seen] if not collides.all() else geoms
         for tag, chosen in (("visual", shown), ("collision", geoms[collides])):
             for geom in chosen:
-                for pose, geometry in self._geometries(int(geom)):
+                for pose, geometry in self._geometries(geom):
                     element = ET.SubElement(link, tag)
                     set_origin(element, pose)
                     ET.SubElement(element, "geometry").append(geometry)

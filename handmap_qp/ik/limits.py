@@ -149,7 +149,8 @@ class BoxLimits:
         self.size = len(hand.active_columns)
         # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all
         # arithmetic. Infinite ones take their place, so its first coordinate does for six speeds.
-        self.lowest, self.highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
+        self.lowest = np.full(hand.model.nq, -np.inf)
+        self.highest = -self.lowest
         self.lowest[hand.q_indices] = hand.lower_limits
         self.highest[hand.q_indices] = hand.upper_limits
         joints = hand.joint_columns
@@ -263,7 +264,7 @@ class BoxLimits:
         """
         if self.acceleration == math.inf or not self.together.any():
             return 0.0
-        fastest = float((np.abs(velocity) * self.together).max())
+        fastest = (np.abs(velocity) * self.together).max()
         return 0.5 * (fastest / self.acceleration + dt) / dt
 
 
@@ -508,7 +509,7 @@ class Gate:
         # This also replaces NaN.
         taken = np.fmin(np.fmax(wanted, box.lower), box.upper)
         times = self.limits.stop_times(taken, dt)
-        is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
+        is_inside = ((taken >= box.least) & (taken <= box.most)).all()
         met = self._met_on(taken, times, dt) if is_inside else None
         if met is not None and len(met.pairs):
             if around is not None and tries:
@@ -572,7 +573,7 @@ class Gate:
             brakes = ~(can_stop | together)
             taken = np.where(brakes, brake, tried)
             times = np.where(brakes, left, times)
-            is_admitted = tried is not base and bool(can_stop[together].all())
+            is_admitted = tried is not base and can_stop[together].all()
             if is_admitted and self._met_on(taken, times, dt) is None:
                 return taken, times
         # The line of the stop in force was found clear before.

@@ -46,7 +46,8 @@ _JAW_WEIGHT = 1e-4
 _MIDDLE_WEIGHT = 0.5
 # The thumb's share of the way from where it pinches, and its range against the fingers'. Thumbs
 # oppose from different sides, so neither its own base nor the knuckles alone say where it belongs.
-_THUMB_FROM_PINCH, _THUMB_GAIN = 0.3, 0.9
+_THUMB_FROM_PINCH = 0.3
+_THUMB_GAIN = 0.9
 # The model's own resting thumb lies farther in front of the palm than any recorded one [rad].
 _RESTING_THUMB = {
     "thumb_TM_abduction": 0.65,
@@ -71,8 +72,11 @@ _OPENING = IkOptions(
 _PINCHING = _OPENING.replaced(
     wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
 )
-_PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
-_GAP_WEIGHT, _GAP_DAMPING, _UNHURRIED = 3.0, 1.5, 1e3  # s
+_PINCH_STEPS = 20  # at most
+_TOUCHING = 0.0005  # m
+_GAP_WEIGHT = 3.0
+_GAP_DAMPING = 1.5
+_UNHURRIED = 1e3  # s
 
 
 def finger_landmarks(fingers: Iterable[str]) -> list[str]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
+from itertools import compress
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -624,11 +625,10 @@ class JointReader(Compiled):
         human = self.human
         wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         angles, excess = check_joints(human, q, "human_q", self.tolerance)
-        beyond = (excess > 0.0).nonzero()[0].tolist()
         self._placed.place(human.configuration_vector(angles))
         points = transform_points(wrist, self._placed.points)
-        outside = tuple(human.joint_names[i] for i in beyond)
-        return HumanPose(points, wrist), outside
+        outside = compress(human.joint_names, excess > 0.0)
+        return HumanPose(points, wrist), tuple(outside)
 
 
 class _Plan(NamedTuple):
@@ -720,7 +720,7 @@ def check_joints(
     excess = np.maximum(lower - angles, angles - upper)
     # `<=` is also false for NaN.
     if not (excess <= tolerance).all():
-        i = int(np.argmax(excess))
+        i = np.argmax(excess)
         raise InvalidInputError(
             argument=f"{name}[{i}]",
             problem=f"{hand.joint_names[i]} is {angles[i]:.6g} rad, expected within "

@@ -28,7 +28,8 @@ MARGIN = 0.0005
 """Least distance between links [m]: pinches close, and the linearised rows hold."""
 # Random postures, and the distance below which a pair may collide if it comes that near in one of
 # them [m].
-_SAMPLES, _NEAR = 60, 0.01
+_SAMPLES = 60
+_NEAR = 0.01
 # Pairs that overlap in more postures than this overlap by design.
 _BY_DESIGN = 0.5
 # The same of a few postures; links of a compact joint are shorter than this and overlap when it

@@ -321,10 +321,11 @@ class Robot:
                 self._remark(name, what)
             speed = None
             if math.isnan(one.speed):
-                alike = [
-                    other.speed for other in given.values() if other.kind == one.kind
+                usual = [
+                    other.speed
+                    for other in given.values()
+                    if other.kind == one.kind and other.speed > 0.0
                 ]
-                usual = [speed for speed in alike if speed > 0.0]
                 speed = float(np.median(usual or _ASSUMED_SPEED[one.kind]))
                 self._remark(
                     name, f"has no speed limit in the URDF: {speed:.4g} is assumed"

@@ -26,7 +26,8 @@ from handmap_qp.options import Option, Options, options_of
 if TYPE_CHECKING:
     import viser
 
-NOTHING, KEPT = "nothing", "kept options"
+NOTHING = "nothing"
+KEPT = "kept options"
 """Entries of the list of methods to compare with, besides the methods."""
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 LEFT_OUT = ("step_tolerance", "point_tolerance", "tasks")

@@ -267,7 +267,7 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
 def gauge_row(sample: ViewSample) -> Row:
     """Return the plotted values of a sample."""
     error = 1e3 * sample.point_error
-    return sample.time, float(error.mean()), float(error.max()), 1e6 * sample.duration
+    return sample.time, error.mean(), error.max(), 1e6 * sample.duration
 
 
 class Plot(NamedTuple):
@@ -316,7 +316,7 @@ def draw_plot(
     count = min(len(time), _MOST_POINTS)
     bins = np.linspace(0, len(time), count, endpoint=False).astype(int)
     binned = np.fmax.reduceat(values, bins, axis=1)
-    largest = max(float(np.nanmax(binned)), 1e-3)
+    largest = max(np.nanmax(binned), 1e-3)
     decade = 10.0 ** np.floor(np.log10(largest))
     top = decade * next(
         step for step in _STEPS if step * decade >= largest * (1 - 1e-9)
@@ -352,7 +352,9 @@ def _path(x: np.ndarray, y: np.ndarray) -> str:
     is_joined = is_known & np.append(False, is_known[:-1])
     return "".join(
         f"{'L' if joined else 'M'}{a:.1f} {b:.1f}"
-        for a, b, joined in zip(*(v[is_known] for v in (x, y, is_joined)), strict=True)
+        for a, b, joined in zip(
+            x[is_known], y[is_known], is_joined[is_known], strict=True
+        )
     )
 
 

@@ -135,11 +135,7 @@ class Replay:
         label = f"{choice.preset}, changed" if is_changed else choice.preset
         variant = self._map(choice, label)
         other = self.other
-        if (
-            other is not None
-            and other.choice is not None
-            and self._other_switches != self.switches
-        ):
+        if other and other.choice and self._other_switches != self.switches:
             # Both robots are released and clutched at the same samples.
             other = self._map(other.choice, other.label)
         self.variant = variant
