@@ -258,7 +258,7 @@ def check_pose(
         got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
         raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
     if defect > _ROTATION_EXACT:
-        pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
+        pose = affine(nearest_rotation(turn), pose[:3, 3])
     return pose
 
 

@@ -144,7 +144,7 @@ class BoxLimits:
         *,
         has_velocity_limits: bool = True,
         max_acceleration: float | None = None,
-        together: np.ndarray | None = None,
+        together: np.ndarray | bool = False,
     ) -> None:
         self.size = len(hand.active_columns)
         # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all
@@ -166,8 +166,7 @@ class BoxLimits:
                 self.speeds[:6] = np.repeat(
                     [wrist.max_linear_speed, wrist.max_angular_speed], 3
                 )
-        none = np.zeros(self.size, dtype=bool)
-        self.together = none if together is None else together
+        self.together = np.zeros(self.size, dtype=bool) | together
         # A limit beyond all speeds is none; as such, its products with times cannot overflow.
         is_limited = max_acceleration is not None and max_acceleration < _NO_LIMIT
         self.acceleration = max_acceleration if is_limited else math.inf
@@ -393,7 +392,7 @@ class Gate:
             hand,
             has_velocity_limits=has_velocity_limits,
             max_acceleration=max_acceleration,
-            together=None if collisions is None else collisions.columns,
+            together=False if collisions is None else collisions.columns,
         )
         self._together = self.limits.together
         self.links = (
@@ -421,11 +420,7 @@ class Gate:
         self.was_set = False
 
     def place(self, q: np.ndarray) -> None:
-        """Put the robot at a configuration, at rest.
-
-        Args:
-            q: Pinocchio configuration, shape (nq,).
-        """
+        """Put the robot at a configuration of Pinocchio, shape (nq,), at rest."""
         self.motion = Motion.at_rest(q, self.limits.size)
 
     def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -523,11 +518,7 @@ class Gate:
         return taken
 
     def brake(self, dt: float) -> np.ndarray:
-        """Take the stop that was admitted last, for one sample; return the displacement.
-
-        Args:
-            dt: Time of the sample [s].
-        """
+        """Take the stop that was admitted last, for a sample of dt [s]; return the displacement."""
         dt = max(dt, SHORTEST_DT)
         self.held_by = -1
         displacement = self._braking(dt)
@@ -544,12 +535,8 @@ class Gate:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a displacement that is admitted, and the times of the stop behind it.
 
-        Coordinates that stop alone take theirs, or brake. The others take shares of `first`.
-
-        Args:
-            wanted: Displacement to try before, shape (nv,); None for none.
-            first: The one that is shortened, likewise.
-            dt: Its time [s].
+        Coordinates that stop alone take theirs, or brake. The others take the wanted one, if there
+        is one, or shares of `first`; shape (nv,) each.
         """
         brake = self._braking(dt)
         left = np.maximum(self.motion.stop_times - dt, 0.0)

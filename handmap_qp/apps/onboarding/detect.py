@@ -250,20 +250,20 @@ class _FoundHand:
         points = PalmKinematics(robot).points(np.array([q, flexion.q_open]), tips)
         heights = (points[0] - points[1]) @ self.anatomy.dorsal
         sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
-        self._add(
-            "rest",
-            "half open",
+        how = (
             f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
-            "per joint; other joints near zero, or at mid-range on the thumb",
-            min(sure, self._sure["dorsal"]),
+            "per joint; other joints near zero, or at mid-range on the thumb"
         )
+        sure = min(sure, self._sure["dorsal"])
+        self.clues.append(Clue("rest", "half open", how, sure))
         return q
 
     def _tip(self, finger: RobotFinger) -> PointSpec:
         """Return a fingertip."""
         tip = finger.end
         sure = max(self._sure["thumb" if finger.name == THUMB else "fingers"], 0.3)
-        self._add(f"{finger.name}_tip", tip.link, tip.how, min(tip.confidence, sure))
+        sure = min(tip.confidence, sure)
+        self.clues.append(Clue(f"{finger.name}_tip", tip.link, tip.how, sure))
         return _point(finger, "tip", tip.link, tip.xyz, self._pad(finger))
 
     def _pad(self, finger: RobotFinger) -> PadSpec | None:
@@ -299,17 +299,9 @@ class _FoundHand:
             sure = 0.5
             how += "; moved to a distance as in a person's proportions"
         answer = f"{1e3 * likely:.0f} mm behind the knuckles"
-        self._add("palm origin", answer, how, min(sure, self._sure["distal"]))
+        sure = min(sure, self._sure["distal"])
+        self.clues.append(Clue("palm origin", answer, how, sure))
         return knuckles - likely * distal
-
-    def _add(
-        self,
-        what: str,
-        answer: str,
-        how: str,
-        confidence: float,
-    ) -> None:
-        self.clues.append(Clue(what, answer, how, confidence))
 
 
 def point_sets(

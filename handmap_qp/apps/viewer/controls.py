@@ -428,28 +428,28 @@ class ExportControls:
         options_text: Callable[[], str],
         page: Callable[[], bytes],
     ) -> None:
-        self._contents: dict[str, Callable[[Any], bytes]] = {
-            "options.yaml": lambda _: options_text().encode(),
-            "handmap.png": _picture,
-            "handmap.html": lambda _: page(),
-        }
-        for name, kind, hint in (
+        self._contents: dict[str, Callable[[Any], bytes]] = {}
+        for name, kind, hint, content in (
             (
                 "options.yaml",
                 "options",
                 "Download preset and options, for --options of the commands",
+                lambda _: options_text().encode(),
             ),
             (
                 "handmap.png",
                 "picture",
                 "Download the hands as they are shown, without the panels",
+                _picture,
             ),
             (
                 "handmap.html",
                 "page",
                 "Download a page that plays the motion without a server",
+                lambda _: page(),
             ),
         ):
+            self._contents[name] = content
             button = server.gui.add_button(f"Save {kind}", hint=hint)
             button.on_click(lambda event, name=name: self.send(name, event.client))
         self._message = server.gui.add_markdown("", visible=False)

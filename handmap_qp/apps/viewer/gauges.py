@@ -166,7 +166,7 @@ class InstantGauges:
         second robot's is a narrow bar below.
         """
         robot = self._robot
-        (sample, *others) = samples[:2]
+        sample, *others = samples[:2]
         low = robot.lower_limits
         high = robot.upper_limits
         q = sample.robot_q
@@ -369,7 +369,7 @@ def error_plot(
         latest: As of `draw_plot`.
     """
     name = labels[0] if len(labels) > 1 else "mean"
-    (time, mean, largest, _) = rows[0].T
+    time, mean, largest, _ = rows[0].T
     others = rows[1:, :, 1]
     lines = [(name, FIRST, mean), ("largest", GREY, largest)]
     lines += zip(labels[1:], cycle(ROBOTS[1:]), others, strict=False)

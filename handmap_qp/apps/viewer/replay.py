@@ -131,7 +131,7 @@ class Replay:
         Raises:
             HandmapError: If the options cannot be used; the replay is then unchanged.
         """
-        is_changed = bool(self.preset(choice.preset).changes_to(choice))
+        is_changed = self.preset(choice.preset).changes_to(choice)
         label = f"{choice.preset}, changed" if is_changed else choice.preset
         variant = self._map(choice, label)
         other = self.other

@@ -292,11 +292,12 @@ class BoundJointToJoint(PalmMethod):
 class JointMap(PalmMap):
     """From samples to targets; see `TargetMap`."""
 
+    _method: BoundJointToJoint
+
     def __init__(
         self, method: BoundJointToJoint, sample: HumanPose, robot: RobotPosture
     ) -> None:
         super().__init__(method, sample, robot)
-        self._method = method
         self._configuration = method.robot.configuration()
 
     def targets(self, sample: HumanPose) -> Targets:
