@@ -248,14 +248,7 @@ def without_errno(error: Exception) -> str:
 
 
 def describe_value(value: Any) -> str:
-    """Describe a value in one line of at most 80 characters.
-
-    Args:
-        value: Anything. Of an array with more than four numbers, the shape is told.
-
-    Returns:
-        The text.
-    """
+    """Describe a value in 80 characters at most, an array of over four numbers by its shape."""
     if isinstance(value, np.ndarray) and (
         value.size > 4 or value.dtype.kind not in "biuf"
     ):

@@ -166,7 +166,7 @@ def rotation_from_quat_wxyz(
     largest = np.abs(quats).max(axis=-1, keepdims=True)
     is_turn = np.isfinite(largest) & (largest > 1e-6)
     if not is_turn.all():
-        row = int(np.argmin(is_turn))
+        row = np.argmin(is_turn)
         got = f"{quats.reshape(-1, 4)[row].tolist()} in row {row}"
         raise InvalidInputError(argument=name, expected=expected, value=quats, got=got)
     quats = quats / largest
@@ -258,7 +258,7 @@ def check_pose(
         got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
         raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
     if defect > _ROTATION_EXACT:
-        pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
+        pose = affine(nearest_rotation(turn), pose[:3, 3])
     return pose
 
 
@@ -285,7 +285,7 @@ def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
     is_pose &= (defects <= _ROTATION_TOLERANCE) & (np.linalg.det(turns) > 0.0)
     is_wrong = is_used & ~is_pose
     if is_wrong.any():
-        got = f"another matrix in sample {int(np.argmax(is_wrong))}"
+        got = f"another matrix in sample {np.argmax(is_wrong)}"
         raise InvalidInputError(argument=name, expected="poses", value=poses, got=got)
     return poses
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from functools import lru_cache
 from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 import coal
 import numpy as np
@@ -18,7 +18,7 @@ _PLACEHOLDER = "0.001"
 """Radius of the sphere in the place of a mesh [m]."""
 
 
-def parse_with_meshes(hand: Hand) -> ET.Element:
+def parse_with_meshes(hand: Hand) -> Element:
     """Parse a hand's URDF, with absolute paths of its meshes for readers that know no folder.
 
     Raises:
@@ -56,7 +56,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
     robot = parse_with_meshes(hand)
     try:
         meshes = _take_meshes(robot)
-        text = ET.tostring(robot, encoding="unicode")
+        text = tostring(robot, encoding="unicode")
         kind = pin.GeometryType.COLLISION
         geometry = pin.buildGeomFromUrdfString(hand.model, text, kind)
         for part in geometry.geometryObjects:
@@ -81,7 +81,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
     return geometry
 
 
-def _take_meshes(robot: ET.Element) -> dict[str, tuple[str, tuple[float, ...]]]:
+def _take_meshes(robot: Element) -> dict[str, tuple[str, tuple[float, ...]]]:
     """Replace meshes by spheres, and return file and scale of each by its shape's name."""
     meshes = {}
     for link in robot.iterfind("link"):
@@ -91,7 +91,7 @@ def _take_meshes(robot: ET.Element) -> dict[str, tuple[str, tuple[float, ...]]]:
                 scale = tuple(get_numbers(mesh, "scale", 3, "1 1 1"))
                 meshes[f"{link.get('name')}_{i}"] = mesh.get("filename", ""), scale
                 shape.remove(mesh)
-                ET.SubElement(shape, "sphere", radius=_PLACEHOLDER)
+                SubElement(shape, "sphere", radius=_PLACEHOLDER)
     return meshes
 
 
@@ -154,7 +154,9 @@ def _stl_vertices(file: str) -> np.ndarray | None:
     return triangles["corners"].reshape(-1, 3).astype(float)
 
 
-_SIDES, _THINNEST = 48, 1e-5
+# Sides of a prism in the place of a cylinder, and its least radius and half length [m].
+_SIDES = 48
+_THINNEST = 1e-5
 
 
 def _prism_around(cylinder: coal.Cylinder) -> coal.Convex | None:

@@ -140,11 +140,7 @@ class Configuration:
         return self.contracted(self.full_point_jacobian())
 
     def full_point_jacobian(self) -> np.ndarray:
-        """Jacobian of the points in all coordinates of the model, in world axes [m per unit].
-
-        Returns:
-            Jacobian, rows x, y, z of each point in turn, shape (3 m, model.nv); a new array.
-        """
+        """Jacobian as of `point_jacobian`, by all coordinates of the model, (3 m, model.nv)."""
         axes = pin.LOCAL_WORLD_ALIGNED
         rows = [
             pin.getFrameJacobian(self.model, self.data, i, axes)[:3]

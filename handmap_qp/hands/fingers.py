@@ -311,7 +311,7 @@ class Finger:
         """Find reach and its posture: random search, refined."""
         best_q = zero_posture(self.hand)
         if not self.joints:
-            return float("nan"), best_q
+            return math.nan, best_q
         view = PalmKinematics(self.hand)
 
         def distance(q: np.ndarray) -> float:
@@ -377,7 +377,7 @@ class Finger:
         senses = np.zeros(len(self.hand.lower_limits))
         if found is not None:
             motion = PalmKinematics(self.hand).motion(zero_posture(self.hand), self.tip)
-            dorsal = float(motion[2, found.columns] @ found.signs)
+            dorsal = motion[2, found.columns] @ found.signs
             senses[found.columns] = found.signs * (
                 found.sense or -np.sign(dorsal) or 1.0
             )
@@ -406,7 +406,7 @@ class Finger:
         motion = joint_motion(self.hand)
         moved = [j for j in self.joints if motion[model.idx_vs[j], columns[0]] != 0.0]
         axes, points = view.axes(q, moved, self.tip)
-        base = points[int(np.argmax(axes.any(axis=1)))]
+        base = points[axes.any(axis=1).argmax()]
         return axis, base, np.sign(along), np.abs(along)
 
     def _straightened(
@@ -428,7 +428,7 @@ class Finger:
                 postures = np.tile(q, (len(grid), 1))
                 postures[:, j] = grid
                 found = lengths_at(postures)
-                best = float(found.max())
+                best = found.max()
                 # Several postures are equally straight: take the one nearest to zero.
                 near = grid[found >= (1.0 - 1e-4) * best]
                 q[j] = near[np.argmin(np.abs(near - zero[j]))]
@@ -449,7 +449,7 @@ class Finger:
         if sense[0] == 0.0 or len(columns) < 2 or flexed[1:].mean() < _FLEXED_ZERO:
             return straight
         open_end = np.where(sense > 0.0, lower, upper)
-        share = float((np.abs(straight - open_end) / (upper - lower))[1:].mean())
+        share = (np.abs(straight - open_end) / (upper - lower))[1:].mean()
         knuckle = open_end[0] + sense[0] * share * (upper[0] - lower[0])
         return np.array([knuckle, *straight[1:]])
 
@@ -461,8 +461,8 @@ def _sense(shares: np.ndarray, travels: np.ndarray) -> tuple[float, float]:
         shares: Relative shortening of the finger towards either sense, shape (2,).
         travels: Sum of the ranges towards either sense [rad], shape (2,).
     """
-    by_share = float(shares[0] - shares[1])
-    by_range = float(travels[0] - travels[1]) / max(float(travels.sum()), 1e-9)
+    by_share = shares[0] - shares[1]
+    by_range = (travels[0] - travels[1]) / max(travels.sum(), 1e-9)
     has_share = abs(by_share) > _EVEN_LENGTH
     has_range = abs(by_range) > _EVEN_RANGE
     sense = np.sign(by_share) if has_share else np.sign(by_range) * has_range
@@ -576,7 +576,7 @@ def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:
             return point
     places = [place_of(hand, point) for point in points]
     in_palm = PalmKinematics(hand).points(zero_posture(hand), places)
-    return points[int(lengths(in_palm).argmax())]
+    return points[lengths(in_palm).argmax()]
 
 
 def _named(hand: Hand, landmark: str, points: list[PointSpec]) -> Place | None:

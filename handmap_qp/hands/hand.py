@@ -145,11 +145,12 @@ class Hand:
         self.velocity_limits = _frozen(model.velocityLimit[self.v_indices])
         # An arm is at rest in every posture of the description.
         arm = {} if spec.arm is None else spec.arm.rest
-        self.rest = _frozen([(arm | spec.rest)[name] for name in self.joint_names])
-        self.matched = None
-        if spec.matched is not None:
-            matched = arm | spec.matched
-            self.matched = _frozen([matched[name] for name in self.joint_names])
+
+        def posture(own: dict[str, float]) -> np.ndarray:
+            return _frozen([(arm | own)[name] for name in self.joint_names])
+
+        self.rest = posture(spec.rest)
+        self.matched = None if spec.matched is None else posture(spec.matched)
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
         check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()
@@ -512,14 +513,7 @@ class Hand:
 def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ...]:
     """Resolve a choice of reference points."""
     if points is None or isinstance(points, str):
-        set_name = points or spec.reference
-        if set_name not in spec.sets:
-            raise spec.error(
-                f"no set {set_name!r}; there are {', '.join(spec.sets)}",
-                key="sets",
-                value=set_name,
-            )
-        points = spec.sets[set_name]
+        points = _look_up(spec, "set", spec.sets, points or spec.reference)
     _check_type(
         "points", points, tuple | list, "the name of a set, or names and points"
     )
@@ -537,13 +531,7 @@ def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> Poin
     _check_type(argument, point, str | PointSpec, "a name or a PointSpec")
     if isinstance(point, str):
         named = {each.name: each for each in spec.points}
-        if point not in named:
-            raise spec.error(
-                f"no point {point!r}; there are {', '.join(named)}",
-                key="points",
-                value=point,
-            )
-        return named[point]
+        return _look_up(spec, "point", named, point)
     try:
         return check_point(point)
     except HandError as error:
@@ -551,6 +539,15 @@ def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> Poin
         raise InvalidInputError(
             error.problem, argument=argument, value=error.value
         ) from error
+
+
+def _look_up(spec: HandSpec, kind: str, named: Mapping[str, Any], name: str) -> Any:
+    """Return a set or a point by its name."""
+    if name not in named:
+        known = ", ".join(named)
+        message = f"no {kind} {name!r}; there are {known}"
+        raise spec.error(message, key=f"{kind}s", value=name)
+    return named[name]
 
 
 def _check_type(argument: str, value: Any, kind: Any, expected: str) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Self
-from xml.etree import ElementTree as ET
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 
@@ -101,26 +101,14 @@ class HumanLengths:
         is_right = self.bases[1, 0] < self.bases[4, 0]
         roll = np.abs(self.rolls).max()
         right = "a right hand, with the index finger at the -x side of the little one"
+        whole = "bones that are all longer than 0"
+        distal = "MCP joints distal (+y) of the wrist"
+        small = "angles within 45 degrees of 0"
         for name, is_valid, expected, got in (
-            (
-                "segments",
-                bones > 0.0,
-                "bones that are all longer than 0",
-                f"{bones:.6g} m",
-            ),
-            (
-                "bases",
-                knuckles > 0.0,
-                "MCP joints distal (+y) of the wrist",
-                f"y = {knuckles:.6g} m",
-            ),
+            ("segments", bones > 0.0, whole, f"{bones:.6g} m"),
+            ("bases", knuckles > 0.0, distal, f"y = {knuckles:.6g} m"),
             ("bases", is_right, right, "a left one: mirror it"),
-            (
-                "rolls",
-                roll <= LARGEST_ROLL,
-                "angles within 45 degrees of 0",
-                f"{roll:.3g} rad",
-            ),
+            ("rolls", roll <= LARGEST_ROLL, small, f"{roll:.3g} rad"),
         ):
             expect(is_valid, name, expected, value=getattr(self, name), got=got)
 
@@ -150,9 +138,6 @@ class HumanLengths:
             hand_breadth: The breadth of the palm that the source's radial offsets multiply [m];
                 0.512 of the length if omitted, which sets the knuckles as far apart as camera and
                 glove trackers report them.
-
-        Returns:
-            The lengths.
 
         Raises:
             InvalidInputError: If a length is not a number > 0.
@@ -274,7 +259,7 @@ def scaled_human_urdf(text: str | bytes, lengths: HumanLengths) -> str:
             _scale_shape(shape, partial(np.multiply, stretch), size)
     for shape in shapes["palm"]:
         _scale_shape(shape, _palm_map(old, lengths, shape.get("name", "")), size)
-    return ET.tostring(robot, encoding="unicode")
+    return tostring(robot, encoding="unicode")
 
 
 def _checked_length(value: float, name: str) -> float:
@@ -289,7 +274,7 @@ def _chain(finger: str) -> tuple[str, ...]:
     return (*HUMAN_JOINTS[first : first + 4], f"{finger}_tip_joint")
 
 
-def _joints(robot: ET.Element) -> dict[str, ET.Element]:
+def _joints(robot: Element) -> dict[str, Element]:
     """Return all joints by name, those of the fingers with an origin and a child."""
     joints = joints_by_name(robot)
     for name in (name for finger in FINGERS for name in _chain(finger)):
@@ -327,7 +312,7 @@ def _palm_map(
 
 
 def _scale_shape(
-    shape: ET.Element, move: Callable[[np.ndarray], np.ndarray], size: float
+    shape: Element, move: Callable[[np.ndarray], np.ndarray], size: float
 ) -> None:
     """Move a primitive's centre and ends by `move`, and scale its thickness by `size`."""
     pose = origin_of(shape)

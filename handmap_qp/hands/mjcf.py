@@ -13,10 +13,10 @@ import itertools
 import math
 import os
 import tempfile
-import xml.etree.ElementTree as ET
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import mujoco
 import numpy as np
@@ -99,7 +99,7 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
         notes = []
         is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
         low, high = model.jnt_range[is_hinge & (model.jnt_limited != 0)].T
-        widest = float((high - low).max(initial=0.0))
+        widest = (high - low).max(initial=0.0)
         if spec.compiler.degree and 0.0 < widest < _SMALL_RANGE:
             notes.append(
                 f"ranges of at most {math.degrees(widest):.2g} deg make no sense: angles are "
@@ -162,9 +162,8 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
         pin.framesForwardKinematics(robot, robot_data, q)
         for body, link in converted.links.items():
             frame = robot.getFrameId(link, pin.FrameType.BODY)
-            pose = affine(data.xmat[body].reshape(3, 3), data.xpos[body])
-            apart = np.abs(robot_data.oMf[frame].homogeneous - pose)
-            worst = max(worst, float(apart.max()))
+            apart = robot_data.oMf[frame].homogeneous - _body_pose(data, body)
+            worst = max(worst, np.abs(apart).max())
     return worst
 
 
@@ -221,7 +220,7 @@ class _Converter:
             joint: _unique(self._joint_name(joint), self._joint_names)
             for joint in range(model.njnt)
             if model.jnt_type[joint] not in (_FREE, _BALL)
-            and int(model.jnt_bodyid[joint]) in self.links
+            and model.jnt_bodyid[joint] in self.links
         }
         self.data = mujoco.MjData(model)
         self.data.qpos[model.jnt_qposadr[list(self.joints)]] = 0.0
@@ -231,10 +230,10 @@ class _Converter:
 
     def convert(self, name: str) -> ConvertedMjcf:
         """Write all links and joints of a robot."""
-        robot = ET.Element("robot", name=_file_name(name))
+        robot = Element("robot", name=_file_name(name))
         for body, link in self.links.items():
             if body == 0:
-                ET.SubElement(robot, "link", name=link)
+                SubElement(robot, "link", name=link)
             else:
                 self._add_body(robot, body, link)
         if self.shapes.omitted:
@@ -242,9 +241,9 @@ class _Converter:
             self.notes.append(
                 f"shapes without a counterpart in URDF are left out: {kinds}"
             )
-        ET.indent(robot)
+        indent(robot)
         return ConvertedMjcf(
-            ET.tostring(robot, encoding="unicode") + "\n",
+            tostring(robot, encoding="unicode") + "\n",
             self.shapes.meshes,
             tuple(self.notes),
             self.model,
@@ -268,21 +267,17 @@ class _Converter:
             )
         return np.flatnonzero(is_kept).tolist()
 
-    def _pose(self, body: int) -> np.ndarray:
-        """Return the pose of a body in the world where all joints are at zero, shape (4, 4)."""
-        return affine(self.data.xmat[body].reshape(3, 3), self.data.xpos[body])
-
-    def _add_body(self, robot: ET.Element, body: int, name: str) -> None:
+    def _add_body(self, robot: Element, body: int, name: str) -> None:
         """Add a body's link, the joints that move it, and the links between these."""
-        above = int(self.model.body_parentid[body])
-        pose = self._pose(body)
+        above = self.model.body_parentid[body]
+        pose = _body_pose(self.data, body)
         parent = self.links[above]
-        placed = self._pose(above)
+        placed = _body_pose(self.data, above)
         steps = self._steps(body)
         for number, step in enumerate(steps):
             is_last = number == len(steps) - 1
             child = name if is_last else _unique(f"{name}_{number}", self._link_names)
-            joint = ET.SubElement(robot, "joint")
+            joint = SubElement(robot, "joint")
             frame = pose
             if step is None:
                 joint.set("name", _unique(f"{name}_fixed", self._joint_names))
@@ -292,9 +287,9 @@ class _Converter:
                 if not self._slides(step[0]):
                     frame = affine(pose[:3, :3], self.data.xanchor[step[0]])
             set_origin(joint, inverse_pose(placed) @ frame)
-            ET.SubElement(joint, "parent", link=parent)
-            ET.SubElement(joint, "child", link=child)
-            link = ET.SubElement(robot, "link", name=child)
+            SubElement(joint, "parent", link=parent)
+            SubElement(joint, "child", link=child)
+            link = SubElement(robot, "link", name=child)
             if is_last:
                 self._add_inertial(link, body)
                 self.shapes.add_shapes(link, body)
@@ -328,7 +323,7 @@ class _Converter:
 
     def _describe(
         self,
-        element: ET.Element,
+        element: Element,
         joint: int,
         name: str,
         direction: np.ndarray,
@@ -349,11 +344,11 @@ class _Converter:
         element.set("type", "prismatic" if self._slides(joint) else kind)
         _add(element, "axis", xyz=np.round(direction, 14))
         _add(element, "limit", **ends, effort=self._effort(joint))
-        dof = int(model.jnt_dofadr[joint])
+        dof = model.jnt_dofadr[joint]
         damping = np.ravel(model.dof_damping[dof])[:1]
         _add(element, "dynamics", damping=damping, friction=model.dof_frictionloss[dof])
         if rule is not None and rule.leader is not None:
-            mimic = ET.SubElement(element, "mimic", joint=self.joints[rule.leader])
+            mimic = SubElement(element, "mimic", joint=self.joints[rule.leader])
             set_numbers(mimic, multiplier=rule.multiplier, offset=rule.offset)
 
     def _effort(self, joint: int) -> float:
@@ -368,11 +363,11 @@ class _Converter:
             ranges = model.jnt_actfrcrange[joint]
         return float(np.abs(ranges).max(initial=0.0)) or _NO_EFFORT_LIMIT
 
-    def _add_inertial(self, link: ET.Element, body: int) -> None:
+    def _add_inertial(self, link: Element, body: int) -> None:
         model = self.model
         if not model.body_mass[body] > 0.0:
             return
-        element = ET.SubElement(link, "inertial")
+        element = SubElement(link, "inertial")
         # Along the principal axes, in which the inertia is diagonal.
         set_origin(element, _pose_of(model.body_ipos[body], model.body_iquat[body]))
         _add(element, "mass", value=model.body_mass[body])
@@ -380,8 +375,13 @@ class _Converter:
         _add(element, "inertia", ixx=xx, ixy=0.0, ixz=0.0, iyy=yy, iyz=0.0, izz=zz)
 
 
-def _add(parent: ET.Element, tag: str, **numbers: npt.ArrayLike) -> None:
-    set_numbers(ET.SubElement(parent, tag), **numbers)
+def _body_pose(data: mujoco.MjData, body: int) -> np.ndarray:
+    """Return the pose of a body in the world, shape (4, 4)."""
+    return affine(data.xmat[body].reshape(3, 3), data.xpos[body])
+
+
+def _add(parent: Element, tag: str, **numbers: npt.ArrayLike) -> None:
+    set_numbers(SubElement(parent, tag), **numbers)
 
 
 def _pose_of(position: np.ndarray, quat_wxyz: np.ndarray) -> np.ndarray:
@@ -412,7 +412,7 @@ class _ShapeWriter:
         self.meshes: dict[str, trimesh.Trimesh] = {}
         self.omitted: set[str] = set()
 
-    def add_shapes(self, link: ET.Element, body: int) -> None:
+    def add_shapes(self, link: Element, body: int) -> None:
         """Add the geoms of a body to its `<link>`, whose frame is the body's."""
         model = self._model
         geoms = np.flatnonzero(model.geom_bodyid == body)
@@ -422,12 +422,12 @@ class _ShapeWriter:
         shown = geoms[is_seen] if not collides.all() else geoms
         for tag, chosen in (("visual", shown), ("collision", geoms[collides])):
             for geom in chosen:
-                for pose, geometry in self._geometries(int(geom)):
-                    element = ET.SubElement(link, tag)
+                for pose, geometry in self._geometries(geom):
+                    element = SubElement(link, tag)
                     set_origin(element, pose)
-                    ET.SubElement(element, "geometry").append(geometry)
+                    SubElement(element, "geometry").append(geometry)
 
-    def _geometries(self, geom: int) -> Iterator[tuple[np.ndarray, ET.Element]]:
+    def _geometries(self, geom: int) -> Iterator[tuple[np.ndarray, Element]]:
         """Iterate over the URDF geometries of a geom, with their poses in the link."""
         model = self._model
         size = model.geom_size[geom]
@@ -436,28 +436,28 @@ class _ShapeWriter:
             case _GEOM.mjGEOM_MESH | _GEOM.mjGEOM_SDF:
                 yield pose, self._mesh(int(model.geom_dataid[geom]))
             case _GEOM.mjGEOM_BOX:
-                yield pose, set_numbers(ET.Element("box"), size=2.0 * size)
+                yield pose, set_numbers(Element("box"), size=2.0 * size)
             case _GEOM.mjGEOM_SPHERE:
-                yield pose, set_numbers(ET.Element("sphere"), radius=size[0])
+                yield pose, set_numbers(Element("sphere"), radius=size[0])
             case _GEOM.mjGEOM_CYLINDER | _GEOM.mjGEOM_CAPSULE as kind:
                 yield (
                     pose,
                     set_numbers(
-                        ET.Element("cylinder"), radius=size[0], length=2.0 * size[1]
+                        Element("cylinder"), radius=size[0], length=2.0 * size[1]
                     ),
                 )
                 # URDF has no capsules.
                 for sign in (-1.0, 1.0) if kind == _GEOM.mjGEOM_CAPSULE else ():
                     end = affine(np.eye(3), np.array([0.0, 0.0, sign * size[1]]))
-                    yield pose @ end, set_numbers(ET.Element("sphere"), radius=size[0])
+                    yield pose @ end, set_numbers(Element("sphere"), radius=size[0])
             case _GEOM.mjGEOM_ELLIPSOID:
                 file = f"{self._folder}/unit_sphere.stl"
                 self.meshes.setdefault(file, trimesh.creation.icosphere())
-                yield pose, set_numbers(ET.Element("mesh", filename=file), scale=size)
+                yield pose, set_numbers(Element("mesh", filename=file), scale=size)
             case kind:
                 self.omitted.add(kind.name.removeprefix("mjGEOM_").lower())
 
-    def _mesh(self, mesh: int) -> ET.Element:
+    def _mesh(self, mesh: int) -> Element:
         model = self._model
         if mesh not in self._files:
             own = model.mesh(mesh)
@@ -467,7 +467,7 @@ class _ShapeWriter:
             faces = model.mesh_face[own.faceadr[0] :][: own.facenum[0]]
             self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
             self._files[mesh] = file
-        return ET.Element("mesh", filename=self._files[mesh])
+        return Element("mesh", filename=self._files[mesh])
 
 
 def _unique(name: str, taken: set[str]) -> str:

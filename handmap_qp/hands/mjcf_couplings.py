@@ -196,7 +196,7 @@ class _Constraints:
         followers = postures[:, 1:]
         # Digits beyond these are noise of the fit.
         lines = np.linalg.lstsq(powers, followers, rcond=None)[0].round(14)
-        worst = float(np.abs(followers - powers @ lines).max())
+        worst = np.abs(followers - powers @ lines).max()
         if worst > _LARGEST_ERROR:
             return None
         rules = [Coupling(leader, *line) for line in lines.T.tolist()]
@@ -229,7 +229,7 @@ class _Constraints:
             low = start[0] - 1.0
             high = start[0] + 1.0
         grid = np.linspace(low, high, _SAMPLES)
-        nearest = int(np.argmin(np.abs(grid - start[0])))
+        nearest = np.abs(grid - start[0]).argmin()
         found = []
         for way in (grid[nearest:], grid[:nearest][::-1]):
             q = start
@@ -276,7 +276,7 @@ class _Constraints:
         rows = np.column_stack([data.efc_pos, slopes])
         for constraint in constraints:
             block = data.efc_id == constraint
-            rows[block] /= max(float(np.linalg.norm(slopes[block])), _LEAST_EFFECT)
+            rows[block] /= max(np.linalg.norm(slopes[block]), _LEAST_EFFECT)
         rows = np.vstack(
             [rows[data.efc_id == constraint] for constraint in constraints]
         )

@@ -14,9 +14,9 @@ leader may follow another joint itself.
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, get_args
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 import pinocchio as pin
@@ -97,7 +97,7 @@ def compose_urdf(
             mount_on_arm(robot, hand, arm)
         if spec.mirror:
             mirror(robot)
-        return ET.tostring(robot, encoding="unicode"), locked, read_mimic_rules(robot)
+        return tostring(robot, encoding="unicode"), locked, read_mimic_rules(robot)
     except HandError as error:
         key = error.key or "urdf"
         raise spec.error(error.problem, key=key, value=error.value) from error
@@ -263,7 +263,7 @@ class Expansion(NamedTuple):
         return q @ self.matrix.T + self.offset
 
 
-def read_mimic_rules(robot: ET.Element) -> dict[str, MimicSpec]:
+def read_mimic_rules(robot: Element) -> dict[str, MimicSpec]:
     """Read the mimic rules of a URDF, resolved to leaders that follow no other joint.
 
     Returns:

@@ -14,10 +14,14 @@ from handmap_qp.hands.fingers import Finger, zero_posture
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 
-# Pairs that are never farther apart than this in sampled postures count as joined [m]. So do pairs
-# that are never much farther apart, and overlap in this share of them: coarse shapes at a joint.
-_PARTED, _POSTURES = 3e-3, 64
-_COARSE, _OVERLAPPING = 5e-3, 0.4
+# Random postures in which pairs are measured.
+_POSTURES = 64
+# Pairs that are never farther apart than this in them count as joined [m].
+_PARTED = 3e-3
+# So do pairs that are never farther apart than this [m], and overlap in this share of the postures:
+# coarse shapes at a joint.
+_COARSE = 5e-3
+_OVERLAPPING = 0.4
 
 
 class ShapePairs(NamedTuple):

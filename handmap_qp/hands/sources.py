@@ -72,10 +72,8 @@ def package_folder(package: str) -> Path:
     """
     try:
         found = importlib.metadata.distribution(package)
-    except (
-        importlib.metadata.PackageNotFoundError,
-        ValueError,
-    ) as error:  # ValueError: no name
+    # ValueError: no name.
+    except (importlib.metadata.PackageNotFoundError, ValueError) as error:
         if package == "example-robot-data":
             raise MissingExtraError(package, "robots") from error
         raise MissingPackageError(package) from error

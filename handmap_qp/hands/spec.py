@@ -374,18 +374,13 @@ def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, An
     """Read a file's keys, with those of the file that it extends, and its folder."""
     try:
         text = path.read_text(encoding="utf-8")
-    except (
-        OSError,
-        ValueError,
-    ) as error:  # ValueError: not UTF-8, or a null character in the path
+    # ValueError: not UTF-8, or a null character in the path.
+    except (OSError, ValueError) as error:
         raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
     try:
         document = _parse_yaml(text)
-    except (
-        yaml.YAMLError,
-        ValueError,
-        RecursionError,
-    ) as error:  # ValueError: an impossible date
+    # ValueError: an impossible date.
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise HandError(
             f"is not valid YAML: {' '.join(str(error).split())}", file=path
         ) from error

@@ -6,10 +6,10 @@ picture) sees the same robot.
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
+from xml.etree.ElementTree import Element, SubElement, TreeBuilder
 from xml.parsers import expat
 
 import msgspec
@@ -40,7 +40,7 @@ _NUMBERS = {
 _OF_FIXED_JOINTS = ("origin", "parent", "child")
 
 
-def parse_urdf(text: str | bytes) -> ET.Element:
+def parse_urdf(text: str | bytes) -> Element:
     """Parse a URDF, and return the `<robot>` element.
 
     Robot software writes `<sensor:camera>` or `<controller:gazebo>` without declaring the prefix,
@@ -52,7 +52,7 @@ def parse_urdf(text: str | bytes) -> ET.Element:
     Raises:
         HandError: If the text is not XML, is xacro, or its root is another element.
     """
-    builder = ET.TreeBuilder()
+    builder = TreeBuilder()
     parser = expat.ParserCreate()
     parser.buffer_text = True
     parser.StartElementHandler = builder.start
@@ -81,7 +81,7 @@ def parse_urdf(text: str | bytes) -> ET.Element:
 
 
 def get_numbers(
-    element: ET.Element,
+    element: Element,
     key: str,
     count: int,
     default: str | None = None,
@@ -111,7 +111,7 @@ def get_numbers(
     return numbers
 
 
-def set_numbers(element: ET.Element, **numbers: npt.ArrayLike) -> ET.Element:
+def set_numbers(element: Element, **numbers: npt.ArrayLike) -> Element:
     """Write numbers into attributes with all their digits, and minus zero as zero.
 
     Returns:
@@ -123,13 +123,13 @@ def set_numbers(element: ET.Element, **numbers: npt.ArrayLike) -> ET.Element:
     return element
 
 
-def child_of(element: ET.Element, tag: str) -> ET.Element:
+def child_of(element: Element, tag: str) -> Element:
     """Return the first child with a tag, which is added where it is missing."""
     found = element.find(tag)
-    return ET.SubElement(element, tag) if found is None else found
+    return SubElement(element, tag) if found is None else found
 
 
-def origin_of(element: ET.Element) -> np.ndarray:
+def origin_of(element: Element) -> np.ndarray:
     """Read the pose in an element's `<origin>`, shape (4, 4); the identity where there is none.
 
     Raises:
@@ -142,13 +142,13 @@ def origin_of(element: ET.Element) -> np.ndarray:
     return affine(rotation_from_rpy(rpy), xyz)
 
 
-def set_origin(element: ET.Element, pose: np.ndarray) -> None:
+def set_origin(element: Element, pose: np.ndarray) -> None:
     """Write a pose [m], shape (4, 4), into an element's `<origin>`."""
     origin = child_of(element, "origin")
     set_numbers(origin, xyz=pose[:3, 3], rpy=rpy_from_rotation(pose[:3, :3]))
 
 
-def mimics_of(robot: ET.Element) -> dict[str, MimicSpec]:
+def mimics_of(robot: Element) -> dict[str, MimicSpec]:
     """Read the mimic rules of a URDF as they are, by follower.
 
     Raises:
@@ -171,7 +171,7 @@ def mimics_of(robot: ET.Element) -> dict[str, MimicSpec]:
 # -- the tree of links and joints
 
 
-def edges(robot: ET.Element) -> Iterator[tuple[ET.Element, str, str]]:
+def edges(robot: Element) -> Iterator[tuple[Element, str, str]]:
     """Iterate over the joints, with the names of their parent and child links.
 
     Raises:
@@ -188,23 +188,23 @@ def edges(robot: ET.Element) -> Iterator[tuple[ET.Element, str, str]]:
         yield joint, above.get("link", ""), below.get("link", "")
 
 
-def link_names(robot: ET.Element) -> list[str]:
+def link_names(robot: Element) -> list[str]:
     """Return the names of all links, in the order of the file."""
     return [link.get("name", "") for link in robot.iterfind("link")]
 
 
-def joints_by_name(robot: ET.Element) -> dict[str, ET.Element]:
+def joints_by_name(robot: Element) -> dict[str, Element]:
     """Return the joints by their names, in the order of the file."""
     return {joint.get("name", ""): joint for joint in robot.iterfind("joint")}
 
 
-def root_links(robot: ET.Element) -> list[str]:
+def root_links(robot: Element) -> list[str]:
     """Return the links that are not the child of a joint."""
     below = {child for _, _, child in edges(robot)}
     return [name for name in link_names(robot) if name not in below]
 
 
-def _levels(robot: ET.Element, starts: Collection[str]) -> Iterator[list[str]]:
+def _levels(robot: Element, starts: Collection[str]) -> Iterator[list[str]]:
     """Iterate over the given links, their children, the children of these, and so on."""
     children: dict[str, list[str]] = {}
     for _, parent, child in edges(robot):
@@ -215,7 +215,7 @@ def _levels(robot: ET.Element, starts: Collection[str]) -> Iterator[list[str]]:
         level = [child for link in level for child in children.get(link, ())]
 
 
-def cut_subtree(robot: ET.Element, root: str) -> None:
+def cut_subtree(robot: Element, root: str) -> None:
     """Keep one link and its descendants, and materials; remove everything else.
 
     Raises:
@@ -228,7 +228,7 @@ def cut_subtree(robot: ET.Element, root: str) -> None:
             robot.remove(element)
 
 
-def remove_subtrees(robot: ET.Element, roots: Collection[str]) -> None:
+def remove_subtrees(robot: Element, roots: Collection[str]) -> None:
     """Remove links of an arm, their descendants and the joints between them.
 
     Raises:
@@ -239,12 +239,12 @@ def remove_subtrees(robot: ET.Element, roots: Collection[str]) -> None:
     _remove_links(robot, set().union(*_levels(robot, roots)))
 
 
-def _check_link(robot: ET.Element, link: str, key: str) -> None:
+def _check_link(robot: Element, link: str, key: str) -> None:
     if link not in link_names(robot):
         raise HandError(f"the URDF has no link {link!r}", key=key, value=link)
 
 
-def _remove_links(robot: ET.Element, names: set[str]) -> None:
+def _remove_links(robot: Element, names: set[str]) -> None:
     """Remove links and all joints that touch them."""
     for joint, parent, child in list(edges(robot)):
         if parent in names or child in names:
@@ -257,7 +257,7 @@ def _remove_links(robot: ET.Element, names: set[str]) -> None:
 # -- checks: URDF readers print faults to stderr and raise a general error
 
 
-def check_tree(robot: ET.Element) -> None:
+def check_tree(robot: Element) -> None:
     """Reject a URDF whose links and joints are not a tree, or in which no joint moves.
 
     Raises:
@@ -295,7 +295,7 @@ def _reject(message: str, culprits: Sequence[object]) -> None:
         raise HandError(f"the URDF {message.format(culprits[0])}", value=culprits)
 
 
-def _checked_kind(joint: ET.Element) -> str:
+def _checked_kind(joint: Element) -> str:
     """Return a joint's type; reject an unknown one, and attributes that are not numbers."""
     name = joint.get("name", "")
     kind = joint.get("type", "")
@@ -319,7 +319,7 @@ def _checked_kind(joint: ET.Element) -> str:
 
 
 def prepare_urdf(
-    robot: ET.Element,
+    robot: Element,
     root: str | None,
     mimic: Mapping[str, MimicSpec | None],
     locked: Mapping[str, float],
@@ -347,7 +347,7 @@ def prepare_urdf(
         for old in joint.findall("mimic"):
             joint.remove(old)
         if rule is not None:
-            element = ET.SubElement(joint, "mimic", joint=rule.joint)
+            element = SubElement(joint, "mimic", joint=rule.joint)
             set_numbers(element, multiplier=rule.multiplier, offset=rule.offset)
     positions = lock_joints(robot, locked)
     fix_free_joints(robot)
@@ -359,7 +359,7 @@ def prepare_urdf(
     return positions
 
 
-def _complete_limits(joint: ET.Element, limits: LimitSpec) -> None:
+def _complete_limits(joint: Element, limits: LimitSpec) -> None:
     """Write limits, and give a movable joint all that URDF readers require.
 
     A continuous joint becomes a revolute one. Without position limits, a joint gets `NO_LIMIT`.
@@ -377,7 +377,7 @@ def _complete_limits(joint: ET.Element, limits: LimitSpec) -> None:
         element.attrib.setdefault(key, "0")
 
 
-def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, float]:
+def lock_joints(robot: Element, positions: Mapping[str, float]) -> dict[str, float]:
     """Make joints fixed ones at given positions, and those that mimic them where they then stand.
 
     Returns:
@@ -404,7 +404,7 @@ def lock_joints(robot: ET.Element, positions: Mapping[str, float]) -> dict[str, 
     return {name: locked[name] for name in joints if name in locked}
 
 
-def _lock(joint: ET.Element, position: float) -> None:
+def _lock(joint: Element, position: float) -> None:
     """Make one joint a fixed one, its position in its origin."""
     kind = joint.get("type")
     name = joint.get("name")
@@ -431,7 +431,7 @@ def _lock(joint: ET.Element, position: float) -> None:
     _fix(joint)
 
 
-def fix_free_joints(robot: ET.Element) -> list[str]:
+def fix_free_joints(robot: Element) -> list[str]:
     """Make floating and planar joints fixed ones, where their origins are; return their names.
 
     No single number moves them; an object or a whole robot hangs from them, not a finger.
@@ -443,14 +443,14 @@ def fix_free_joints(robot: ET.Element) -> list[str]:
     return free
 
 
-def _fix(joint: ET.Element) -> None:
+def _fix(joint: Element) -> None:
     for element in list(joint):
         if element.tag not in _OF_FIXED_JOINTS:
             joint.remove(element)
     joint.set("type", "fixed")
 
 
-def _movable_joint(robot: ET.Element, name: str, section: str) -> ET.Element:
+def _movable_joint(robot: Element, name: str, section: str) -> Element:
     joint = joints_by_name(robot).get(name)
     if joint is None or joint.get("type") not in MOVABLE:
         raise HandError(
@@ -464,7 +464,7 @@ def _movable_joint(robot: ET.Element, name: str, section: str) -> ET.Element:
 # -- meshes
 
 
-def set_mesh_paths(robot: ET.Element, folder: Path) -> None:
+def set_mesh_paths(robot: Element, folder: Path) -> None:
     """Replace the file names of all meshes by absolute paths, as `find_mesh` finds them."""
     for mesh in robot.iter("mesh"):
         if name := mesh.get("filename"):
@@ -474,7 +474,7 @@ def set_mesh_paths(robot: ET.Element, folder: Path) -> None:
 # -- a hand on an arm, a mirrored hand
 
 
-def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
+def mount_on_arm(arm: Element, hand: Element, spec: ArmSpec) -> None:
     """Join an arm, which becomes the whole robot, and a hand.
 
     The arm's links, joints and materials are renamed where the hand has the same names.
@@ -483,8 +483,8 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
         HandError: If the arm has no such link.
     """
     _check_link(arm, spec.tip, "arm.tip")
-    mount = ET.SubElement(arm, "joint", name="hand_mount", type="fixed")
-    ET.SubElement(mount, "parent", link=spec.tip)
+    mount = SubElement(arm, "joint", name="hand_mount", type="fixed")
+    SubElement(mount, "parent", link=spec.tip)
     set_origin(mount, affine(rotation_from_rpy(spec.rpy), spec.xyz))
     tags = ("link", "joint", "material")
     taken = {tag: {each.get("name") for each in hand.iter(tag)} for tag in tags}
@@ -495,7 +495,7 @@ def mount_on_arm(arm: ET.Element, hand: ET.Element, spec: ArmSpec) -> None:
             element.set(key, f"{spec.name}_{name}")
     # The composed URDF counts as the hand's file, so relative names would be looked for there.
     set_mesh_paths(arm, urdf_path(spec).parent)
-    ET.SubElement(mount, "child", link=root_links(hand)[0])
+    SubElement(mount, "child", link=root_links(hand)[0])
     arm.extend(list(hand))
 
 
@@ -507,7 +507,7 @@ _MIRRORED = {
 }
 
 
-def mirror(robot: ET.Element) -> None:
+def mirror(robot: Element) -> None:
     """Mirror a URDF in the plane x = 0 of its root link: a right hand becomes a left one.
 
     The coordinates of every link are mirrored as well: a point `(x, y, z)` of a link becomes `(-x,
@@ -538,7 +538,7 @@ def mirror(robot: ET.Element) -> None:
 
 
 def _flip(
-    element: ET.Element,
+    element: Element,
     key: str,
     signs: Sequence[float],
     default: str | None = None,

@@ -144,12 +144,13 @@ class BoxLimits:
         *,
         has_velocity_limits: bool = True,
         max_acceleration: float | None = None,
-        together: np.ndarray | None = None,
+        together: np.ndarray | bool = False,
     ) -> None:
         self.size = len(hand.active_columns)
         # The limits of a configuration. Those of Pinocchio's free-flyer, +-1.8e308, stay out of all
         # arithmetic. Infinite ones take their place, so its first coordinate does for six speeds.
-        self.lowest, self.highest = np.full((2, hand.model.nq), [[-np.inf], [np.inf]])
+        self.lowest = np.full(hand.model.nq, -np.inf)
+        self.highest = -self.lowest
         self.lowest[hand.q_indices] = hand.lower_limits
         self.highest[hand.q_indices] = hand.upper_limits
         joints = hand.joint_columns
@@ -165,8 +166,7 @@ class BoxLimits:
                 self.speeds[:6] = np.repeat(
                     [wrist.max_linear_speed, wrist.max_angular_speed], 3
                 )
-        none = np.zeros(self.size, dtype=bool)
-        self.together = none if together is None else together
+        self.together = np.zeros(self.size, dtype=bool) | together
         # A limit beyond all speeds is none; as such, its products with times cannot overflow.
         is_limited = max_acceleration is not None and max_acceleration < _NO_LIMIT
         self.acceleration = max_acceleration if is_limited else math.inf
@@ -263,7 +263,7 @@ class BoxLimits:
         """
         if self.acceleration == math.inf or not self.together.any():
             return 0.0
-        fastest = float((np.abs(velocity) * self.together).max())
+        fastest = (np.abs(velocity) * self.together).max()
         return 0.5 * (fastest / self.acceleration + dt) / dt
 
 
@@ -392,7 +392,7 @@ class Gate:
             hand,
             has_velocity_limits=has_velocity_limits,
             max_acceleration=max_acceleration,
-            together=None if collisions is None else collisions.columns,
+            together=False if collisions is None else collisions.columns,
         )
         self._together = self.limits.together
         self.links = (
@@ -420,11 +420,7 @@ class Gate:
         self.was_set = False
 
     def place(self, q: np.ndarray) -> None:
-        """Put the robot at a configuration, at rest.
-
-        Args:
-            q: Pinocchio configuration, shape (nq,).
-        """
+        """Put the robot at a configuration of Pinocchio, shape (nq,), at rest."""
         self.motion = Motion.at_rest(q, self.limits.size)
 
     def bounds(self, dt: float, share: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
@@ -508,7 +504,7 @@ class Gate:
         # This also replaces NaN.
         taken = np.fmin(np.fmax(wanted, box.lower), box.upper)
         times = self.limits.stop_times(taken, dt)
-        is_inside = bool(((taken >= box.least) & (taken <= box.most)).all())
+        is_inside = ((taken >= box.least) & (taken <= box.most)).all()
         met = self._met_on(taken, times, dt) if is_inside else None
         if met is not None and len(met.pairs):
             if around is not None and tries:
@@ -522,11 +518,7 @@ class Gate:
         return taken
 
     def brake(self, dt: float) -> np.ndarray:
-        """Take the stop that was admitted last, for one sample; return the displacement.
-
-        Args:
-            dt: Time of the sample [s].
-        """
+        """Take the stop that was admitted last, for a sample of dt [s]; return the displacement."""
         dt = max(dt, SHORTEST_DT)
         self.held_by = -1
         displacement = self._braking(dt)
@@ -543,12 +535,8 @@ class Gate:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a displacement that is admitted, and the times of the stop behind it.
 
-        Coordinates that stop alone take theirs, or brake. The others take shares of `first`.
-
-        Args:
-            wanted: Displacement to try before, shape (nv,); None for none.
-            first: The one that is shortened, likewise.
-            dt: Its time [s].
+        Coordinates that stop alone take theirs, or brake. The others take the wanted one, if there
+        is one, or shares of `first`; shape (nv,) each.
         """
         brake = self._braking(dt)
         left = np.maximum(self.motion.stop_times - dt, 0.0)
@@ -572,7 +560,7 @@ class Gate:
             brakes = ~(can_stop | together)
             taken = np.where(brakes, brake, tried)
             times = np.where(brakes, left, times)
-            is_admitted = tried is not base and bool(can_stop[together].all())
+            is_admitted = tried is not base and can_stop[together].all()
             if is_admitted and self._met_on(taken, times, dt) is None:
                 return taken, times
         # The line of the stop in force was found clear before.

@@ -179,7 +179,7 @@ class PointDistances(Compiled):
             value=pairs,
         )
         self.points = points
-        (self.first, self.second) = indices.T
+        self.first, self.second = indices.T
         self.distances = _check_numbers(distances, len(indices), "distances")
         self.weights = _check_numbers(weights, len(indices), "weights")
         self.damping = _check_numbers(damping, len(indices), "damping")

@@ -46,7 +46,8 @@ _JAW_WEIGHT = 1e-4
 _MIDDLE_WEIGHT = 0.5
 # The thumb's share of the way from where it pinches, and its range against the fingers'. Thumbs
 # oppose from different sides, so neither its own base nor the knuckles alone say where it belongs.
-_THUMB_FROM_PINCH, _THUMB_GAIN = 0.3, 0.9
+_THUMB_FROM_PINCH = 0.3
+_THUMB_GAIN = 0.9
 # The model's own resting thumb lies farther in front of the palm than any recorded one [rad].
 _RESTING_THUMB = {
     "thumb_TM_abduction": 0.65,
@@ -54,8 +55,8 @@ _RESTING_THUMB = {
     "thumb_MCP_flexion": 0.1,
     "thumb_IP_flexion": -0.2,
 }
-# Cosines of the angle between the resting thumbs where one is not at all like the other, 10 degrees,
-# and where it is wholly, 5 degrees.
+# Cosines of the angle between the resting thumbs where one is not at all like the other, and where
+# it is wholly.
 _UNLIKE, _LIKE = np.cos(np.radians([10.0, 5.0]))
 # Weight of the rest posture in the matched one: it decides only where the points do not.
 _REST_WEIGHT = 0.05
@@ -74,8 +75,11 @@ _OPENING = IkOptions(
 _PINCHING = _OPENING.replaced(
     wrist_position_weight=1e2, wrist_orientation_weight=1e2, max_iterations=1
 )
-_PINCH_STEPS, _TOUCHING = 20, 0.0005  # at most; m
-_GAP_WEIGHT, _GAP_DAMPING, _UNHURRIED = 3.0, 1.5, 1e3  # s
+_PINCH_STEPS = 20  # at most
+_TOUCHING = 0.0005  # m
+_GAP_WEIGHT = 3.0
+_GAP_DAMPING = 1.5
+_UNHURRIED = 1e3  # s
 
 
 def finger_landmarks(fingers: Iterable[str]) -> list[str]:
@@ -111,8 +115,8 @@ class HandPair:
         robot_rest: Robot reference points in the matched posture, in palm axes [m], shape (m, 3).
         human_knuckles: Centre of the knuckles but the thumb's, in the human's palm axes [m], (3,).
         robot_knuckles: The same of the robot.
-        thumb_likeness: 1 for a thumb that points as the human's in the matched posture, to 0 for one
-            that opposes from another side, and for none.
+        thumb_likeness: 1 for a thumb that points as the human's in the matched posture, to 0 for
+            one that opposes from another side, and for none.
         robot_base: Base of the robot's first finger there, the thumb's, likewise [m], (3,).
         robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
         robot_extension: Knuckle-to-tip distance of each robot finger in the matched posture, as a
@@ -160,13 +164,14 @@ class HandPair:
         if not len(self._others):
             self._others = np.array([0])
         self.finger_ratio = float(self.reach_ratios[self._others].mean())
+        knuckles = self.human_rest[self.knuckles[self._others]]
+        self.human_knuckles = frozen(knuckles.mean(axis=0))
         given = robot.matched
         self.matched = frozen(self.solve_matched() if given is None else given)
         self._measure_robot()
 
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
-        others = self._others
         self.robot_rest = frozen(points_in_palm(self.robot, self.matched))
         chains = [self.chains[finger] for finger in self.fingers]
         places = [
@@ -175,10 +180,7 @@ class HandPair:
             for place in (chain.knuckle, chain.tip, chain.middle)
         ]
         points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
-        self.robot_knuckles = frozen(points[others, 0].mean(axis=0))
-        self.human_knuckles = frozen(
-            self.human_rest[self.knuckles[others]].mean(axis=0)
-        )
+        self.robot_knuckles = frozen(points[self._others, 0].mean(axis=0))
         self.robot_base = frozen(points[0, 0])
         self.thumb_likeness = 0.0
         if (standard := self.human.unscaled) is not None:
@@ -228,13 +230,11 @@ class HandPair:
 
     def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
         """Place the thumb between where it pinches and where it is above the knuckles."""
-        others = self._others
         gain = _THUMB_GAIN * self.finger_ratio
         if self.fingers == (THUMB,):
             return knuckles[0] + gain * (tip - self.human_rest[self.knuckles[0]])
-        middle = knuckles[others].mean(axis=0)
-        human_middle = self.human_rest[self.knuckles[others]].mean(axis=0)
-        above = middle + gain * (tip - human_middle)
+        middle = knuckles[self._others].mean(axis=0)
+        above = middle + gain * (tip - self.human_knuckles)
         chains = _human_fingers(self.human)
         pads = find_pads(self.human, chains)
         human_pinching = _pinching_thumb(self.human, chains, pads)
@@ -251,13 +251,11 @@ class RobotFingers:
     def __init__(self, robot: Hand) -> None:
         self.hand = robot
         self.chains = find_fingers(robot)
-        self.names = tuple(
-            f for f in FINGERS if f in self.chains and self.chains[f].joints
-        )
-        used = [self.chains[finger] for finger in self.names]
-        self.has_jaws = (
-            len(used) > 1 and THUMB in self.names and all(c.is_jaw for c in used)
-        )
+        # In the order of FINGERS.
+        self._used = {f: chain for f, chain in self.chains.items() if chain.joints}
+        self.names = tuple(self._used)
+        are_jaws = all(chain.is_jaw for chain in self._used.values())
+        self.has_jaws = are_jaws and len(self.names) > 1 and THUMB in self.names
 
     @cached_property
     def pads(self) -> dict[str, Pad]:
@@ -267,9 +265,9 @@ class RobotFingers:
     @cached_property
     def with_points(self) -> Hand:
         """The robot with its fingers' points."""
-        used = {finger: self.chains[finger] for finger in self.names}
         weight = _JAW_WEIGHT if self.has_jaws else 1.0
-        return self.hand.with_points(tuple(_finger_points(self.hand, used, weight)))
+        points = _finger_points(self.hand, self._used, weight)
+        return self.hand.with_points(points)
 
     @cached_property
     def pinching_thumb(self) -> np.ndarray:
@@ -357,8 +355,8 @@ def _point(
         for frame in robot.model.frames
         if frame.parentJoint == joint and frame.type == pin.FrameType.BODY
     )
-    xyz = frame.placement.actInv(offset).tolist()
-    return PointSpec(name, frame.name, (xyz[0], xyz[1], xyz[2]), finger, weight, name)
+    x, y, z = frame.placement.actInv(offset).tolist()
+    return PointSpec(name, frame.name, (x, y, z), finger, weight, name)
 
 
 def points_in_palm(

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from functools import cached_property
+from itertools import compress
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -172,11 +173,7 @@ class HandMapper:
 
     @cached_property
     def landmarks(self) -> LandmarkReader:
-        """Turns landmarks into samples of the human hand.
-
-        Raises:
-            InvalidOptionsError: If a reference point of the human is not a landmark.
-        """
+        """Turns landmarks into samples of the human hand; errors are those of the reader."""
         return LandmarkReader(self.human, self.quat_order)
 
     @cached_property
@@ -218,25 +215,20 @@ class HandMapper:
     ) -> MapStep:
         """Map one sample of measured reference points, without joint angles.
 
+        Result and errors are those of `map_step`.
+
         Args:
             points: The human's reference points in its world [m], in the order of
                 `human.reference_points`, shape (n_h, 3).
             wrist_pose: Pose of the wrist as in `map_step`; may be omitted where the method does not
                 need it.
-            dt: Time since the last sample [s]; the mapper's own if omitted.
-
-        Returns:
-            Every stage of the step.
-
-        Raises:
-            InvalidInputError: As of `map_step`.
-            DegeneratePointsError: Likewise.
+            dt: As of `map_step` [s].
         """
         started = perf_counter()
         wrist = None
         if wrist_pose is not None:
             wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
-        if wrist is None and (needs := self._needs_wrist()):
+        elif needs := self._needs_wrist():
             raise InvalidInputError(
                 argument="wrist_pose", problem=f"needed for {needs}"
             )
@@ -257,19 +249,15 @@ class HandMapper:
 
         The reference points are the landmarks themselves. The palm is a rigid fit of its five
         landmarks, unless the tracker's own wrist pose is given. Scale the human to the person first
-        (`measure_hand`): the fit and the ratios of reach need the person's lengths.
+        (`measure_hand`): the fit and the ratios of reach need the person's lengths. Result and
+        errors are those of `map_step`.
 
         Args:
             landmarks: The 21 landmarks in the human's world [m], in MediaPipe's order, (21, 3).
             wrist_pose: Pose of the human model's wrist frame, as in `map_step`; fitted if omitted.
-            dt: Time since the last sample [s]; the mapper's own if omitted.
-
-        Returns:
-            Every stage of the step.
+            dt: As of `map_step` [s].
 
         Raises:
-            InvalidInputError: As of `map_step`.
-            DegeneratePointsError: Likewise.
             InvalidOptionsError: If a reference point of the human is not a landmark.
         """
         return self._mapped(self.landmarks, landmarks, wrist_pose, dt)
@@ -285,19 +273,14 @@ class HandMapper:
     ) -> MapStep:
         """Map one sample with known points: targets by the method, motion by the QP.
 
+        Result and errors are those of `map_step`.
+
         Args:
             sample: The sample; not checked.
-            dt: Time since the last sample [s]; the mapper's own if omitted.
+            dt: As of `map_step` [s].
             speed: Share of the speed limits at which the robot may move.
             out_of_range: Names of human joints outside their limits.
             started: When the step began (`time.perf_counter`); now if omitted.
-
-        Returns:
-            Every stage of the step.
-
-        Raises:
-            InvalidInputError: As of `map_step`.
-            DegeneratePointsError: Likewise.
         """
         started = perf_counter() if started is None else started
         dt = self.dt if dt is None else check_dt(dt)
@@ -642,11 +625,10 @@ class JointReader(Compiled):
         human = self.human
         wrist = check_pose(wrist_pose, "wrist_pose", self.quat_order)
         angles, excess = check_joints(human, q, "human_q", self.tolerance)
-        beyond = (excess > 0.0).nonzero()[0].tolist()
         self._placed.place(human.configuration_vector(angles))
         points = transform_points(wrist, self._placed.points)
-        outside = tuple(human.joint_names[i] for i in beyond)
-        return HumanPose(points, wrist), outside
+        outside = compress(human.joint_names, excess > 0.0)
+        return HumanPose(points, wrist), tuple(outside)
 
 
 class _Plan(NamedTuple):
@@ -706,9 +688,8 @@ def _method_of(
         preset = get_preset(method)
         return preset.method, preset.ik
     chosen: Any = get_preset("paper").method if method is None else method
-    if hasattr(chosen, "replaced" if options else "bind") and not isinstance(
-        chosen, str | type
-    ):
+    needed = "replaced" if options else "bind"
+    if hasattr(chosen, needed) and not isinstance(chosen, type):
         return chosen.replaced(**options) if options else chosen, IkOptions()
     raise InvalidOptionsError(
         option="method",
@@ -739,7 +720,7 @@ def check_joints(
     excess = np.maximum(lower - angles, angles - upper)
     # `<=` is also false for NaN.
     if not (excess <= tolerance).all():
-        i = int(np.argmax(excess))
+        i = np.argmax(excess)
         raise InvalidInputError(
             argument=f"{name}[{i}]",
             problem=f"{hand.joint_names[i]} is {angles[i]:.6g} rad, expected within "
@@ -755,7 +736,7 @@ def check_dt(dt: float) -> float:
     Raises:
         InvalidInputError: With the argument `dt`.
     """
-    if not (isinstance(dt, (int, float)) and 0.0 < dt < np.inf):
+    if not (isinstance(dt, int | float) and 0.0 < dt < np.inf):
         raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt
 
@@ -763,6 +744,6 @@ def check_dt(dt: float) -> float:
 def check_near(points: np.ndarray, name: str) -> None:
     """Reject points with a coordinate that is not finite, or farther away than any hand."""
     # NaN is not near either.
-    if not np.abs(points).max(initial=0.0) <= FARTHEST:
-        expected = f"finite coordinates within {FARTHEST:g} m"
-        raise InvalidInputError(argument=name, expected=expected, value=points.tolist())
+    is_near = np.abs(points).max(initial=0.0) <= FARTHEST
+    expected = f"finite coordinates within {FARTHEST:g} m"
+    expect(is_near, name, expected, value=points.tolist())

@@ -19,9 +19,12 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import solve_by_daqp
 
-_MOST_STEPS, _SMALLEST_STEP = 50, 1e-8  # rad or m
-_LEAST_DECREASE, _SMALLEST_SHARE = 1e-4, 1e-4
-"""Share of the decrease that the slope foretells (Armijo), and least share of a step to try."""
+_MOST_STEPS = 50
+_SMALLEST_STEP = 1e-8  # rad or m
+_LEAST_DECREASE = 1e-4
+"""Share of the decrease that the slope foretells (Armijo)."""
+_SMALLEST_SHARE = 1e-4
+"""Least share of a step to try."""
 _ROUNDING = 1.0 + 1e-14
 """Near the minimum, values differ by less than their rounding."""
 _LEAST_CURVATURE = 1e-6
@@ -62,7 +65,7 @@ def nearest_posture(
         step = solve_by_daqp(_convex(here.hessian), here.gradient, lower - x, upper - x)
         if step is None:
             break
-        slope = float(step @ here.gradient)
+        slope = step @ here.gradient
         share = 1.0
         while True:
             ahead = np.clip(x + share * step, lower, upper)
@@ -73,7 +76,7 @@ def nearest_posture(
             share *= 0.5
             if share < _SMALLEST_SHARE:
                 return distance.whole(x)
-        length = float(np.abs(ahead - x).max())
+        length = np.abs(ahead - x).max()
         x = ahead
         here = there
         if length < _SMALLEST_STEP:
@@ -140,7 +143,7 @@ class _Distance:
         gradient = (
             forces.reshape(-1).dot(rows).dot(self._spread) + self._rest_cost * away
         )
-        value = 0.5 * float((forces * errors).sum() + self._rest_cost * away.dot(away))
+        value = 0.5 * ((forces * errors).sum() + self._rest_cost * away.dot(away))
         return _Terms(value, gradient, hessian)
 
 

@@ -78,6 +78,7 @@ class PalmMap:
         robot_anchor: np.ndarray = _ORIGIN,
         scale: float = 1.0,
     ) -> None:
+        self._method = method
         human = method.human
         robot = method.robot
         self.rest = robot.rest

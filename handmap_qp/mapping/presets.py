@@ -89,43 +89,28 @@ def known_options() -> dict[str, list[tuple[str, Option]]]:
 
 
 def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
-    """Choose the preset for two hands that has some options of a method.
+    """Choose the preset for two hands that has options of these names.
 
     It is the default one if that has them, else the first that has.
-
-    Args:
-        names: Names of the options.
-        human: The hand that leads.
-        robot: The hand that follows.
     """
     first = default_preset(human, robot)
     wanted = set(names)
     able = (
         name
         for name in (first, *PRESETS)
-        if wanted <= get_preset(name).method.values.keys()
+        if wanted <= PRESETS[name].method.values.keys()
     )
     return next(able, first)
 
 
 def default_preset(human: Hand, robot: Hand) -> str:
-    """Return the preset of two hands for which none is named: the first that suits them.
-
-    Args:
-        human: The hand that leads.
-        robot: The hand that follows.
-    """
+    """Return the preset of two hands for which none is named: the first that suits them."""
     suitable = (name for name in PRESETS if PRESETS[name].suits(human, robot))
     return next(suitable)
 
 
 def possible_presets(human: Hand, robot: Hand) -> tuple[str, ...]:
-    """Return the presets that two hands can be mapped with.
-
-    Args:
-        human: The hand that leads.
-        robot: The hand that follows.
-    """
+    """Return the presets that two hands can be mapped with."""
 
     def fits(preset: Preset) -> bool:
         try:

@@ -31,7 +31,8 @@ _VISIBLE = 0.1
 _AGREED = 0.85
 # Largest angles at which a direction counts as the palm link's axis: alone, and if the knuckles lie
 # in that direction from the link's origin [deg].
-_SNAP, _SNAP_WITH_PALM = 5.0, 16.0
+_SNAP = 5.0
+_SNAP_WITH_PALM = 16.0
 # Largest angle of the axis of flexion to another of these axes for the latter [deg].
 _SNAP_AXIS = 8.0
 # Directions agree within this angle [deg].
@@ -347,7 +348,7 @@ class _Evidence:
         # behind the other.
         places = (0.7 * flexion.bases + 0.3 * flexion.tips_open) @ radial.direction
         order = sorted(self.rest, key=lambda i: -places[i])
-        apart = float(-np.diff(places[order]).max(initial=-np.inf))
+        apart = -np.diff(places[order]).max(initial=-np.inf)
         how = "ordered by position across the palm, from the thumb's side"
         confidence = min(radial.confidence, _CERTAIN if apart > _NARROW else 0.4, sure)
         if len(order) < 2:
@@ -483,7 +484,7 @@ def _snapped(
     stretch fully are farther off it. The link's axis is then taken if the axis of flexion is
     another of the link's axes, and the knuckles lie in its direction from the link's origin.
     """
-    nearest = int(np.argmax(np.abs(direction)))
+    nearest = np.abs(direction).argmax()
     ahead = np.sign(direction[nearest]) * np.eye(3)[nearest]
     angle = angle_between(direction, ahead)
     if angle < _SNAP:
@@ -497,7 +498,7 @@ def _snapped(
 
 
 def _shown(direction: np.ndarray) -> str:
-    nearest = int(np.argmax(np.abs(direction)))
+    nearest = np.abs(direction).argmax()
     if abs(direction[nearest]) > 0.9999:
         return f"{'+' if direction[nearest] > 0 else '-'}{'xyz'[nearest]}"
     return f"[{', '.join(f'{value:.3f}' for value in direction)}]"

@@ -50,7 +50,8 @@ from handmap_qp.hands.spec import HandSpec
 from handmap_qp.se3 import lengths
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
-_FIST_TIME, _FIST_ANGLE = 0.5, 1.5
+_FIST_TIME = 0.5
+_FIST_ANGLE = 1.5
 # A larger range is in degrees or millimetres [rad or m].
 _LARGEST_TURN = 2.0 * np.pi + 0.01
 _LARGEST_SLIDE = 2.0
@@ -60,10 +61,12 @@ _OFF_THE_LINK = 0.02
 _MOST_NAMES = 3
 # Least confidence of the detection for a finding: of fingers and side, and of a direction, whose
 # largest angle depends on its certainty [deg].
-_SURE, _WORTH = 0.65, 0.45
+_SURE = 0.65
+_WORTH = 0.45
 _ANGLES = {"certain": 20.0, "likely": 40.0, "a guess: check it": 60.0}
 # Largest angles of the axis of flexion and of the straight fingers to the palm's axes [deg].
-_ACROSS, _DISTAL = 25.0, 35.0
+_ACROSS = 25.0
+_DISTAL = 35.0
 # Knuckles closer than this may be in any order [m].
 _NARROW = 0.004
 # A thumb whose pad stays farther than this from every other opposes none of them [mm].
@@ -102,7 +105,7 @@ class Finding(NamedTuple):
 
 
 Findings = Iterator[Finding]
-Measures = Iterator[Finding | tuple[str, list[dict[str, Any]]]]
+Measures = Iterator[Finding | tuple[str, list[Any]]]
 """Findings, and tables: a title and rows."""
 warning, advice, fine = (partial(Finding, level) for level in LEVELS[1:])
 
@@ -176,7 +179,8 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
                     if isinstance(found, Finding):
                         report.findings.append(found)
                     else:
-                        report.measured |= dict([found])
+                        title, rows = found
+                        report.measured[title] = msgspec.to_builtins(rows)
             except HandmapError as error:
                 where = getattr(error, "key", None) or "hand"
                 report.findings.append(advice(where, f"not checked: {error}"))
@@ -251,8 +255,8 @@ def _check_speeds(hand: Hand) -> Findings:
     travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
     times[moves_wrist(hand)] = 0.0
-    worst = int(np.argmax(times))
-    if count := int((times > _FIST_TIME).sum()):
+    worst = np.argmax(times)
+    if count := (times > _FIST_TIME).sum():
         what = (
             f"{count} {'joints are' if count > 1 else 'joint is'} too slow for a fist in half a "
             f"second; at {hand.velocity_limits[worst]:.3g} per second this one needs "
@@ -399,7 +403,7 @@ def _check_opposition(hand: Hand) -> Measures:
     ]
     yield "Pads", pads
     pinches = measure_pinches(hand)
-    yield "Pinches", msgspec.to_builtins(pinches)
+    yield "Pinches", pinches
     touched = [pinch.finger for pinch in pinches if pinch.touch == "yes"]
     if THUMB not in fingers:
         yield advice("points", "no point is on a thumb: pinches are not mapped")
@@ -466,7 +470,7 @@ def _compare_fingers(hand: Hand, chains: dict[str, tuple[str, ...]]) -> Findings
 def _check_reach(hand: Hand) -> Measures:
     """Find fingers whose point no joint moves."""
     rows = measure_reach(hand)
-    yield "Fingers", msgspec.to_builtins(rows)
+    yield "Fingers", rows
     for row in rows:
         if row.moves_in.startswith("0"):
             change = "put it on a link that moves, or leave it out"
@@ -508,7 +512,7 @@ def _check_arm(hand: Hand) -> Findings:
     """Compare the reach of an arm with that of a person's hand in front of the body."""
     if (reach := measure_arm(hand)) is None:
         return
-    far = int((reach >= _ARM_MOTION).sum())
+    far = (reach >= _ARM_MOTION).sum()
     what = (
         f"the arm moves the wrist by {1e3 * _ARM_MOTION:.0f} mm in {far} of {len(reach)} "
         f"directions from rest, and by {1e3 * np.median(reach):.0f} mm in half of them"
@@ -529,7 +533,7 @@ def _check_contacts(hand: Hand) -> Measures:
     for note in joined_notes(all_pairs(hand, find_fingers(hand))):
         yield fine("collision", note)
     rows = tour_gestures(hand)
-    yield "A tour of gestures", msgspec.to_builtins(rows)
+    yield "A tour of gestures", rows
     for row in rows:
         free = row.without_contacts
         if free > _MOVES and row.with_contacts < 0.5 * free:
@@ -542,7 +546,7 @@ def _check_contacts(hand: Hand) -> Measures:
 
 def _check_motion(hand: Hand) -> Measures:
     motion = try_motion(hand)
-    yield "A standard motion", msgspec.to_builtins(motion)
+    yield "A standard motion", motion
     for part in motion:
         if part.error_mm > _OUT_OF_REACH:
             far = f"{part.worst_point} stays {part.error_mm:.0f} mm from its target"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
+from itertools import combinations, compress, pairwise
 
 import msgspec
 import numpy as np
@@ -28,7 +28,8 @@ MARGIN = 0.0005
 """Least distance between links [m]: pinches close, and the linearised rows hold."""
 # Random postures, and the distance below which a pair may collide if it comes that near in one of
 # them [m].
-_SAMPLES, _NEAR = 60, 0.01
+_SAMPLES = 60
+_NEAR = 0.01
 # Pairs that overlap in more postures than this overlap by design.
 _BY_DESIGN = 0.5
 # The same of a few postures; links of a compact joint are shorter than this and overlap when it
@@ -81,24 +82,24 @@ def find_collision_pairs(hand: Hand, pairs: ShapePairs) -> CollisionSpec | None:
     fingers = find_fingers(hand)
     others = [finger for finger in fingers if finger != THUMB]
     beside = [{THUMB, other} for other in ("palm", *others)]
-    beside += map(set, itertools.pairwise(others))
+    beside += map(set, pairwise(others))
     postures = np.vstack([hand.rest, random_postures(hand, _SAMPLES)])
     distances = pair_distances(hand, pairs.geometry, postures)
     is_near = np.array(pairs.fingers) != ""
     is_near |= distances.min(axis=0) < _NEAR
     overlaps = (distances <= 0.0).mean(axis=0) > _BY_DESIGN
     named = [(min(links), max(links)) for links in pairs.links]
-    by_design = {*itertools.compress(named, overlaps)}
+    by_design = {*compress(named, overlaps)}
     wanted = [
         links
-        for links in dict.fromkeys(itertools.compress(named, is_near))
+        for links in dict.fromkeys(compress(named, is_near))
         if {_owner(hand, fingers, link) for link in links} in beside
         and links not in by_design
     ]
     # A link has several shapes: its pair is left out if one pair of them touches at rest.
     every = named_pairs(hand, wanted)
     (at_rest,) = pair_distances(hand, every.geometry, hand.rest[None])
-    touching = {*itertools.compress(every.links, at_rest < 2.0 * MARGIN)}
+    touching = {*compress(every.links, at_rest < 2.0 * MARGIN)}
     found = tuple(pair for pair in wanted if pair not in touching)
     return CollisionSpec(found, MARGIN) if found else None
 
@@ -133,14 +134,14 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     geometry = read_collision_shapes(hand)
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
     near = {joint: _neighbours(hand.model, joint, joints) for joint in joints}
-    for (i, one), (j, other) in itertools.combinations(enumerate(joints), 2):
+    for (i, one), (j, other) in combinations(enumerate(joints), 2):
         if one not in near[other] and other not in near[one]:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
     postures = np.vstack([q, random_postures(hand, _FEW)])
     overlaps = pair_distances(hand, geometry, postures) <= 0.0
     found = overlaps[0] & (overlaps[1:].mean(axis=0) < _IN_FEW)
     pairs = ShapePairs(geometry, ()).links
-    return [*dict.fromkeys(itertools.compress(pairs, found))]
+    return [*dict.fromkeys(compress(pairs, found))]
 
 
 def _neighbours(

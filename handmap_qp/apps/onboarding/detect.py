@@ -34,14 +34,16 @@ from handmap_qp.hands.spec import (
 from handmap_qp.se3 import lengths, transform_points
 
 # Half open: this share of the way to the fist, and at most this much per joint [rad].
-_REST_SHARE, _REST_MOST = 0.4, 0.75
+_REST_SHARE = 0.4
+_REST_MOST = 0.75
 # A middle joint's point is its link's origin if that is this near to the finger's plane [m].
 _OFF_AXIS = 0.0015
 # A joint this near to the palm is one of its wrist [m].
 _WRIST_REACH = 0.25
 # A joint that spreads fingers and has its zero within this share of its range from a limit rests
 # this share away from it.
-_AT_LIMIT, _SPREAD = 0.05, 0.3
+_AT_LIMIT = 0.05
+_SPREAD = 0.3
 # Range of a person's wrist-to-knuckle distance, in lengths of the longest finger.
 _PALM_RATIO = np.array([0.4, 1.4])
 
@@ -157,7 +159,7 @@ class _FoundHand:
             fingers[i].name = called
         self.fingers = [fingers[i] for i in self.anatomy.fingers]
         self._thumbs = np.array([finger.name == THUMB for finger in fingers])
-        if (flexion.ways[~self._thumbs].sum(axis=0) @ self.anatomy.dorsal) > 0.0:
+        if flexion.ways[~self._thumbs].sum(axis=0) @ self.anatomy.dorsal > 0.0:
             # The side turned the palm over: joints with symmetric ranges flex the other way.
             flexion = HandFlexion(robot, fingers, palmar=-self.anatomy.dorsal)
         self.flexion = flexion
@@ -176,7 +178,8 @@ class _FoundHand:
         origin = self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
         points, sets = point_sets(tips, self._middles())
-        rest, zero = (_positions(robot, q) for q in (self._rest(), robot.zero))
+        rest = _positions(robot, self._rest())
+        zero = _positions(robot, robot.zero)
         locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
         locked |= {joint: q for joint, q in zero.items() if joint not in joints}
         return HandSpec(
@@ -247,20 +250,20 @@ class _FoundHand:
         points = PalmKinematics(robot).points(np.array([q, flexion.q_open]), tips)
         heights = (points[0] - points[1]) @ self.anatomy.dorsal
         sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
-        self._add(
-            "rest",
-            "half open",
+        how = (
             f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
-            "per joint; other joints near zero, or at mid-range on the thumb",
-            min(sure, self._sure["dorsal"]),
+            "per joint; other joints near zero, or at mid-range on the thumb"
         )
+        sure = min(sure, self._sure["dorsal"])
+        self.clues.append(Clue("rest", "half open", how, sure))
         return q
 
     def _tip(self, finger: RobotFinger) -> PointSpec:
         """Return a fingertip."""
         tip = finger.end
         sure = max(self._sure["thumb" if finger.name == THUMB else "fingers"], 0.3)
-        self._add(f"{finger.name}_tip", tip.link, tip.how, min(tip.confidence, sure))
+        sure = min(tip.confidence, sure)
+        self.clues.append(Clue(f"{finger.name}_tip", tip.link, tip.how, sure))
         return _point(finger, "tip", tip.link, tip.xyz, self._pad(finger))
 
     def _pad(self, finger: RobotFinger) -> PadSpec | None:
@@ -282,12 +285,12 @@ class _FoundHand:
         knuckles = self.flexion.bases[chosen].mean(axis=0)
         body = robot.body(palm)
         cloud = robot.surface(body)
-        back = float(knuckles @ distal)
+        back = knuckles @ distal
         how = "the origin of the palm's link"
         if len(cloud):
             pose = robot.pose_in(robot.links[body][0], palm)
             cloud = transform_points(pose, cloud)
-            back -= float((cloud @ distal).min())
+            back -= (cloud @ distal).min()
             how = "the proximal end of the palm's surface"
         how += ", behind the centre of the knuckles"
         sure = 0.8
@@ -296,17 +299,9 @@ class _FoundHand:
             sure = 0.5
             how += "; moved to a distance as in a person's proportions"
         answer = f"{1e3 * likely:.0f} mm behind the knuckles"
-        self._add("palm origin", answer, how, min(sure, self._sure["distal"]))
+        sure = min(sure, self._sure["distal"])
+        self.clues.append(Clue("palm origin", answer, how, sure))
         return knuckles - likely * distal
-
-    def _add(
-        self,
-        what: str,
-        answer: str,
-        how: str,
-        confidence: float,
-    ) -> None:
-        self.clues.append(Clue(what, answer, how, confidence))
 
 
 def point_sets(

@@ -27,7 +27,8 @@ from handmap_qp.se3 import lengths, unit
 _FLEXING = 0.6
 # A finger shorter than this share of its phalanges is bent; its first phalanx has a direction if it
 # is longer than this share of them.
-_STRETCHED, _PHALANX = 0.985, 0.2
+_STRETCHED = 0.985
+_PHALANX = 0.2
 # A thumb is this share of the fingers' reach in front of the palm.
 _LEAST_HEIGHT = 0.05
 

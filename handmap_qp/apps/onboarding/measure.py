@@ -248,7 +248,7 @@ def try_motion(hand: Hand) -> list[MotionPart]:
     for name, posture in standard_postures(human).items():
         *_, last = _follow(mapper, posture)
         error = last.point_error
-        worst = int(np.argmax(error))
+        worst = np.argmax(error)
         limited = compress(hand.joint_names, hand.at_position_limit(last.command.q))
         parts.append(
             MotionPart(

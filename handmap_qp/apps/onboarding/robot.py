@@ -8,10 +8,10 @@ written to the `hand.yaml` for its owner to correct.
 from __future__ import annotations
 
 import math
-import xml.etree.ElementTree as ET
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree.ElementTree import Element, tostring
 
 import numpy as np
 import pinocchio as pin
@@ -107,7 +107,7 @@ class Robot:
             error.file = file
             raise
 
-    def _read(self, robot: ET.Element) -> None:
+    def _read(self, robot: Element) -> None:
         """Complete the limits, and build the model."""
         (self.root,) = root_links(robot)
         self.name = robot.get("name") or self.file.stem
@@ -133,7 +133,7 @@ class Robot:
         self._leaders = {name: rule.joint for name, rule in rules.items()}
         self.active = [name for name in movable if name not in self._leaders]
         self._elements = {link.get("name", ""): link for link in robot.iterfind("link")}
-        self._build(ET.tostring(robot, encoding="unicode"), rules)
+        self._build(tostring(robot, encoding="unicode"), rules)
         self.joints = [self.model.getJointId(name) for name in movable]
 
     def _build(self, text: str, rules: Mapping[str, MimicSpec]) -> None:
@@ -321,10 +321,11 @@ class Robot:
                 self._remark(name, what)
             speed = None
             if math.isnan(one.speed):
-                alike = [
-                    other.speed for other in given.values() if other.kind == one.kind
+                usual = [
+                    other.speed
+                    for other in given.values()
+                    if other.kind == one.kind and other.speed > 0.0
                 ]
-                usual = [speed for speed in alike if speed > 0.0]
                 speed = float(np.median(usual or _ASSUMED_SPEED[one.kind]))
                 self._remark(
                     name, f"has no speed limit in the URDF: {speed:.4g} is assumed"
@@ -343,7 +344,7 @@ class _Limits(NamedTuple):
     speed: float
 
 
-def _limits(joint: ET.Element) -> _Limits:
+def _limits(joint: Element) -> _Limits:
     """Return the limits that a joint has in the URDF."""
     kind = joint.get("type", "")
     limit = joint.find("limit")

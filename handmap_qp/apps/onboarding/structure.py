@@ -26,14 +26,17 @@ _LEAST_TRAVEL = 0.004
 _LEAST_TIP = 0.005
 # An end frame is the fingertip up to this far inside the end of the surface, and up to this far
 # beyond it [m].
-_INSIDE, _IN_THE_AIR = 0.005, 0.012
+_INSIDE = 0.005
+_IN_THE_AIR = 0.012
 # An end frame this near to the centre of a ball is its centre, and the largest such ball [m].
-_AT_CENTRE, _LARGEST_BALL = 0.001, 0.015
+_AT_CENTRE = 0.001
+_LARGEST_BALL = 0.015
 # A chain whose end stays within this of a point on another finger is part of a linkage [m].
 _LINKAGE_SLACK = 0.004
 # A bar turns at least this far about its pivot [rad], which is at least this share of the bar's
 # length away from the bar's own joint.
-_LEAST_PIVOT, _PIVOT_SHARE = 0.1, 0.4
+_LEAST_PIVOT = 0.1
+_PIVOT_SHARE = 0.4
 # Fingers of one hand start within this distance of each other [m].
 _APART = 0.16
 
@@ -83,7 +86,7 @@ class RobotFinger(Finger):
         self.links = [robot.links[joint][0] for joint in joints]
         self.names = [*self.joint_names, *self.links]
         steps = [*np.diff(robot.origins(joints), axis=0), self.tip[1]]
-        self.length = float(lengths(np.array(steps)).sum())
+        self.length = lengths(np.array(steps)).sum()
 
 
 class Structure(NamedTuple):
@@ -234,7 +237,7 @@ def find_tip(robot: Robot, joints: list[int]) -> Tip:
     link = robot.links[leaf][0]
     cloud = robot.surface(leaf)
     sizes = lengths(cloud)
-    size = float(sizes.max(initial=0.0))
+    size = sizes.max(initial=0.0)
     ends = {end: robot.pose_in(end, link)[:3, 3] for end in robot.ends(leaf)}
     distance, far = max(
         ((float(lengths(place)), end) for end, place in ends.items()),
@@ -275,7 +278,7 @@ def _is_at_end(
     if not len(cloud):
         return True
     length = float(lengths(place))
-    beyond = float((cloud @ place).max()) / length - length
+    beyond = (cloud @ place).max() / length - length
     is_centre = any(lengths(robot.balls(body) - place) < _AT_CENTRE)
     return -_IN_THE_AIR < beyond < _INSIDE or (
         is_centre and 0.0 < beyond < _LARGEST_BALL
@@ -303,7 +306,7 @@ def _poses(
 def _travel(finger: RobotFinger, poses: np.ndarray) -> float:
     """Return how far a fingertip moves along an axis in poses of its body [m]."""
     tips = transform_points(poses, finger.tip[1][None])
-    return float(np.ptp(tips, axis=0).max())
+    return np.ptp(tips, axis=0).max()
 
 
 def _idleness(

@@ -120,7 +120,7 @@ class ConnectionGate:
             self._server = await loop.create_server(
                 lambda: _Client(self), self.host, self.port, backlog=_ACCEPTED
             )
-        (bound, *_) = self._server.sockets
+        bound, *_ = self._server.sockets
         # asyncio accepts the whole backlog in one turn, so it is told of a shorter one.
         with socket.fromfd(bound.fileno(), bound.family, bound.type) as listening:
             listening.listen()

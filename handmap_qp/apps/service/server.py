@@ -206,7 +206,7 @@ class Server:
 
     def health(self) -> dict[str, Any]:
         """Return the result of the health check."""
-        is_alive = bool(self._tasks) and not any(task.done() for task in self._tasks)
+        is_alive = self._tasks and not any(task.done() for task in self._tasks)
         return {
             "status": "ok" if is_alive else "stopped",
             "sessions": len(self.dispatcher.sessions.entries),

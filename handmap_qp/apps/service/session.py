@@ -517,7 +517,7 @@ class Session:
         """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
         self.counts["held"] += 1
         self._stay(step)
-        flags = [*flags, step.rule]
+        flags.append(step.rule)
         return self._command(now, step.status, flags, sample, **_trust(step))
 
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:

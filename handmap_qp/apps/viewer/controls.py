@@ -26,7 +26,8 @@ from handmap_qp.options import Option, Options, options_of
 if TYPE_CHECKING:
     import viser
 
-NOTHING, KEPT = "nothing", "kept options"
+NOTHING = "nothing"
+KEPT = "kept options"
 """Entries of the list of methods to compare with, besides the methods."""
 SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 LEFT_OUT = ("step_tolerance", "point_tolerance", "tasks")
@@ -427,28 +428,28 @@ class ExportControls:
         options_text: Callable[[], str],
         page: Callable[[], bytes],
     ) -> None:
-        self._contents: dict[str, Callable[[Any], bytes]] = {
-            "options.yaml": lambda _: options_text().encode(),
-            "handmap.png": _picture,
-            "handmap.html": lambda _: page(),
-        }
-        for name, kind, hint in (
+        self._contents: dict[str, Callable[[Any], bytes]] = {}
+        for name, kind, hint, content in (
             (
                 "options.yaml",
                 "options",
                 "Download preset and options, for --options of the commands",
+                lambda _: options_text().encode(),
             ),
             (
                 "handmap.png",
                 "picture",
                 "Download the hands as they are shown, without the panels",
+                _picture,
             ),
             (
                 "handmap.html",
                 "page",
                 "Download a page that plays the motion without a server",
+                lambda _: page(),
             ),
         ):
+            self._contents[name] = content
             button = server.gui.add_button(f"Save {kind}", hint=hint)
             button.on_click(lambda event, name=name: self.send(name, event.client))
         self._message = server.gui.add_markdown("", visible=False)

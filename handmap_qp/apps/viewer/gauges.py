@@ -166,7 +166,7 @@ class InstantGauges:
         second robot's is a narrow bar below.
         """
         robot = self._robot
-        (sample, *others) = samples[:2]
+        sample, *others = samples[:2]
         low = robot.lower_limits
         high = robot.upper_limits
         q = sample.robot_q
@@ -267,7 +267,7 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
 def gauge_row(sample: ViewSample) -> Row:
     """Return the plotted values of a sample."""
     error = 1e3 * sample.point_error
-    return sample.time, float(error.mean()), float(error.max()), 1e6 * sample.duration
+    return sample.time, error.mean(), error.max(), 1e6 * sample.duration
 
 
 class Plot(NamedTuple):
@@ -316,7 +316,7 @@ def draw_plot(
     count = min(len(time), _MOST_POINTS)
     bins = np.linspace(0, len(time), count, endpoint=False).astype(int)
     binned = np.fmax.reduceat(values, bins, axis=1)
-    largest = max(float(np.nanmax(binned)), 1e-3)
+    largest = max(np.nanmax(binned), 1e-3)
     decade = 10.0 ** np.floor(np.log10(largest))
     top = decade * next(
         step for step in _STEPS if step * decade >= largest * (1 - 1e-9)
@@ -352,7 +352,9 @@ def _path(x: np.ndarray, y: np.ndarray) -> str:
     is_joined = is_known & np.append(False, is_known[:-1])
     return "".join(
         f"{'L' if joined else 'M'}{a:.1f} {b:.1f}"
-        for a, b, joined in zip(*(v[is_known] for v in (x, y, is_joined)), strict=True)
+        for a, b, joined in zip(
+            x[is_known], y[is_known], is_joined[is_known], strict=True
+        )
     )
 
 
@@ -367,7 +369,7 @@ def error_plot(
         latest: As of `draw_plot`.
     """
     name = labels[0] if len(labels) > 1 else "mean"
-    (time, mean, largest, _) = rows[0].T
+    time, mean, largest, _ = rows[0].T
     others = rows[1:, :, 1]
     lines = [(name, FIRST, mean), ("largest", GREY, largest)]
     lines += zip(labels[1:], cycle(ROBOTS[1:]), others, strict=False)

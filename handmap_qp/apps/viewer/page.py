@@ -24,7 +24,8 @@ from handmap_qp.apps.viewer.serving import serving
 from handmap_qp.hands.hand import Hand
 
 # Most samples per second in a page, and most gauges [1/s].
-_RATE, _GAUGES_RATE = 30.0, 10.0
+_RATE = 30.0
+_GAUGES_RATE = 10.0
 
 
 def make_page(

@@ -126,15 +126,11 @@ class Replay:
         Raises:
             HandmapError: If the options cannot be used; the replay is then unchanged.
         """
-        is_changed = bool(self.preset(choice.preset).changes_to(choice))
+        is_changed = self.preset(choice.preset).changes_to(choice)
         label = f"{choice.preset}, changed" if is_changed else choice.preset
         variant = self._map(choice, label)
         other = self.other
-        if (
-            other is not None
-            and other.choice is not None
-            and self._other_switches != self.switches
-        ):
+        if other and other.choice and self._other_switches != self.switches:
             # Both robots are released and clutched at the same samples.
             other = self._map(other.choice, other.label)
         self.variant = variant

@@ -25,8 +25,10 @@ from handmap_qp.se3 import unit
 if TYPE_CHECKING:
     import viser
 
-# Between two figures, and height of the floor [m].
-_GAP, _FLOOR = 0.035, -0.22
+# Between two figures [m].
+_GAP = 0.035
+# Height of the floor [m].
+_FLOOR = -0.22
 # Samples for which room is reserved; a hand hardly moves between them.
 _RESERVED = 60
 _FIELD_OF_VIEW = float(np.radians(30.0))
@@ -35,7 +37,8 @@ _DIRECTION = unit(np.array([0.0, 0.25, -1.0]))
 # Window assumed before the client reports one: a written page on a portrait screen [px].
 _DEFAULT_WINDOW = (600, 800)
 # Room for the names below the figures, and for a margin on every side [px].
-_NAMES, _MARGIN = 64, 14
+_NAMES = 64
+_MARGIN = 14
 # Where the area of the hands is narrower than this, the gauges' panel is folded away [px].
 _NARROW = 480
 
@@ -205,8 +208,11 @@ class BrowserCameras:
     @property
     def view(self) -> dict[str, Any]:
         """What a page needs to fit the view to its window, as `_view` does."""
+        width, height, depth = self._size.tolist()
         return {
-            **dict(zip(("width", "height", "depth"), self._size.tolist(), strict=True)),
+            "width": width,
+            "height": height,
+            "depth": depth,
             "names": _NAMES,
             "margin": _MARGIN,
             "fov": _FIELD_OF_VIEW,
@@ -267,7 +273,7 @@ def _robot_axes(
         return variant.axes
     options = {} if variant.choice is None else variant.choice.method.values
     alignment = options.get("alignment", "world")
-    if upright is None or (isinstance(alignment, str) and alignment == "palm"):
+    if upright is None or alignment == "palm":
         return (variant.samples[0].robot_wrist @ robot.wrist_to_palm)[:3, :3].T
     return upright if isinstance(alignment, str) else upright @ np.array(alignment).T
 

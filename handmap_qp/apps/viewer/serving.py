@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import http
 import io
 import socket
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
 from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
@@ -24,7 +24,7 @@ FRAME_PERIOD = 1.0 / 30.0
 _LONGEST_STEP = 0.2
 
 
-@contextlib.contextmanager
+@contextmanager
 def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServer]:
     """Run a viser server while the block runs; it prints no banner and refuses foreign pages.
 
@@ -50,7 +50,7 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
         socket.socket(family) as probe,
     ):
         probe.bind((host, 0))
-    with _own_pages_only(host), contextlib.redirect_stdout(io.StringIO()):
+    with _own_pages_only(host), redirect_stdout(io.StringIO()):
         server = make_server(host=host, port=port, label="handmap view", verbose=False)
     server.gui.configure_theme(
         control_width="medium", show_logo=False, show_share_button=False
@@ -58,11 +58,11 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
     try:
         yield server
     finally:
-        with contextlib.redirect_stdout(io.StringIO()):
+        with redirect_stdout(io.StringIO()):
             server.stop()
 
 
-@contextlib.contextmanager
+@contextmanager
 def _own_pages_only(host: str) -> Iterator[None]:
     """Make a viser server that starts in this block accept its own page only.
 
@@ -126,7 +126,7 @@ def run_frames(
         time.sleep(max(0.0, FRAME_PERIOD - (time.monotonic() - now)))
 
 
-@contextlib.contextmanager
+@contextmanager
 def skip_wakeup_race() -> Iterator[None]:
     """Drop a frame in which viser's wake-up fails; the next frame draws the same state.
 

@@ -137,11 +137,7 @@ class BoundFingertipVectors(PalmMethod):
 class FingertipVectorMap(PalmMap):
     """From samples to targets; see `TargetMap`."""
 
-    def __init__(
-        self, method: BoundFingertipVectors, sample: HumanPose, robot: RobotPosture
-    ) -> None:
-        super().__init__(method, sample, robot)
-        self._method = method
+    _method: BoundFingertipVectors
 
     def targets(self, sample: HumanPose) -> Targets:
         """Scale the vectors and lay them on the robot's origins."""

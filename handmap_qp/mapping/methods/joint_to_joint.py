@@ -153,17 +153,17 @@ class _FingerFrames:
         self._upper = human.upper_limits[columns]
         # Bones that stay in one plane however the finger bends.
         parallel = np.abs(axes[1:] @ axes[1]) > _PARALLEL
-        self._in_plane = int(np.argmin(parallel)) if not parallel.all() else 3
+        self._in_plane = 3 if parallel.all() else parallel.argmin()
 
     def angles(self, bones: np.ndarray) -> np.ndarray:
         """Return the four angles from three bones in palm axes, shape (3, 3)."""
         x, y, _ = bones[: self._in_plane].dot(self._frames[0]).T
         doubled = np.arctan2(2.0 * x.dot(y), x.dot(x) - y.dot(y) + _STRAIGHTENING**2)
-        along = 0.5 * float(doubled)
+        along = 0.5 * doubled
         # The direction has two senses: that within the joint limits is meant.
         angles = self._bend(along, bones)
         if (excess := self._excess(angles)) > 0.0:
-            other = self._bend(along - float(np.copysign(np.pi, along)), bones)
+            other = self._bend(along - np.copysign(np.pi, along), bones)
             if self._excess(other) < excess:
                 return other
         return angles
@@ -171,7 +171,7 @@ class _FingerFrames:
     def _excess(self, angles: np.ndarray) -> float:
         """Return how far the first two angles are outside their limits [rad]."""
         outside = np.maximum(self._lower - angles, angles - self._upper)[:2]
-        return float(np.maximum(outside, 0.0).sum())
+        return np.maximum(outside, 0.0).sum()
 
     def _bend(self, abduction: float, bones: np.ndarray) -> np.ndarray:
         """Return all angles, given the first."""
@@ -179,7 +179,7 @@ class _FingerFrames:
         turned = pin.exp3(abduction * self._frames[0][:, 2])
         for frame, bone in zip(self._frames[1:], bones, strict=True):
             x, y, _ = frame.T.dot(turned.T.dot(bone))
-            angles.append(float(np.arctan2(y, x)))
+            angles.append(np.arctan2(y, x))
             turned = turned.dot(pin.exp3(angles[-1] * frame[:, 2]))
         return np.array(angles)
 
@@ -209,7 +209,7 @@ class JointLink:
 
     def position(self, angles: np.ndarray) -> float:
         """Return the robot joint's position for the finger's human angles, shape (4,)."""
-        angle = float(self.human.dot(angles)) - self.zero
+        angle = self.human.dot(angles) - self.zero
         share = angle / self.human_range[angle >= 0.0]
         end = self.ends[angle >= 0.0]
         return self.robot_zero + min(max(share, 0.0), 1.0) * (end - self.robot_zero)
@@ -292,17 +292,18 @@ class BoundJointToJoint(PalmMethod):
 class JointMap(PalmMap):
     """From samples to targets; see `TargetMap`."""
 
+    _method: BoundJointToJoint
+
     def __init__(
         self, method: BoundJointToJoint, sample: HumanPose, robot: RobotPosture
     ) -> None:
         super().__init__(method, sample, robot)
-        self._method = method
         self._configuration = method.robot.configuration()
 
     def targets(self, sample: HumanPose) -> Targets:
         """Measure the human's angles, and place the robot's points where its joints would."""
         method = self._method
-        robot = self._method.robot
+        robot = method.robot
         _, palm, now = self.follow(sample)
         angles = method.angles.measure(now)
         q = method.positions(angles)
@@ -408,7 +409,7 @@ def _closed_end(
         tips = [each.tip for each in (finger, *others)]
         is_upper = nearing(view, ends, tips, 0) >= 0.0
         return _ClosedEnd(float(ends[int(not is_upper), column]), is_upper, is_thumb)
-    leader = int(np.flatnonzero(senses)[0])
+    leader = np.flatnonzero(senses)[0]
     tip = find_fingers(human)[finger.name].tip
     wanted = PalmKinematics(human).motion(human.rest, tip)[:, human_columns[leader]]
     # Hands differ in where their axes are: what counts is where the tip goes.

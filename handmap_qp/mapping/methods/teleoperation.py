@@ -349,8 +349,15 @@ class TeleoperationMap(Compiled, PalmMap):
         extensions, gaps = np.split(distances, [len(pair.fingers)])
         pinching = method.pinching(gaps)
         pinches = method.choices.pinch_weight * pinching
+        points = self._moved(estimate, now)
+        if self.thumb_direction:
+            # Away from a pinch, a thumb that rests like the human's points as it does.
+            thumb = now[pair.tips[0]] - now[pair.knuckles[0]]
+            led = points[0] - pair.robot_base
+            share = self.thumb_direction * (1.0 - pinching.max(initial=0.0))
+            points[0] += share * (lengths(led) / lengths(thumb) * thumb - led)
         return self._asked(
-            *self.placed(palm, self._moved(estimate, now, pinching)),
+            *self.placed(palm, points),
             method.aims(distances),
             np.append(method.extension_weights, pinches),
             method.margins(gaps),
@@ -389,31 +396,21 @@ class TeleoperationMap(Compiled, PalmMap):
             margins if self.method.contacts else None,
         )
 
-    def _moved(
-        self, estimate: MotionEstimate, now: np.ndarray, pinching: np.ndarray
-    ) -> np.ndarray:
+    def _moved(self, estimate: MotionEstimate, now: np.ndarray) -> np.ndarray:
         """Move the matched points by T, and add each finger's residual; palm axes, (m, 3).
 
         With s the robot's points and c_r their centre, x and y the human partners at rest and now,
         c and c' the centroids, k the ratio of reaches and g the gain:
-        `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`. Away from a pinch, a thumb that
-        rests like the human's is turned about its base to the human's direction.
+        `A (s - c_r) + c_r + k (c' - c) + g k (y - A (x - c) - c')`.
         """
         pair = self.pair
         shift = estimate.centroid_after
         followed = self.offsets @ estimate.linear.T + pair.robot_centre
-        points = (
+        return (
             followed
             + pair.finger_ratio * (shift - estimate.centroid_before)
             + self.gain * (now[pair.partners] - shift)
         )
-        if self.thumb_direction:
-            thumb = now[pair.tips[0]] - now[pair.knuckles[0]]
-            led = points[0] - pair.robot_base
-            pointed = lengths(led) / lengths(thumb) * thumb
-            share = self.thumb_direction * (1.0 - pinching.max(initial=0.0))
-            points[0] += share * (pointed - led)
-        return points
 
 
 def smoothstep(x: np.ndarray) -> np.ndarray:

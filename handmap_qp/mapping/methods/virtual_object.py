@@ -53,7 +53,8 @@ from handmap_qp.se3 import inverse_pose, lengths, nearest_rotation, transform_po
 # first.
 _FLATTEST = 1e-3
 # Fewest points of each hand; three determine a rotation.
-_FEWEST_HUMAN, _FEWEST_ROBOT = 3, 2
+_FEWEST_HUMAN = 3
+_FEWEST_ROBOT = 2
 # A point this far outside a ball is outside it, as a share of its radius.
 _OUTSIDE = 1e-12
 # Points whose extent across a plane or a line is less than this share of their largest lie in it.
@@ -190,7 +191,7 @@ class Enclosing:
         for _ in range(_MOST_TURNS):
             rotation = nearest_rotation(covariance * ratios)
             along = np.einsum("ij,ij->j", rotation, covariance)
-            common = max(float(along.sum()) / float(self._squares.sum()), 0.0)
+            common = max(along.sum() / self._squares.sum(), 0.0)
             pulled = gain * along + (1.0 - gain * self._squares) * common
             before = ratios
             ratios = np.maximum(pulled, 0.0)
@@ -334,7 +335,7 @@ def enclosing_ellipsoid(
     """
     mean = points.mean(axis=0)
     _, extents, right = np.linalg.svd(np.vstack([points - mean, np.zeros((3, 3))]))
-    rank = int((extents > _FLAT * max(extents[0], 1e-12)).sum())
+    rank = (extents > _FLAT * max(extents[0], 1e-12)).sum()
     if rank == 0:
         return mean, np.eye(3), np.zeros(3)
     basis = right[:rank].T
@@ -362,8 +363,8 @@ def _ellipsoid_shares(points: np.ndarray) -> np.ndarray:
     for _ in range(_MOST_STEPS):
         inverse = np.linalg.inv((lifted.T * shares) @ lifted)
         distances = np.einsum("ij,jk,ik->i", lifted, inverse, lifted)
-        most = int(np.argmax(distances))
-        least = int(np.argmin(np.where(shares > 0.0, distances, np.inf)))
+        most = np.argmax(distances)
+        least = np.argmin(np.where(shares > 0.0, distances, np.inf))
         above = distances[most] - full
         below = full - distances[least]
         if max(above, below) <= _ACCURACY * full:
