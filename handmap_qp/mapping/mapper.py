@@ -744,6 +744,6 @@ def check_dt(dt: float) -> float:
 def check_near(points: np.ndarray, name: str) -> None:
     """Reject points with a coordinate that is not finite, or farther away than any hand."""
     # NaN is not near either.
-    is_near = np.abs(points).max(initial=0.0) <= FARTHEST
-    expected = f"finite coordinates within {FARTHEST:g} m"
-    expect(is_near, name, expected, value=points.tolist())
+    if not np.abs(points).max(initial=0.0) <= FARTHEST:
+        expected = f"finite coordinates within {FARTHEST:g} m"
+        raise InvalidInputError(argument=name, expected=expected, value=points.tolist())
