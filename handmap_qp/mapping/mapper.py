@@ -736,14 +736,14 @@ def check_dt(dt: float) -> float:
     Raises:
         InvalidInputError: With the argument `dt`.
     """
-    is_time = isinstance(dt, int | float) and 0.0 < dt < np.inf
-    expect(is_time, "dt", "a time > 0 s", value=dt)
+    if not (isinstance(dt, int | float) and 0.0 < dt < np.inf):
+        raise InvalidInputError(argument="dt", expected="a time > 0 s", value=dt)
     return dt
 
 
 def check_near(points: np.ndarray, name: str) -> None:
     """Reject points with a coordinate that is not finite, or farther away than any hand."""
     # NaN is not near either.
-    is_near = np.abs(points).max(initial=0.0) <= FARTHEST
-    expected = f"finite coordinates within {FARTHEST:g} m"
-    expect(is_near, name, expected, value=points.tolist())
+    if not np.abs(points).max(initial=0.0) <= FARTHEST:
+        expected = f"finite coordinates within {FARTHEST:g} m"
+        raise InvalidInputError(argument=name, expected=expected, value=points.tolist())
