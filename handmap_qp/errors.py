@@ -248,7 +248,7 @@ def without_errno(error: Exception) -> str:
 
 
 def describe_value(value: Any) -> str:
-    """Describe a value in 80 characters at most, an array of over four numbers by its shape."""
+    """Describe a value in at most 80 characters, a larger array by its type and shape."""
     if isinstance(value, np.ndarray) and (
         value.size > 4 or value.dtype.kind not in "biuf"
     ):

@@ -196,7 +196,7 @@ class _Constraints:
         followers = postures[:, 1:]
         # Digits beyond these are noise of the fit.
         lines = np.linalg.lstsq(powers, followers, rcond=None)[0].round(14)
-        worst = np.abs(followers - powers @ lines).max()
+        worst = float(np.abs(followers - powers @ lines).max())
         if worst > _LARGEST_ERROR:
             return None
         rules = [Coupling(leader, *line) for line in lines.T.tolist()]

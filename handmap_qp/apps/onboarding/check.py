@@ -106,7 +106,7 @@ class Finding(NamedTuple):
 
 Findings = Iterator[Finding]
 Measures = Iterator[Finding | tuple[str, list[Any]]]
-"""Findings, and tables: a title and rows."""
+"""Findings, and tables: a title and rows, which are structs or plain."""
 warning, advice, fine = (partial(Finding, level) for level in LEVELS[1:])
 
 

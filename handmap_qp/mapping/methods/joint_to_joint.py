@@ -209,7 +209,7 @@ class JointLink:
 
     def position(self, angles: np.ndarray) -> float:
         """Return the robot joint's position for the finger's human angles, shape (4,)."""
-        angle = self.human.dot(angles) - self.zero
+        angle = float(self.human.dot(angles)) - self.zero
         share = angle / self.human_range[angle >= 0.0]
         end = self.ends[angle >= 0.0]
         return self.robot_zero + min(max(share, 0.0), 1.0) * (end - self.robot_zero)
