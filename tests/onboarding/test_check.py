@@ -314,10 +314,10 @@ def test_contacts_leave_the_joints_of_right_hands_their_range(name: str) -> None
 
 
 def test_a_joint_that_contacts_lock_is_found(tmp_path: Path) -> None:
-    # A ball on the palm, 0.45 rad of flexion away from the finger at rest.
+    # A ball on the palm, 0.6 rad of flexion away from the finger at rest.
     hand = load_hand("three_finger")
     q = hand.rest.copy()
-    q[hand.joint_names.index("f3_proximal")] += 0.45
+    q[hand.joint_names.index("f3_proximal")] += 0.6
     palm, distal = hand.link_poses(["palm", "finger3_distal"], q)
     x, y, z = transform_points(inverse_pose(palm), distal[:3, 3])
     ball = (

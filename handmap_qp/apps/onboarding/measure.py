@@ -287,8 +287,10 @@ def tour_gestures(hand: Hand) -> list[JointRange]:
         return []
     pairs = gestures(human).reshape(-1, 2, len(human.rest))
     tours = []
+    # A detour would lead around what locks.
+    plain = mapper.ik.replaced(takes_detours=False)
     for avoids in (False, True):
-        mapper.configure(method.replaced(avoids_contact=avoids))
+        mapper.configure(method.replaced(avoids_contact=avoids), ik=plain)
         tours.append([step for pair in pairs for step in _follow(mapper, *pair)])
     q = np.array([[step.command.q for step in tour] for tour in tours])
     ranges = np.ptp(q, axis=1).T
