@@ -23,13 +23,10 @@ class Detours {
     const double moved = moved_by(goal);
     if (moved > rules_.moved) detour_.via.clear();
     if (!detour_.via.empty()) {
-      ik_.solve(pulled(goal, detour_.via.front()), dt, margins, speed, result);
+      ik_.solve(pulled(goal, detour_.via), dt, margins, speed, result);
+      const bool is_late = detour_.left < dt;
       detour_.left -= dt;
-      if (detour_.left < 0.0 || is_at(detour_.via.front())) {
-        detour_.via.erase(detour_.via.begin());
-        detour_.left = rules_.longest * rules_.sample;
-        detour_.wait = rules_.after;
-      }
+      if (is_late || is_at(detour_.via)) detour_ = {{}, {}, 0.0, rules_.after};
       return;
     }
     ik_.solve(goal, dt, margins, speed, result);
@@ -53,31 +50,21 @@ class Detours {
     if (largest(ahead) <= rules_.away) return;
     detour_ = {{}, goal.points, 0.0, rules_.later};
     const Vector& rest = goal.postures.front().q;
-    const Motion motion = ik_.motion;
-    start_from(rest);
-    const End found = foresee(goal, margins, {});
-    ik_.motion = motion;
+    const End found = foresee(goal, margins, rest);
     if (!is_nearer(found.errors, ahead)) return;
-    const std::vector<Vector> ways[] = {{found.joints}, {rest, found.joints}};
-    for (const std::vector<Vector>& via : ways)
-      if (is_nearer(foresee(goal, margins, via).errors, ahead)) {
-        detour_ = {via, goal.points, rules_.longest * rules_.sample, 0.0};
-        return;
-      }
+    const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, ahead);
+    detour_ = {is_direct ? found.joints : rest, goal.points, rules_.longest * rules_.sample, 0.0};
   }
 
   // Errors of the points and joints where the hand ends.
-  End foresee(const Goal& given, const Vector& margins, const std::vector<Vector>& via) {
+  End foresee(const Goal& given, const Vector& margins, const Vector& via) {
     const Motion motion = ik_.motion;
     Goal goal = given;
     goal.postures.resize(1);
     Result result;
-    for (const Vector& posture : via) {
-      const Goal towards = pulled(goal, posture);
-      for (int k = 0; k < rules_.longest; ++k) {
-        ik_.solve(towards, rules_.sample, margins, 1.0, result);
-        if (is_at(posture)) break;
-      }
+    for (int k = 0; !via.empty() && k < rules_.longest; ++k) {
+      ik_.solve(pulled(goal, via), rules_.sample, margins, 1.0, result);
+      if (is_at(via)) break;
     }
     for (int k = 0; k < rules_.samples; ++k) {
       ik_.solve(goal, rules_.sample, margins, 1.0, result);
@@ -88,16 +75,6 @@ class Detours {
     End end{errors(goal, result), joints()};
     ik_.motion = motion;
     return end;
-  }
-
-  void start_from(const Vector& posture) {
-    Vector away(ik_.tree.size, 0.0);
-    const Vector now = joints();
-    for (size_t j = 0; j < now.size(); ++j)
-      away[ik_.tree.joint_columns[j]] = is_finger_[j] * (posture[j] - now[j]);
-    ik_.at.displace(ik_.motion.q.data(), away.data());
-    const Vector still(ik_.tree.size, 0.0);
-    ik_.motion = {ik_.at.q, still, 1.0, still};
   }
 
   Goal pulled(const Goal& goal, const Vector& posture) const {

@@ -67,7 +67,7 @@ struct DetourRules {
 
 // See collision.Detour.
 struct Detour {
-  std::vector<Vector> via;
+  Vector via;
   std::vector<Vec3> points;
   double left = 0.0, wait = 0.0;
 };

@@ -91,20 +91,20 @@ nb::object solve(Ik& ik, const nb::object& gate, const Array& points,
 
 // The detour of a hand, as a `Detour` of Python has it.
 nb::tuple detour_of(const Ik& ik) {
-  const size_t n = ik.tree.q_indices.size();
-  double* to;
-  const NumpyArray via = array_of({ik.detour.via.size(), n}, to);
-  for (const Vector& posture : ik.detour.via) to = std::copy(posture.begin(), posture.end(), to);
-  return nb::make_tuple(via, array_of(ik.detour.points), ik.detour.left, ik.detour.wait);
+  const Detour& detour = ik.detour;
+  const nb::object via = detour.via.empty() ? nb::none() : nb::cast(array_of(detour.via));
+  std::vector<Vec3> points = detour.points;
+  if (points.empty()) points.push_back({kInfinity, kInfinity, kInfinity});
+  return nb::make_tuple(via, array_of(points), detour.left, detour.wait);
 }
 
 void set_detour(Ik& ik, const nb::object& given) {
-  const Array via = nb::cast<Array>(item(given, 0)), points = nb::cast<Array>(item(given, 1));
-  const size_t n = ik.tree.q_indices.size(), count = via.size() / n;
-  if (count) expect_size(points, 3 * ik.tree.points.size(), "points");
-  ik.detour = {{}, points_of(points), nb::cast<double>(item(given, 2)), nb::cast<double>(item(given, 3))};
-  for (size_t k = 0; k < count; ++k)
-    ik.detour.via.emplace_back(via.data() + k * n, via.data() + (k + 1) * n);
+  const nb::object via = item(given, 0);
+  const Array points = nb::cast<Array>(item(given, 1));
+  const bool has_points = points.size() == 3 * ik.tree.points.size();
+  ik.detour = {via.is_none() ? Vector() : vector_of(nb::cast<Array>(via)),
+               has_points ? points_of(points) : std::vector<Vec3>(), nb::cast<double>(item(given, 2)),
+               nb::cast<double>(item(given, 3))};
 }
 
 // Many samples of one goal each, one after the other and without the GIL, from where the hand is.

@@ -69,8 +69,6 @@ from handmap_qp.ik.tasks import Goal
 from handmap_qp.se3 import lengths
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from handmap_qp.ik.qp import IkResult, PointIk
 
 KEPT = 2e-4
@@ -90,19 +88,28 @@ _EXPECTED = 0.25
 AWAY = 3.0
 """A point whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip."""
 # To look ahead: time of a sample [s], their number, and the joint motion that ends them [rad or m].
-_SAMPLE, _SAMPLES, _SETTLED = 0.05, 12, 1e-3
+_SAMPLE = 0.05
+_SAMPLES = 12
+_SETTLED = 1e-3
 # Time until the hand looks ahead again: while it may get there, after a detour, and where none is
 # known [s].
-_AGAIN, _AFTER, _LATER = 0.05, 0.1, 0.2
+_AGAIN = 0.05
+_AFTER = 0.1
+_LATER = 0.2
 # Shares of the error that is left of a point that was away, and of the sum of all squares, if a
 # detour is worth it.
-_OF_POINT, _OF_ALL = 0.75, 0.85
+_OF_POINT = 0.75
+_OF_ALL = 0.85
 # Weight of the pull to a posture, which outweighs all targets; distance of its joints at which it
 # is reached [rad or m], and the longest time for it, in samples.
-_PULL, _REACHED, _LONGEST = 20.0, 0.15, 6
+_PULL = 20.0
+_REACHED = 0.15
+_LONGEST = 6
 # Targets that move farther than this end a detour; those that move less, or this time, are the same
 # as when none was known [m, s].
-_MOVED, _SAME, _FORGOTTEN = 0.05, 0.02, 1.0
+_MOVED = 0.05
+_SAME = 0.02
+_FORGOTTEN = 1.0
 
 
 class NearPairs(NamedTuple):
@@ -504,14 +511,14 @@ class Detour(NamedTuple):
     """What a hand is about to do in place of going to its targets.
 
     Attributes:
-        via: Postures that it still has to pass, shape (n,) each; none in most samples.
-        points: Targets for which they were found, or none was [m], shape (m, 3).
-        left: Time left for the first of them [s].
+        via: Posture that it passes, shape (n,); None in most samples.
+        points: Targets for which it was found, or none was [m], shape (m, 3).
+        left: Time left to reach it [s].
         wait: Time until it may look ahead again [s].
     """
 
-    via: Sequence[np.ndarray] = ()
-    points: np.ndarray = np.empty(0)
+    via: np.ndarray | None = None
+    points: np.ndarray = np.array(np.inf)
     left: float = 0.0
     wait: float = 0.0
 
@@ -551,18 +558,15 @@ class Detours:
             self.detour = _NONE
         via, points, left, wait = self.detour
         wait = wait - dt
-        moved = lengths(goal.points - points).max() if len(points) else np.inf
-        if len(via) and moved <= _MOVED:
-            result = ik.solve_once(self._pulled(goal, via[0]), dt, margins, speed)
-            left = left - dt
-            if left < 0.0 or self._is_at(via[0]):
-                via = via[1:]
-                left = _LONGEST * _SAMPLE
-                wait = _AFTER
-            self.detour = Detour(via, points, left, wait)
+        moved = lengths(goal.points - points).max()
+        if via is not None and moved <= _MOVED:
+            result = ik.solve_once(self._pulled(goal, via), dt, margins, speed)
+            self.detour = Detour(via, points, left - dt, wait)
+            if left < dt or self._is_at(via):
+                self.detour = Detour(wait=_AFTER)
         else:
             result = ik.solve_once(goal, dt, margins, speed)
-            self.detour = Detour((), points, left, wait)
+            self.detour = Detour(None, points, left, wait)
             waited = 0.0 if moved > _SAME else _FORGOTTEN
             if wait + waited <= 0.0 and ik.costs(result).max() > AWAY:
                 self.look_ahead(goal, margins)
@@ -571,69 +575,49 @@ class Detours:
 
     def look_ahead(self, goal: Goal, margins: np.ndarray | None) -> None:
         """Take the detour that leads nearer to the targets, if there is one."""
-        ahead, _ = self._foresee(goal, margins, ())
+        ahead, _ = self._foresee(goal, margins)
         if ahead.max() <= AWAY:
             self.detour = Detour(wait=_AGAIN)
             return
-        rest = goal.postures[0][1]
-        motion = self._ik.gate.motion
-        self._start_from(rest)
-        errors, found = self._foresee(goal, margins, ())
-        self._ik.gate.motion = motion
-        self.detour = Detour(points=goal.points, wait=_LATER)
-        if _is_nearer(errors, ahead):
-            for via in ((found,), (rest, found)):
-                if _is_nearer(self._foresee(goal, margins, via)[0], ahead):
-                    self.detour = Detour(via, goal.points, _LONGEST * _SAMPLE)
-                    return
+        via = goal.postures[0][1]
+        errors, found = self._foresee(goal, margins, via)
+        if not _is_nearer(errors, ahead):
+            self.detour = Detour(points=goal.points, wait=_LATER)
+            return
+        if _is_nearer(self._foresee(goal, margins, found)[0], ahead):
+            via = found
+        self.detour = Detour(via, goal.points, _LONGEST * _SAMPLE)
 
     def _foresee(
-        self, goal: Goal, margins: np.ndarray | None, via: tuple[np.ndarray, ...]
+        self, goal: Goal, margins: np.ndarray | None, via: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return errors of the points, shape (m,), and joints, shape (n,), where the hand ends."""
         ik = self._ik
         gate = ik.gate
         motion = gate.motion
         goal = goal._replace(postures=goal.postures[:1])
-        for posture in via:
-            pulled = self._pulled(goal, posture)
-            for _ in range(_LONGEST):
-                ik.solve_once(pulled, _SAMPLE, margins, 1.0)
-                if self._is_at(posture):
-                    break
+        for _ in range(0 if via is None else _LONGEST):
+            ik.solve_once(self._pulled(goal, via), _SAMPLE, margins, 1.0)
+            if self._is_at(via):
+                break
         for _ in range(_SAMPLES):
             result = ik.solve_once(goal, _SAMPLE, margins, 1.0)
             if np.abs(result.displacement).max() < _SETTLED:
                 break
-        reached = self._joints()
         gate.motion = motion
-        return ik.costs(result), reached
-
-    def _start_from(self, posture: np.ndarray) -> None:
-        """Put the fingers into a posture; the wrist stays."""
-        ik = self._ik
-        hand = ik.hand
-        away = np.zeros(len(hand.active_columns))
-        away[hand.joint_columns] = np.where(
-            self._is_finger, posture - self._joints(), 0.0
-        )
-        placed = ik.configuration
-        placed.displace(ik.gate.motion.q, away)
-        ik.gate.place(placed.q)
+        return ik.costs(result), result.q[ik.hand.q_indices]
 
     def _pulled(self, goal: Goal, posture: np.ndarray) -> Goal:
         """Return a goal that pulls the fingers to a posture."""
         return goal._replace(postures=[(_PULL * self._is_finger, posture)])
 
     def _is_at(self, posture: np.ndarray) -> bool:
-        off = np.abs(self._joints() - posture)
-        return bool(off.max(where=self._is_finger, initial=0.0) < _REACHED)
-
-    def _joints(self) -> np.ndarray:
-        return self._ik.gate.motion.q[self._ik.hand.q_indices]
+        off = self._ik.gate.motion.q[self._ik.hand.q_indices] - posture
+        return bool((np.abs(off)[self._is_finger] < _REACHED).all())
 
 
 def _is_nearer(errors: np.ndarray, ahead: np.ndarray) -> bool:
     """Return whether a way's errors are clearly smaller than those ahead, shape (m,) both."""
-    is_nearer = errors[ahead > AWAY] < _OF_POINT * ahead[ahead > AWAY]
-    return bool(is_nearer.any() and errors.dot(errors) < _OF_ALL * ahead.dot(ahead))
+    is_away = ahead > AWAY
+    is_nearer = errors[is_away] < _OF_POINT * ahead[is_away]
+    return bool(is_nearer.any() and errors @ errors < _OF_ALL * ahead @ ahead)
