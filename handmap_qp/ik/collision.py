@@ -596,10 +596,11 @@ class Detours:
         gate = ik.gate
         motion = gate.motion
         goal = goal._replace(postures=goal.postures[:1])
-        for _ in range(0 if via is None else _LONGEST):
-            ik.solve_once(self._pulled(goal, via), _SAMPLE, margins, 1.0)
-            if self._is_at(via):
-                break
+        if via is not None:
+            for _ in range(_LONGEST):
+                ik.solve_once(self._pulled(goal, via), _SAMPLE, margins, 1.0)
+                if self._is_at(via):
+                    break
         for _ in range(_SAMPLES):
             result = ik.solve_once(goal, _SAMPLE, margins, 1.0)
             if np.abs(result.displacement).max() < _SETTLED:
