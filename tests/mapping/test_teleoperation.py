@@ -505,3 +505,41 @@ def test_a_residual_counts_in_the_proportion_of_the_hands(gain: float) -> None:
     np.testing.assert_allclose(moved[0], shift, rtol=0.0, atol=1e-12)
     assert abs(moved[1:]).max() < 1e-12
     assert abs(pair.finger_ratio - 1.0) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "is_like"), [("g1_right", True), ("shadow_right", False)]
+)
+def test_a_thumb_that_rests_like_a_persons_points_as_it_does(
+    name: str, is_like: bool
+) -> None:
+    robot = load_hand(name)
+    q, wrist = posture(thumb=0.2), np.eye(4)
+    pinching = posture(thumb=0.9, index=1.1)
+    asked = []
+    for share in (0.0, 0.5, 1.0):
+        method = Teleoperation(thumb_direction=share)
+        mapper = HandMapper(HUMAN.with_points("landmarks"), robot, method)
+        asked.append([mapper.map_step(each, wrist) for each in (q, pinching)])
+    pair = hand_pair(HUMAN.with_points("landmarks"), robot)
+    assert (pair.thumb_likeness > 0.5) == is_like
+    assert is_like or pair.thumb_likeness == 0.0
+
+    def vector(step: Any) -> np.ndarray:
+        palm = step.wrist_target @ pair.robot.wrist_to_palm
+        return transform_points(inverse_pose(palm), step.targets)[0] - pair.robot_base
+
+    human = pair.human.points(q)
+    palm = pair.human.frame_pose("palm", q)
+    thumb = (human[pair.tips[0]] - human[pair.knuckles[0]]) @ palm[:3, :3]
+    shares = 1.0 - asked[0][0].diagnostics["pinching"].max(initial=0.0)
+    off = []
+    for step, _ in asked:
+        found = vector(step)
+        cosine = found @ thumb / np.linalg.norm(found) / np.linalg.norm(thumb)
+        off.append(np.degrees(np.arccos(cosine)))
+    assert shares > 0.5
+    if is_like:
+        assert off[0] > off[1] + 0.5 > off[2] + 1.0
+    else:
+        np.testing.assert_allclose(off, off[0], atol=1e-9)
