@@ -217,9 +217,9 @@ inline void set_detours(Ik& ik, const Fields& options) {
   if (!options.get<bool>("takes_detours")) return;
   const Fields from = module_of("handmap_qp.ik.collision");
   const auto number = [&](const char* name) { return from.get<double>(name); };
-  ik.detour_rules = {number("AWAY"), number("_SAMPLE"), number("_SETTLED"), number("_AGAIN"),
-                     number("_AFTER"), number("_LATER"), number("_OF_POINT"), number("_OF_ALL"),
-                     number("_PULL"), number("_REACHED"), number("_MOVED"), number("_SAME"),
+  ik.detour_rules = {number("AWAY"), number("_SAMPLE"), number("_AGAIN"),
+                     number("_LATER"), number("_OF_POINT"), number("_OF_ALL"),
+                     number("_PULL"), number("_REACHED"), number("_MOVED"), number("_GROWN"),
                      number("_FORGOTTEN"), from.get<int>("_SAMPLES"), from.get<int>("_LONGEST")};
 }
 

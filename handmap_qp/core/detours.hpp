@@ -20,18 +20,17 @@ class Detours {
   void solve(const Goal& goal, double dt, const Vector& margins, double speed, Result& result) {
     dt = std::max(dt, kShortestDt);
     detour_.wait -= dt;
-    const double moved = moved_by(goal);
-    if (moved > rules_.moved) detour_.via.clear();
+    if (!detour_.via.empty() && moved_by(goal) > rules_.moved) detour_.via.clear();
     if (!detour_.via.empty()) {
       ik_.solve(pulled(goal, detour_.via), dt, margins, speed, result);
       const bool is_late = detour_.left < dt;
       detour_.left -= dt;
-      if (is_late || is_at(detour_.via)) detour_ = {{}, {}, 0.0, rules_.after};
+      if (is_late || is_at(detour_.via)) detour_ = {{}, {}, {}, 0.0, rules_.again};
       return;
     }
     ik_.solve(goal, dt, margins, speed, result);
-    const bool is_due = detour_.wait <= (moved > rules_.same ? 0.0 : -rules_.forgotten);
-    if (is_due && largest(errors(goal, result)) > rules_.away) look_ahead(goal, margins);
+    if (detour_.wait <= -rules_.forgotten) detour_.known.clear();
+    if (detour_.wait <= 0.0 && are_new(errors(goal, result))) look_ahead(goal, margins);
   }
 
  private:
@@ -46,14 +45,16 @@ class Detours {
 
   void look_ahead(const Goal& goal, const Vector& margins) {
     const Vector ahead = foresee(goal, margins, {}).errors;
-    detour_ = {{}, {}, 0.0, rules_.again};
-    if (largest(ahead) <= rules_.away) return;
-    detour_ = {{}, goal.points, 0.0, rules_.later};
+    detour_ = {{}, {}, detour_.known, 0.0, rules_.again};
+    if (!are_new(ahead)) return;
     const Vector& rest = goal.postures.front().q;
     const End found = foresee(goal, margins, rest);
-    if (!is_nearer(found.errors, ahead)) return;
+    if (!is_nearer(found.errors, ahead)) {
+      detour_ = {{}, {}, ahead, 0.0, rules_.later};
+      return;
+    }
     const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, ahead);
-    detour_ = {is_direct ? found.joints : rest, goal.points, rules_.longest * rules_.sample, 0.0};
+    detour_ = {is_direct ? found.joints : rest, goal.points, {}, rules_.longest * rules_.sample, 0.0};
   }
 
   // Errors of the points and joints where the hand ends.
@@ -68,9 +69,8 @@ class Detours {
     }
     for (int k = 0; k < rules_.samples; ++k) {
       ik_.solve(goal, rules_.sample, margins, 1.0, result);
-      double most = 0.0;
-      for (const double x : result.displacement) most = std::max(most, std::abs(x));
-      if (most < rules_.settled) break;
+      const Vector now = errors(goal, result);
+      if (*std::max_element(now.begin(), now.end()) <= rules_.away) break;
     }
     End end{errors(goal, result), joints()};
     ik_.motion = motion;
@@ -85,7 +85,7 @@ class Detours {
 
   // How far the farthest target is from where the detour was looked for.
   double moved_by(const Goal& goal) const {
-    double most = detour_.points.empty() ? kInfinity : 0.0;
+    double most = 0.0;
     for (size_t k = 0; k < detour_.points.size(); ++k)
       most = std::max(most, norm(goal.points[k] - detour_.points[k]));
     return most;
@@ -111,8 +111,13 @@ class Detours {
     return found;
   }
 
-  static double largest(const Vector& errors) {
-    return errors.empty() ? 0.0 : *std::max_element(errors.begin(), errors.end());
+  // Whether a point is away, by more than where no way round is known.
+  bool are_new(const Vector& errors) const {
+    for (size_t k = 0; k < errors.size(); ++k) {
+      const double known = detour_.known.empty() ? 0.0 : rules_.grown * detour_.known[k];
+      if (errors[k] > std::max(rules_.away, known)) return true;
+    }
+    return false;
   }
 
   bool is_nearer(const Vector& errors, const Vector& ahead) const {

@@ -60,7 +60,7 @@ struct Goal {
 
 // The constants of collision.py, by their names there.
 struct DetourRules {
-  double away, sample, settled, again, after, later, of_point, of_all, pull, reached, moved, same,
+  double away, sample, again, later, of_point, of_all, pull, reached, moved, grown,
       forgotten;
   int samples, longest;
 };
@@ -69,6 +69,7 @@ struct DetourRules {
 struct Detour {
   Vector via;
   std::vector<Vec3> points;
+  Vector known;
   double left = 0.0, wait = 0.0;
 };
 

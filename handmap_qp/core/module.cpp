@@ -95,16 +95,20 @@ nb::tuple detour_of(const Ik& ik) {
   const nb::object via = detour.via.empty() ? nb::none() : nb::cast(array_of(detour.via));
   std::vector<Vec3> points = detour.points;
   if (points.empty()) points.push_back({kInfinity, kInfinity, kInfinity});
-  return nb::make_tuple(via, array_of(points), detour.left, detour.wait);
+  Vector known = detour.known;
+  known.resize(ik.tree.points.size(), 0.0);
+  return nb::make_tuple(via, array_of(points), array_of(known), detour.left, detour.wait);
 }
 
 void set_detour(Ik& ik, const nb::object& given) {
   const nb::object via = item(given, 0);
   const Array points = nb::cast<Array>(item(given, 1));
-  const bool has_points = points.size() == 3 * ik.tree.points.size();
+  const Array known = nb::cast<Array>(item(given, 2));
+  const size_t count = ik.tree.points.size();
   ik.detour = {via.is_none() ? Vector() : vector_of(nb::cast<Array>(via)),
-               has_points ? points_of(points) : std::vector<Vec3>(), nb::cast<double>(item(given, 2)),
-               nb::cast<double>(item(given, 3))};
+               points.size() == 3 * count ? points_of(points) : std::vector<Vec3>(),
+               known.size() == count ? vector_of(known) : Vector(),
+               nb::cast<double>(item(given, 3)), nb::cast<double>(item(given, 4))};
 }
 
 // Many samples of one goal each, one after the other and without the GIL, from where the hand is.

@@ -87,14 +87,12 @@ _NEAR, _APPROACH = 0.001, 0.5
 _EXPECTED = 0.25
 AWAY = 3.0
 """A point whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip."""
-# To look ahead: time of a sample [s], their number, and the joint motion that ends them [rad or m].
+# To look ahead: time of a sample [s], and their number, at most.
 _SAMPLE = 0.05
 _SAMPLES = 12
-_SETTLED = 1e-3
-# Time until the hand looks ahead again: while it may get there, after a detour, and where none is
+# Time until the hand looks ahead again: while it may get there or after a detour, and where none is
 # known [s].
-_AGAIN = 0.05
-_AFTER = 0.1
+_AGAIN = 0.1
 _LATER = 0.2
 # Shares of the error that is left of a point that was away, and of the sum of all squares, if a
 # detour is worth it.
@@ -105,11 +103,12 @@ _OF_ALL = 0.85
 _PULL = 20.0
 _REACHED = 0.15
 _LONGEST = 6
-# Targets that move farther than this end a detour; those that move less, or this time, are the same
-# as when none was known [m, s].
+# Targets that move farther than this end a detour [m].
 _MOVED = 0.05
-_SAME = 0.02
-_FORGOTTEN = 1.0
+# Where none is known, errors have to grow by this share before the hand looks again, or this time
+# has to pass [s].
+_GROWN = 1.3
+_FORGOTTEN = 2.0
 
 
 class NearPairs(NamedTuple):
@@ -512,13 +511,15 @@ class Detour(NamedTuple):
 
     Attributes:
         via: Posture that it passes, shape (n,); None in most samples.
-        points: Targets for which it was found, or none was [m], shape (m, 3).
+        points: Targets for which it was found [m], shape (m, 3).
+        known: Errors of the points where none was found [cost], shape (m,).
         left: Time left to reach it [s].
         wait: Time until it may look ahead again [s].
     """
 
     via: np.ndarray | None = None
     points: np.ndarray = np.array(np.inf)
+    known: np.ndarray = np.array(0.0)
     left: float = 0.0
     wait: float = 0.0
 
@@ -556,19 +557,18 @@ class Detours:
         if ik.gate.motion is not self._motion:
             # Something else has moved the hand.
             self.detour = _NONE
-        via, points, left, wait = self.detour
+        via, points, known, left, wait = self.detour
         wait = wait - dt
-        moved = lengths(goal.points - points).max()
-        if via is not None and moved <= _MOVED:
+        if via is not None and lengths(goal.points - points).max() <= _MOVED:
             result = ik.solve_once(self._pulled(goal, via), dt, margins, speed)
-            self.detour = Detour(via, points, left - dt, wait)
+            self.detour = Detour(via, points, known, left - dt, wait)
             if left < dt or self._is_at(via):
-                self.detour = Detour(wait=_AFTER)
+                self.detour = Detour(wait=_AGAIN)
         else:
             result = ik.solve_once(goal, dt, margins, speed)
-            self.detour = Detour(None, points, left, wait)
-            waited = 0.0 if moved > _SAME else _FORGOTTEN
-            if wait + waited <= 0.0 and ik.costs(result).max() > AWAY:
+            known = known * (wait > -_FORGOTTEN)
+            self.detour = Detour(None, points, known, left, wait)
+            if wait <= 0.0 and _are_new(ik.costs(result), known):
                 self.look_ahead(goal, margins)
         self._motion = ik.gate.motion
         return result
@@ -576,25 +576,24 @@ class Detours:
     def look_ahead(self, goal: Goal, margins: np.ndarray | None) -> None:
         """Take the detour that leads nearer to the targets, if there is one."""
         ahead, _ = self._foresee(goal, margins)
-        if ahead.max() <= AWAY:
-            self.detour = Detour(wait=_AGAIN)
+        self.detour = self.detour._replace(wait=_AGAIN)
+        if not _are_new(ahead, self.detour.known):
             return
         via = goal.postures[0][1]
         errors, found = self._foresee(goal, margins, via)
         if not _is_nearer(errors, ahead):
-            self.detour = Detour(points=goal.points, wait=_LATER)
+            self.detour = Detour(known=ahead, wait=_LATER)
             return
         if _is_nearer(self._foresee(goal, margins, found)[0], ahead):
             via = found
-        self.detour = Detour(via, goal.points, _LONGEST * _SAMPLE)
+        self.detour = Detour(via, goal.points, left=_LONGEST * _SAMPLE)
 
     def _foresee(
         self, goal: Goal, margins: np.ndarray | None, via: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return errors of the points, shape (m,), and joints, shape (n,), where the hand ends."""
         ik = self._ik
-        gate = ik.gate
-        motion = gate.motion
+        motion = ik.gate.motion
         goal = goal._replace(postures=goal.postures[:1])
         if via is not None:
             for _ in range(_LONGEST):
@@ -603,9 +602,9 @@ class Detours:
                     break
         for _ in range(_SAMPLES):
             result = ik.solve_once(goal, _SAMPLE, margins, 1.0)
-            if np.abs(result.displacement).max() < _SETTLED:
+            if ik.costs(result).max() <= AWAY:
                 break
-        gate.motion = motion
+        ik.gate.motion = motion
         return ik.costs(result), result.q[ik.hand.q_indices]
 
     def _pulled(self, goal: Goal, posture: np.ndarray) -> Goal:
@@ -617,8 +616,12 @@ class Detours:
         return bool((np.abs(off)[self._is_finger] < _REACHED).all())
 
 
+def _are_new(errors: np.ndarray, known: np.ndarray) -> bool:
+    """Return whether a point is away, by more than where no way round is known, shape (m,) both."""
+    return bool(np.any(errors > np.maximum(AWAY, _GROWN * known)))
+
+
 def _is_nearer(errors: np.ndarray, ahead: np.ndarray) -> bool:
     """Return whether a way's errors are clearly smaller than those ahead, shape (m,) both."""
-    is_away = ahead > AWAY
-    is_nearer = errors[is_away] < _OF_POINT * ahead[is_away]
+    is_nearer = (ahead > AWAY) & (errors < _OF_POINT * ahead)
     return bool(is_nearer.any() and errors @ errors < _OF_ALL * ahead @ ahead)
