@@ -37,13 +37,15 @@ from handmap_qp.options import number, text
 from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
-_PINCH_FROM, _PINCH_OVER = 0.070, 0.050
+_PINCH_FROM = 0.070
+_PINCH_OVER = 0.050
 # Pads of a closed pinch overlap by this, so that they press on each other [m].
 _SQUEEZE = 0.003
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
 # Levenberg-Marquardt factors of the distance rows: with less, gloves and coupled fingers shake.
-_EXTENSION_DAMPING, _PINCH_DAMPING = 1.5, 3.0
+_EXTENSION_DAMPING = 1.5
+_PINCH_DAMPING = 3.0
 # Margin between all other links [m].
 _LINK_MARGIN = 0.001
 
