@@ -225,7 +225,7 @@ class TeleoperationMap : public TargetMap {
                    ratio * (shift - estimator.centroid) + gain * (now[partners[j]] - shift);
       if (j == 0 && thumb_direction != 0.0) {
         const Vec3 thumb = now[to[0]] - now[from[0]], led = moved - thumb_base;
-        moved += aside * (norm(led) / norm(thumb) * thumb - led);
+        moved += aside * (norm(led) / std::max(norm(thumb), 1e-9) * thumb - led);
       }
       asked.points[j] = palm * moved;
     }

@@ -29,7 +29,7 @@ from handmap_qp.mapping.hand_pair import hand_pair
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import smoothstep
 from handmap_qp.mapping.palm import PalmMap, PalmMethod
-from handmap_qp.mapping.presets import PRESETS, default_preset
+from handmap_qp.mapping.presets import PRESETS, default_preset, get_preset
 from handmap_qp.se3 import affine, inverse_pose, rotation_from_rpy, transform_points
 
 HUMAN = load_hand("human")
@@ -543,3 +543,13 @@ def test_a_thumb_that_rests_like_a_persons_points_as_it_does(
         assert off[0] > off[1] + 0.5 > off[2] + 1.0
     else:
         np.testing.assert_allclose(off, off[0], atol=1e-9)
+    # A thumb in one place has no direction, and its target is finite all the same.
+    points = pair.human.points(q)
+    points[[pair.tips[0], pair.knuckles[0]]] = points[pair.tips[0]]
+    for formulation in ("compiled", "direct"):
+        ik = get_preset("teleoperation").ik.replaced(formulation=formulation)
+        mapper = HandMapper(pair.human, robot, ik=ik)
+        for _ in range(3):
+            step = mapper.map_points(points, wrist)
+        assert np.isfinite(step.targets).all()
+        assert np.isfinite(step.command.q).all()

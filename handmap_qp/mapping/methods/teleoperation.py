@@ -357,7 +357,9 @@ class TeleoperationMap(Compiled, PalmMap):
             thumb = now[pair.tips[0]] - now[pair.knuckles[0]]
             led = points[0] - pair.robot_base
             share = self.thumb_direction * (1.0 - pinching.max(initial=0.0))
-            points[0] += share * (lengths(led) / lengths(thumb) * thumb - led)
+            # Landmarks in one place have no direction.
+            ratio = lengths(led) / max(lengths(thumb), 1e-9)
+            points[0] += share * (ratio * thumb - led)
         return self._asked(
             *self.placed(palm, points),
             method.aims(distances),
