@@ -14,6 +14,7 @@ import pytest
 import shared_hands
 
 from handmap_qp.apps.offline.hand_trace import trace_human, trace_robot
+from handmap_qp.errors import MissingPackageError
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.ik import core as core_module
 
@@ -29,10 +30,14 @@ HANDS = ("allegro_right", "shadow_right", "leap_right")
 def test_no_finger_stays_caught_from_one_gesture_to_the_next(name: str) -> None:
     if name in shared_hands.NAMES and shared_hands.shared_hands_folder() is None:
         pytest.skip("set HANDMAP_HANDS")
+    try:
+        hand = shared_hands.load(name)
+    except MissingPackageError as error:
+        pytest.skip(str(error))
     poses = bench_gestures.read_poses()[::5]
     order = bench_gestures.tour(len(poses))
     robot, q, wrist, still = bench_gestures.map_tour(
-        shared_hands.load(name), poses, order, "teleoperation"
+        hand, poses, order, "teleoperation"
     )
     shown = np.array([poses[k].landmarks for k in order])
     lengths = HumanLengths.from_hand_length(0.19)

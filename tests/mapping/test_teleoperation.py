@@ -508,7 +508,7 @@ def test_a_residual_counts_in_the_proportion_of_the_hands(gain: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "is_like"), [("g1_right", True), ("shadow_right", False)]
+    ("name", "is_like"), [("g1_right", True), ("allegro_right", False)]
 )
 def test_a_thumb_that_rests_like_a_persons_points_as_it_does(
     name: str, is_like: bool
