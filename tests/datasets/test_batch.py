@@ -313,7 +313,7 @@ def is_alive(pid: int) -> bool:
 def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(
     tmp_path: Path,
 ) -> None:
-    count = len(write_pieces(tmp_path / "in", 16, frames=30))
+    count = len(write_pieces(tmp_path / "in", 48, frames=30))
     out, manifest = tmp_path / "out", tmp_path / "out" / "manifest.jsonl"
     process = start(tmp_path / "in", out)
     wait_until(
