@@ -8,7 +8,9 @@ namespace handmap {
 // Solves a sample, by a detour where that leads nearer to the targets.
 class Detours {
  public:
-  explicit Detours(Ik& ik) : ik_(ik), rules_(*ik.detour_rules), detour_(ik.detour), is_finger_(ik.tree.joint_columns.size()) {
+  explicit Detours(Ik& ik)
+      : ik_(ik), rules_(*ik.detour_rules), detour_(ik.detour),
+        is_finger_(ik.tree.joint_columns.size()) {
     static const std::vector<int> none;
     const int joint = ik.tree.wrist_origin.joint;
     const std::vector<int>& arm = joint < 0 ? none : ik.tree.moving[joint];
@@ -67,12 +69,13 @@ class Detours {
       ik_.solve(pulled(goal, via), rules_.sample, margins, 1.0, result);
       if (is_at(via)) break;
     }
+    End end;
     for (int k = 0; k < rules_.samples; ++k) {
       ik_.solve(goal, rules_.sample, margins, 1.0, result);
-      const Vector now = errors(goal, result);
-      if (*std::max_element(now.begin(), now.end()) <= rules_.away) break;
+      end.errors = errors(goal, result);
+      if (*std::max_element(end.errors.begin(), end.errors.end()) <= rules_.away) break;
     }
-    End end{errors(goal, result), joints()};
+    end.joints = joints();
     ik_.motion = motion;
     return end;
   }
