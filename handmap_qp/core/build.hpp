@@ -213,14 +213,28 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
                  options.get<double>("speed_weight"), options.get<double>("acceleration_weight")};
 }
 
-inline void set_detours(Ik& ik, const Fields& options) {
+inline void set_detours(Ik& ik, const Fields& hand, const Fields& options) {
   if (!options.get<bool>("takes_detours")) return;
-  const Fields from = module_of("handmap_qp.ik.collision");
-  const auto number = [&](const char* name) { return from.get<double>(name); };
-  ik.detour_rules = {number("AWAY"), number("_SAMPLE"), number("_AGAIN"),
-                     number("_LATER"), number("_OF_POINT"), number("_OF_ALL"),
-                     number("_PULL"), number("_REACHED"), number("_MOVED"), number("_GROWN"),
-                     number("_FORGOTTEN"), from.get<int>("_SAMPLES"), from.get<int>("_LONGEST")};
+  const Fields rules = module_of("handmap_qp.ik.collision");
+  const auto number = [&](const char* name) { return rules.get<double>(name); };
+  Vector is_finger;
+  for (const int moves_wrist : hand.indices("moves_wrist"))
+    is_finger.push_back(moves_wrist ? 0.0 : 1.0);
+  ik.detour_rules = {is_finger,
+                     number("AWAY"),
+                     number("ON_ITS_WAY"),
+                     number("_SAMPLE"),
+                     number("_AGAIN"),
+                     number("_LATER"),
+                     number("_OF_POINT"),
+                     number("_OF_ALL"),
+                     number("_PULL"),
+                     number("_REACHED"),
+                     number("_MOVED"),
+                     number("_GROWN"),
+                     number("_FORGOTTEN"),
+                     rules.get<int>("_SAMPLES"),
+                     rules.get<int>("_LONGEST")};
 }
 
 inline void set_limits(Ik& ik, const Fields& from) {
@@ -297,7 +311,7 @@ inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb
   Ik& ik = *new (self) Ik(tree);
   ik.tree.points = reference_points(Fields(hand));
   set_weights(ik, Fields(hand), Fields(options));
-  set_detours(ik, Fields(options));
+  set_detours(ik, Fields(hand), Fields(options));
   set_limits(ik, Fields(nb::getattr(gate, "limits")));
   const nb::object collisions = nb::getattr(gate, "collisions");
   if (!collisions.is_none()) ik.pairs = make_pairs(ik.tree, Fields(collisions));

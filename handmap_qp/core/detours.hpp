@@ -8,16 +8,7 @@ namespace handmap {
 // Solves a sample, by a detour where that leads nearer to the targets.
 class Detours {
  public:
-  explicit Detours(Ik& ik)
-      : ik_(ik), rules_(*ik.detour_rules), detour_(ik.detour),
-        is_finger_(ik.tree.joint_columns.size()) {
-    static const std::vector<int> none;
-    const int joint = ik.tree.wrist_origin.joint;
-    const std::vector<int>& arm = joint < 0 ? none : ik.tree.moving[joint];
-    for (size_t j = 0; j < is_finger_.size(); ++j)
-      is_finger_[j] =
-          std::find(arm.begin(), arm.end(), ik.tree.joint_columns[j]) == arm.end() ? 1.0 : 0.0;
-  }
+  explicit Detours(Ik& ik) : ik_(ik), rules_(*ik.detour_rules), detour_(ik.detour) {}
 
   void solve(const Goal& goal, double dt, const Vector& margins, double speed, Result& result) {
     dt = std::max(dt, kShortestDt);
@@ -32,30 +23,28 @@ class Detours {
     }
     ik_.solve(goal, dt, margins, speed, result);
     if (detour_.wait <= -rules_.forgotten) detour_.known.clear();
-    if (detour_.wait <= 0.0 && are_new(errors(goal, result))) look_ahead(goal, margins);
+    if (detour_.wait <= 0.0 && is_held(result, dt * speed)) look_ahead(goal, margins, result);
   }
 
  private:
   Ik& ik_;
   const DetourRules& rules_;
   Detour& detour_;
-  Vector is_finger_;  // 0 for the joints of an arm, which follow the wrist at all times
 
   struct End {
     Vector errors, joints;
   };
 
-  void look_ahead(const Goal& goal, const Vector& margins) {
-    const Vector ahead = foresee(goal, margins, {}).errors;
-    detour_ = {{}, {}, detour_.known, 0.0, rules_.again};
-    if (!are_new(ahead)) return;
+  void look_ahead(const Goal& goal, const Vector& margins, const Result& result) {
+    const Vector here = errors(goal, result);
+    if (!are_new(here)) return;
     const Vector& rest = goal.postures.front().q;
     const End found = foresee(goal, margins, rest);
-    if (!is_nearer(found.errors, ahead)) {
-      detour_ = {{}, {}, ahead, 0.0, rules_.later};
+    if (!is_nearer(found.errors, here)) {
+      detour_ = {{}, {}, here, 0.0, rules_.later};
       return;
     }
-    const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, ahead);
+    const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, here);
     detour_ = {is_direct ? found.joints : rest, goal.points, {}, rules_.longest * rules_.sample, 0.0};
   }
 
@@ -65,7 +54,7 @@ class Detours {
     Goal goal = given;
     goal.postures.resize(1);
     Result result;
-    for (int k = 0; !via.empty() && k < rules_.longest; ++k) {
+    for (int k = 0; k < rules_.longest; ++k) {
       ik_.solve(pulled(goal, via), rules_.sample, margins, 1.0, result);
       if (is_at(via)) break;
     }
@@ -82,7 +71,7 @@ class Detours {
 
   Goal pulled(const Goal& goal, const Vector& posture) const {
     Goal towards = goal;
-    towards.postures = {{rules_.pull, posture, is_finger_}};
+    towards.postures = {{rules_.pull, posture, rules_.is_finger}};
     return towards;
   }
 
@@ -97,8 +86,19 @@ class Detours {
   bool is_at(const Vector& posture) const {
     double most = 0.0;
     for (size_t j = 0; j < posture.size(); ++j)
-      most = std::max(most, is_finger_[j] * std::abs(ik_.motion.q[ik_.tree.q_indices[j]] - posture[j]));
+      most = std::max(most, rules_.is_finger[j] *
+                                std::abs(ik_.motion.q[ik_.tree.q_indices[j]] - posture[j]));
     return most < rules_.reached;
+  }
+
+  // Whether no finger is on its way to its target.
+  bool is_held(const Result& result, double time) const {
+    for (size_t j = 0; j < rules_.is_finger.size(); ++j) {
+      const int i = ik_.tree.joint_columns[j];
+      const double most = rules_.on_its_way * time * ik_.limits.speeds[i];
+      if (rules_.is_finger[j] != 0.0 && !(std::abs(result.displacement[i]) <= most)) return false;
+    }
+    return true;
   }
 
   Vector joints() const {
@@ -123,15 +123,15 @@ class Detours {
     return false;
   }
 
-  bool is_nearer(const Vector& errors, const Vector& ahead) const {
+  bool is_nearer(const Vector& errors, const Vector& here) const {
     bool is_any = false;
-    double squares = 0.0, squares_ahead = 0.0;
+    double squares = 0.0, squares_here = 0.0;
     for (size_t k = 0; k < errors.size(); ++k) {
-      is_any |= ahead[k] > rules_.away && errors[k] < rules_.of_point * ahead[k];
+      is_any |= here[k] > rules_.away && errors[k] < rules_.of_point * here[k];
       squares += errors[k] * errors[k];
-      squares_ahead += ahead[k] * ahead[k];
+      squares_here += here[k] * here[k];
     }
-    return is_any && squares < rules_.of_all * squares_ahead;
+    return is_any && squares < rules_.of_all * squares_here;
   }
 };
 

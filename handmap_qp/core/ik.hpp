@@ -60,7 +60,8 @@ struct Goal {
 
 // The constants of collision.py, by their names there.
 struct DetourRules {
-  double away, sample, again, later, of_point, of_all, pull, reached, moved, grown,
+  Vector is_finger;  // 0 for the joints of an arm, which follow the wrist at all times
+  double away, on_its_way, sample, again, later, of_point, of_all, pull, reached, moved, grown,
       forgotten;
   int samples, longest;
 };

@@ -195,6 +195,13 @@ class Hand:
         return self.model.frames[self.wrist_frame_id].parentJoint > 0
 
     @property
+    def moves_wrist(self) -> np.ndarray:
+        """Which joints move the wrist, those of an arm, shape (n,)."""
+        model = self.model
+        arm = [*model.supports[model.frames[self.wrist_frame_id].parentJoint]]
+        return np.isin([model.getJointId(joint) for joint in self.joint_names], arm)
+
+    @property
     def stop_distances(self) -> np.ndarray:
         """How far each joint moves at most while it stops [rad or m], shape (n,).
 

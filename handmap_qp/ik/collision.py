@@ -45,9 +45,9 @@ start,
     -n^T (J_b - J_a)(r) dq <= gain (n^T (r - p) - margin).
 
 Rows may hold a finger behind others, or a folded one, far from its target though another posture is
-near: a QP finds the nearest minimum. Where a point stays away, the hand looks ahead by
-the same QPs (`Detours`): where does it end if it goes on, and where would it from rest? If the
-second is clearly nearer, the joints are pulled to what was found there, straight or by rest,
+near: a QP finds the nearest minimum. Where the fingers stand and a point is away from its target,
+the hand looks ahead by the same QPs (`Detours`): where would it end if it went by its rest posture?
+If that is clearly nearer, the joints are pulled to what was found there, straight or by rest,
 whichever was seen to arrive. Every step passes the gate.
 """
 
@@ -87,11 +87,12 @@ _NEAR, _APPROACH = 0.001, 0.5
 _EXPECTED = 0.25
 AWAY = 3.0
 """A point whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip."""
+ON_ITS_WAY = 0.7
+"""A finger is on its way where a joint moves by more than this share of its speed limit."""
 # To look ahead: time of a sample [s], and their number, at most.
 _SAMPLE = 0.05
 _SAMPLES = 12
-# Time until the hand looks ahead again: while it may get there or after a detour, and where none is
-# known [s].
+# Time until the hand looks ahead again: after a detour, and where none is known [s].
 _AGAIN = 0.1
 _LATER = 0.2
 # Shares of the error that is left of a point that was away, and of the sum of all squares, if a
@@ -540,14 +541,11 @@ class Detours:
 
     def __init__(self, ik: PointIk, detour: tuple[Any, ...] = ()) -> None:
         hand = ik.hand
-        model = hand.model
         self._ik = ik
         self.detour = Detour(*detour)
         self._motion = ik.gate.motion
         # The joints of an arm follow the wrist at all times.
-        arm = [*model.supports[model.frames[hand.wrist_frame_id].parentJoint]]
-        joints = [model.getJointId(name) for name in hand.joint_names]
-        self._is_finger = ~np.isin(joints, arm)
+        self._is_finger = ~hand.moves_wrist
 
     def solve(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
@@ -566,40 +564,46 @@ class Detours:
                 self.detour = Detour(wait=_AGAIN)
         else:
             result = ik.solve_once(goal, dt, margins, speed)
-            known = known * (wait > -_FORGOTTEN)
             self.detour = Detour(None, points, known, left, wait)
-            if wait <= 0.0 and _are_new(ik.costs(result), known):
-                self.look_ahead(goal, margins)
+            if wait <= 0.0 and ik.is_held_away(result, dt * speed):
+                self.look_ahead(goal, margins, result)
         self._motion = ik.gate.motion
         return result
 
-    def look_ahead(self, goal: Goal, margins: np.ndarray | None) -> None:
-        """Take the detour that leads nearer to the targets, if there is one."""
-        ahead, _ = self._foresee(goal, margins)
-        self.detour = self.detour._replace(wait=_AGAIN)
-        if not _are_new(ahead, self.detour.known):
+    def look_ahead(
+        self, goal: Goal, margins: np.ndarray | None, result: IkResult
+    ) -> None:
+        """Take a detour from where the hand stands if that leads nearer to the targets.
+
+        Args:
+            goal: Of the sample that has just been solved; the others likewise.
+            margins: As of `PointIk.solve`.
+            result: Where it stands.
+        """
+        here = self._ik.costs(result)
+        known = self.detour.known * (self.detour.wait > -_FORGOTTEN)
+        if not np.any((here > AWAY) & (here > _GROWN * known)):
             return
         via = goal.postures[0][1]
         errors, found = self._foresee(goal, margins, via)
-        if not _is_nearer(errors, ahead):
-            self.detour = Detour(known=ahead, wait=_LATER)
+        if not _is_nearer(errors, here):
+            self.detour = Detour(known=here, wait=_LATER)
             return
-        if _is_nearer(self._foresee(goal, margins, found)[0], ahead):
+        if _is_nearer(self._foresee(goal, margins, found)[0], here):
             via = found
         self.detour = Detour(via, goal.points, left=_LONGEST * _SAMPLE)
 
     def _foresee(
-        self, goal: Goal, margins: np.ndarray | None, via: np.ndarray | None = None
+        self, goal: Goal, margins: np.ndarray | None, via: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return errors of the points, shape (m,), and joints, shape (n,), where the hand ends."""
         ik = self._ik
         motion = ik.gate.motion
         goal = goal._replace(postures=goal.postures[:1])
-        if via is not None:
-            for _ in range(_LONGEST):
-                ik.solve_once(self._pulled(goal, via), _SAMPLE, margins, 1.0)
-                if self._is_at(via):
-                    break
+        for _ in range(_LONGEST):
+            ik.solve_once(self._pulled(goal, via), _SAMPLE, margins, 1.0)
+            if self._is_at(via):
+                break
         for _ in range(_SAMPLES):
             result = ik.solve_once(goal, _SAMPLE, margins, 1.0)
             if ik.costs(result).max() <= AWAY:
@@ -616,12 +620,7 @@ class Detours:
         return bool((np.abs(off)[self._is_finger] < _REACHED).all())
 
 
-def _are_new(errors: np.ndarray, known: np.ndarray) -> bool:
-    """Return whether a point is away, by more than where no way round is known, shape (m,) both."""
-    return bool(np.any(errors > np.maximum(AWAY, _GROWN * known)))
-
-
-def _is_nearer(errors: np.ndarray, ahead: np.ndarray) -> bool:
-    """Return whether a way's errors are clearly smaller than those ahead, shape (m,) both."""
-    is_nearer = (ahead > AWAY) & (errors < _OF_POINT * ahead)
-    return bool(is_nearer.any() and errors @ errors < _OF_ALL * ahead @ ahead)
+def _is_nearer(errors: np.ndarray, here: np.ndarray) -> bool:
+    """Return whether a way's errors are clearly smaller than those here, shape (m,) both."""
+    is_nearer = (here > AWAY) & (errors < _OF_POINT * here)
+    return bool(is_nearer.any() and errors @ errors < _OF_ALL * here @ here)

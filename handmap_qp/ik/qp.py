@@ -249,6 +249,7 @@ class PointIk:
             collisions=collisions,
         )
         self.core = ik.compiled.compile_ik(hand, options, self.gate)
+        self._fingers = hand.joint_columns[~hand.moves_wrist]
         self._detours: Detours | None = None
 
     def __getstate__(self) -> tuple[Any, ...]:
@@ -326,10 +327,19 @@ class PointIk:
         if self._detours:
             return self._detours.solve(goal, dt, margins, speed)
         result = self.solve_once(goal, dt, margins, speed)
-        if self.options.takes_detours and self.costs(result).max() > ik.collision.AWAY:
+        if self.options.takes_detours and self.is_held_away(result, dt * speed):
             self._detours = ik.collision.Detours(self)
-            self._detours.look_ahead(goal, margins)
+            self._detours.look_ahead(goal, margins, result)
         return result
+
+    def is_held_away(self, result: IkResult, time: float) -> bool:
+        """Return whether a point is away from its target though no finger is on its way.
+
+        `time` is that of the sample, times its share of the speed limits [s].
+        """
+        most = ik.collision.ON_ITS_WAY * time * self.gate.limits.speeds[self._fingers]
+        is_held = (np.abs(result.displacement[self._fingers]) <= most).all()
+        return bool(is_held and self.costs(result).max() > ik.collision.AWAY)
 
     def costs(self, result: IkResult) -> np.ndarray:
         """Return the weighted error of every point [cost], shape (m,)."""

@@ -107,8 +107,7 @@ class _Distance:
         self._costs = costs[:, None] ** 2
         self._rest_cost = rest_cost**2
         self._placed = hand.configuration()
-        moves_wrist = np.any(self._placed.wrist_jacobian(np.eye(6)), axis=0)
-        self.free = np.flatnonzero(~moves_wrist[hand.joint_columns])
+        self.free = np.flatnonzero(~hand.moves_wrist)
         # From the free joints to the model's tangent space.
         active = self._placed.contracted(np.eye(hand.model.nv))
         self._spread = active[:, hand.joint_columns[self.free]]

@@ -78,6 +78,16 @@ def is_on_detour(mapper: HandMapper) -> bool:
     return bool(detour and detour[0] is not None)
 
 
+def start_detour(mapper: HandMapper, start: Motion, human_q: np.ndarray) -> None:
+    """Map until the hand stands away from its targets, and takes a detour."""
+    mapper.motion = start
+    for _ in range(round(0.5 / DT)):
+        mapper.map_step(human_q, PALM)
+        if is_on_detour(mapper):
+            return
+    pytest.fail("no detour")
+
+
 @pytest.fixture(scope="module")
 def caught() -> tuple[Motion, np.ndarray]:
     """Return a start from which a hand without detours is caught, and the person's posture."""
@@ -151,9 +161,8 @@ def test_a_copy_in_a_detour_goes_on_with_it(
 ) -> None:
     start, human_q = caught
     mapper = mapper_of(formulation=formulation)
-    run(mapper, start, human_q, 0.1)
+    start_detour(mapper, start, human_q)
     other = way(mapper)
-    assert is_on_detour(mapper)
     assert is_on_detour(other)
     for _ in range(30):
         one, two = (each.map_step(human_q, PALM) for each in (mapper, other))
@@ -170,8 +179,7 @@ def test_a_detour_ends_where_the_person_or_something_else_moves(
     moved = PALM.copy()
     moved[0, 3] = 0.06
     for motion, pose in ((None, moved), (rest, PALM)):
-        run(mapper, start, human_q, 0.1)
-        assert is_on_detour(mapper)
+        start_detour(mapper, start, human_q)
         if motion is not None:
             mapper.motion = motion
         step = mapper.map_step(human_q, pose)
@@ -179,9 +187,27 @@ def test_a_detour_ends_where_the_person_or_something_else_moves(
         via, points, *_ = mapper.point_ik.__getstate__()[-1] or (None, None)
         if via is not None:
             np.testing.assert_array_equal(points, step.ik.targets)
-    run(mapper, start, human_q, 0.1)
+    start_detour(mapper, start, human_q)
     held = mapper.hold(DT).command.q
     np.testing.assert_allclose(mapper.hold(DT).command.q, held, atol=1e-12)
+
+
+@each_formulation
+def test_fingers_on_their_way_do_not_look_for_a_detour(
+    formulation: str, caught: tuple[Motion, np.ndarray]
+) -> None:
+    start, human_q = caught
+    mapper = mapper_of(formulation=formulation)
+    limits = mapper.robot.velocity_limits
+    mapper.motion = start
+    is_on = [False]
+    for _ in range(round(0.5 / DT)):
+        before = mapper.motion.q[mapper.robot.q_indices]
+        q = mapper.map_step(human_q, PALM).command.q
+        is_fast = (np.abs(q - before) > 0.99 * limits * DT).any()
+        is_on.append(is_on_detour(mapper))
+        assert not (is_fast and is_on[-1] and not is_on[-2])
+    assert is_on[1:].index(True) > 1
 
 
 def test_a_detour_leaves_an_arm_to_its_wrist() -> None:

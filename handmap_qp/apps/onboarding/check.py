@@ -27,7 +27,6 @@ from handmap_qp.apps.onboarding.measure import (
     measure_pinches,
     measure_reach,
     measure_size,
-    moves_wrist,
     tour_gestures,
     try_motion,
 )
@@ -232,7 +231,7 @@ def _check_joints(hand: Hand) -> Findings:
 
 def _check_ranges(hand: Hand) -> Findings:
     """Find ranges in degrees or millimetres; joints of an arm may turn twice."""
-    width = np.where(moves_wrist(hand), 0.0, hand.upper_limits - hand.lower_limits)
+    width = np.where(hand.moves_wrist, 0.0, hand.upper_limits - hand.lower_limits)
     joints = [hand.model.getJointId(joint) for joint in hand.joint_names]
     turns = PalmKinematics(hand).axes(hand.rest, joints)[0].any(axis=1)
     for kind, largest, unit in (
@@ -254,7 +253,7 @@ def _check_speeds(hand: Hand) -> Findings:
     stretched = zero_posture(hand)
     travel = np.maximum(hand.upper_limits - stretched, stretched - hand.lower_limits)
     times = np.minimum(travel, _FIST_ANGLE) / hand.velocity_limits
-    times[moves_wrist(hand)] = 0.0
+    times[hand.moves_wrist] = 0.0
     worst = np.argmax(times)
     if count := (times > _FIST_TIME).sum():
         what = (

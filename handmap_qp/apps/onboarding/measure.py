@@ -161,7 +161,7 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
     Args:
         hand: The hand; an arm stays at rest.
     """
-    own = ~moves_wrist(hand)
+    own = ~hand.moves_wrist
     generator = np.random.default_rng(0)
     size = (_SAMPLES, len(hand.rest))
     shares = np.vstack([generator.random(size), generator.integers(0, 2, size)])
@@ -186,13 +186,6 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
                 manipulability=f"{motions.prod() * motions.any():.2e}",
             )
     return [*best.values()]
-
-
-def moves_wrist(hand: Hand) -> np.ndarray:
-    """Return which joints move the wrist, those of an arm, shape (n,)."""
-    model = hand.model
-    arm = [*model.supports[model.frames[hand.wrist_frame_id].parentJoint]]
-    return np.isin([model.getJointId(joint) for joint in hand.joint_names], arm)
 
 
 def across(hand: Hand, shares: np.ndarray) -> np.ndarray:
