@@ -87,7 +87,6 @@ class MarkerLayout(Layout):
             "three markers on the palm",
             got=f"{count}",
         )
-        self._last: tuple[Side, HumanLengths | None, PointIk] | None = None
         self.shapes = ((len(names), 3),)
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
         self.has_wrist = True
@@ -112,8 +111,8 @@ class MarkerLayout(Layout):
         lengths: HumanLengths | None,
     ) -> Hands:
         """Fit the human model to the markers, sample by sample; see `Layout.hands`."""
-        ik = self._fitter(side, lengths)
-        human = ik.hand
+        human = sized_human(side, lengths, self._points(side))
+        ik = PointIk(human, _FIT)
         landmarks = human.with_points("landmarks")
         markers = transform_points(self.world, values)
         is_near = np.abs(markers).max() <= FARTHEST
@@ -153,10 +152,3 @@ class MarkerLayout(Layout):
             for entry in self.table.markers
             for x, y, z in [entry.xyz]
         )
-
-    def _fitter(self, side: Side, lengths: HumanLengths | None) -> PointIk:
-        """Return the IK of the hand with markers; that of last time for the same hand."""
-        if self._last is None or self._last[:2] != (side, lengths):
-            human = sized_human(side, lengths, self._points(side))
-            self._last = side, lengths, PointIk(human, _FIT)
-        return self._last[2]

@@ -63,9 +63,7 @@ def load_layout(layout: str | Path | Layout) -> Layout:
         value=name,
         advice=did_you_mean(name, LAYOUTS),
     )
-    # Each caller gets one of its own, because a layout of markers keeps its last model.
-    file = _FOLDER / f"{name}.yaml"
-    return _load(file) if file.is_file() else LAYOUTS[name]
+    return LAYOUTS[name]
 
 
 _KINDS: dict[type[LayoutTable], Callable[[Any], Layout]] = {
