@@ -242,9 +242,9 @@ def did_you_mean(name: str, names: Iterable[str]) -> str:
     return f"did you mean {nearest[0]}?" if nearest else ""
 
 
-def without_errno(error: Exception) -> str:
-    """Return the text of an error without number and file name, which `OSError` adds to it."""
-    return getattr(error, "strerror", None) or str(error)
+def reason_of(error: Exception) -> str:
+    """Return an error's text in one line, without the number and file name that `OSError` adds."""
+    return " ".join((getattr(error, "strerror", None) or str(error)).split())
 
 
 def describe_value(value: Any) -> str:

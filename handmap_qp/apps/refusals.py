@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from handmap_qp.errors import InvalidInputError, without_errno
+from handmap_qp.errors import InvalidInputError, reason_of
 
 
 @contextmanager
@@ -23,7 +23,7 @@ def naming(argument: object = "", problem: str = "", **more: str) -> Iterator[No
     try:
         yield
     except OSError as error:
-        reason = ": ".join(filter(None, (problem, without_errno(error))))
+        reason = ": ".join(filter(None, (problem, reason_of(error))))
         raise InvalidInputError(
             argument=str(argument or error.filename), problem=reason, **more
         ) from error

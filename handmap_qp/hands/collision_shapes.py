@@ -10,6 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.errors import reason_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.urdf import get_numbers, parse_urdf, set_mesh_paths
@@ -71,7 +72,7 @@ def _read(hand: Hand) -> pin.GeometryModel:
                 part.geometry = _prism_around(part.geometry)
     except (RuntimeError, ValueError) as error:
         raise hand.spec.error(
-            f"the collision shapes cannot be read: {' '.join(str(error).split())}",
+            f"the collision shapes cannot be read: {reason_of(error)}",
             key="urdf",
         ) from error
     if meshes:

@@ -25,7 +25,7 @@ import pinocchio as pin
 import trimesh
 from trimesh.exchange.stl import export_stl
 
-from handmap_qp.errors import HandError
+from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands.mjcf_couplings import read_couplings
 from handmap_qp.hands.sources import root_tag
 from handmap_qp.hands.urdf import set_numbers, set_origin
@@ -110,15 +110,12 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
         # Bindings decode names only when they are asked for them.
         bytes(model.names).decode()
     except OSError as error:
-        reason = error.strerror or error
-        raise HandError(f"cannot be read: {reason}", file=file) from error
+        raise HandError(f"cannot be read: {reason_of(error)}", file=file) from error
     except UnicodeDecodeError as error:
         raise HandError("a word in the MJCF is not UTF-8", file=file) from error
     except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split())
-        raise HandError(
-            f"MuJoCo cannot compile the MJCF: {reason}", file=file
-        ) from error
+        problem = f"MuJoCo cannot compile the MJCF: {reason_of(error)}"
+        raise HandError(problem, file=file) from error
     is_named = spec.modelname and spec.modelname != "MuJoCo Model"
     return model, spec.modelname if is_named else file.stem, notes
 
@@ -198,8 +195,7 @@ def cached_urdf(file: Path) -> Path:
     except OSError as error:
         if not urdf.is_file():
             problem = f"the cache {folder} cannot be written"
-            reason = error.strerror or error
-            raise HandError(f"{problem}: {reason}", file=file) from error
+            raise HandError(f"{problem}: {reason_of(error)}", file=file) from error
     return urdf
 
 

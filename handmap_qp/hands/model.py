@@ -21,7 +21,7 @@ from xml.etree.ElementTree import Element, tostring
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.errors import HandError, expect
+from handmap_qp.errors import HandError, expect, reason_of
 from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import HandSpec, MimicSpec, Mount
 from handmap_qp.hands.urdf import (
@@ -122,7 +122,7 @@ def build_model(
         model = pin.buildModelFromXML(urdf_text, *root)
     except (RuntimeError, ValueError) as error:
         raise spec.error(
-            f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}",
+            f"Pinocchio cannot read the URDF: {reason_of(error)}",
             key="urdf",
         ) from error
     own = set(spec.all_joints)

@@ -22,6 +22,7 @@ from handmap_qp.errors import (
     MissingExtraError,
     MissingPackageError,
     did_you_mean,
+    reason_of,
     require,
 )
 from handmap_qp.hands.spec import DESCRIPTION_SCHEME, PACKAGE_SCHEME, ArmSpec, HandSpec
@@ -111,7 +112,7 @@ def _module(name: str) -> ModuleType:
         return importlib.import_module(f"robot_descriptions.{name}")
     # git raises many types of its own; without a network, nothing can be cloned.
     except Exception as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = reason_of(error) or type(error).__name__
         advice = f"connect to the network and try again ({reason:.200})"
         raise HandError(
             f"robot_descriptions cannot clone {name}: {advice}", value=name

@@ -20,7 +20,7 @@ import numpy as np
 import yaml
 from msgspec import Meta
 
-from handmap_qp.errors import HandError, without_errno
+from handmap_qp.errors import HandError, reason_of
 
 Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
@@ -376,14 +376,12 @@ def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, An
         text = path.read_text(encoding="utf-8")
     # ValueError: not UTF-8, or a null character in the path.
     except (OSError, ValueError) as error:
-        raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
+        raise HandError(f"cannot be read: {reason_of(error)}", file=path) from error
     try:
         document = _parse_yaml(text)
     # ValueError: an impossible date.
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise HandError(
-            f"is not valid YAML: {' '.join(str(error).split())}", file=path
-        ) from error
+        raise HandError(f"is not valid YAML: {reason_of(error)}", file=path) from error
     if not isinstance(document, dict):
         raise HandError(
             f"expected a mapping of keys, got {type(document).__name__}", file=path

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.errors import InvalidInputError, expect, without_errno
+from handmap_qp.errors import InvalidInputError, expect, reason_of
 from handmap_qp.hands.human import FINGERS, HumanLengths
 from handmap_qp.human.sample import expect_hand_length
 from handmap_qp.output_files import replaced_file
@@ -131,7 +131,7 @@ def read_person(path: Path | str) -> Person:
         raise _unreadable(file, key, message) from error
     # ValueError and TypeError: also those of yaml and msgspec.
     except (OSError, ValueError, TypeError, RecursionError) as error:
-        problem = f"cannot be read: {without_errno(error)}"
+        problem = f"cannot be read: {reason_of(error)}"
         raise _unreadable(file, "person", problem) from error
 
 

@@ -32,6 +32,7 @@ from handmap_qp.errors import (
     HandmapError,
     InvalidInputError,
     RecordingError,
+    reason_of,
 )
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.sources import urdf_path
@@ -142,7 +143,7 @@ def run_job(job: Job) -> Line:
     except DiskFullError:
         raise
     except HandmapError as error:
-        results["error"] = " ".join(str(error).split())
+        results["error"] = reason_of(error)
     except Exception as error:  # a bug must not end the batch
         results["error"] = " ".join(f"{type(error).__name__}: {error}".split())
     return job.line(**results, cpu_s=round(process_time() - started, 6))

@@ -10,7 +10,7 @@ from itertools import filterfalse
 from pathlib import Path
 
 from handmap_qp.apps.datasets.workers import each_apart
-from handmap_qp.errors import HandmapError, InvalidInputError, expect
+from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats import (
     FORMATS,
@@ -159,7 +159,7 @@ def _listing(path: Path) -> tuple[Source, ...] | str:
     try:
         return list_sources(path)
     except HandmapError as error:
-        return " ".join(str(error).split())
+        return reason_of(error)
 
 
 def _paths_of(

@@ -47,7 +47,7 @@ from handmap_qp.apps.offline.look_ahead import (
 from handmap_qp.apps.offline.metrics import mean_values
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.apps.offline.trajectory import held_samples, map_recording
-from handmap_qp.errors import HandmapError, InvalidInputError, expect
+from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
@@ -465,7 +465,7 @@ def _run(
         motion = method.map_take(take, robot)
     except HandmapError as error:
         unknown = Fidelity(mean_values([]), {}, 0)
-        return Run(method.name, take, unknown, problem=" ".join(str(error).split()))
+        return Run(method.name, take, unknown, problem=reason_of(error))
     wrist = motion.wrist_in(take, robot) if robot.is_floating else None
     fidelity = assess_fidelity(
         take.trace,

@@ -19,7 +19,7 @@ from handmap_qp.apps.onboarding.anatomy import Clue, find_anatomy
 from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.apps.onboarding.structure import RobotFinger, find_structure
-from handmap_qp.errors import HandError, without_errno
+from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands.fingers import PalmKinematics
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import ball_in
@@ -73,7 +73,7 @@ def detect(urdf: Path, **given: Any) -> Detection:
     try:
         text = urdf.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
-        raise HandError(f"cannot be read: {without_errno(error)}", file=urdf) from error
+        raise HandError(f"cannot be read: {reason_of(error)}", file=urdf) from error
     return detect_text(text, urdf, **given)
 
 

@@ -16,7 +16,7 @@ from msgspec import Meta
 
 from handmap_qp.apps.onboarding.detect import Detection, detect, point_sets
 from handmap_qp.apps.onboarding.robot import Robot
-from handmap_qp.errors import HandError, without_errno
+from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands.spec import PointSpec
 from handmap_qp.human.sample import LANDMARK_NAMES, TIPS
 
@@ -114,10 +114,9 @@ def _read_table(path: Path) -> dict[str, Any]:
     try:
         document = yaml.safe_load(path.read_bytes())
     except OSError as error:
-        raise HandError(f"cannot be read: {without_errno(error)}", file=path) from error
+        raise HandError(f"cannot be read: {reason_of(error)}", file=path) from error
     except (yaml.YAMLError, ValueError) as error:
-        problem = f"is not YAML: {' '.join(str(error).split())}"
-        raise HandError(problem, file=path) from error
+        raise HandError(f"is not YAML: {reason_of(error)}", file=path) from error
     table = document.get("retargeting") if isinstance(document, dict) else None
     if not isinstance(table, dict):
         problem = "expected a table `retargeting`, as in dex-retargeting's files"

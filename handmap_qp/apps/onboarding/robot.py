@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.drawing.shapes import shape_meshes
-from handmap_qp.errors import HandError
+from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands.fingers import Place, zero_posture
 from handmap_qp.hands.model import (
     expansion_matrix,
@@ -141,7 +141,7 @@ class Robot:
         try:
             self.model = model = pin.buildModelFromXML(text)
         except (RuntimeError, ValueError) as error:
-            problem = f"Pinocchio cannot read the URDF: {' '.join(str(error).split())}"
+            problem = f"Pinocchio cannot read the URDF: {reason_of(error)}"
             raise HandError(problem) from error
         for note in tighten_model(model, rules):
             self._remark("", note)

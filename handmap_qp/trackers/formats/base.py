@@ -10,7 +10,13 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from handmap_qp.errors import HandmapError, InvalidInputError, RecordingError, expect
+from handmap_qp.errors import (
+    HandmapError,
+    InvalidInputError,
+    RecordingError,
+    expect,
+    reason_of,
+)
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, as_flags, finite_samples
 from handmap_qp.human.sample import LANDMARK_COUNT, LANDMARK_NAMES
@@ -180,11 +186,9 @@ def reading(
         elif isinstance(error, HandmapError):
             raise
         else:
-            text = " ".join(str(error).split())[:160]
             if isinstance(error, OSError) and error.strerror:
                 problem = "cannot be read"
-                text = error.strerror
-            problem = f"{problem}: {text}".rstrip(": ")
+            problem = f"{problem}: {reason_of(error)[:160]}".rstrip(": ")
         line = table and table.line_num
         raise RecordingError(problem, file=file, array=array, line=line) from error
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.errors import InvalidInputError, did_you_mean, expect, without_errno
+from handmap_qp.errors import InvalidInputError, did_you_mean, expect, reason_of
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.angles import AngleLayout, AngleTable
 from handmap_qp.trackers.layouts.base import Layout, LayoutTable
@@ -80,10 +80,10 @@ def _load(file: Path) -> Layout:
         return _KINDS[type(table)](table)
     # ValueError and TypeError: also those of yaml and msgspec.
     except (OSError, ValueError, TypeError) as error:
-        text = without_errno(error)
-        text = f"cannot be read: {text}" if isinstance(error, OSError) else text
+        reason = reason_of(error)
+        text = f"cannot be read: {reason}" if isinstance(error, OSError) else reason
         raise InvalidInputError(
             argument="layout",
-            problem=f"{file}: {' '.join(text.split())}",
+            problem=f"{file}: {text}",
             value=str(file),
         ) from error
