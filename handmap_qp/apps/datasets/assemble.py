@@ -246,15 +246,10 @@ def _resampled(
 def _as_float32(state: np.ndarray, hand: Hand) -> np.ndarray:
     """Round a state to float32 without leaving the joints' limits."""
     rounded = state.astype(np.float32)
-    lower = _rounded_up(hand.lower_limits)
-    upper = -_rounded_up(-hand.upper_limits)
-    joints = slice(len(hand.joint_names))
-    rounded[:, joints] = np.clip(rounded[:, joints], lower, upper)
+    joints = rounded[:, : len(hand.joint_names)]
+    for is_outside, inwards in (
+        (joints < hand.lower_limits, np.inf),
+        (joints > hand.upper_limits, -np.inf),
+    ):
+        np.nextafter(joints, np.float32(inwards), out=joints, where=is_outside)
     return rounded
-
-
-def _rounded_up(values: np.ndarray) -> np.ndarray:
-    """Return the next float32 that is not smaller."""
-    rounded = values.astype(np.float32)
-    above = np.nextafter(rounded, np.float32(np.inf))
-    return np.where(rounded < values, above, rounded)

@@ -12,7 +12,7 @@ from pathlib import Path
 from handmap_qp.apps.datasets.engines import Engine
 from handmap_qp.apps.datasets.episodes import Job, JobOptions, is_intact
 from handmap_qp.apps.datasets.manifest import Line, open_manifest, read_manifests
-from handmap_qp.apps.datasets.sources import Task, find_files, tasks_of
+from handmap_qp.apps.datasets.sources import find_files, tasks_of
 from handmap_qp.output_files import make_folder
 
 
@@ -108,7 +108,9 @@ def plan_batch(
     kills = {}
     for task in tasks:
         line = state.get(task.key)
-        if line is None or not _is_same(line, task, digest):
+        wanted = (task.file.size, task.file.mtime_ns, digest)
+        # Another file, or other options.
+        if line is None or (line.size, line.mtime_ns, line.options) != wanted:
             pass
         elif line.status == "done" and is_intact(folder, line):
             done.append(line)
@@ -191,16 +193,6 @@ def stopped_by_signals() -> Iterator[Callable[[], bool]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _is_same(line: Line, task: Task, digest: str) -> bool:
-    """Tell whether a line is about this very file and these options."""
-    file = task.file
-    return (line.size, line.mtime_ns, line.options) == (
-        file.size,
-        file.mtime_ns,
-        digest,
-    )
 
 
 def _cpu_time() -> float:

@@ -56,7 +56,12 @@ def convert(
     if target.suffixes and not is_folder:
         check_output("OUT", out, target.suffixes)
     listed = chain.from_iterable(map(list_sources, inputs))
-    sources = [_with_model(source, mano) for source in listed]
+    sources = [
+        source._replace(format=ManoFormat(mano))
+        if isinstance(source.format, ManoFormat)
+        else source
+        for source in listed
+    ]
     unread = {source.path: source.format.unread(source.path) for source in sources}
     recordings = [source.read() for source in sources]
     files: tuple[Path, ...] = (out,)
@@ -71,12 +76,6 @@ def convert(
         not_read=tuple(dict.fromkeys(chain.from_iterable(unread.values()))),
         lost=target.losses(recordings),
     )
-
-
-def _with_model(source: Source, mano: Path | None) -> Source:
-    """Return the source with the MANO model that reads its parameters."""
-    is_mano = mano is not None and source.format.name == ManoFormat.name
-    return source._replace(format=ManoFormat(mano)) if is_mano else source
 
 
 def _write_each(

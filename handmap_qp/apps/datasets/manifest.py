@@ -105,7 +105,9 @@ def open_manifest(
     Raises:
         InvalidInputError: If the file cannot be opened, or another process writes to it.
     """
-    file = folder / manifest_name(shard)
+    part, parts = shard
+    name = "manifest.jsonl" if parts == 1 else f"manifest-{part}-of-{parts}.jsonl"
+    file = folder / name
     with ExitStack() as opened:
         with writing(file, "--out"):
             # Unbuffered, so that nothing that could not be written is written again at the end.
@@ -126,12 +128,6 @@ def open_manifest(
                 os.fsync(stream.fileno())
 
         yield append
-
-
-def manifest_name(shard: tuple[int, int]) -> str:
-    """Return the name of the manifest of a shard."""
-    part, parts = shard
-    return "manifest.jsonl" if parts == 1 else f"manifest-{part}-of-{parts}.jsonl"
 
 
 def read_manifests(folder: Path) -> dict[str, Line]:

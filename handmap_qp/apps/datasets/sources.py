@@ -186,7 +186,8 @@ def _paths_of(
     while waiting or links:
         path = (waiting or links).popleft()
         identity = _identity(path)
-        if identity == own or not (path is given or _may_hold(path)):
+        is_known = path.is_dir() or path.suffix.lower() in known_suffixes()
+        if identity == own or not (path is given or is_known):
             continue
         if identity in seen:
             repeated.append(path)
@@ -205,11 +206,6 @@ def _identity(path: Path) -> object:
         return path
     stat = path.stat()
     return stat.st_dev, stat.st_ino
-
-
-def _may_hold(path: Path) -> bool:
-    """Tell whether a path is a folder, or a file of a known form."""
-    return path.is_dir() or path.suffix.lower() in known_suffixes()
 
 
 def _is_set(folder: Path) -> bool:
