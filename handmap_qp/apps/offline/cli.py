@@ -22,7 +22,6 @@ from handmap_qp.apps.arguments import (
 )
 from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.apps.offline.summary import notes, summarise, table_rows
-from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
@@ -30,6 +29,7 @@ from handmap_qp.human.person import write_person
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream.measurement import measure_person
+from handmap_qp.trackers.formats.archive import save_npz
 from handmap_qp.trackers.formats.base import SIDES
 
 

@@ -16,13 +16,14 @@ from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.apps.offline.poses import find_poses
 from handmap_qp.apps.offline.summary import summarise, table_rows
-from handmap_qp.apps.offline.trajectory import Trajectory, save_npz
+from handmap_qp.apps.offline.trajectory import Trajectory
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import require
 from handmap_qp.hands.library import load_hand
 from handmap_qp.output_files import output_folder
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import DEMO, read_recording
+from handmap_qp.trackers.formats.archive import save_npz
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

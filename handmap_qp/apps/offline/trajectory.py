@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import cache
 from importlib.metadata import version
-from pathlib import Path
 from time import thread_time_ns
 
 import numpy as np
@@ -23,7 +22,6 @@ from handmap_qp.human.recording import (
 from handmap_qp.human.sample import RULES, Rule
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
-from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import lengths
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
@@ -194,7 +192,12 @@ def _trajectory(
     rule = np.array(RULE_NAMES)[rule.astype(int)]
     is_held = is_held > 0.0
     if is_held.all():
-        raise _nothing_followed(rule.tolist())
+        (name, count), *_ = Counter[Rule](rule.tolist()).most_common(1)
+        raise InvalidInputError(
+            argument="motion",
+            expected="at least one sample that makes sense",
+            got=f"none of {len(rule)}; in {count}, {RULES.get(name, name)}",
+        )
     is_placed = ~np.isnan(table.rows[:, 0])
     is_placed[: np.argmin(is_held)] = False
     placed = held_samples(is_placed)
@@ -231,30 +234,6 @@ def held_samples(valid: np.ndarray) -> np.ndarray:
 def stretches(flags: np.ndarray) -> list[slice]:
     """Return the stretches of samples whose flags are set; flags of shape (T,)."""
     return np.ma.clump_masked(np.ma.array(flags, mask=flags))
-
-
-def _nothing_followed(rules: list[Rule]) -> InvalidInputError:
-    """Return the error of a motion without a sample to follow, with the most frequent reason."""
-    rule, count = Counter(rules).most_common(1)[0]
-    return InvalidInputError(
-        argument="motion",
-        expected="at least one sample that makes sense",
-        got=f"none of {len(rules)}; in {count}, {RULES.get(rule, rule)}",
-    )
-
-
-def save_npz(path: Path, columns: dict[str, np.ndarray]) -> None:
-    """Write arrays to an `.npz` file atomically: an earlier file stays if writing fails.
-
-    Args:
-        path: The file; its folder must exist.
-        columns: Arrays by name.
-
-    Raises:
-        InvalidInputError: If the file cannot be written.
-    """
-    with replaced_file(path, "path") as file:
-        np.savez_compressed(file, allow_pickle=False, **columns)
 
 
 def rms_derivative(

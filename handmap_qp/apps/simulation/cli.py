@@ -12,7 +12,6 @@ import tyro
 
 from handmap_qp.apps.arguments import HandName, hinted
 from handmap_qp.apps.offline.comparison import prepare_take
-from handmap_qp.apps.offline.trajectory import save_npz
 from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_commands
 from handmap_qp.apps.simulation.physics import Physics, parse_object
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
@@ -31,6 +30,7 @@ from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.output_files import check_output
 from handmap_qp.trackers.formats import read_recording
+from handmap_qp.trackers.formats.archive import save_npz
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
 _OBJECT = "box:0.03"

@@ -96,8 +96,7 @@ class NpzFormat(RecordingFormat):
                 for name, value in own.items()
                 if value is not None and len(value)
             }
-        with replaced_file(path, "path") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
+        save_npz(path, arrays)
 
 
 def _read(
@@ -146,6 +145,20 @@ def read_archive(
         return {
             _name(member): _read_member(file, archive, member) for member in members
         }
+
+
+def save_npz(path: Path, arrays: Arrays) -> None:
+    """Write arrays to an `.npz` file atomically: an earlier file stays if writing fails.
+
+    Args:
+        path: The file; its folder must exist.
+        arrays: Arrays by name.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+    """
+    with replaced_file(path, "path") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
 def _name(member: zipfile.ZipInfo) -> str:

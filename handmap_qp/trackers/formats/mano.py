@@ -19,9 +19,13 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import LANDMARK_COUNT
-from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import affine, as_floats, transform_points
-from handmap_qp.trackers.formats.archive import Arrays, member_names, read_archive
+from handmap_qp.trackers.formats.archive import (
+    Arrays,
+    member_names,
+    read_archive,
+    save_npz,
+)
 from handmap_qp.trackers.formats.base import (
     Entry,
     RecordingFormat,
@@ -122,8 +126,7 @@ class ManoFormat(RecordingFormat):
             "joints": recording.landmarks[:, np.argsort(FROM_MANO)],
             "valid": recording.valid,
         }
-        with replaced_file(path, "path") as file:
-            np.savez_compressed(file, allow_pickle=False, **arrays)
+        save_npz(path, arrays)
 
 
 def _joints_of_parameters(
