@@ -120,8 +120,7 @@ def _hull_of(
     """
     corners = _stl_vertices(file)
     if corners is None:
-        mesh = coal.MeshLoader().load(file, np.array(scale))
-        return _convex_hull(np.array(mesh.vertices()))
+        corners = np.array(coal.MeshLoader().load(file, np.ones(3)).vertices())
     return _convex_hull(corners * scale)
 
 

@@ -274,10 +274,9 @@ class _Constraints:
         mujoco.mj_fwdPosition(model, data)
         slopes = data.efc_J.reshape(-1, model.nv)[:, model.jnt_dofadr[joints]]
         rows = np.column_stack([data.efc_pos, slopes])
+        blocks = []
         for constraint in constraints:
-            block = data.efc_id == constraint
-            rows[block] /= max(np.linalg.norm(slopes[block]), _LEAST_EFFECT)
-        rows = np.vstack(
-            [rows[data.efc_id == constraint] for constraint in constraints]
-        )
+            block = rows[data.efc_id == constraint]
+            blocks.append(block / max(np.linalg.norm(block[:, 1:]), _LEAST_EFFECT))
+        rows = np.vstack(blocks)
         return rows[:, 0], rows[:, 1:]

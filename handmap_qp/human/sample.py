@@ -218,11 +218,10 @@ def check_length(landmarks: np.ndarray) -> np.ndarray:
     landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
     if core is not None:
         segments, palm = core.bone_lengths(landmarks)
-        expect_hand_length(palm + segments[2].sum(), "landmarks")
-        return segments
-    bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
-    segments = np.median(bones, axis=0)
-    palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
+    else:
+        bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
+        segments = np.median(bones, axis=0)
+        palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
     expect_hand_length(float(palm + segments[2].sum()), "landmarks")
     return segments
 

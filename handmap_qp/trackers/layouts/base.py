@@ -350,10 +350,9 @@ class Layout(abc.ABC):
             if fitting:
                 found[column] = fitting[0]
             elif column not in self.defaults:
-                expect(
-                    False,
-                    "values",
-                    f"a column {column}",
+                raise InvalidInputError(
+                    argument="values",
+                    expected=f"a column {column}",
                     got=f"none; {did_you_mean(column, own)}".rstrip("; "),
                 )
         return found
