@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -60,7 +60,7 @@ from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.se3 import as_floats, inverse_pose
 from handmap_qp.stream.follower import SMOOTH_IK
 from handmap_qp.stream.measurement import measure_person
-from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.archive import NpzFormat, read_archive
 
 PROGRAM = "compare.py"
 """File that a folder of outside methods must hold."""
@@ -419,13 +419,7 @@ def _map_outside(
     with tempfile.TemporaryDirectory(prefix="handmap-") as temporary:
         given = Path(temporary) / f"{take.name}.npz"
         made = Path(temporary) / "made.npz"
-        np.savez(
-            given,
-            time=recording.time,
-            landmarks=recording.landmarks,
-            valid=recording.valid,
-            handedness=np.array(recording.side),
-        )
+        NpzFormat().write([replace(recording, wrist=None)], given)
         _call(folder, "run", listed.name, hand, str(given), str(made))
         try:
             values = read_archive(made)
