@@ -38,6 +38,7 @@ from handmap_qp.apps.tables import print_rows, print_table, progress
 from handmap_qp.errors import InvalidInputError, RecordingError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.trackers.formats import FORMATS
+from handmap_qp.trackers.formats.base import first_of
 
 
 @dataclass(frozen=True)
@@ -343,8 +344,8 @@ class Report:
 def _warn(names: Sequence[object], what: str, problem: str) -> None:
     """Say in one line of stderr what is wrong with some of many, unless there are none."""
     if names:
-        shown = ", ".join(map(str, names[:3])) + (", ..." if len(names) > 3 else "")
-        print(f"handmap: {len(names)} {what} {problem}: {shown}", file=sys.stderr)
+        shown = f"{len(names)} {what} {problem}: {first_of(names, 3)}"
+        print(f"handmap: {shown}", file=sys.stderr)
 
 
 def _shard(text: str | None) -> tuple[int, int]:

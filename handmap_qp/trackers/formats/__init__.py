@@ -15,7 +15,13 @@ from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording
 from handmap_qp.plugins import Plugins
 from handmap_qp.trackers.formats.archive import NpzFormat
-from handmap_qp.trackers.formats.base import Entry, RecordingFormat, entry_stem, reading
+from handmap_qp.trackers.formats.base import (
+    Entry,
+    RecordingFormat,
+    entry_stem,
+    first_of,
+    reading,
+)
 from handmap_qp.trackers.formats.csv_files import CsvFormat
 from handmap_qp.trackers.formats.hdf5 import EgoDexFormat, RobomimicFormat
 from handmap_qp.trackers.formats.lerobot import LeRobotFormat
@@ -253,5 +259,4 @@ def write_recordings(
 
 def _listing(entries: Sequence[Entry]) -> str:
     names = [entry.name for entry in entries]
-    shown = ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
-    return f"it has {len(names)} recordings ({shown})"
+    return f"it has {len(names)} recordings ({first_of(names, 5)})"

@@ -206,6 +206,11 @@ def side_of(value: object, array: str) -> Side:
     raise InvalidInputError(argument=array, expected="right or left", got=got)
 
 
+def first_of(names: Sequence[object], most: int) -> str:
+    """Return the first few of some names as text, and dots where there are more."""
+    return ", ".join(map(str, names[:most])) + ", ..." * (len(names) > most)
+
+
 def entry_stem(path: Path, entry: Entry) -> str:
     """Return the name of a recording: that of its file, and of its entry if it has one."""
     return "_".join([path.stem, *filter(None, entry.name.split("/"))])

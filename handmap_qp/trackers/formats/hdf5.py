@@ -36,6 +36,7 @@ from handmap_qp.trackers.formats.base import (
     RecordingFormat,
     build_recording,
     column,
+    first_of,
     known_columns,
     reading,
     side_of,
@@ -104,8 +105,7 @@ def numbers(
     item = group.get(name)
     problem = ""
     if not hasattr(item, "dtype"):
-        shown = ", ".join(sorted(group)[:6]) + (", ..." if len(group) > 6 else "")
-        problem = f"is missing; there are {shown or 'none'}"
+        problem = f"is missing; there are {first_of(sorted(group), 6) or 'none'}"
     elif item.shape[: len(shape)] != shape or item.dtype.kind not in "biuf":
         sizes = ", ".join(map(str, shape))
         got = f"{item.dtype} of shape {item.shape}"

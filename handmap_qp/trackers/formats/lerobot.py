@@ -291,7 +291,12 @@ class LeRobotWriter:
             OSError: If the disk is full.
         """
         self._write_episodes()
-        self._write_tasks()
+        # With the index that pandas, and so LeRobot, reads the tasks by.
+        about = json.loads(_TASKS.read_text(encoding="utf-8"))
+        about["creator"]["version"] = self._pa.__version__
+        columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
+        metadata = {"pandas": json.dumps(about)}
+        self._write("meta/tasks.parquet", self._pa.table(columns, metadata=metadata))
         info = {
             "codebase_version": VERSION,
             "robot_type": robot_type,
@@ -320,14 +325,6 @@ class LeRobotWriter:
         """Leave open files as they are: pyarrow would write their ends when it is deleted."""
         for writer in self._open.values():
             writer.is_open = False
-
-    def _write_tasks(self) -> None:
-        """Write the tasks with the index that pandas, and so LeRobot, reads them by."""
-        about = json.loads(_TASKS.read_text(encoding="utf-8"))
-        about["creator"]["version"] = self._pa.__version__
-        columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
-        metadata = {"pandas": json.dumps(about)}
-        self._write("meta/tasks.parquet", self._pa.table(columns, metadata=metadata))
 
 
 Stats = dict[str, np.ndarray]

@@ -162,13 +162,10 @@ def _values_name(
     shapes = [", ".join(map(str, (count, *shape))) for shape in layout.shapes]
     how = "more than one" if chosen else "no"
     problem = f"has {how} array of shape ({') or ('.join(shapes)})"
-    hint = "" if chosen else _shaped_like(arrays)
-    raise InvalidInputError(f"{problem}; {hint or _listing(arrays)}")
-
-
-def _listing(arrays: Arrays) -> str:
     have = [f"{name} {array.shape}" for name, array in arrays.items() if array.ndim]
-    return f"it has {', '.join(have)}"
+    listing = f"it has {', '.join(have)}"
+    hint = "" if chosen else _shaped_like(arrays)
+    raise InvalidInputError(f"{problem}; {hint or listing}")
 
 
 def _wrists_beside(
