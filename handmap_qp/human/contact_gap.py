@@ -85,7 +85,7 @@ def measure_contact_gap(recording: Recording) -> float:
 
 def clipped_gap(gap: float) -> float:
     """Return a gap within `CONTACT_GAPS` [m]."""
-    return min(max(gap, CONTACT_GAPS[0]), CONTACT_GAPS[1])
+    return float(np.clip(gap, *CONTACT_GAPS))
 
 
 class ContactGapMeter:

@@ -103,11 +103,9 @@ class Recording:
         Raises:
             InvalidInputError: If no valid sample is left, or time does not increase.
         """
-        columns = {}
-        for name in _COLUMNS:
-            values = getattr(self, name)
-            columns[name] = None if values is None else values[samples]
-        return replace(self, **columns)
+        columns = {name: getattr(self, name) for name in _COLUMNS}
+        known = {name: v[samples] for name, v in columns.items() if v is not None}
+        return replace(self, **known)
 
     @property
     def steps(self) -> np.ndarray:

@@ -122,10 +122,12 @@ def _measured(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
     """Measure all but surfaces; see `MEASURES`."""
     seen = trajectory.valid
     errors = 1e3 * trajectory.point_error[seen]
+    fingers = recording.landmarks[recording.valid, 1:].reshape(-1, 5, 4, 3)
+    bones = lengths(np.diff(fingers, axis=2))
     return {
         "valid": recording.valid.mean(),
         "longest_gap_s": _longest_gap(recording),
-        "bone_variation": _bone_variation(recording.landmarks[recording.valid]),
+        "bone_variation": (bones.std(axis=0) / bones.mean(axis=0)).mean(),
         "reach_mm": errors.mean(),
         "reach_p95_mm": np.percentile(errors, 95),
         "saturation": trajectory.at_limit[seen].mean(),
@@ -140,11 +142,6 @@ def _longest_gap(recording: Recording) -> float:
     whole = recording.time
     inside = np.diff(times).max(initial=0.0) - np.median(recording.steps)
     return max(0.0, inside, times[0] - whole[0], whole[-1] - times[-1])
-
-
-def _bone_variation(landmarks: np.ndarray) -> float:
-    bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
-    return (bones.std(axis=0) / bones.mean(axis=0)).mean()
 
 
 def _surfaces(
