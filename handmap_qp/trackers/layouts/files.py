@@ -106,13 +106,10 @@ def layout_hint(path: Path) -> str:
     Returns:
         Advice in words; empty if no array has such a shape, or the file cannot be read.
     """
-    if path.suffix.lower() != ".npz":
-        return ""
-    try:
-        arrays = read_archive(path)
-    except RecordingError:
-        return ""
-    return _shaped_like(arrays)
+    if path.suffix.lower() == ".npz":
+        with suppress(RecordingError):
+            return _shaped_like(read_archive(path))
+    return ""
 
 
 def _shaped_like(arrays: Arrays) -> str:

@@ -129,17 +129,17 @@ class PointLayout(Layout):
         titles: dict[Side, str] = {"right": "landmark"}
         if self.table.left_landmarks is not None:
             titles["left"] = "landmark of a left hand"
-        landmarks = np.full((self.table.count, len(titles)), "", dtype="<U16")
-        for column, side in enumerate(titles):
-            landmarks[self.order(side), column] = LANDMARK_NAMES
-        rows: list[dict[str, Any]] = []
-        for index, found in enumerate(landmarks.tolist()):
-            if index in self.table.names or any(found):
-                meaning = dict(zip(titles.values(), found, strict=True))
-                rows.append(
-                    {"index": index, "joint": self.joint_name(index), **meaning}
-                )
-        return rows
+        landmarks = {
+            title: dict(zip(self.order(side).tolist(), LANDMARK_NAMES, strict=True))
+            for side, title in titles.items()
+        }
+        known = set().union(self.table.names, *landmarks.values())
+        return [
+            {"index": i, "joint": self.joint_name(i)}
+            | {title: names.get(i, "") for title, names in landmarks.items()}
+            for i in range(self.table.count)
+            if i in known
+        ]
 
     def hands(
         self,
