@@ -1,9 +1,14 @@
-"""What every episode of a batch is measured by, without a reference to compare with."""
+"""What every episode of a batch is measured by, without a reference to compare with.
+
+`measures.yaml` has names, units and meaning of the measures.
+"""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from handmap_qp.apps.offline.surface_gaps import GapMeter
@@ -20,7 +25,7 @@ _CLOSED, _DEEP = 0.003, 0.001  # m
 _PINCHING = 0.004  # m above the contact gap
 
 
-class Measure(NamedTuple):
+class Measure(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number about an episode.
 
     Attributes:
@@ -38,53 +43,9 @@ class Measure(NamedTuple):
     enough: float
 
 
-MEASURES: tuple[Measure, ...] = (
-    Measure(
-        "valid",
-        "valid samples",
-        "low",
-        "share of samples in which the hand was seen",
-        0.98,
-    ),
-    Measure(
-        "longest_gap_s", "longest gap [s]", "high", "longest time without the hand", 0.1
-    ),
-    Measure(
-        "bone_variation", "bone variation", "high", "deviation of bone lengths", 0.02
-    ),
-    Measure(
-        "reach_mm",
-        "reach [mm]",
-        "high",
-        "mean distance of points from their targets",
-        5.0,
-    ),
-    Measure("reach_p95_mm", "reach p95 [mm]", "high", "95th percentile of it", 15.0),
-    Measure(
-        "saturation", "saturation", "high", "share of joints at a position limit", 0.05
-    ),
-    Measure(
-        "speed_limited",
-        "speed-limited",
-        "high",
-        "share of samples at a speed limit",
-        0.05,
-    ),
-    Measure("jerk", "jerk [rad/s3]", "high", "RMS joint jerk", 1000.0),
-    Measure(
-        "pinch_closed",
-        "pinches closed",
-        "low",
-        "share of the human's pinches closed",
-        0.9,
-    ),
-    Measure(
-        "self_penetration",
-        "self-penetration",
-        "high",
-        "share of samples over 1 mm",
-        0.0,
-    ),
+MEASURES: tuple[Measure, ...] = msgspec.yaml.decode(
+    Path(__file__).with_suffix(".yaml").read_bytes(),
+    type=tuple[Measure, ...],
 )
 """All measures, in the order of the report."""
 
