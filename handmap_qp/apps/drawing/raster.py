@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
+from scipy.spatial.transform import Rotation
 
 from handmap_qp.se3 import affine, lengths, transform_points, unit
 
@@ -20,8 +21,10 @@ Colour = tuple[float, float, float]
 _NEAR = 1e-3
 # Relative difference of distances that rounding makes.
 _ROUNDING = 1e-9
-# Rows of triangles per chunk; bounds the memory of a picture.
+# Pixels to look at in one go; bounds the memory of a picture.
 _CHUNK = 100_000
+# A pixel may be outside its triangle by this [pixel].
+_TOLERANCE = 1e-6
 
 # Directions towards the lights in camera axes (x right, y down, z forward): key light from the
 # upper left, fill light from the right.
@@ -112,12 +115,9 @@ class Camera(NamedTuple):
         """
         middle = 0.5 * (points.min(axis=0) + points.max(axis=0))
         radius = max(float(lengths(points - middle).max()), 1e-6)
-        turn, rise = np.radians([azimuth, elevation])
-        backward = np.array(
-            [np.cos(rise) * np.cos(turn), np.cos(rise) * np.sin(turn), np.sin(rise)]
-        )
-        right = np.array([-np.sin(turn), np.cos(turn), 0.0])
-        rotation = np.array([right, np.cross(right, backward), -backward])
+        turn = Rotation.from_euler("ZY", (azimuth, -elevation), degrees=True)
+        backward, right, up = turn.as_matrix().T
+        rotation = np.array([right, -up, -backward])
         place = middle + distance * radius * backward
         world_to_camera = affine(rotation, -rotation @ place)
         seen = transform_points(world_to_camera, points)
@@ -232,13 +232,27 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     nearness = np.einsum("nc,ncj->nj", inverse, planes)
     nearest = np.zeros(width * height)
     front = np.zeros(width * height, dtype=np.int64)
-    triangle, row, first, count = _spans(corners[seen, :, 1], planes, camera.size)
-    for part in np.array_split(np.arange(len(count)), len(count) // _CHUNK + 1):
-        span = np.repeat(part, count[part])
-        column = first[span] + _ramps(count[part])
-        owner = triangle[span]
-        near = (nearness[owner] * _centres(column, row[span])).sum(axis=1)
-        pixel = row[span] * width + column
+    # The pixels in the box around each triangle, row by row.
+    places = corners[seen, :, :2]
+    low = np.ceil(places.min(axis=1) - 0.5).clip(0, camera.size).astype(np.int64)
+    high = np.floor(places.max(axis=1) + 0.5).clip(0, camera.size).astype(np.int64)
+    across, down = np.maximum(high - low, 0).T
+    ends = np.cumsum(across * down)
+    for start in range(0, ends.max(initial=0), _CHUNK):
+        index = np.arange(start, min(start + _CHUNK, ends[-1]))
+        owner = np.searchsorted(ends, index, side="right")
+        # Counted back from the end of its box.
+        row, column = np.divmod(index - ends[owner], across[owner])
+        row += high[owner, 1]
+        column += low[owner, 0]
+        centres = _centres(column, row)
+        own = planes[owner]
+        shares = np.einsum("kcj,kj->kc", own, centres)
+        # The tolerance assigns a pixel on a shared edge to at least one of its triangles: no holes.
+        is_in = (shares >= -_TOLERANCE * np.abs(own[..., 0])).all(axis=1)
+        owner = owner[is_in]
+        near = (nearness[owner] * centres[is_in]).sum(axis=1)
+        pixel = (row * width + column)[is_in]
         np.maximum.at(nearest, pixel, near)
         # Of surfaces that lie in one plane, the last one is in front everywhere.
         is_front = near > nearest[pixel] * (1.0 - _ROUNDING)
@@ -250,44 +264,6 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     depth = np.full(width * height, np.inf)
     depth[pixels] = 1.0 / np.maximum((shares * inverse[owner]).sum(axis=1), 1e-9)
     return _Surface(pixels, seen[owner], shares, depth.reshape(height, width))
-
-
-def _spans(
-    y: np.ndarray,
-    planes: np.ndarray,
-    size: tuple[int, int],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the spans of pixels inside triangles: triangle, row, first column, length.
-
-    Args:
-        y: Rows of the corners of each triangle [pixel], shape (n, 3).
-        planes: Its barycentric coordinates, linear in the pixel, shape (n, 3, 3).
-        size: Width and height of the picture [pixel].
-    """
-    width, height = size
-    top = np.ceil(y.min(axis=1) - 0.5).clip(0, height).astype(np.int64)
-    bottom = np.floor(y.max(axis=1) + 0.5).clip(0, height).astype(np.int64)
-    rows = np.maximum(bottom - top, 0)
-    triangle = np.repeat(np.arange(len(rows)), rows)
-    row = np.repeat(top, rows) + _ramps(rows)
-    slope, across, constant = np.moveaxis(planes[triangle], 2, 0)
-    level = across * (row[:, None] + 0.5) + constant
-    with np.errstate(divide="ignore", invalid="ignore"):
-        edge = -level / slope
-    # The slopes of a triangle's three coordinates have the sum 0.
-    low = np.where(slope > 0.0, edge, 0.5).max(axis=1)
-    high = np.where(slope < 0.0, edge, width - 0.5).min(axis=1)
-    high[((slope == 0.0) & (level < 0.0)).any(axis=1)] = -1.0
-    # The tolerance assigns a pixel on a shared edge to at least one of its triangles: no holes.
-    first = np.ceil(low - 0.5 - 1e-6).astype(np.int64)
-    count = np.floor(high - 0.5 + 1e-6).astype(np.int64) - first + 1
-    keep = count > 0
-    return triangle[keep], row[keep], first[keep], count[keep]
-
-
-def _ramps(counts: np.ndarray) -> np.ndarray:
-    """Return 0, 1, ... up to below each count, one after the other."""
-    return np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _centres(x: np.ndarray, y: np.ndarray) -> np.ndarray:
