@@ -229,7 +229,17 @@ def pose_pictures(
         InvalidInputError: If there are no rows, or shapes do not fit.
         MissingExtraError: If trimesh is not installed.
     """
-    _check(columns, rows)
+    advice = "find_poses finds them"
+    expect(rows, "rows", "at least one pose", got="none", advice=advice)
+    wanted = LANDMARK_COUNT, 3
+    for i, row in enumerate(rows):
+        as_floats(row.landmarks, f"rows[{i}].landmarks", shape=wanted, is_finite=True)
+        expect(
+            len(row.q) == len(columns),
+            f"rows[{i}].q",
+            f"joint angles of {len(columns)} columns",
+            got=str(len(row.q)),
+        )
     humans = [_human_triangles(row.landmarks) for row in rows]
     human = _pictures(humans, side, _HUMAN_BACKGROUND)
     pictures = np.stack([human] * (1 + len(columns)))
@@ -237,7 +247,11 @@ def pose_pictures(
     for hand in {id(hand): hand for _, hand in columns}.values():
         shape = _coloured(load_shape(hand))
         own = [i for i, (_, other) in enumerate(columns) if other is hand]
-        solids = [_robot_triangles(shape, row.q[i]) for i in own for row in rows]
+        solids = []
+        for q in (row.q[i] for i in own for row in rows):
+            # In its palm frame, upright.
+            pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", q))
+            solids.append(shape.triangles(q).moved(pose))
         drawn = _pictures(solids, hand.spec.side, 1.0)
         pictures[1:][own] = drawn.reshape(-1, *human.shape)
     return pictures.swapaxes(0, 1)
@@ -273,20 +287,6 @@ def save_contact_sheet(
     )
     figure.savefig(file, dpi=_DPI)
     return Path(file)
-
-
-def _check(columns: Sequence[tuple[str, Hand]], rows: Sequence[SheetRow]) -> None:
-    advice = "find_poses finds them"
-    expect(rows, "rows", "at least one pose", got="none", advice=advice)
-    wanted = LANDMARK_COUNT, 3
-    for i, row in enumerate(rows):
-        as_floats(row.landmarks, f"rows[{i}].landmarks", shape=wanted, is_finite=True)
-        expect(
-            len(row.q) == len(columns),
-            f"rows[{i}].q",
-            f"joint angles of {len(columns)} columns",
-            got=str(len(row.q)),
-        )
 
 
 def _pictures(
@@ -350,9 +350,3 @@ def _finger_of(hand: Hand, link: str) -> str:
     points = hand.spec.points
     beyond = {p.finger or "" for p in points if carrier_of(hand, p.link) in carried}
     return beyond.pop() if len(beyond) == 1 else ""
-
-
-def _robot_triangles(shape: HandShape, q: np.ndarray) -> Triangles:
-    """The robot in its palm frame, upright."""
-    pose = UPRIGHT @ inverse_pose(shape.hand.frame_pose("palm", q))
-    return shape.triangles(q).moved(pose)
