@@ -107,7 +107,17 @@ class ServiceSession:
             self.human = load_hand(
                 human_name(about["side"]), points=about["human_points"], lengths=lengths
             )
-            self._given_robot = self._load_robot(robot or about["robot"], about)
+            robot = robot or about["robot"]
+            if robot == about["robot"] and robot not in hand_files():
+                raise self._error(
+                    f"the session's hand {robot!r} is not known on this machine",
+                    "give its description with --robot hand.yaml",
+                )
+            self._given_robot = load_hand(
+                robot,
+                points=about["robot_points"],
+                mount=about["mount"],
+            )
             self.robot = self._with_method_points()
             # Landmarks are mapped as they are; joint angles are fitted for drawing only.
             is_tracked = about["input"] == "landmarks"
@@ -228,15 +238,6 @@ class ServiceSession:
             if time.monotonic() > end:
                 raise self._error(problem, advice)
             time.sleep(0.1)
-
-    def _load_robot(self, robot: str | Path, about: dict[str, Any]) -> Hand:
-        """Load the robot hand from a name or file of this machine."""
-        if robot == about["robot"] and robot not in hand_files():
-            raise self._error(
-                f"the session's hand {robot!r} is not known on this machine",
-                "give its description with --robot hand.yaml",
-            )
-        return load_hand(robot, points=about["robot_points"], mount=about["mount"])
 
     def _with_method_points(self) -> Hand:
         """Return the robot hand with the reference points that the method in force moves."""

@@ -127,6 +127,7 @@ class HandScene:
         Args:
             samples: One sample for each variant; the human hand is that of the first.
         """
+        is_pinned = self.display.follow == "hands"
         if self._people is not None:
             landmarks, human = self._people
             landmarks.is_shown = self.display.has_landmarks
@@ -137,20 +138,17 @@ class HandScene:
         with self.server.atomic():
             low = self._lay_out(row)
             for figure in row:
-                self._draw_figure(figure, samples[figure.variant], low)
-
-    def _draw_figure(self, figure: Figure, sample: ViewSample, low: float) -> None:
-        """Draw a figure at its place, with its trail; its name is at a height `low` [m]."""
-        figure.draw(sample)
-        if (centre := figure.centre(sample)) is None:
-            return
-        is_pinned = self.display.follow == "hands"
-        figure.place(
-            figure.axes @ centre if is_pinned else figure.travel.mean(axis=0), low
-        )
-        tips = figure.tips(sample) if self.display.has_trails else None
-        if tips is not None:
-            figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
+                sample = samples[figure.variant]
+                figure.draw(sample)
+                if (centre := figure.centre(sample)) is None:
+                    continue
+                middle = figure.axes @ centre
+                if not is_pinned:
+                    middle = figure.travel.mean(axis=0)
+                figure.place(middle, low)
+                tips = figure.tips(sample) if self.display.has_trails else None
+                if tips is not None:
+                    figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
 
     def make_room(self, samples: Sequence[ViewSample]) -> None:
         """Make room for one more instant, of samples that are not known beforehand."""
