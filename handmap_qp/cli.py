@@ -27,6 +27,7 @@ from handmap_qp.errors import (
     InvalidInputError,
     InvalidOptionsError,
     did_you_mean,
+    expect,
 )
 
 
@@ -140,6 +141,8 @@ _GROUPS = {
 
 _OPTIONS = {"--help", "--version", "--completion"}
 """Options without a command."""
+_SHELLS = "bash, zsh or tcsh"
+"""Shells that have completions."""
 _SYSTEM_PACKAGES = {"libgomp": "libgomp1", "libGL.": "libgl1", "libEGL": "libegl1"}
 """Debian's packages of system libraries that slim images lack, by how their file names begin."""
 
@@ -207,18 +210,12 @@ def in_words_of_the_command_line(
         error: An error of the library, which knows options by their Python names.
         words: The words given to the command.
     """
-    name = error.option if isinstance(error, InvalidOptionsError) else error.argument
+    name = error.argument or error.option
     options = {word.partition("=")[0] for word in words if word.startswith("--")}
     given = [o for o in options if o[2:].replace("-", "_").rpartition(".")[2] == name]
-    if len(given) != 1:
-        return error
-    return InvalidOptionsError(
-        error.problem,
-        option=given[0],
-        expected=error.expected,
-        got=error.got,
-        advice=error.advice,
-    )
+    if len(given) == 1:
+        error.argument = given[0]
+    return error
 
 
 def _missing_library(error: ImportError) -> str:
@@ -229,12 +226,10 @@ def _missing_library(error: ImportError) -> str:
 
 
 def _advice(library: str) -> str:
-    packages = [
-        package
-        for name, package in _SYSTEM_PACKAGES.items()
-        if library.startswith(name)
-    ]
-    return f": apt-get install {packages[0]}" if packages else ""
+    for name, package in _SYSTEM_PACKAGES.items():
+        if library.startswith(name):
+            return f": apt-get install {package}"
+    return ""
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -266,9 +261,11 @@ def parse(arguments: Sequence[str]) -> Command:
     message = _Page(sys.stderr)
     try:
         with contextlib.redirect_stdout(page), contextlib.redirect_stderr(message):
-            return _tyro().cli(
-                command, prog=f"handmap {name}", description=about, args=rest
-            )
+            # It takes longer to import than all commands without one.
+            import tyro
+
+            prog = f"handmap {name}"
+            return tyro.cli(command, prog=prog, description=about, args=rest)
     except SystemExit as end:
         if (cause := _cause(end)) is not None:
             raise cause from None
@@ -277,13 +274,6 @@ def parse(arguments: Sequence[str]) -> Command:
         else:
             _print_page(_wrapped(_without_types(page.getvalue())), sys.stdout)
         raise
-
-
-def _tyro() -> Any:
-    """Import tyro, which takes longer than all commands without one."""
-    import tyro
-
-    return tyro
 
 
 def command_name(words: Sequence[str]) -> str | None:
@@ -313,9 +303,7 @@ def _answer_without_command(words: list[str]) -> NoReturn:
         case ["--completion", shell]:
             _print_completion(shell)
         case ["--completion"]:
-            raise InvalidInputError(
-                argument="--completion", expected="bash, zsh or tcsh"
-            )
+            expect(False, "--completion", _SHELLS)
         case []:
             raise InvalidInputError(problem="expected a command (see handmap --help)")
         case [group, word, *_] if group in _GROUPS:
@@ -336,11 +324,11 @@ def _answer_without_command(words: list[str]) -> NoReturn:
 
 def _members(group: str) -> dict[str, _Place]:
     """Return the commands of a group by their second words."""
-    words = {name: name.split() for name in COMMANDS}
+    first = f"{group} "
     return {
-        words[name][1]: COMMANDS[name]
-        for name in COMMANDS
-        if words[name][:-1] == [group]
+        name.removeprefix(first): place
+        for name, place in COMMANDS.items()
+        if name.startswith(first)
     }
 
 
@@ -363,13 +351,13 @@ def _list_of(prefix: str) -> str:
 
 def _print_completion(shell: str) -> None:
     """Print the completions of all commands for a shell."""
-    if shell not in ("bash", "zsh", "tcsh"):
-        expected = "bash, zsh or tcsh"
-        raise InvalidInputError(argument="--completion", expected=expected, value=shell)
+    expect(shell in ("bash", "zsh", "tcsh"), "--completion", _SHELLS, value=shell)
+    import tyro
+
     words = ["--tyro-print-completion", shell]
     page = _Page(sys.stdout)
     with contextlib.redirect_stdout(page), contextlib.suppress(SystemExit):
-        _tyro().cli(_any_command(), prog="handmap", args=words)
+        tyro.cli(_any_command(), prog="handmap", args=words)
     script = re.sub(
         r"^COMPLETION_SPEC = .*", _on_one_line, page.getvalue(), flags=re.MULTILINE
     )
@@ -384,21 +372,19 @@ def _on_one_line(spec: re.Match[str]) -> str:
 
 def _any_command() -> Any:
     """Return a type whose values are all commands."""
-    tyro = _tyro()
+    import tyro
 
     def union(places: dict[str, _Place], group: str = "") -> Any:
-        return reduce(
-            or_,
-            (
-                Annotated[
-                    place.load(f"{group} {word}"),  # ty: ignore[invalid-type-form]
-                    tyro.conf.subcommand(
-                        word, description=place.about, prefix_name=False
-                    ),
-                ]
-                for word, place in places.items()
-            ),
-        )
+        kinds: list[Any] = []
+        for word, place in places.items():
+            command = place.load(f"{group} {word}")
+            about = tyro.conf.subcommand(
+                word,
+                description=place.about,
+                prefix_name=False,
+            )
+            kinds.append(Annotated[command, about])  # ty: ignore[invalid-type-form]
+        return reduce(or_, kinds)
 
     single = {name: place for name, place in COMMANDS.items() if " " not in name}
     groups: list[Any] = []
