@@ -106,9 +106,10 @@ class Simulate:
             found["rows"] = [trial_row(name, made) for name, made in outcomes.items()]
             found["trials"] = _described(trials, outcomes)
         else:
-            firsts = {name: made[0] for name, made in outcomes.items()}
-            found["rows"] = [outcome_row(name, made) for name, made in firsts.items()]
-            self._write({name: made.episode for name, made in firsts.items()})
+            found["rows"] = [
+                outcome_row(name, made[0]) for name, made in outcomes.items()
+            ]
+            self._write({name: made[0].episode for name, made in outcomes.items()})
         if self.json:
             print(json.dumps(found))
             return

@@ -85,7 +85,17 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
     shape = _shape(spec, body.shape)
     held.add_geom(name=OBJECT, mass=body.mass, **shape, **_HELD)
     _couple_followers(spec, hand)
-    _add_actuators(spec, hand, physics)
+    # A spring with critical damping for each joint of the hand, and of its arm.
+    for name in hand.joint_names:
+        is_arm = name not in hand.spec.joints
+        actuator = spec.add_actuator(
+            name=name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+        )
+        actuator.set_to_position(
+            kp=_ARM_STIFFNESS if is_arm else physics.joint_stiffness
+        )
     model = spec.compile()
     # Critical for the inertia at each joint alone; that of MuJoCo's own ratio is less.
     inertia = model.dof_M0[model.jnt_dofadr[model.actuator_trnid[:, 0]]]
@@ -126,7 +136,20 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
             body = bodies[model.parents[index]].add_body(
                 name=name, gravcomp=1.0, **_placed(model.jointPlacements[index])
             )
-            _add_joint(body, model, index)
+            joint = model.joints[index]
+            linear, angular = np.split(np.array(joint.createData().S).ravel(), 2)
+            is_slide = linear.any()
+            kinds = mujoco.mjtJoint
+            made = body.add_joint(
+                name=name,
+                type=kinds.mjJNT_SLIDE if is_slide else kinds.mjJNT_HINGE,
+                axis=linear if is_slide else angular,
+            )
+            limits = model.lowerPositionLimit, model.upperPositionLimit
+            ends = [limit[joint.idx_q] for limit in limits]
+            if np.abs(ends).max() < _UNLIMITED:
+                made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+                made.range = ends
             # Without one in the URDF, it follows from the shapes' density.
             if inertia.mass >= 1e-6:
                 _set_inertia(body, inertia, *_LEAST)
@@ -134,23 +157,6 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
     wrist = model.frames[hand.wrist_frame_id]
     bodies[wrist.parentJoint].add_site(name=WRIST, **_placed(wrist.placement))
     return bodies
-
-
-def _add_joint(body: Any, model: pin.Model, index: int) -> None:
-    joint = model.joints[index]
-    linear, angular = np.split(np.array(joint.createData().S).ravel(), 2)
-    is_slide = linear.any()
-    kinds = mujoco.mjtJoint
-    made = body.add_joint(
-        name=model.names[index],
-        type=kinds.mjJNT_SLIDE if is_slide else kinds.mjJNT_HINGE,
-        axis=linear if is_slide else angular,
-    )
-    limits = model.lowerPositionLimit, model.upperPositionLimit
-    ends = [limit[joint.idx_q] for limit in limits]
-    if np.abs(ends).max() < _UNLIMITED:
-        made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-        made.range = ends
 
 
 def _set_inertia(
@@ -212,18 +218,6 @@ def _add_equality(spec: Any, kind: str, of: str, one: str, other: str) -> Any:
         objtype=getattr(mujoco.mjtObj, f"mjOBJ_{of}"),
         **_STIFF,
     )
-
-
-def _add_actuators(spec: Any, hand: Hand, physics: Physics) -> None:
-    """Add a spring with critical damping for each joint of the hand, and of its arm."""
-    for name in hand.joint_names:
-        actuator = spec.add_actuator(
-            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        )
-        is_arm = name not in hand.spec.joints
-        actuator.set_to_position(
-            kp=_ARM_STIFFNESS if is_arm else physics.joint_stiffness
-        )
 
 
 def _placed(pose: pin.SE3) -> dict[str, np.ndarray]:

@@ -42,15 +42,8 @@ class Box(Options, frozen=True):
         return self.size[0]
 
 
-class Sphere(Options, frozen=True):
-    """A sphere.
-
-    Attributes:
-        radius: Radius [m].
-
-    Raises:
-        InvalidOptionsError: If the radius is not > 0.
-    """
+class _Round(Options, frozen=True):
+    """A shape that is round about z."""
 
     radius: Length
 
@@ -60,7 +53,18 @@ class Sphere(Options, frozen=True):
         return 2.0 * self.radius
 
 
-class Cylinder(Options, frozen=True):
+class Sphere(_Round, frozen=True):
+    """A sphere.
+
+    Attributes:
+        radius: Radius [m].
+
+    Raises:
+        InvalidOptionsError: If the radius is not > 0.
+    """
+
+
+class Cylinder(_Round, frozen=True):
     """A cylinder along z.
 
     Attributes:
@@ -71,13 +75,7 @@ class Cylinder(Options, frozen=True):
         InvalidOptionsError: If radius or length is not > 0.
     """
 
-    radius: Length
     length: Length
-
-    @property
-    def width(self) -> float:
-        """Width along x [m]."""
-        return 2.0 * self.radius
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,7 +199,7 @@ def _mesh(file: Path) -> MeshShape:
         raise InvalidInputError(
             argument="--object", problem=f"{file}: cannot be read as a mesh ({error})"
         ) from error
-    return MeshShape(np.asarray(hull.vertices) - np.asarray(hull.center_mass))
+    return MeshShape(hull.vertices - hull.center_mass)
 
 
 class Physics(Options, frozen=True):

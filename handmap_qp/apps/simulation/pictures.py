@@ -23,7 +23,7 @@ from handmap_qp.output_files import replaced_file
 from handmap_qp.se3 import affine
 
 _OBJECT_COLOUR = (0.93, 0.55, 0.15)
-_PAPER = np.array([0.965, 0.97, 0.975])
+_PAPER = (0.965, 0.97, 0.975)
 _SIZE = (480, 360)
 
 
@@ -59,8 +59,7 @@ def frames(
     for i in instants:
         seen = merged([hand(i), held.moved(at.object_pose[i])]).moved(turn)
         image = render(seen, camera, supersampling=supersampling)
-        alpha = image[..., 3:]
-        colour = alpha * image[..., :3] + (1.0 - alpha) * _PAPER
+        colour = _PAPER + image[..., 3:] * (image[..., :3] - _PAPER)
         yield np.round(255.0 * colour).astype(np.uint8)
 
 
@@ -141,23 +140,21 @@ def write_page(
     variants = []
     for name, episode in episodes.items():
         held = surface(episode.body.shape)
-        samples = [
-            _view_sample(episode, Instant(*row))
-            for row in zip(*episode.at, strict=True)
-        ]
-        variants.append(Variant(name, episode.hand, None, samples, held, axes))
+        hand = episode.hand
+        samples = []
+        for row in zip(*episode.at, strict=True):
+            at = Instant(*row)
+            wrist = at.wrist if hand.is_floating else None
+            sample = ViewSample(
+                time=float(at.time),
+                robot_q=at.q,
+                robot_wrist=at.wrist,
+                robot_points=hand.points(at.q, wrist),
+                object_pose=at.object_pose,
+                note=f"{at.normal_force:.1f} N, {at.links_touching} links touch",
+            )
+            samples.append(sample)
+        variants.append(Variant(name, hand, None, samples, held, axes))
     page = make_page(title, None, variants, display=Display("world"))
     with replaced_file(path, "--html") as file:
         file.write(page)
-
-
-def _view_sample(episode: Episode, at: Instant) -> ViewSample:
-    wrist = at.wrist if episode.hand.is_floating else None
-    return ViewSample(
-        time=float(at.time),
-        robot_q=at.q,
-        robot_wrist=at.wrist,
-        robot_points=episode.hand.points(at.q, wrist),
-        object_pose=at.object_pose,
-        note=f"{at.normal_force:.1f} N, {at.links_touching} links touch",
-    )

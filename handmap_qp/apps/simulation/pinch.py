@@ -207,11 +207,16 @@ class PinchScene:
         pads = self.pads
         width = trial.shape.width
         met = self.meeting(width)
-        place = pads.middle(met.places) + np.array(trial.offset)
+        place = pads.middle(met.places) + trial.offset
+        gravity = np.array(self.physics.gravity)
+        up = -gravity if gravity.any() else np.array([0.0, 0.0, 1.0])
+        # The object's z is up and its x along the pinch, turned about the vertical.
+        turn = Rotation.from_euler("z", trial.yaw).as_matrix()
+        axes = turn_up(up, met.places[1] - met.places[0]).T @ turn
         simulator = self._start(
             Body(trial.shape, trial.mass),
             self.physics.replaced(friction=trial.friction),
-            affine(self._upright(met, trial.yaw), place),
+            affine(axes, place),
         )
         instants = []
         times = []
@@ -276,14 +281,6 @@ class PinchScene:
         for i in range(self.window.start + 1, self.window.end + 1):
             simulator.follow(*self.commands.at(i), time[i] - time[i - 1])
             yield float(time[i])
-
-    def _upright(self, met: Meeting, yaw: float) -> np.ndarray:
-        """Return axes with z up and x along the pinch, turned by `yaw` about the vertical."""
-        gravity = np.array(self.physics.gravity)
-        up = -gravity if gravity.any() else np.array([0.0, 0.0, 1.0])
-        thumb, finger = met.places
-        turn = Rotation.from_euler("z", yaw).as_matrix()
-        return turn_up(up, finger - thumb).T @ turn
 
 
 def _outcome(
