@@ -29,7 +29,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 # From the camera's axes (x right, y down, z forward) to upright ones (x right, y up, z back).
-_UPRIGHT = np.array([1.0, -1.0, -1.0])
+_UPRIGHT = (1.0, -1.0, -1.0)
 _OTHER = {"Left": "right", "Right": "left"}
 """MediaPipe names hands for pictures mirrored as in a selfie; ours are not."""
 _LOST = 30

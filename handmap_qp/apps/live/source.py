@@ -185,14 +185,16 @@ class Recorder:
                 problem=f"the hand was not seen in any of {len(samples)} samples",
                 advice="nothing was written",
             )
+        columns: dict[str, Any] = {
+            name: np.array([getattr(sample, name) for sample in samples])
+            for name in ("time", "landmarks", "valid", "confidence")
+        }
+        columns["time"] -= samples[0].time
         recording = Recording(
             name=self.file.stem,
-            time=np.array([sample.time for sample in samples]) - samples[0].time,
-            landmarks=np.array([sample.landmarks for sample in samples]),
-            valid=np.array([sample.valid for sample in samples]),
             side=samples[0].side,
             source="handmap track",
-            confidence=np.array([sample.confidence for sample in samples]),
+            **columns,
         )
         write_recordings([recording], self.file)
 
