@@ -73,15 +73,15 @@ class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def from_matrix(cls, matrix: np.ndarray) -> Pose:
         """Convert a rigid transformation, shape (4, 4), which is not checked."""
         (a, b, c, x), (d, e, f, y), (g, h, i, z), _ = matrix.tolist()
-        # Each row is the quaternion times four times one of its parts. That of the largest part,
-        # which is never small, is taken (Shepperd 1978).
+        # Each row is the quaternion times four times one of its parts. The longest one is that of
+        # the largest part, which is never small (Shepperd 1978).
         rows = (
             (1.0 + a - e - i, b + d, c + g, h - f),
             (b + d, 1.0 - a + e - i, f + h, c - g),
             (c + g, f + h, 1.0 - a - e + i, d - b),
             (h - f, c - g, d - b, 1.0 + a + e + i),
         )
-        row = max(enumerate(rows), key=lambda part: part[1][part[0]])[1]
+        row = max(rows, key=lambda row: math.hypot(*row))
         norm = math.hypot(*row)
         return cls(
             (x, y, z), (row[0] / norm, row[1] / norm, row[2] / norm, row[3] / norm)
