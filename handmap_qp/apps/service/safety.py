@@ -100,38 +100,42 @@ class Event(Enum):
 
 
 _TRANSITIONS: dict[SessionState, dict[Event, SessionState]] = {
-    SessionState.WAITING: {
-        Event.SAMPLE: SessionState.FOLLOWING,
-        Event.RELEASE: SessionState.RELEASED,
-    },
-    SessionState.FOLLOWING: {
-        Event.RELEASE: SessionState.RELEASED,
-        Event.SILENCE: SessionState.HOLDING,
-    },
-    SessionState.RELEASED: {
-        Event.CLUTCH: SessionState.FOLLOWING,
-        Event.RESET: SessionState.FOLLOWING,
-        Event.SILENCE: SessionState.HOLDING_RELEASED,
-    },
-    SessionState.HOLDING: {
-        Event.SAMPLE: SessionState.FOLLOWING,
-        Event.RESET: SessionState.FOLLOWING,
-        Event.RELEASE: SessionState.HOLDING_RELEASED,
-        Event.RETURN: SessionState.RETURNING,
-    },
-    SessionState.HOLDING_RELEASED: {
-        Event.SAMPLE: SessionState.RELEASED,
-        Event.RESET: SessionState.FOLLOWING,
-        Event.CLUTCH: SessionState.HOLDING,
-    },
-    SessionState.RETURNING: {
-        Event.SAMPLE: SessionState.FOLLOWING,
-        Event.RESET: SessionState.FOLLOWING,
-        Event.RELEASE: SessionState.HOLDING_RELEASED,
-        Event.ARRIVAL: SessionState.HOLDING,
-    },
-    SessionState.STOPPED: {Event.CLEAR: SessionState.RELEASED},
+    SessionState[state]: {Event[event]: SessionState[row[event]] for event in row}
+    for state, row in {
+        "WAITING": {
+            "SAMPLE": "FOLLOWING",
+            "RELEASE": "RELEASED",
+        },
+        "FOLLOWING": {
+            "RELEASE": "RELEASED",
+            "SILENCE": "HOLDING",
+        },
+        "RELEASED": {
+            "CLUTCH": "FOLLOWING",
+            "RESET": "FOLLOWING",
+            "SILENCE": "HOLDING_RELEASED",
+        },
+        "HOLDING": {
+            "SAMPLE": "FOLLOWING",
+            "RESET": "FOLLOWING",
+            "RELEASE": "HOLDING_RELEASED",
+            "RETURN": "RETURNING",
+        },
+        "HOLDING_RELEASED": {
+            "SAMPLE": "RELEASED",
+            "RESET": "FOLLOWING",
+            "CLUTCH": "HOLDING",
+        },
+        "RETURNING": {
+            "SAMPLE": "FOLLOWING",
+            "RESET": "FOLLOWING",
+            "RELEASE": "HOLDING_RELEASED",
+            "ARRIVAL": "HOLDING",
+        },
+        "STOPPED": {"CLEAR": "RELEASED"},
+    }.items()
 }
+"""The state after an event, by their names; other events change nothing."""
 
 
 def next_state(state: SessionState, event: Event) -> SessionState:
@@ -318,6 +322,13 @@ class CommandedRobot(Gate):
     ) -> bool:
         """Move towards a posture as far as the gate admits.
 
+        Where links are kept apart, the robot takes the nearest displacement that the rows of
+        self-collision avoidance allow,
+
+            min |x - wanted|^2   s.t.   lower <= x <= upper,   G x <= h,
+
+        so that links slide along each other instead of meeting, or a part of it, or it brakes.
+
         Args:
             q: Target joint angles [rad], shape (n,).
             wrist: Target pose of the wrist, shape (4, 4); None keeps it. The first one places it.
@@ -328,56 +339,34 @@ class CommandedRobot(Gate):
         Returns:
             Whether the posture is reached. If it is not finite, the robot brakes.
         """
-        if not (np.isfinite(q).all() and (wrist is None or np.isfinite(wrist).all())):
+        if not np.isfinite(np.append(q, 0.0 if wrist is None else wrist)).all():
             self.brake(dt)
             return False
         if not self.is_placed and wrist is not None:
             self.place(self.hand.configuration_vector(self.q, wrist))
             self.is_placed = True
-        goal = self.motion.q.copy()
-        self.hand.write_configuration(goal, q, wrist)
-        return self.approach(goal, dt, share, stops=stops)
-
-    def approach(
-        self,
-        goal: np.ndarray,
-        dt: float,
-        share: float = 1.0,
-        *,
-        stops: bool = False,
-    ) -> bool:
-        """Move towards a configuration.
-
-        Where links are kept apart, the robot takes the nearest displacement that the rows of
-        self-collision avoidance allow,
-
-            min |x - wanted|^2   s.t.   lower <= x <= upper,   G x <= h,
-
-        so that links slide along each other instead of meeting, or a part of it, or it brakes.
-
-        Args:
-            goal: Pinocchio configuration, shape (nq,).
-            dt: Time for it [s].
-            share: Share of the speed limits to use.
-            stops: Whether the robot must be able to stop there at once.
-
-        Returns:
-            Whether it is reached.
-        """
-        dt = max(dt, SHORTEST_DT)
         motion = self.motion
-        change = pin.difference(self.hand.model, motion.q, goal)[
-            self.hand.active_columns
-        ]
+        goal = motion.q.copy()
+        self.hand.write_configuration(goal, q, wrist)
+        dt = max(dt, SHORTEST_DT)
+        columns = self.hand.active_columns
+        change = pin.difference(self.hand.model, motion.q, goal)[columns]
         lower, upper = self.bounds(dt)
         limit = self.limits.speeds * (dt * share)
         slack = 1e-12 + 1e-9 * limit
-        reach = np.minimum(limit, self.limits.change(dt)) if stops else limit
+        braking = self.limits.change(dt)
+        reach = np.minimum(limit, braking) if stops else limit
         is_near = (np.abs(change) <= reach + slack) & (change <= upper + slack)
         is_there = bool((is_near & (change >= lower - slack)).all())
-        part = np.clip(self._towards(change, limit, dt), lower, upper)
-        wanted = change if is_there else part
-        nearest = part
+        # The part of the way that the robot takes if it must stop at its end.
+        allowed = braking_displacement(np.abs(change), braking)
+        # Scale all six coordinates of a free wrist alike, so that it stays on its path.
+        free = slice(6 * self.hand.is_floating)
+        shares = limit[free] / np.maximum(allowed[free], 1e-300)
+        allowed[free] *= shares.min(initial=1.0)
+        part = np.copysign(np.minimum(allowed, limit), change)
+        nearest = np.clip(part, lower, upper)
+        wanted = change if is_there else nearest
         if self.collisions is not None:
             nearest = self._along_links(wanted, lower, upper, dt)
         taken = self.admit(wanted, nearest, dt)
@@ -385,16 +374,6 @@ class CommandedRobot(Gate):
         if is_there:
             self.motion = self.motion._replace(q=self.limits.clipped(goal, motion.q))
         return is_there
-
-    def _towards(self, change: np.ndarray, limit: np.ndarray, dt: float) -> np.ndarray:
-        """Return the part of a path that the robot takes if it must stop at its end."""
-        allowed = braking_displacement(np.abs(change), self.limits.change(dt))
-        if self.hand.is_floating:
-            # Scale all six coordinates alike, so that the wrist stays on its path.
-            allowed[:6] *= (limit[:6] / np.maximum(allowed[:6], 1e-300)).min(
-                initial=1.0
-            )
-        return np.copysign(np.minimum(allowed, limit), change)
 
     def _along_links(
         self,
@@ -506,7 +485,7 @@ class Bucket:
 
 
 def refuse_if(
-    is_wrong: bool, message: str, field: str = "", code: str = "invalid"
+    is_wrong: object, message: str, field: str = "", code: str = "invalid"
 ) -> None:
     """Refuse a request.
 
