@@ -250,7 +250,12 @@ class Dispatcher:
         if isinstance(request, Error):
             send(self._counted(request))
         elif isinstance(request, Sample):
-            self._receive_sample(request, send)
+            # Keep the newest one of each session until all waiting messages have been read.
+            if not self._pending:
+                asyncio.get_running_loop().call_soon(self.flush)
+            elif request.session in self._pending:
+                self.metrics.counts["replaced"] += 1
+            self._pending[request.session] = request, send
         elif isinstance(request, Open):
             self._receive_open(request, payload, send)
         else:
@@ -309,14 +314,6 @@ class Dispatcher:
         self.metrics.counts["watchdog"] += session.counts["watchdog"] - trips
         if command is not None:
             self._send(session, command)
-
-    def _receive_sample(self, sample: Sample, send: Send) -> None:
-        """Keep the newest sample of each session until all waiting messages have been read."""
-        if not self._pending:
-            asyncio.get_running_loop().call_soon(self.flush)
-        elif sample.session in self._pending:
-            self.metrics.counts["replaced"] += 1
-        self._pending[sample.session] = sample, send
 
     def _for_stream(self, sample: Sample) -> AnyReply:
         """Map a streamed sample; its command, or why there is none, is in the stream."""
@@ -504,16 +501,13 @@ class Dispatcher:
 
     def _failure(self, seq: int, error: Exception) -> Error:
         """Return the error to answer with; log an unexpected one."""
-        if isinstance(error, RefusedError):
-            code = error.code
-            message = str(error)
-            field = error.field
-        else:
+        if not isinstance(error, RefusedError):
             self._bugs.report(ERROR, "failed", failure=error)
-            code = "internal"
-            field = ""
             message = "the server failed at this request; see its log"
-        return self._counted(Error(seq=seq, code=code, message=message, field=field))
+            error = RefusedError("internal", message)
+        return self._counted(
+            Error(seq=seq, code=error.code, message=str(error), field=error.field)
+        )
 
     def _counted(self, error: Error) -> Error:
         """Return an error, counted and logged."""

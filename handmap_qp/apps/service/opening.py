@@ -200,9 +200,8 @@ class HandCache:
         self, side: Side, points: str | None, lengths: HumanLengths | None = None
     ) -> Hand:
         """Return a human hand, of the model's size without lengths."""
-        if lengths is not None:
-            return load_hand(human_name(side), points=points, lengths=lengths)
-        return self._load(human_name(side), points=points)
+        load = self._load if lengths is None else load_hand
+        return load(human_name(side), points=points, lengths=lengths)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -310,16 +309,10 @@ def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
     start = with_field_errors("preset", lambda: preset_choice(name, human))
     method = _changed("options", start.method, request.options)
     ik = _changed("ik", start.ik, request.ik)
-    for option, is_allowed, expected in (
-        ("solver", ik.solver in SOLVERS, f"one of {', '.join(SOLVERS)}"),
-        (
-            "max_iterations",
-            ik.max_iterations <= MOST_ITERATIONS,
-            f"at most {MOST_ITERATIONS}",
-        ),
-    ):
-        message = f"expected {expected}, got {request.ik.get(option)!r:.40}"
-        refuse_if(not is_allowed, message, f"ik.{option}")
+    message = f"expected one of {', '.join(SOLVERS)}, got {ik.solver!r:.40}"
+    refuse_if(ik.solver not in SOLVERS, message, "ik.solver")
+    message = f"expected at most {MOST_ITERATIONS}, got {ik.max_iterations}"
+    refuse_if(ik.max_iterations > MOST_ITERATIONS, message, "ik.max_iterations")
     return Choice(name, method, ik)
 
 

@@ -117,8 +117,9 @@ def _files() -> dict[str, tuple[str, bytes]]:
 
 
 def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
-    headers = Headers(_HEADERS)
-    headers.update(
-        {"Content-Type": kind, "Content-Length": str(len(body)), "Connection": "close"}
-    )
-    return Response(status.value, status.phrase, headers, body)
+    own = {
+        "Content-Type": kind,
+        "Content-Length": str(len(body)),
+        "Connection": "close",
+    }
+    return Response(status.value, status.phrase, Headers(_HEADERS | own), body)

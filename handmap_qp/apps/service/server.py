@@ -158,14 +158,14 @@ class Server:
         host = "127.0.0.1" if settings.host == "localhost" else settings.host
         most = _CONNECTIONS_PER_SESSION * settings.sessions
         credit = settings.message_size + _ENVELOPE
-        port = "requests", host, settings.port, most, credit, self.metrics
-        self._gate = ConnectionGate(self._router, *port, evicts=True)
-        port = "stream", host, settings.stream_port, most, _TOPICS, self.metrics
-        stream = ConnectionGate(self._stream, *port)
+        gate = "requests", host, settings.port, most, credit, self.metrics
+        self._gate = ConnectionGate(self._router, *gate, evicts=True)
+        gate = "stream", host, settings.stream_port, most, _TOPICS, self.metrics
+        stream = ConnectionGate(self._stream, *gate)
         self._readers = stream.clients
         self.ports["requests"] = await self._closing.enter_async_context(self._gate)
-        self.dispatcher.stream_port = await self._closing.enter_async_context(stream)
-        self.ports["stream"] = self.dispatcher.stream_port
+        port = await self._closing.enter_async_context(stream)
+        self.ports["stream"] = self.dispatcher.stream_port = port
         self.dispatcher.sessions.publish.append(self._publish)
         self._closing.push_async_callback(self.dispatcher.close)
         if settings.web:

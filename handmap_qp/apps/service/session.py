@@ -105,7 +105,7 @@ class SampleForm:
         if sample.valid or given:
             wrong = sorted(given ^ {self._field}, key=_FIELDS.index)
             message = f"this session was opened for {self._wanted}"
-            refuse_if(bool(wrong), message, next(iter(wrong), ""))
+            refuse_if(wrong, message, next(iter(wrong), ""))
         is_bare = self._kind == "q" and sample.wrist is None
         refuse_if(is_bare, "missing; it must come with q", "wrist")
 
@@ -345,7 +345,11 @@ class Session:
             self._mapper_state = MapperState.STALE
             raise
         if step.is_held:
-            return self._held(sample, step, now, flags)
+            # The sample makes no sense: the robot holds, and the watchdog ignores the sample.
+            self.counts["held"] += 1
+            self._stay(step)
+            flags.append(step.rule)
+            return self._command(now, step.status, flags, sample, **_trust(step))
         flags = self._accept(now) + flags + [step.rule] * bool(step.rule)
         if self._state is SessionState.FOLLOWING:
             flags += self._follow(step)
@@ -507,19 +511,6 @@ class Session:
     def _handle(self, event: Event) -> None:
         self._state = next_state(self._state, event)
 
-    def _held(
-        self,
-        sample: Step,
-        step: MapStep,
-        now: float,
-        flags: list[str],
-    ) -> Command:
-        """Answer a sample that makes no sense: the robot holds; the watchdog ignores the sample."""
-        self.counts["held"] += 1
-        self._stay(step)
-        flags.append(step.rule)
-        return self._command(now, step.status, flags, sample, **_trust(step))
-
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
         """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
         rule, hands = calibration.add(self._form.human_sample(sample))
@@ -561,7 +552,7 @@ class Session:
             RefusedError: With the option at fault. Nothing has changed then.
         """
         mapper = hands.mapper
-        human = hands.mapper.human
+        human = mapper.human
         if self._gap_meter is not None and hands is self._hands:
             human = human.with_contact_gap(self._gap_meter.gap)
         choice = read_choice(wanted, human, hands.robot)
@@ -632,7 +623,21 @@ class Session:
         error, at_bound, residual, _ = step.stages.summary
         detail = None
         if self._wanted.has_detail and "motion" in step.diagnostics:
-            detail = to_detail(step, sample, landmarks)
+            # Every stage of a step whose method has a T.
+            names = ("motion", "motion_rigid", "motion_deformation", "stretches")
+            arrays = {name: step.diagnostics[name] for name in names} | {
+                "pivot": step.diagnostics["pivot_image"],
+                "human_points": step.human_points,
+                "targets": step.targets,
+                "points": step.points,
+            }
+            detail = Detail(
+                held_by=step.held_by,
+                human_q=sample.q,
+                human_wrist=to_pose(step.human_wrist),
+                landmarks=None if landmarks is None else landmarks.tolist(),
+                **{name: array.tolist() for name, array in arrays.items()},
+            )
         return {
             "point_error": tuple(error),
             "residual": residual,
@@ -701,21 +706,3 @@ def to_pose(matrix: np.ndarray | None) -> Pose | None:
 def to_matrix(pose: Pose | None) -> np.ndarray | None:
     """Convert a pose of a message, if there is one, to (4, 4)."""
     return None if pose is None else pose.matrix
-
-
-def to_detail(step: MapStep, sample: Step, landmarks: np.ndarray | None) -> Detail:
-    """Convert every stage of a step whose method has a T."""
-    names = ("motion", "motion_rigid", "motion_deformation", "stretches")
-    arrays = {name: step.diagnostics[name] for name in names} | {
-        "pivot": step.diagnostics["pivot_image"],
-        "human_points": step.human_points,
-        "targets": step.targets,
-        "points": step.points,
-    }
-    return Detail(
-        held_by=step.held_by,
-        human_q=sample.q,
-        human_wrist=to_pose(step.human_wrist),
-        landmarks=None if landmarks is None else landmarks.tolist(),
-        **{name: array.tolist() for name, array in arrays.items()},
-    )

@@ -336,7 +336,7 @@ class Sessions:
         code = refusal(held.owner, client, is_attended=is_attended, is_rival=is_rival)
         busy = f"is in use until {LEASE:g} s after its owner's last request"
         reason = busy if code == "busy" else "belongs to another key"
-        refuse_if(bool(code), f"session {name!r} {reason}", "name", code)
+        refuse_if(code, f"session {name!r} {reason}", "name", code)
 
     def _former(
         self,

@@ -20,7 +20,7 @@ import numpy as np
 
 from handmap_qp.apps.service.logs import Throttle, report
 from handmap_qp.apps.service.settings import MOST_SESSIONS
-from handmap_qp.errors import InvalidInputError, RefusedError
+from handmap_qp.errors import InvalidInputError, RefusedError, without_errno
 
 _KIND = 0x686D7170
 """Identifies the database as one of the service."""
@@ -182,17 +182,14 @@ def _open(path: Path) -> sqlite3.Connection:
 
 def _unusable(path: Path, error: OSError | sqlite3.Error) -> InvalidInputError:
     """Return why a file cannot be used for records."""
-    if isinstance(error, OSError):
-        return InvalidInputError(
-            argument=str(path), problem=f"cannot be used: {error.strerror}"
-        )
-    if not isinstance(error, sqlite3.OperationalError):
+    problem = f"cannot be used: {without_errno(error)}"
+    if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_BUSY:
+        problem = "another server uses it"
+    if not isinstance(error, OSError | sqlite3.OperationalError):
         return InvalidInputError(
             argument=str(path),
             expected="a state file of handmap",
             got="another, a damaged or a former one",
             advice="name another file, and stop again what must not move",
         )
-    is_locked = error.sqlite_errorcode == sqlite3.SQLITE_BUSY
-    problem = "another server uses it" if is_locked else f"cannot be used: {error}"
     return InvalidInputError(argument=str(path), problem=problem)

@@ -23,7 +23,6 @@ from logging import ERROR
 from pathlib import Path
 
 import msgspec
-from websockets.asyncio.server import Server as WebServer
 from websockets.asyncio.server import ServerConnection, broadcast, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import CTRL_OPCODES, Frame
@@ -74,7 +73,6 @@ class WebSocketTransport:
     def __post_init__(self) -> None:
         """Begin without connections."""
         self._connections: set[_Outbox] = set()
-        self._server: WebServer | None = None
 
     async def __aenter__(self) -> int:
         settings = self.settings
@@ -102,11 +100,10 @@ class WebSocketTransport:
 
     async def __aexit__(self, *_: object) -> None:
         self.dispatcher.sessions.publish.remove(self._publish)
-        if self._server is not None:
-            self._server.close()
-            # Handshakes under way would hold it up for their own timeout.
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._server.wait_closed(), _CLOSE_TIMEOUT)
+        self._server.close()
+        # Handshakes under way would hold it up for their own timeout.
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(self._server.wait_closed(), _CLOSE_TIMEOUT)
 
     def _check(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return None to accept a handshake, or the response that rejects it.
