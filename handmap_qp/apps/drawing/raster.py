@@ -126,7 +126,7 @@ class Camera(NamedTuple):
         high = tangents.max(axis=0)
         room = np.array(size) - 2.0 * margin * min(size)
         focal_length = float((room / np.maximum(high - low, 1e-9)).min())
-        x, y = (0.5 * (np.array(size) - focal_length * (low + high))).tolist()
+        x, y = (0.5 * (size - focal_length * (low + high))).tolist()
         return cls(world_to_camera, focal_length, (x, y), size)
 
     def project(self, points: np.ndarray) -> np.ndarray:

@@ -120,12 +120,12 @@ class DisplayControls:
         )
         self.landmarks = gui.add_checkbox(
             "landmarks",
-            initial_value=False,
+            False,
             hint="The tracker's landmarks, beside the hand",
         )
         self.trails = gui.add_checkbox(
             "trails",
-            initial_value=False,
+            False,
             hint=f"Where the fingertips were in the last {TRAIL_LENGTH:g} s",
         )
         self.clear = gui.add_button(

@@ -36,7 +36,7 @@ _LONGEST_GAP = 0.15
 # Points of a line of a plot: two for each pixel.
 _MOST_POINTS = 456
 # Width and height of a plot, without its labels [px].
-_PLOT = np.array([228.0, 86.0])
+_PLOT = (228.0, 86.0)
 _STEPS = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 _CELL = "padding:0 0 0 8px;text-align:right;white-space:nowrap"
 _BAR = "position:absolute;left:0;height"
@@ -53,13 +53,10 @@ def legend(entries: Sequence[tuple[str, str]]) -> str:
 
 SCENE_LEGEND = legend(
     [
-        (name, f"rgb{as_bytes(colour)}")
-        for name, colour in (
-            ("human points", HUMAN_COLOUR),
-            ("robot points", ROBOT_COLOUR),
-            ("targets", TARGET_COLOUR),
-            ("ball after T_def", DEFORMATION_COLOUR),
-        )
+        ("human points", f"rgb{as_bytes(HUMAN_COLOUR)}"),
+        ("robot points", f"rgb{as_bytes(ROBOT_COLOUR)}"),
+        ("targets", f"rgb{as_bytes(TARGET_COLOUR)}"),
+        ("ball after T_def", f"rgb{as_bytes(DEFORMATION_COLOUR)}"),
     ]
 )
 """What the colours in the scene mean, as HTML."""

@@ -174,7 +174,7 @@ class HandScene:
         # Seen from the palm side, +x points left.
         left = 0.5 * width
         for figure, size in zip(row, sizes, strict=True):
-            cell = np.array([left - 0.5 * size[0], 0.0, 0.0])
+            cell = (left - 0.5 * size[0], 0.0, 0.0)
             figure.anchor = cell - figure.extent.mean(axis=0)
             left -= size[0] + _GAP
         self.cameras.fit(width, height, depth)
@@ -199,7 +199,7 @@ class BrowserCameras:
         if (size != self._size).any():
             self._size = size
             distance, low = self._view(*_DEFAULT_WINDOW)
-            middle = np.array([0.0, low, 0.0])
+            middle = (0.0, low, 0.0)
             self._server.initial_camera.look_at = middle
             self._server.initial_camera.position = distance * _DIRECTION + middle
 
@@ -237,7 +237,7 @@ class BrowserCameras:
             if views[name] != self._views.get(name):
                 offset = camera.position - camera.look_at
                 direction = _DIRECTION if is_new else unit(offset)
-                middle = np.array([0.0, low, 0.0])
+                middle = (0.0, low, 0.0)
                 # Setting the position moves `look_at` too, so set both.
                 camera.position = middle + distance * direction
                 camera.look_at = middle
