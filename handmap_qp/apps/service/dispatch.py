@@ -57,6 +57,8 @@ from handmap_qp.errors import RefusedError
 
 Answer = Callable[[bytes], None]
 """Callback of a transport that sends an answer; it must not block."""
+Subscriber = Callable[[str], None]
+"""Callback of a transport that subscribes a connection to the stream of a session's name."""
 Send = Callable[[AnyReply], None]
 _QUAT_TOLERANCE = 1e-2
 _STOP_PROTOCOL = 2
@@ -216,7 +218,7 @@ class Dispatcher:
         peer: Hashable,
         answer: Answer,
         *,
-        subscribe: Callable[[str], None] | None = None,
+        subscribe: Subscriber | None = None,
         who: Callable[[], Caller] = Caller,
     ) -> bool:
         """Handle one message; call it from the event loop.
@@ -334,7 +336,7 @@ class Dispatcher:
         request: AnyRequest,
         payload: bytes,
         now: float,
-        subscribe: Callable[[str], None] | None,
+        subscribe: Subscriber | None,
     ) -> AnyReply:
         """Answer a request at once; repeat the last answer if a session's client repeats itself.
 
@@ -360,7 +362,7 @@ class Dispatcher:
         self,
         request: Named | Subscribe,
         now: float,
-        subscribe: Callable[[str], None] | None,
+        subscribe: Subscriber | None,
     ) -> AnyReply:
         """Answer a request by a session's public name.
 

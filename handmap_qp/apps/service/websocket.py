@@ -16,7 +16,7 @@ import http
 import re
 import ssl
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from logging import ERROR
@@ -86,7 +86,10 @@ class WebSocketTransport:
                 settings.web_port,
                 ssl=tls,
                 process_request=self._check,
-                select_subprotocol=_choose_subprotocol,
+                # A client need not offer it.
+                select_subprotocol=lambda _, offered: (
+                    SUBPROTOCOL if SUBPROTOCOL in offered else None
+                ),
                 create_connection=_Connection,
                 logger=websocket_log,
                 compression=None,
@@ -294,13 +297,6 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
             advice=(error.reason or "").replace("_", " ").lower(),
         ) from error
     return tls
-
-
-def _choose_subprotocol(
-    _: ServerConnection, offered: Sequence[Subprotocol]
-) -> Subprotocol | None:
-    """Select the subprotocol of the messages if a client offers it."""
-    return SUBPROTOCOL if SUBPROTOCOL in offered else None
 
 
 def _has_token(request: Request, token: str) -> bool:
