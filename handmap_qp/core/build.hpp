@@ -362,8 +362,11 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   map.robot_centre = from.point("pair.robot_centre");
   map.ratio = from.get<double>("pair.finger_ratio");
   map.gain = from.get<double>("gain");
-  map.thumb_direction = from.get<double>("thumb_direction");
-  map.thumb_base = from.point("pair.robot_base");
+  map.directions = from.numbers("directions");
+  map.ratios = from.numbers("ratios");
+  map.bases = from.points("bases");
+  map.starts = from.indices("starts");
+  map.finger_of = from.indices("finger_of");
   map.base_margins = from.numbers("method.base_margins");
   map.pinch_margins = from.numbers("method.pinch_margins");
   map.pinch_pairs = from.indices("method.pinch_pairs");

@@ -177,8 +177,9 @@ class TeleoperationMap : public TargetMap {
   std::vector<Vec3> offsets;  // of the robot's points, to be turned by T
   Vec3 robot_centre;
   double ratio = 1.0, gain = 1.0;
-  double thumb_direction = 0.0;
-  Vec3 thumb_base;
+  Vector directions, ratios;
+  std::vector<Vec3> bases;
+  std::vector<int> starts, finger_of;
   Vector base_margins, pinch_margins;
   std::vector<int> pinch_pairs, pinch_of_pair;
   double contact_slope = 0.0, contact_from = 0.0, contact_most = 0.0;
@@ -218,15 +219,15 @@ class TeleoperationMap : public TargetMap {
     const Vec3 shift = estimate.centroid_after;
     double most = 0.0;
     for (const double share : pinching) most = std::max(most, share);
-    const double aside = thumb_direction * (1.0 - most);
     asked.points.resize(partners.size());
     for (size_t j = 0; j < partners.size(); ++j) {
       Vec3 moved = estimate.linear * offsets[j] + robot_centre +
                    ratio * (shift - estimator.centroid) + gain * (now[partners[j]] - shift);
-      if (j == 0 && thumb_direction != 0.0) {
-        const Vec3 thumb = now[to[0]] - now[from[0]], led = moved - thumb_base;
-        moved += aside * (norm(led) / std::max(norm(thumb), 1e-9) * thumb - led);
-      }
+      // Away from a pinch, fingers point as the human's do.
+      const int f = finger_of[j];
+      const double closing = pinches == 0 ? 0.0 : f == 0 ? most : pinching[f - 1];
+      const Vec3 led = bases[j] + ratios[j] * (now[partners[j]] - now[starts[j]]);
+      moved += directions[j] * (1.0 - closing) * (led - moved);
       asked.points[j] = palm * moved;
     }
     asked.wrist = palm * robot_palm_to_wrist;

@@ -269,6 +269,14 @@ class Finger:
         found = self.find_middle() if self.name != THUMB else None
         return found or (self._own[-1], np.zeros(3))
 
+    @property
+    def last(self) -> Place:
+        """The last joint: the middle one of a thumb, else where its axis is nearest to the tip."""
+        if self.name == THUMB:
+            return self.middle
+        view = PalmKinematics(self.hand)
+        return view.on_axis(zero_posture(self.hand), self.bending[-1], self.tip)
+
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.
 

@@ -37,13 +37,16 @@ KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
 """Landmark at the base of each finger, by the finger's name."""
 MIDDLES = {f: f"{f}_{'ip' if f == THUMB else 'pip'}" for f in FINGERS}
 """Landmark of the joint in the middle of each finger."""
+LASTS = {f: f"{f}_{'ip' if f == THUMB else 'dip'}" for f in FINGERS}
+"""Landmark of the last joint of each finger."""
 TIPS = {f: f"{f}_tip" for f in FINGERS}
 """Landmark of each fingertip."""
 
+_TABLES = TIPS, LASTS, MIDDLES, KNUCKLES
 # Weight of a jaw's position errors. The gap to the thumb is all that a jaw can show.
 _JAW_WEIGHT = 1e-4
-# Weight of the middle joints' position errors against the fingertips' one.
-_MIDDLE_WEIGHT = 0.5
+# Weight of the joints' position errors against the fingertips' one.
+_JOINT_WEIGHT = 0.5
 # The thumb's share of the way from where it pinches, and its range against the fingers'. Thumbs
 # oppose from different sides, so neither its own base nor the knuckles alone say where it belongs.
 _THUMB_FROM_PINCH = 0.3
@@ -84,7 +87,7 @@ _UNHURRIED = 1e3  # s
 
 def finger_landmarks(fingers: Iterable[str]) -> list[str]:
     """Return the landmarks that a pair of hands needs of each finger."""
-    return [table[f] for f in fingers for table in (TIPS, MIDDLES, KNUCKLES)]
+    return [table[f] for f in fingers for table in _TABLES]
 
 
 class HandPair:
@@ -97,8 +100,8 @@ class HandPair:
     Attributes:
         human: The hand that leads.
         measured: What is measured on the robot alone.
-        robot: The hand that follows. Its reference points are the fingertips and middle joints of
-            the common fingers, in the order of `partners`.
+        robot: The hand that follows. Its reference points are the fingertips, middle and last
+            joints of the common fingers, in the order of `partners`.
         fingers: Names of the common fingers, the thumb first where there is one.
         chains: The robot's fingers, by name.
         pads: Their pads.
@@ -117,7 +120,7 @@ class HandPair:
         robot_knuckles: The same of the robot.
         thumb_likeness: 1 for a thumb that points as the human's in the matched posture, to 0 for
             one that opposes from another side, and for none.
-        robot_base: Base of the robot's first finger there, the thumb's, likewise [m], (3,).
+        robot_bases: Base of each robot finger there, in palm axes [m], shape (f, 3).
         robot_centre: Centre of the robot's tips and middle joints in the matched posture [m], (3,).
         robot_extension: Knuckle-to-tip distance of each robot finger in the matched posture, as a
             share of its reach, shape (f,).
@@ -139,9 +142,9 @@ class HandPair:
                 advice="add `finger` to the points of its hand.yaml, or take the preset object",
             )
         needed = finger_landmarks(self.fingers)
-        points = require_points(human, needed, "this method").reshape(-1, 3)
+        points = require_points(human, needed, "this method").reshape(-1, 4)
         self.tips = points[:, 0]
-        self.knuckles = points[:, 2]
+        self.knuckles = points[:, 3]
         # Shapes are read only for hands that can be a pair: it takes longest.
         self.chains = measured.chains
         self.pads = measured.pads
@@ -181,7 +184,7 @@ class HandPair:
         ]
         points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
         self.robot_knuckles = frozen(points[self._others, 0].mean(axis=0))
-        self.robot_base = frozen(points[0, 0])
+        self.robot_bases = frozen(points[:, 0])
         self.thumb_likeness = 0.0
         if (standard := self.human.unscaled) is not None:
             # It is the robot's, not a person's.
@@ -324,20 +327,23 @@ hand_pair = lru_cache(maxsize=16)(HandPair)
 def _finger_points(
     robot: Hand, chains: dict[str, Finger], tip_weight: float
 ) -> list[PointSpec]:
-    """Make reference points of the fingertips, and of the middle joints except the thumb's."""
+    """Make reference points of the fingertips, and of the joints that bend the fingers."""
     points = [
         _point(robot, finger, TIPS[finger], chain.tip, tip_weight)
         for finger, chain in chains.items()
     ]
     for finger, chain in chains.items():
-        ends = points_in_palm(robot, robot.rest, [chain.middle, chain.knuckle])
-        apart = lengths(ends[0] - ends[1])
-        is_bending = len(chain.joints) > 1 and not chain.is_jaw
-        if finger != THUMB and is_bending and apart > 0.1 * chain.reach:
-            # Weights count squared in the cost.
-            points.append(
-                _point(robot, finger, MIDDLES[finger], chain.middle, _MIDDLE_WEIGHT**2)
-            )
+        if len(chain.joints) < 2 or chain.is_jaw:
+            continue
+        joints = {MIDDLES[finger]: chain.middle}
+        if len(chain.bending) > 2:
+            joints[LASTS[finger]] = chain.last
+        knuckle = points_in_palm(robot, robot.rest, [chain.knuckle])
+        for name, place in joints.items():
+            apart = lengths(points_in_palm(robot, robot.rest, [place]) - knuckle)
+            if apart > 0.1 * chain.reach:
+                # Weights count squared in the cost.
+                points.append(_point(robot, finger, name, place, _JOINT_WEIGHT**2))
     return points
 
 

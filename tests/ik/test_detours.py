@@ -138,7 +138,8 @@ def test_a_detour_frees_a_caught_finger_within_all_limits(
         assert (speeds <= robot.velocity_limits * (1.0 + 1e-9)).all()
         assert collisions.distances(mapper.point_ik.configuration).min() > 0.0
         before = q
-    assert end_error(mapper, mapper.motion, human_q) < free + 1.0
+    # Another posture has to be clearly nearer than where the hand stands.
+    assert end_error(mapper, mapper.motion, human_q) < free / 0.75 + 0.1
 
 
 def test_both_paths_take_the_same_detour(caught: tuple[Motion, np.ndarray]) -> None:

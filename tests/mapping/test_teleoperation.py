@@ -25,7 +25,7 @@ from handmap_qp.hands.fingers import THUMB
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PadSpec
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
-from handmap_qp.mapping.hand_pair import hand_pair
+from handmap_qp.mapping.hand_pair import hand_pair, resting_posture
 from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.mapping.methods.teleoperation import smoothstep
 from handmap_qp.mapping.palm import PalmMap, PalmMethod
@@ -527,7 +527,9 @@ def test_a_thumb_that_rests_like_a_persons_points_as_it_does(
 
     def vector(step: Any) -> np.ndarray:
         palm = step.wrist_target @ pair.robot.wrist_to_palm
-        return transform_points(inverse_pose(palm), step.targets)[0] - pair.robot_base
+        return (
+            transform_points(inverse_pose(palm), step.targets)[0] - pair.robot_bases[0]
+        )
 
     human = pair.human.points(q)
     palm = pair.human.frame_pose("palm", q)
@@ -553,3 +555,32 @@ def test_a_thumb_that_rests_like_a_persons_points_as_it_does(
             step = mapper.map_points(points, wrist)
         assert np.isfinite(step.targets).all()
         assert np.isfinite(step.command.q).all()
+
+
+@pytest.mark.parametrize("name", ["allegro_right", "hey5", "g1_right"])
+def test_fingers_point_as_the_persons_away_from_a_pinch(name: str) -> None:
+    human = HUMAN.with_points("landmarks")
+    robot = load_hand(name)
+    pair = hand_pair(human, robot)
+    q = posture(index=0.5, middle=0.9)
+    ends = human.points(q)[[pair.tips[1], pair.knuckles[1]]]
+    palm = human.frame_pose("palm", q)
+    wanted = (ends[0] - ends[1]) @ palm[:3, :3]
+    off, at_rest, pinched = [], [], []
+    for share in (0.0, 0.5, 1.0):
+        mapper = HandMapper(human, robot, Teleoperation(finger_direction=share))
+        step = mapper.map_step(q, np.eye(4))
+        palm = step.wrist_target @ pair.robot.wrist_to_palm
+        found = transform_points(inverse_pose(palm), step.targets)[1]
+        found = found - pair.robot_bases[1]
+        cosine = found @ wanted / np.linalg.norm(found) / np.linalg.norm(wanted)
+        off.append(np.degrees(np.arccos(cosine)))
+        at_rest.append(mapper.map_step(resting_posture(human), np.eye(4)).targets)
+        pinched.append(mapper.map_step(posture(thumb=0.9, index=1.1), np.eye(4)))
+    # Fingers rest some degrees off where the robot cannot rest as a person does.
+    assert off[2] < max(off[0], 4.0)
+    assert np.ptp(off) > 0.05
+    np.testing.assert_allclose(at_rest[1:], [at_rest[0]] * 2, atol=1e-9)
+    closing = pinched[0].diagnostics["pinching"][0]
+    moved = np.abs(pinched[2].targets - pinched[0].targets)[1].max()
+    assert moved <= (1.0 - closing) * 0.05

@@ -73,13 +73,16 @@ class Teleoperation(MethodOptions, frozen=True):
             high=1e3,
         ),
     ] = 2.5
-    thumb_direction: Annotated[
+    finger_direction: Annotated[
         float,
         number(
-            "How far the target of a thumb that opposes from the person's side is turned to the "
-            "person's direction of the thumb; not where it pinches.",
+            "How far the targets of fingers are turned to the directions of the person's, from the "
+            "knuckle; not where they pinch.",
             high=1.0,
         ),
+    ] = 0.75
+    thumb_direction: Annotated[
+        float, number("The same of a thumb that rests like the person's.", high=1.0)
     ] = 1.0
     pinch_weight: Annotated[
         float,
@@ -333,12 +336,30 @@ class TeleoperationMap(Compiled, PalmMap):
         self.gain = method.choices.residual_gain * pair.finger_ratio
         partners = pair.human_rest[pair.partners] - self.estimator.centroid
         self.offsets = pair.robot_rest - pair.robot_centre - self.gain * partners
-        self.thumb_direction = pair.thumb_likeness * method.choices.thumb_direction
+        self._prepare_directions()
         m = len(self.offsets)
         k = len(self.to_points)
         shapes = [(m, 3), (4, 4), k, k, len(method.base_margins)]
         shapes += [(3, 3), 3, (len(pair.shape_points), 3), (4, 4)]
         self._parts = Parts(*shapes, count, count, len(pair.fingers))
+
+    def _prepare_directions(self) -> None:
+        """Say how the person's vectors from the knuckles become the robot's, for each point."""
+        pair = self.pair
+        choices = self.method.choices
+        names = [point.finger for point in pair.robot.reference_points]
+        self.finger_of = np.array([pair.fingers.index(str(name)) for name in names])
+        self.starts = pair.knuckles[self.finger_of]
+        bases = pair.robot_bases[self.finger_of]
+        human = pair.human_rest[pair.partners] - pair.human_rest[self.starts]
+        self.ratios = lengths(pair.robot_rest - bases) / lengths(human)
+        # At rest, fingers are where they are in the matched posture. A thumb that is like the
+        # person's points as it does there too.
+        shifted = pair.robot_rest - self.ratios[:, None] * human
+        is_thumb = np.array(names) == THUMB
+        self.bases = np.where(is_thumb[:, None], bases, shifted)
+        of_thumb = choices.thumb_direction * pair.thumb_likeness
+        self.directions = np.where(is_thumb, of_thumb, choices.finger_direction)
 
     def targets(self, sample: HumanPose) -> Targets:
         """Impose T and the fingers' residuals in palm axes; add extension, pinches and contacts."""
@@ -352,14 +373,14 @@ class TeleoperationMap(Compiled, PalmMap):
         pinching = method.pinching(gaps)
         pinches = method.choices.pinch_weight * pinching
         points = self._moved(estimate, now)
-        if self.thumb_direction:
-            # Away from a pinch, a thumb that rests like the human's points as it does.
-            thumb = now[pair.tips[0]] - now[pair.knuckles[0]]
-            led = points[0] - pair.robot_base
-            share = self.thumb_direction * (1.0 - pinching.max(initial=0.0))
-            # Landmarks in one place have no direction.
-            ratio = lengths(led) / max(lengths(thumb), 1e-9)
-            points[0] += share * (ratio * thumb - led)
+        # Away from a pinch, fingers point as the human's do.
+        closing = np.zeros(len(pair.fingers))
+        closing[1 : 1 + len(pinching)] = pinching
+        closing[0] = pinching.max(initial=0.0)
+        shares = self.directions * (1.0 - closing[self.finger_of])
+        vectors = now[pair.partners] - now[self.starts]
+        led = self.bases + self.ratios[:, None] * vectors
+        points += shares[:, None] * (led - points)
         return self._asked(
             *self.placed(palm, points),
             method.aims(distances),
