@@ -258,8 +258,7 @@ class Finger:
             return self._knuckle or self.tip
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
-        view = PalmKinematics(self.hand)
-        return view.on_axis(zero_posture(self.hand), self.bending[0], self.tip)
+        return self._on_axis(self.bending[0])
 
     @cached_property
     def middle(self) -> Place:
@@ -274,8 +273,11 @@ class Finger:
         """The last joint: the middle one of a thumb, else where its axis is nearest to the tip."""
         if self.name == THUMB:
             return self.middle
+        return self._on_axis(self.bending[-1])
+
+    def _on_axis(self, joint: int) -> Place:
         view = PalmKinematics(self.hand)
-        return view.on_axis(zero_posture(self.hand), self.bending[-1], self.tip)
+        return view.on_axis(zero_posture(self.hand), joint, self.tip)
 
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.

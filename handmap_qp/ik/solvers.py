@@ -13,7 +13,6 @@ import numpy as np
 import qpsolvers
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.ik.limits import Rows
 
 # Settings for a solution nearly as exact as DAQP's; most defaults stop at 1e-3 to 1e-6. quadprog
 # needs no setting. With smaller tolerances interior-point methods (clarabel, piqp) report failure,
@@ -70,14 +69,6 @@ def make_solver(name: str) -> Callable[..., np.ndarray | None]:
             option="solver", expected=f"one of {known}", value=name
         )
 
-    def solve(
-        H: np.ndarray,
-        c: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        rows: Rows | None = None,
-    ) -> np.ndarray | None:
-        G, h = rows or (None, None)
-        return solve_problem(qpsolvers.Problem(H, c, G, h, lb=lower, ub=upper), name)
-
-    return solve
+    return lambda H, c, lower, upper, rows=None: solve_problem(
+        qpsolvers.Problem(H, c, *(rows or (None, None)), lb=lower, ub=upper), name
+    )

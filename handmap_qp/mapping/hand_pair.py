@@ -60,7 +60,7 @@ _RESTING_THUMB = {
 }
 # Cosines of the angle between the resting thumbs where one is not at all like the other, and where
 # it is wholly.
-_UNLIKE, _LIKE = np.cos(np.radians([10.0, 5.0]))
+_LIKE = np.cos(np.radians([10.0, 5.0]))
 # Weight of the rest posture in the matched one: it decides only where the points do not.
 _REST_WEIGHT = 0.05
 _OPENING = IkOptions(
@@ -193,8 +193,7 @@ class HandPair:
             resting = self.human_rest[self.tips[0]] - self.human_rest[self.knuckles[0]]
             robots = points[0, 1] - points[0, 0]
             cosine = resting.dot(robots) / (lengths(resting) * lengths(robots))
-            likeness = (cosine - _UNLIKE) / (_LIKE - _UNLIKE)
-            self.thumb_likeness = float(np.clip(likeness, 0.0, 1.0))
+            self.thumb_likeness = float(np.interp(cosine, _LIKE, (0.0, 1.0)))
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
         spans = lengths(points[:, 1] - points[:, 0])
         self.robot_extension = frozen(spans / self.robot_reach)

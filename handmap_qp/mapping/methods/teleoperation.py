@@ -270,10 +270,8 @@ class BoundTeleoperation(PalmMethod):
         )
         self.least_aims = np.append(np.zeros(len(pair.fingers)), touching)
         self.largest_aims = np.append(pair.robot_reach, np.full(count, np.inf))
-        weights = {THUMB: choices.thumb_extension_weight}
-        self.extension_weights = np.array(
-            [weights.get(finger, choices.extension_weight) for finger in pair.fingers]
-        )
+        weights = choices.thumb_extension_weight, choices.extension_weight
+        self.extension_weights = np.where(np.array(pair.fingers) == THUMB, *weights)
 
     def aims(self, distances: np.ndarray) -> np.ndarray:
         """Return the wanted distance of each row for the human's, shape (k,) both."""
@@ -374,10 +372,9 @@ class TeleoperationMap(Compiled, PalmMap):
         pinches = method.choices.pinch_weight * pinching
         points = self._moved(estimate, now)
         # Away from a pinch, fingers point as the human's do.
-        closing = np.zeros(len(pair.fingers))
-        closing[1 : 1 + len(pinching)] = pinching
-        closing[0] = pinching.max(initial=0.0)
-        shares = self.directions * (1.0 - closing[self.finger_of])
+        closing = np.append(pinching.max(initial=0.0), pinching)
+        closing = closing.take(self.finger_of, mode="clip")
+        shares = self.directions * (1.0 - closing)
         vectors = now[pair.partners] - now[self.starts]
         led = self.bases + self.ratios[:, None] * vectors
         points += shares[:, None] * (led - points)
