@@ -210,7 +210,8 @@ inline void set_weights(Ik& ik, const Fields& hand, const Fields& options) {
                 options.get<double>("damping"), options.get<double>("error_damping")};
   ik.settings = {options.get<int>("max_iterations"), options.get<double>("step_tolerance"),
                  options.get<double>("point_tolerance"), options.get<double>("rest_weight"),
-                 options.get<double>("speed_weight"), options.get<double>("acceleration_weight")};
+                 options.get<double>("speed_weight"), options.get<double>("acceleration_weight"),
+                 options.get<bool>("points_follow_wrist")};
 }
 
 inline void set_detours(Ik& ik, const Fields& hand, const Fields& options) {

@@ -36,7 +36,7 @@ class Detours {
   };
 
   void look_ahead(const Goal& goal, const Vector& margins, const Result& result) {
-    const Vector here = errors(goal, result);
+    const Vector here = errors(result);
     if (!are_new(here)) return;
     const Vector& rest = goal.postures.front().q;
     const End found = foresee(goal, margins, rest);
@@ -61,7 +61,7 @@ class Detours {
     End end;
     for (int k = 0; k < rules_.samples; ++k) {
       ik_.solve(goal, rules_.sample, margins, 1.0, result);
-      end.errors = errors(goal, result);
+      end.errors = errors(result);
       if (*std::max_element(end.errors.begin(), end.errors.end()) <= rules_.away) break;
     }
     end.joints = joints();
@@ -107,10 +107,10 @@ class Detours {
     return found;
   }
 
-  Vector errors(const Goal& goal, const Result& result) const {
+  Vector errors(const Result& result) const {
     Vector found;
-    for (size_t k = 0; k < goal.points.size(); ++k)
-      found.push_back(ik_.weights.points[k] * norm(goal.points[k] - result.points[k]));
+    for (size_t k = 0; k < result.points.size(); ++k)
+      found.push_back(ik_.weights.points[k] * norm(result.targets[k] - result.points[k]));
     return found;
   }
 

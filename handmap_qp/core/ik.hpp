@@ -38,6 +38,7 @@ struct Settings {
   int max_iterations;
   double step_tolerance, point_tolerance;
   double rest_weight, speed_weight, acceleration_weight;
+  bool points_follow_wrist;
 };
 
 struct Posture {
@@ -78,7 +79,7 @@ enum class Status { converged, limited, unreachable, unsettled, failed, released
 
 struct Result {
   Status status;
-  std::vector<Vec3> points;
+  std::vector<Vec3> points, targets;
   Pose wrist;
   Vector displacement;
   std::vector<std::int8_t> active;
@@ -172,6 +173,7 @@ class Ik {
     at.place(motion.q.data());
     result.points.resize(tree.points.size());
     for (size_t k = 0; k < tree.points.size(); ++k) result.points[k] = at.point(tree.points[k]);
+    result.targets = result.points;
     result.wrist = at.wrist();
     result.displacement = motion.displacement;
     result.active.assign(tree.size, 0);
@@ -301,6 +303,7 @@ class Ik {
     const std::vector<int>& moving = tree.moving[joint];
     for (size_t a = 0; a < moving.size(); ++a) {
       const Vec3 lever = levers_[moving[a]];
+      levers2_[moving[a]] += dot(lever, lever);
       c_[moving[a]] += dot(error, lever);
       double* row = H_.data() + moving[a] * tree.size;
       for (size_t b = 0; b <= a; ++b) row[moving[b]] += dot(lever, levers_[moving[b]]);
@@ -319,15 +322,9 @@ class Ik {
     const int n = tree.size;
     H_.assign(n * n, 0.0);
     c_.assign(n, 0.0);
-    double error2 = add_points(goal);
-    if (goal.has_wrist) error2 += add_wrist(goal.wrist);
-    // Damp by error times lever, the curvature that the linearisation neglects. The root of the
-    // diagonal is the lever. A floating wrist's translation has none.
-    diagonal_.resize(n);
-    const double scale = weights.error_damping * std::sqrt(error2);
-    for (int i = 0; i < n; ++i)
-      diagonal_[i] = weights.damping * weights.damping +
-                     (tree.is_floating && i < 3 ? 0.0 : scale * std::sqrt(H_[i * n + i]));
+    diagonal_.assign(n, weights.damping * weights.damping);
+    damp(add_points(goal));
+    if (goal.has_wrist) damp(add_wrist(goal.wrist));
     for (const Posture& posture : goal.postures) {
       for (size_t j = 0; j < tree.joint_columns.size(); ++j) {
         const int i = tree.joint_columns[j];
@@ -348,16 +345,38 @@ class Ik {
     for (int i = 0; i < n; ++i) H_[i * n + i] += diagonal_[i];
   }
 
+  // Damp points or wrist by their error times lever, the curvature that the linearisation neglects.
+  // A floating wrist's translation has none.
+  void damp(double error2) {
+    const double scale = weights.error_damping * std::sqrt(error2);
+    for (int i = tree.is_floating ? 3 : 0; i < tree.size; ++i)
+      diagonal_[i] += scale * std::sqrt(levers2_[i]);
+  }
+
+  // Where the points' targets are: those that go with the wrist, on it where it is.
+  const std::vector<Vec3>& targets(const Goal& goal) {
+    targets_ = goal.points;
+    if (!goal.has_wrist || !settings.points_follow_wrist) return targets_;
+    const Pose drift = at.wrist() * inverse(goal.wrist);
+    for (Vec3& target : targets_) target = drift * target;
+    return targets_;
+  }
+
   double add_points(const Goal& goal) {
     double error2 = 0.0;
+    levers2_.assign(tree.size, 0.0);
+    targets(goal);
+    const bool go_with = goal.has_wrist && settings.points_follow_wrist;
     for (size_t k = 0; k < tree.points.size(); ++k) {
       const Attached& attached = tree.points[k];
       const Vec3 point = at.point(attached);
-      const Vec3 error = weights.points[k] * (point - goal.points[k]);
+      const Vec3 error = weights.points[k] * (point - targets_[k]);
       error2 += dot(error, error);
       start_levers(attached.joint);
       for (const int c : support(attached.joint))
         levers_[tree.leader[c]] += (weights.points[k] * tree.factor[c]) * at.velocity(c, point);
+      // What moves the wrist moves the targets too.
+      if (go_with) start_levers(tree.wrist_origin.joint);
       add_levers(attached.joint, error);
     }
     return error2;
@@ -368,6 +387,7 @@ class Ik {
     const Twist twist = log6(offset);
     const LogJacobian log = jlog6(offset);
     const double a = weights.wrist_position, b = weights.wrist_orientation;
+    levers2_.assign(tree.size, 0.0);
     const int joint = tree.wrist_origin.joint;
     const Vec3 v = a * twist.v, w = b * twist.w;
     // The columns' velocities in the wrist's axes.
@@ -521,10 +541,11 @@ class Ik {
     constexpr double kAtBound = 1e-7, kAtRest = 1e-3;
     const int n = tree.size;
     result.points.resize(tree.points.size());
+    result.targets = targets(goal);
     double farthest2 = 0.0;
     for (size_t k = 0; k < tree.points.size(); ++k) {
       result.points[k] = at.point(tree.points[k]);
-      const Vec3 error = result.points[k] - goal.points[k];
+      const Vec3 error = result.points[k] - result.targets[k];
       farthest2 = std::max(farthest2, dot(error, error));
     }
     result.wrist = at.wrist();
@@ -558,8 +579,8 @@ class Ik {
   int held_by_ = -1;  // the pair that holds the hand back
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
-  std::vector<Vec3> levers_;
-  Vector lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
+  std::vector<Vec3> levers_, targets_;
+  Vector levers2_, lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
       taken_, times_, path_, whole_, reached_;
 };
 

@@ -171,7 +171,7 @@ struct Stages : Step {
 inline nb::object read_ik(const nb::object& self) {
   Stages& stages = nb::cast<Stages&>(self);
   if (!stages.ik_.is_valid())
-    stages.ik_ = stages.reader->result(self, nb::getattr(stages.read_asked(), "points"));
+    stages.ik_ = stages.reader->result(self);
   return stages.ik_;
 }
 

@@ -362,6 +362,7 @@ NB_MODULE(_core, m) {
       .def_prop_ro("q", [](const Step& step) { return array_of(step.q); })
       .def_prop_ro("wrist", [](const Step& step) { return array_of(step.result.wrist); })
       .def_prop_ro("points", [](const Step& step) { return array_of(step.result.points); })
+      .def_prop_ro("targets", [](const Step& step) { return array_of(step.result.targets); })
       .def_prop_ro("configuration", [](const Step& step) { return array_of(step.motion.q); })
       .def_prop_ro("displacement",
                    [](const Step& step) { return array_of(step.result.displacement); })

@@ -131,6 +131,7 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double d
   goal.aims = asked.aims;
   goal.aim_weights = asked.weights;
   seek(ik, goal, dt, asked.margins, speed, step.result);
+  asked.points = step.result.targets;
   finish(ik, step);
 }
 

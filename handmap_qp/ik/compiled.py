@@ -58,7 +58,7 @@ class CompiledIk:
             weights,
             partial(self._linearise, tasks) if tasks else None,
         )
-        return self._result(step, goal.points)
+        return self._result(step)
 
     def sample_mapper(self, target_map: Any) -> Any:
         """Return the core's way from samples to steps, by a `TargetMap` that it has too."""
@@ -88,14 +88,12 @@ class CompiledIk:
         return self._hand.configuration()
 
 
-def _result_of(
-    columns: np.ndarray, links: Any, step: Any, targets: np.ndarray
-) -> IkResult:
-    """Return the result of a step of the core, whose points had these targets (m, 3) [m]."""
+def _result_of(columns: np.ndarray, links: Any, step: Any) -> IkResult:
+    """Return the result of a step of the core."""
     return IkResult(
         STATUSES[step.outcome],
         step.points,
-        targets,
+        step.targets,
         step.configuration,
         step.wrist,
         frozen(step.displacement),

@@ -10,7 +10,6 @@ error (see `IkOptions.error_damping`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
@@ -24,7 +23,9 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import Rows
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import point_rows
 from handmap_qp.ik.tasks import Goal, Task
+from handmap_qp.se3 import lengths
 
 ErrorAndJacobian = tuple[np.ndarray, np.ndarray]
 
@@ -52,18 +53,17 @@ class Term(mink.Task):
         return self.linearise(configuration)[1]
 
 
-def point_term(targets: np.ndarray, cost: np.ndarray) -> Term:
+def point_term(
+    targets: np.ndarray, cost: np.ndarray, wrist: pin.SE3 | None = None
+) -> Term:
     """Return the term of all reference points to their targets.
 
     Args:
         targets: Targets of the points [m], shape (m, 3).
         cost: Weight of each point's error [cost]/[m], shape (m,).
+        wrist: Target of the wrist, if they go with it.
     """
-
-    def linearise(hand: Configuration) -> ErrorAndJacobian:
-        return (hand.points - targets).ravel(), hand.point_jacobian()
-
-    return Term(np.repeat(cost, 3), linearise)
+    return Term(np.repeat(cost, 3), lambda hand: point_rows(hand, targets, wrist))
 
 
 def wrist_term(target: pin.SE3, costs: tuple[float, float]) -> Term:
@@ -115,10 +115,11 @@ def damping_term(
     """
 
     def linearise(hand: Configuration) -> ErrorAndJacobian:
-        rows = [(term.cost, *term.linearise(hand)) for term in of]
-        error = math.sqrt(sum(np.square(cost * e).sum() for cost, e, _ in rows))
-        levers = [np.square(cost[:, None] * J).sum(axis=0) for cost, _, J in rows]
-        further = error_damping * error * np.sqrt(sum(levers, np.zeros(nv)))
+        further = np.zeros(nv)
+        for term in of:
+            error, jacobian = term.linearise(hand)
+            levers = lengths((term.cost[:, None] * jacobian).T)
+            further += error_damping * lengths(term.cost * error) * levers
         further[:free_translations] = 0.0
         return np.zeros(nv), np.diag(np.sqrt(cost**2 + further))
 
@@ -176,9 +177,11 @@ class _ActiveConfiguration:
 
 def make_terms(hand: Hand, options: IkOptions, goal: Goal) -> list[Term]:
     """Return the terms whose sum is the cost of one sample."""
-    followed = [point_term(goal.points, options.point_costs(hand))]
-    if goal.wrist is not None:
-        followed.append(wrist_term(pin.SE3(goal.wrist), options.wrist_costs))
+    wrist = None if goal.wrist is None else pin.SE3(goal.wrist)
+    on = wrist if options.points_follow_wrist else None
+    followed = [point_term(goal.points, options.point_costs(hand), on)]
+    if wrist is not None:
+        followed.append(wrist_term(wrist, options.wrist_costs))
     nv = len(hand.active_columns)
     free = 3 if hand.is_floating else 0
     damping = damping_term(nv, options.damping, options.error_damping, followed, free)

@@ -126,6 +126,13 @@ class IkOptions(Options, frozen=True):
             "another posture."
         ),
     ] = False
+    points_follow_wrist: Annotated[
+        bool,
+        text(
+            "Whether the points' targets go with the robot's own wrist where that is not at its "
+            "target, so that the fingers do the same wherever an arm ends."
+        ),
+    ] = False
     tasks: Annotated[
         tuple[str, ...],
         text(

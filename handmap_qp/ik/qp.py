@@ -31,7 +31,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import SHORTEST_DT, TIGHT, Gate, Motion, Rows, feasible
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.tasks import Goal, Task, tasks_named
-from handmap_qp.se3 import frozen, lengths
+from handmap_qp.se3 import frozen, lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.hands.shape_pairs import ShapePairs
@@ -63,7 +63,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
             `unsettled`: it is still on its way; `failed`: the solver found no answer, and the hand
             stays where it was, or comes back into its limits; `released`: it had no targets.
         points: Reference points [m], shape (m, 3).
-        targets: Their targets [m], shape (m, 3).
+        targets: Their targets [m], shape (m, 3); on the wrist where it is if they go with it.
         q: Pinocchio configuration reached, shape (nq,).
         wrist: Wrist frame there, shape (4, 4).
         displacement: From the sample before to this one, in the active coordinates (wrist, and
@@ -101,6 +101,31 @@ def _costs(hand: Hand, options: IkOptions) -> np.ndarray:
     return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
 
 
+def point_rows(
+    configuration: Configuration, targets: np.ndarray, wrist: pin.SE3 | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return error, shape (3 m,), and Jacobian, shape (3 m, k), of the points to their targets.
+
+    Args:
+        configuration: Of the hand, placed with Jacobians.
+        targets: Targets of the reference points [m], shape (m, 3).
+        wrist: Target of the wrist, if they go with it: what moves the wrist moves them too.
+    """
+    jacobian = configuration.point_jacobian()
+    if wrist is not None:
+        targets = moved_along(configuration, targets, wrist)
+        jacobian[:, configuration.wrist_jacobian(np.eye(6)).any(axis=0)] = 0.0
+    return (configuration.points - targets).ravel(), jacobian
+
+
+def moved_along(
+    configuration: Configuration, targets: np.ndarray, wrist: pin.SE3
+) -> np.ndarray:
+    """Return targets that are rigidly on a wrist's target, where the wrist is instead, (m, 3)."""
+    drift = configuration.wrist * wrist.inverse()
+    return transform_points(drift.homogeneous, targets)
+
+
 def weighted_task(
     hand: Hand,
     options: IkOptions,
@@ -124,9 +149,10 @@ def weighted_task(
         offset = wrist.actInv(configuration.wrist)
         twist = pin.log6(offset).vector
         derivative = pin.Jlog6(offset)
-    error = np.append(configuration.points - points, twist)
-    rows = configuration.point_jacobian(), configuration.wrist_jacobian(derivative)
-    return costs[:, None] * np.vstack(rows), costs * error
+    on = wrist if options.points_follow_wrist else None
+    error, jacobian = point_rows(configuration, points, on)
+    rows = jacobian, configuration.wrist_jacobian(derivative)
+    return costs[:, None] * np.vstack(rows), costs * np.append(error, twist)
 
 
 def direct_cost(
@@ -144,11 +170,12 @@ def direct_cost(
     jacobian, error = weighted_task(hand, options, configuration, goal.points, wrist)
     H = jacobian.T.dot(jacobian)
     c = error.dot(jacobian)
-    # Damp by error times lever, the curvature that the linearisation neglects. The root of the
-    # diagonal is the lever. A floating wrist's translation has none.
-    diagonal = (
-        options.error_damping * math.sqrt(error.dot(error)) * np.sqrt(H.diagonal())
-    )
+    # Damp points and wrist by their errors times their levers, the curvature that the linearisation
+    # neglects. A floating wrist's translation has none.
+    diagonal = np.zeros(len(c))
+    for part in (slice(-6), slice(-6, None)):
+        levers = lengths(jacobian[part].T)
+        diagonal += options.error_damping * lengths(error[part]) * levers
     diagonal[: 3 if hand.is_floating else 0] = 0.0
     diagonal += options.damping**2
     joints = hand.joint_columns
@@ -394,9 +421,10 @@ class PointIk:
             configuration.displace(start, total)
         total = gate.admit(total, first, dt, around)
         status = "failed" if has_failed else "solved"
-        return self._result(
-            status, goal.points, total, lower, upper, iterations, last_step
-        )
+        targets = goal.points
+        if goal.wrist is not None and self.options.points_follow_wrist:
+            targets = moved_along(self.configuration, targets, pin.SE3(goal.wrist))
+        return self._result(status, targets, total, lower, upper, iterations, last_step)
 
     def hold(self, dt: float) -> IkResult:
         """Bring the hand to a stop within its acceleration limit, without targets.

@@ -344,6 +344,7 @@ class HandMapper:
                 margins=asked.margins,
                 speed=speed,
             )
+            asked = structs.replace(asked, points=result.targets)
         robot = plan.bound.robot
         q = result.q[robot.q_indices]
         command = RobotCommand(robot.joint_names, q, result.wrist)

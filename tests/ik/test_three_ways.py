@@ -80,7 +80,11 @@ def relative(actual: np.ndarray, expected: np.ndarray) -> float:
 
 
 @each_kind_of_hand
-@pytest.mark.parametrize("options", [ONE_STEP, UNEQUAL], ids=["default", "unequal"])
+@pytest.mark.parametrize(
+    "options",
+    [ONE_STEP, UNEQUAL, ONE_STEP.replaced(points_follow_wrist=True)],
+    ids=["default", "unequal", "follow"],
+)
 def test_ways_1_and_2_pose_the_same_problem(
     which: tuple[str, str, str | None], options: IkOptions
 ) -> None:

@@ -151,7 +151,6 @@ class MujocoIk:
         Returns:
             The problem, its right-hand sides at full size.
         """
-        tasks: list[mink.Task] = [*self._points, self._rest]
         errors = []
         for task, target in zip(self._points, point_targets, strict=True):
             here = self._configuration.get_transform_frame_to_world(
@@ -162,37 +161,38 @@ class MujocoIk:
                 mink.SE3.from_rotation_and_translation(here.rotation(), near)
             )
             errors.append(task.cost[:3] * (target - here.translation()))
+        # Points and wrist, and their errors.
+        parts: list[tuple[list[mink.Task], np.ndarray]] = [
+            ([*self._points], np.concatenate(errors))
+        ]
         if wrist_target is not None:
             self._wrist.set_target(mink.SE3.from_matrix(wrist_target))
-            tasks.append(self._wrist)
-            errors.append(
-                self._wrist.cost * self._wrist.compute_error(self._configuration)
-            )
+            error = self._wrist.cost * self._wrist.compute_error(self._configuration)
+            parts.append(([self._wrist], error))
+        T = self.tangent_map()
+        problem = self._built([*[t for part, _ in parts for t in part], self._rest], dt)
         # mink's DampingTask excludes the floating base, and its lm_damping grows with the squared
         # error.
-        problem, T = (
-            mink.build_ik(
-                self._configuration,
-                tasks,
-                self.shrink * dt,
-                damping=0.0,
-                limits=self._limits,
-            ),
-            self.tangent_map(),
-        )
+        damping = np.zeros(T.shape[1])
+        for tasks, error in parts:
+            squares = np.diag(T.T @ np.asarray(self._built(tasks).P) @ T)
+            damping += np.linalg.norm(error) * np.sqrt(np.maximum(squares, 0.0))
+        damping[: 3 if self.hand.is_floating else 0] = 0.0
+        damping = self.options.damping**2 + self.options.error_damping * damping
         P = T.T @ np.asarray(problem.P) @ T
-        lever = np.diag(P).copy()
-        lever[self.hand.joint_columns] -= self.options.rest_weight**2
-        lever[: 3 if self.hand.is_floating else 0] = 0.0
-        error = np.linalg.norm(np.concatenate(errors))
-        damping = (
-            self.options.damping** 2
-            + self.options.error_damping * error * np.sqrt(np.maximum(lever, 0.0))
-        )
         G = None if problem.G is None else np.asarray(problem.G) @ T
         h = None if problem.h is None else problem.h / self.shrink
         return qpsolvers.Problem(
             P + np.diag(damping), T.T @ problem.q / self.shrink, G, h
+        )
+
+    def _built(self, tasks: list[mink.Task], dt: float = 1.0) -> qpsolvers.Problem:
+        return mink.build_ik(
+            self._configuration,
+            tasks,
+            self.shrink * dt,
+            damping=0.0,
+            limits=self._limits,
         )
 
     @property

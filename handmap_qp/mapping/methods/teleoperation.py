@@ -131,7 +131,9 @@ def fingers_correspond(human: Hand, robot: Hand) -> bool:
 PRESETS = {
     "teleoperation": Preset(
         Teleoperation(),
-        FOLLOWING.replaced(rest_weight=0.35, takes_detours=True),
+        FOLLOWING.replaced(
+            rest_weight=0.35, takes_detours=True, points_follow_wrist=True
+        ),
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
         rank=0,

@@ -1,0 +1,90 @@
+"""Hands on arms: the fingers belong to the palm, wherever the arm ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from handmap_qp import HandMapper, load_hand
+from handmap_qp.ik import core as core_module
+from handmap_qp.ik.qp import point_rows
+from handmap_qp.mapping.presets import get_preset
+
+HUMAN = load_hand("human", points="landmarks")
+DT = 1.0 / 60.0
+FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+
+
+def motion(count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """A person who opens and closes the hand, and reaches much farther than an arm."""
+    found = []
+    for i in range(count):
+        share = 0.5 - 0.5 * np.cos(0.05 * i)
+        q = HUMAN.rest + share * (0.6 * HUMAN.upper_limits - HUMAN.rest)
+        wrist = np.eye(4)
+        wrist[:3, 3] = 0.0, 0.02 * i, 0.5 * share
+        found.append((np.clip(q, HUMAN.lower_limits, HUMAN.upper_limits), wrist))
+    return found
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+@pytest.mark.parametrize(
+    ("arm", "bare"), [("ur5_allegro", "allegro_right"), ("g1_arm_left", "g1_left")]
+)
+def test_fingers_do_on_an_arm_what_they_do_without(
+    arm: str, bare: str, formulation: str
+) -> None:
+    ik = get_preset("teleoperation").ik.replaced(formulation=formulation)
+    robots = load_hand(arm), load_hand(bare)
+    mappers = [HandMapper(HUMAN, robot, "teleoperation", ik=ik) for robot in robots]
+    names = [name for name in robots[0].joint_names if name in robots[1].joint_names]
+    columns = [[robot.joint_names.index(name) for name in names] for robot in robots]
+    assert len(names) == len(robots[1].joint_names)
+    assert robots[0].moves_wrist.sum() == len(robots[0].joint_names) - len(names)
+    apart = []
+    for sample in motion(150):
+        steps = [mapper.map_step(*sample) for mapper in mappers]
+        q, other = (
+            step.command.q[column] for step, column in zip(steps, columns, strict=True)
+        )
+        apart.append(np.abs(q - other).max())
+    # The arm is left behind by metres, and the fingers are not.
+    missed = steps[0].command.wrist[:3, 3] - steps[0].wrist_target[:3, 3]
+    assert np.linalg.norm(missed) > 1.0
+    assert np.percentile(apart, 95) < 0.02
+    # Targets go with the palm.
+    off = np.linalg.norm(steps[0].ik.errors, axis=1)
+    other = np.linalg.norm(steps[1].ik.errors, axis=1)
+    np.testing.assert_allclose(off, other, atol=2e-3)
+
+
+@pytest.mark.parametrize("name", ["ur5_allegro", "allegro_right"])
+def test_rows_that_go_with_the_wrist_are_derivatives(name: str) -> None:
+    hand = load_hand(name)
+    placed = hand.configuration()
+    rng = np.random.default_rng(0)
+    q = rng.uniform(hand.lower_limits, hand.upper_limits)
+    wrist = pin.exp6(rng.normal(size=6))
+    vector = hand.configuration_vector(
+        q, wrist.homogeneous if hand.is_floating else None
+    )
+    placed.place(vector)
+    targets = placed.points + 0.05 * rng.normal(size=placed.points.shape)
+    goal = pin.exp6(0.3 * rng.normal(size=6)) * placed.wrist
+    # In the axes of the wrist, which turn with what moves it.
+    error, jacobian = point_rows(placed, targets, goal)
+    turn = placed.wrist.rotation.copy()
+    local = error.reshape(-1, 3) @ turn
+    for column in range(placed.nv):
+        step = np.zeros(placed.nv)
+        step[column] = 1e-6
+        ends = []
+        for sign in (1.0, -1.0):
+            placed.displace(vector, sign * step)
+            there, _ = point_rows(placed, targets, goal)
+            ends.append(there.reshape(-1, 3) @ placed.wrist.rotation)
+        slope = (ends[0] - ends[1]) / 2e-6
+        wanted = jacobian[:, column].reshape(-1, 3) @ turn
+        np.testing.assert_allclose(slope, wanted, atol=1e-7)
+    assert np.abs(local).max() > 0.01
