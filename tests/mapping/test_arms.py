@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from handmap_qp import HandMapper, load_hand
+from handmap_qp import HandMapper, MapStep, load_hand
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.qp import point_rows
 from handmap_qp.mapping.presets import get_preset
@@ -43,6 +43,7 @@ def test_fingers_do_on_an_arm_what_they_do_without(
     assert len(names) == len(robots[1].joint_names)
     assert robots[0].moves_wrist.sum() == len(robots[0].joint_names) - len(names)
     apart = []
+    steps: list[MapStep] = []
     for sample in motion(150):
         steps = [mapper.map_step(*sample) for mapper in mappers]
         q, other = (

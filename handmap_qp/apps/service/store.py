@@ -20,7 +20,7 @@ import numpy as np
 
 from handmap_qp.apps.service.logs import Throttle, report
 from handmap_qp.apps.service.settings import MOST_SESSIONS
-from handmap_qp.errors import InvalidInputError, RefusedError, without_errno
+from handmap_qp.errors import InvalidInputError, RefusedError, reason_of
 
 _KIND = 0x686D7170
 """Identifies the database as one of the service."""
@@ -182,7 +182,7 @@ def _open(path: Path) -> sqlite3.Connection:
 
 def _unusable(path: Path, error: OSError | sqlite3.Error) -> InvalidInputError:
     """Return why a file cannot be used for records."""
-    problem = f"cannot be used: {without_errno(error)}"
+    problem = f"cannot be used: {reason_of(error)}"
     if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_BUSY:
         problem = "another server uses it"
     if not isinstance(error, OSError | sqlite3.OperationalError):
