@@ -22,14 +22,32 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import Gate, Motion, Rows
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import PointIk, weighted_task
+from handmap_qp.ik.qp import PointIk, point_rows, wrist_rows
 from handmap_qp.ik.tasks import Goal
 
 RANK_TOLERANCE = 1e-10
 """Without damping, singular values below this share of the largest count as zero."""
+
+
+def weighted_task(
+    hand: Hand,
+    options: IkOptions,
+    configuration: Configuration,
+    points: np.ndarray,
+    wrist: pin.SE3 | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return weighted Jacobian and error of all targets, (r, k) and (r,); 6 rows for a wrist."""
+    parts = [point_rows(configuration, points, None)]
+    if wrist is not None:
+        parts.append(wrist_rows(configuration, wrist))
+    error, jacobian = (np.concatenate(each) for each in zip(*parts, strict=True))
+    costs = np.repeat([*options.point_costs(hand), *options.wrist_costs], 3)
+    costs = costs[: len(error)]
+    return costs[:, None] * jacobian, costs * error
 
 
 class PseudoinverseIk(PointIk):

@@ -546,6 +546,8 @@ class Detours:
         self._motion = ik.gate.motion
         # The joints of an arm follow the wrist at all times.
         self._is_finger = ~hand.moves_wrist
+        self._fingers = hand.joint_columns[self._is_finger]
+        self._costs = ik.options.point_costs(hand)
 
     def solve(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
@@ -565,23 +567,28 @@ class Detours:
         else:
             result = ik.solve_once(goal, dt, margins, speed)
             self.detour = Detour(None, points, known, left, wait)
-            if wait <= 0.0 and ik.is_held_away(result, dt * speed):
-                self.look_ahead(goal, margins, result)
+            self.look_ahead(goal, margins, result, dt * speed)
         self._motion = ik.gate.motion
         return result
 
     def look_ahead(
-        self, goal: Goal, margins: np.ndarray | None, result: IkResult
+        self, goal: Goal, margins: np.ndarray | None, result: IkResult, time: float
     ) -> None:
-        """Take a detour from where the hand stands if that leads nearer to the targets.
+        """Take a detour if the hand is held away from its targets, and that leads nearer.
 
         Args:
             goal: Of the sample that has just been solved; the others likewise.
             margins: As of `PointIk.solve`.
-            result: Where it stands.
+            result: Where the hand is.
+            time: Of the sample, times its share of the speed limits [s].
         """
-        here = self._ik.costs(result)
-        known = self.detour.known * (self.detour.wait > -_FORGOTTEN)
+        wait = self.detour.wait
+        moved = np.abs(result.displacement[self._fingers])
+        speeds = self._ik.gate.limits.speeds[self._fingers]
+        if wait > 0.0 or (moved > ON_ITS_WAY * time * speeds).any():
+            return
+        here = self._errors(result)
+        known = self.detour.known * (wait > -_FORGOTTEN)
         if not np.any((here > AWAY) & (here > _GROWN * known)):
             return
         via = goal.postures[0][1]
@@ -606,10 +613,15 @@ class Detours:
                 break
         for _ in range(_SAMPLES):
             result = ik.solve_once(goal, _SAMPLE, margins, 1.0)
-            if ik.costs(result).max() <= AWAY:
+            errors = self._errors(result)
+            if errors.max() <= AWAY:
                 break
         ik.gate.motion = motion
-        return ik.costs(result), result.q[ik.hand.q_indices]
+        return errors, result.q[ik.hand.q_indices]
+
+    def _errors(self, result: IkResult) -> np.ndarray:
+        """Return the weighted error of every point [cost], shape (m,)."""
+        return self._costs * lengths(result.errors)
 
     def _pulled(self, goal: Goal, posture: np.ndarray) -> Goal:
         """Return a goal that pulls the fingers to a posture."""

@@ -23,7 +23,7 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import Rows
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import point_rows
+from handmap_qp.ik.qp import point_rows, wrist_rows
 from handmap_qp.ik.tasks import Goal, Task
 from handmap_qp.se3 import lengths
 
@@ -73,12 +73,7 @@ def wrist_term(target: pin.SE3, costs: tuple[float, float]) -> Term:
         target: Target of the wrist frame.
         costs: Weights of the translational error [cost]/[m] and the rotational one [cost]/[rad].
     """
-
-    def linearise(hand: Configuration) -> ErrorAndJacobian:
-        error = -pin.log6(hand.wrist.actInv(target)).vector
-        return error, hand.wrist_jacobian(pin.Jlog6(target.actInv(hand.wrist)))
-
-    return Term(np.repeat(costs, 3), linearise)
+    return Term(np.repeat(costs, 3), lambda hand: wrist_rows(hand, target))
 
 
 def posture_term(hand: Hand, cost: float | np.ndarray, posture: np.ndarray) -> Term:

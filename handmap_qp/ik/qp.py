@@ -8,9 +8,8 @@ Wrist and fingers are solved together. `w_d^2` is the damping plus a share of th
 (Levenberg-Marquardt). `E` and `e` are the rows of further tasks (`handmap_qp.ik.tasks`). The box
 never contradicts itself: where `q` starts outside its limits, the joint comes back as fast as its
 speed limit allows. Lengths are in units of 10 mm and angles of the wrist in units of 0.1 rad, which
-keeps the Hessian near one, where solvers work best.
-
-DAQP, the default, is called by itself; `handmap_qp.ik.solvers` has any other one.
+keeps the Hessian near one, where solvers work best. DAQP, the default, is called by itself;
+`handmap_qp.ik.solvers` has any other one.
 """
 
 from __future__ import annotations
@@ -97,7 +96,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
 
 @lru_cache(maxsize=16)
 def _costs(hand: Hand, options: IkOptions) -> np.ndarray:
-    """Return the cost of every row of `weighted_task`, shape (3 m + 6,), read-only."""
+    """Return the costs of points and wrist by their coordinates, shape (3 m + 6,), read-only."""
     return frozen(np.repeat([*options.point_costs(hand), *options.wrist_costs], 3))
 
 
@@ -118,41 +117,17 @@ def point_rows(
     return (configuration.points - targets).ravel(), jacobian
 
 
-def moved_along(
-    configuration: Configuration, targets: np.ndarray, wrist: pin.SE3
-) -> np.ndarray:
+def moved_along(hand: Configuration, targets: np.ndarray, wrist: pin.SE3) -> np.ndarray:
     """Return targets that are rigidly on a wrist's target, where the wrist is instead, (m, 3)."""
-    drift = configuration.wrist * wrist.inverse()
-    return transform_points(drift.homogeneous, targets)
+    return transform_points((hand.wrist * wrist.inverse()).homogeneous, targets)
 
 
-def weighted_task(
-    hand: Hand,
-    options: IkOptions,
-    configuration: Configuration,
-    points: np.ndarray,
-    wrist: pin.SE3 | None,
+def wrist_rows(
+    configuration: Configuration, target: pin.SE3
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted Jacobian, shape (3 m + 6, k), and error, shape (3 m + 6,), of all targets.
-
-    Args:
-        hand: The hand.
-        options: The weights.
-        configuration: Of the hand, placed with Jacobians.
-        points: Targets of the reference points [m], shape (m, 3).
-        wrist: Target of the wrist frame; None leaves it free, with zeros in its rows.
-    """
-    costs = _costs(hand, options)
-    twist = np.zeros(6)
-    derivative = np.zeros((6, 6))
-    if wrist is not None:
-        offset = wrist.actInv(configuration.wrist)
-        twist = pin.log6(offset).vector
-        derivative = pin.Jlog6(offset)
-    on = wrist if options.points_follow_wrist else None
-    error, jacobian = point_rows(configuration, points, on)
-    rows = jacobian, configuration.wrist_jacobian(derivative)
-    return costs[:, None] * np.vstack(rows), costs * np.append(error, twist)
+    """Return error, shape (6,), and Jacobian, (6, k), of the wrist to a pose, in its own axes."""
+    offset = target.actInv(configuration.wrist)
+    return pin.log6(offset).vector, configuration.wrist_jacobian(pin.Jlog6(offset))
 
 
 def direct_cost(
@@ -167,15 +142,22 @@ def direct_cost(
         goal: What the cost asks for.
     """
     wrist = None if goal.wrist is None else pin.SE3(goal.wrist)
-    jacobian, error = weighted_task(hand, options, configuration, goal.points, wrist)
-    H = jacobian.T.dot(jacobian)
-    c = error.dot(jacobian)
-    # Damp points and wrist by their errors times their levers, the curvature that the linearisation
-    # neglects. A floating wrist's translation has none.
-    diagonal = np.zeros(len(c))
-    for part in (slice(-6), slice(-6, None)):
-        levers = lengths(jacobian[part].T)
-        diagonal += options.error_damping * lengths(error[part]) * levers
+    on = wrist if options.points_follow_wrist else None
+    parts = [point_rows(configuration, goal.points, on)]
+    if wrist is not None:
+        parts.append(wrist_rows(configuration, wrist))
+    H = np.zeros((configuration.nv, configuration.nv))
+    c = np.zeros(configuration.nv)
+    diagonal = np.zeros(configuration.nv)
+    costs = np.split(_costs(hand, options), [-6])
+    for cost, (error, jacobian) in zip(costs, parts, strict=False):
+        error = cost * error
+        jacobian = cost[:, None] * jacobian
+        H += jacobian.T.dot(jacobian)
+        c += error.dot(jacobian)
+        # Damp by error times lever, the curvature that the linearisation neglects.
+        diagonal += options.error_damping * lengths(error) * lengths(jacobian.T)
+    # A floating wrist's translation has none.
     diagonal[: 3 if hand.is_floating else 0] = 0.0
     diagonal += options.damping**2
     joints = hand.joint_columns
@@ -276,8 +258,9 @@ class PointIk:
             collisions=collisions,
         )
         self.core = ik.compiled.compile_ik(hand, options, self.gate)
-        self._fingers = hand.joint_columns[~hand.moves_wrist]
         self._detours: Detours | None = None
+        if options.takes_detours and self.core is None:
+            self._detours = ik.collision.Detours(self)
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what a copy is built from, without the workspace."""
@@ -353,24 +336,7 @@ class PointIk:
             return self.core.solve(goal, dt, margins, speed)
         if self._detours:
             return self._detours.solve(goal, dt, margins, speed)
-        result = self.solve_once(goal, dt, margins, speed)
-        if self.options.takes_detours and self.is_held_away(result, dt * speed):
-            self._detours = ik.collision.Detours(self)
-            self._detours.look_ahead(goal, margins, result)
-        return result
-
-    def is_held_away(self, result: IkResult, time: float) -> bool:
-        """Return whether a point is away from its target though no finger is on its way.
-
-        `time` is that of the sample, times its share of the speed limits [s].
-        """
-        most = ik.collision.ON_ITS_WAY * time * self.gate.limits.speeds[self._fingers]
-        is_held = (np.abs(result.displacement[self._fingers]) <= most).all()
-        return bool(is_held and self.costs(result).max() > ik.collision.AWAY)
-
-    def costs(self, result: IkResult) -> np.ndarray:
-        """Return the weighted error of every point [cost], shape (m,)."""
-        return _costs(self.hand, self.options)[:-6:3] * lengths(result.errors)
+        return self.solve_once(goal, dt, margins, speed)
 
     def solve_once(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float

@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from ik_cases import HANDS, Case, each_plain_hand, hand_of, problem_of, random_cases
-from pseudoinverse import PseudoinverseIk
+from pseudoinverse import PseudoinverseIk, weighted_task
 
 from handmap_qp import IkOptions, load_hand
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import BoxLimits
-from handmap_qp.ik.qp import PointIk, solve_by_daqp, weighted_task
+from handmap_qp.ik.qp import PointIk, solve_by_daqp
 from handmap_qp.ik.tasks import Goal
 
 PLAIN = IkOptions(error_damping=0.0, has_velocity_limits=False, max_iterations=1)
