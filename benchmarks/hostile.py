@@ -537,6 +537,7 @@ def wild_options(rng: np.random.Generator) -> IkOptions:
         error_damping=float(rng.choice([0.0, 0.7])),
         max_iterations=int(rng.integers(1, 6)),
         step_tolerance=float(rng.choice([0.0, 0.1])),
+        points_follow_wrist=bool(rng.random() < 0.5),
     )
 
 

@@ -23,7 +23,7 @@ class Detours {
     }
     ik_.solve(goal, dt, margins, speed, result);
     if (detour_.wait <= -rules_.forgotten) detour_.known.clear();
-    if (detour_.wait <= 0.0 && is_held(result, dt * speed)) look_ahead(goal, margins, result);
+    if (detour_.wait <= 0.0) look_ahead(goal, margins, result, dt * speed);
   }
 
  private:
@@ -35,16 +35,22 @@ class Detours {
     Vector errors, joints;
   };
 
-  void look_ahead(const Goal& goal, const Vector& margins, const Result& result) {
+  void look_ahead(const Goal& goal, const Vector& margins, const Result& result, double time) {
     const Vector here = errors(result);
-    if (!are_new(here)) return;
+    bool is_held_away = false;
+    for (size_t k = 0; k < here.size(); ++k)
+      is_held_away |= is_new(here, k) && !is_on_its_way(k, result, time);
+    if (!is_held_away) return;
     const Vector& rest = goal.postures.front().q;
     const End found = foresee(goal, margins, rest);
-    if (!is_nearer(found.errors, here)) {
-      detour_ = {{}, {}, here, 0.0, rules_.later};
+    Vector ahead = here;
+    // It may get there slowly by itself.
+    if (is_nearer(found.errors, here)) ahead = foresee(goal, margins, {}).errors;
+    if (!is_nearer(found.errors, ahead)) {
+      detour_ = {{}, {}, ahead, 0.0, rules_.later};
       return;
     }
-    const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, here);
+    const bool is_direct = is_nearer(foresee(goal, margins, found.joints).errors, ahead);
     detour_ = {is_direct ? found.joints : rest, goal.points, {}, rules_.longest * rules_.sample, 0.0};
   }
 
@@ -54,7 +60,7 @@ class Detours {
     Goal goal = given;
     goal.postures.resize(1);
     Result result;
-    for (int k = 0; k < rules_.longest; ++k) {
+    for (int k = 0; !via.empty() && k < rules_.longest; ++k) {
       ik_.solve(pulled(goal, via), rules_.sample, margins, 1.0, result);
       if (is_at(via)) break;
     }
@@ -91,14 +97,19 @@ class Detours {
     return most < rules_.reached;
   }
 
-  // Whether no finger is on its way to its target.
-  bool is_held(const Result& result, double time) const {
+  // Whether a joint of its finger moves a point nearly as fast as it can.
+  bool is_on_its_way(size_t point, const Result& result, double time) const {
+    const int joint = ik_.tree.points[point].joint;
+    if (joint < 0) return false;
+    const std::vector<int>& moving = ik_.tree.moving[joint];
     for (size_t j = 0; j < rules_.is_finger.size(); ++j) {
       const int i = ik_.tree.joint_columns[j];
       const double most = rules_.on_its_way * time * ik_.limits.speeds[i];
-      if (rules_.is_finger[j] != 0.0 && !(std::abs(result.displacement[i]) <= most)) return false;
+      if (rules_.is_finger[j] != 0.0 && std::abs(result.displacement[i]) > most &&
+          std::binary_search(moving.begin(), moving.end(), i))
+        return true;
     }
-    return true;
+    return false;
   }
 
   Vector joints() const {
@@ -115,12 +126,9 @@ class Detours {
   }
 
   // Whether a point is away, by more than where no way round is known.
-  bool are_new(const Vector& errors) const {
-    for (size_t k = 0; k < errors.size(); ++k) {
-      const double known = detour_.known.empty() ? 0.0 : rules_.grown * detour_.known[k];
-      if (errors[k] > std::max(rules_.away, known)) return true;
-    }
-    return false;
+  bool is_new(const Vector& errors, size_t k) const {
+    const double known = detour_.known.empty() ? 0.0 : rules_.grown * detour_.known[k];
+    return errors[k] > std::max(rules_.away, known);
   }
 
   bool is_nearer(const Vector& errors, const Vector& here) const {

@@ -18,8 +18,7 @@ inline void set_motion(Ik& ik, const Array& q, const Array& displacement, double
   expect_size(q, ik.tree.nq, "q");
   expect_size(displacement, ik.tree.size, "displacement");
   expect_size(stop_times, ik.tree.size, "stop_times");
-  // A solver that has not moved yet may be a copy that goes on with a detour.
-  if (!ik.motion.q.empty()) ik.detour = {};
+  ik.detour = {};
   ik.motion.q = vector_of(q);
   ik.motion.displacement = vector_of(displacement);
   ik.motion.dt = dt;

@@ -45,7 +45,7 @@ start,
     -n^T (J_b - J_a)(r) dq <= gain (n^T (r - p) - margin).
 
 Rows may hold a finger behind others, or a folded one, far from its target though another posture is
-near: a QP finds the nearest minimum. Where the fingers stand and a point is away from its target,
+near: a QP finds the nearest minimum. Where a point is away from its target, and not on its way,
 the hand looks ahead by the same QPs (`Detours`): where would it end if it went by its rest posture?
 If that is clearly nearer, the joints are pulled to what was found there, straight or by rest,
 whichever was seen to arrive. Every step passes the gate.
@@ -88,7 +88,7 @@ _EXPECTED = 0.25
 AWAY = 3.0
 """A point whose weighted error is larger is away from its target [cost]: 30 mm for a fingertip."""
 ON_ITS_WAY = 0.7
-"""A finger is on its way where a joint moves by more than this share of its speed limit."""
+"""A point is on its way where a joint moves it by more than this share of its speed limit."""
 # To look ahead: time of a sample [s], and their number, at most.
 _SAMPLE = 0.05
 _SAMPLES = 12
@@ -534,41 +534,46 @@ class Detours:
     Args:
         ik: Solves a sample, and moves the hand.
         detour: Of the solver that this one is a copy of; none if omitted.
-
-    Attributes:
-        detour: The one that the hand is on, if any.
     """
 
     def __init__(self, ik: PointIk, detour: tuple[Any, ...] = ()) -> None:
         hand = ik.hand
         self._ik = ik
-        self.detour = Detour(*detour)
+        self._detour = Detour(*detour)
         self._motion = ik.gate.motion
         # The joints of an arm follow the wrist at all times.
         self._is_finger = ~hand.moves_wrist
         self._fingers = hand.joint_columns[self._is_finger]
+        joints = [frame.parentJoint for frame in hand.point_frames]
+        moves = moved_by(hand.model, joints)
+        if hand.expansion is not None:
+            moves = moves @ np.abs(hand.expansion.matrix)
+        self._moves = moves[:, self._fingers]
         self._costs = ik.options.point_costs(hand)
+
+    @property
+    def detour(self) -> Detour:
+        """The one that the hand is on; none where something else has moved the hand since."""
+        return self._detour if self._ik.gate.motion is self._motion else _NONE
 
     def solve(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
     ) -> IkResult:
         """Move the hand for one sample; arguments as of `PointIk.solve`."""
         ik = self._ik
-        if ik.gate.motion is not self._motion:
-            # Something else has moved the hand.
-            self.detour = _NONE
         via, points, known, left, wait = self.detour
         wait = wait - dt
         if via is not None and lengths(goal.points - points).max() <= _MOVED:
             result = ik.solve_once(self._pulled(goal, via), dt, margins, speed)
-            self.detour = Detour(via, points, known, left - dt, wait)
+            self._motion = ik.gate.motion
+            self._detour = Detour(via, points, known, left - dt, wait)
             if left < dt or self._is_at(via):
-                self.detour = Detour(wait=_AGAIN)
+                self._detour = Detour(wait=_AGAIN)
         else:
             result = ik.solve_once(goal, dt, margins, speed)
-            self.detour = Detour(None, points, known, left, wait)
+            self._motion = ik.gate.motion
+            self._detour = Detour(None, points, known, left, wait)
             self.look_ahead(goal, margins, result, dt * speed)
-        self._motion = ik.gate.motion
         return result
 
     def look_ahead(
@@ -583,34 +588,42 @@ class Detours:
             time: Of the sample, times its share of the speed limits [s].
         """
         wait = self.detour.wait
-        moved = np.abs(result.displacement[self._fingers])
-        speeds = self._ik.gate.limits.speeds[self._fingers]
-        if wait > 0.0 or (moved > ON_ITS_WAY * time * speeds).any():
+        if wait > 0.0:
             return
         here = self._errors(result)
         known = self.detour.known * (wait > -_FORGOTTEN)
-        if not np.any((here > AWAY) & (here > _GROWN * known)):
+        speeds = self._ik.gate.limits.speeds[self._fingers]
+        is_fast = (
+            np.abs(result.displacement[self._fingers]) > ON_ITS_WAY * time * speeds
+        )
+        is_held = self._moves.dot(is_fast) == 0.0
+        if not np.any(is_held & (here > AWAY) & (here > _GROWN * known)):
             return
         via = goal.postures[0][1]
         errors, found = self._foresee(goal, margins, via)
-        if not _is_nearer(errors, here):
-            self.detour = Detour(known=here, wait=_LATER)
+        ahead = here
+        if _is_nearer(errors, here):
+            # It may get there slowly by itself.
+            ahead, _ = self._foresee(goal, margins)
+        if not _is_nearer(errors, ahead):
+            self._detour = Detour(known=ahead, wait=_LATER)
             return
-        if _is_nearer(self._foresee(goal, margins, found)[0], here):
+        if _is_nearer(self._foresee(goal, margins, found)[0], ahead):
             via = found
-        self.detour = Detour(via, goal.points, left=_LONGEST * _SAMPLE)
+        self._detour = Detour(via, goal.points, left=_LONGEST * _SAMPLE)
 
     def _foresee(
-        self, goal: Goal, margins: np.ndarray | None, via: np.ndarray
+        self, goal: Goal, margins: np.ndarray | None, via: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return errors of the points, shape (m,), and joints, shape (n,), where the hand ends."""
         ik = self._ik
         motion = ik.gate.motion
         goal = goal._replace(postures=goal.postures[:1])
-        for _ in range(_LONGEST):
-            ik.solve_once(self._pulled(goal, via), _SAMPLE, margins, 1.0)
-            if self._is_at(via):
-                break
+        if via is not None:
+            for _ in range(_LONGEST):
+                ik.solve_once(self._pulled(goal, via), _SAMPLE, margins, 1.0)
+                if self._is_at(via):
+                    break
         for _ in range(_SAMPLES):
             result = ik.solve_once(goal, _SAMPLE, margins, 1.0)
             errors = self._errors(result)

@@ -60,6 +60,17 @@ class CompiledIk:
         )
         return self._result(step)
 
+    @property
+    def detour(self) -> tuple[Any, ...]:
+        """The `Detour` that the hand is on; empty where something else has moved it since."""
+        return () if self._gate.was_set else self.core.detour
+
+    def go_on(self, detour: tuple[Any, ...]) -> None:
+        """Continue the gate's motion on a detour, as the hand does that this one is a copy of."""
+        self.core.set_motion(*self._gate.motion)
+        self._gate.was_set = False
+        self.core.detour = detour
+
     def sample_mapper(self, target_map: Any) -> Any:
         """Return the core's way from samples to steps, by a `TargetMap` that it has too."""
         assert core is not None

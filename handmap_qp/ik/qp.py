@@ -264,7 +264,7 @@ class PointIk:
 
     def __getstate__(self) -> tuple[Any, ...]:
         """Return what a copy is built from, without the workspace."""
-        detours = self.core.core if self.core else self._detours
+        detours = self.core or self._detours
         detour = detours and tuple(detours.detour)
         return self.hand, self.options, self.gate.motion, self._contacts, detour
 
@@ -272,8 +272,8 @@ class PointIk:
         """Build a solver with a workspace of its own that continues the same motion."""
         *arguments, contacts, detour = state
         PointIk.__init__(self, *arguments, contacts=contacts)
-        if self.core:
-            self.core.core.detour = detour
+        if detour and self.core:
+            self.core.go_on(detour)
         elif detour:
             self._detours = ik.collision.Detours(self, detour)
 
