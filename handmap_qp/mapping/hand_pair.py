@@ -332,18 +332,27 @@ def _finger_points(
         for finger, chain in chains.items()
     ]
     for finger, chain in chains.items():
-        if len(chain.joints) < 2 or chain.is_jaw:
-            continue
-        joints = {MIDDLES[finger]: chain.middle}
-        if len(chain.bending) > 2:
-            joints[LASTS[finger]] = chain.last
         knuckle = points_in_palm(robot, robot.rest, [chain.knuckle])
-        for name, place in joints.items():
+        for name, place in _joints_between(finger, chain).items():
             apart = lengths(points_in_palm(robot, robot.rest, [place]) - knuckle)
             if apart > 0.1 * chain.reach:
                 # Weights count squared in the cost.
                 points.append(_point(robot, finger, name, place, _JOINT_WEIGHT**2))
     return points
+
+
+def _joints_between(finger: str, chain: Finger) -> dict[str, Place]:
+    """Return the joints of a finger that say how it bends, by their landmarks."""
+    if len(chain.joints) < 2 or chain.is_jaw:
+        return {}
+    # Where joints are coupled, more points only outvote the fingertip and the pinch.
+    is_free = len(chain.columns) > 2
+    joints = {}
+    if finger != THUMB or is_free:
+        joints[MIDDLES[finger]] = chain.middle
+    if is_free and len(chain.bending) > 2:
+        joints[LASTS[finger]] = chain.last
+    return joints
 
 
 def _point(
