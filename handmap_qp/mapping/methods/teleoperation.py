@@ -2,9 +2,9 @@
 
 The paper's T is estimated in palm axes, from the human's rest posture to now, and imposed on the
 robot's matched posture. What T cannot express, each finger's residual, goes to the partner on the
-robot in full, scaled by the ratio of reaches. Distance rows in the same QP show what positions
-cannot: how far each finger is extended, and that thumb and finger touch. Contact rows keep links
-apart.
+robot in full, scaled by the ratio of reaches. Away from a pinch, fingers are turned to point as the
+human's do. Distance rows in the same QP show what positions cannot: how far each finger is
+extended, and that thumb and finger touch. Contact rows keep links apart.
 """
 
 from __future__ import annotations
