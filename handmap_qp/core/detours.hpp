@@ -146,10 +146,19 @@ class Detours {
 // Move the hand for one sample, by a detour if its options allow any.
 inline void seek(Ik& ik, const Goal& goal, double dt, const Vector& margins, double speed,
                   Result& result) {
-  if (ik.detour_rules)
-    Detours(ik).solve(goal, dt, margins, speed, result);
-  else
+  if (!ik.detour_rules) {
     ik.solve(goal, dt, margins, speed, result);
+    return;
+  }
+  const Motion motion = ik.motion;
+  try {
+    Detours(ik).solve(goal, dt, margins, speed, result);
+  } catch (...) {
+    // What was foreseen is not where the hand is.
+    ik.motion = motion;
+    ik.detour = {};
+    throw;
+  }
 }
 
 }  // namespace handmap

@@ -561,19 +561,23 @@ class Detours:
     ) -> IkResult:
         """Move the hand for one sample; arguments as of `PointIk.solve`."""
         ik = self._ik
+        before = ik.gate.motion
         via, points, known, left, wait = self.detour
-        wait = wait - dt
-        if via is not None and lengths(goal.points - points).max() <= _MOVED:
-            result = ik.solve_once(self._pulled(goal, via), dt, margins, speed)
+        is_on = via is not None and lengths(goal.points - points).max() <= _MOVED
+        try:
+            pulled = self._pulled(goal, via) if is_on else goal
+            result = ik.solve_once(pulled, dt, margins, speed)
             self._motion = ik.gate.motion
-            self._detour = Detour(via, points, known, left - dt, wait)
-            if left < dt or self._is_at(via):
+            on = via if is_on else None
+            self._detour = Detour(on, points, known, left - dt, wait - dt)
+            if not is_on:
+                self.look_ahead(goal, margins, result, dt * speed)
+            elif left < dt or self._is_at(via):
                 self._detour = Detour(wait=_AGAIN)
-        else:
-            result = ik.solve_once(goal, dt, margins, speed)
-            self._motion = ik.gate.motion
-            self._detour = Detour(None, points, known, left, wait)
-            self.look_ahead(goal, margins, result, dt * speed)
+        except BaseException:
+            # What was foreseen is not where the hand is.
+            ik.gate.motion = before
+            raise
         return result
 
     def look_ahead(
@@ -581,11 +585,7 @@ class Detours:
     ) -> None:
         """Take a detour if the hand is held away from its targets, and that leads nearer.
 
-        Args:
-            goal: Of the sample that has just been solved; the others likewise.
-            margins: As of `PointIk.solve`.
-            result: Where the hand is.
-            time: Of the sample, times its share of the speed limits [s].
+        All is of the sample just solved; `time` is times its share of the speed limits [s].
         """
         wait = self.detour.wait
         if wait > 0.0:

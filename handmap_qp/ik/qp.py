@@ -274,7 +274,7 @@ class PointIk:
         PointIk.__init__(self, *arguments, contacts=contacts)
         if detour and self.core:
             self.core.go_on(detour)
-        elif detour:
+        elif detour and self._detours:
             self._detours = ik.collision.Detours(self, detour)
 
     @cached_property

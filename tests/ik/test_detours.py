@@ -14,6 +14,7 @@ from handmap_qp import HandMapper, load_hand
 from handmap_qp.ik import core as core_module
 from handmap_qp.ik.collision import Detours
 from handmap_qp.ik.limits import Motion
+from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.presets import get_preset
 
 DT = 1.0 / 60.0
@@ -219,6 +220,44 @@ def test_fingers_on_their_way_do_not_look_for_a_detour(
         if is_on[-1] and not is_on[-2]:
             assert (is_away & ~is_fast[joints].any(axis=1)).any()
     assert is_on[1:].index(True) > 1
+
+
+class Failing:
+    """A task that adds nothing, and raises at one of its calls."""
+
+    def __init__(self, at: int) -> None:
+        self.left = at
+
+    def linearise(self, hand: Any) -> TaskRows:
+        self.left -= 1
+        if self.left == 0:
+            raise RuntimeError("a task fails")
+        return TaskRows(np.zeros(0), np.zeros((0, hand.nv)), np.zeros(hand.nv))
+
+
+@each_formulation
+def test_a_failure_while_looking_ahead_moves_nothing(
+    formulation: str, caught: tuple[Motion, np.ndarray]
+) -> None:
+    start, human_q = caught
+    mapper = mapper_of(formulation=formulation)
+    mapper.motion = start
+    failed = 0
+    for _ in range(round(0.5 / DT)):
+        before = mapper.motion.q.copy()
+        # A sample takes at most six QPs; later calls are those of a look ahead.
+        mapper.configure(tasks=[Failing(12)])
+        try:
+            mapper.map_step(human_q, PALM)
+        except RuntimeError:
+            failed += 1
+            np.testing.assert_array_equal(mapper.motion.q, before)
+            mapper.configure(tasks=[])
+            step = mapper.map_step(human_q, PALM)
+            q = before[mapper.robot.q_indices]
+            most = mapper.robot.velocity_limits * DT * (1.0 + 1e-9)
+            assert (np.abs(step.command.q - q) <= most).all()
+    assert failed
 
 
 def test_a_detour_leaves_an_arm_to_its_wrist() -> None:
