@@ -512,7 +512,7 @@ def test_the_report_finds_the_worst(
     files = write_pieces(tmp_path / "in", 6)
     rng = np.random.default_rng(0)
     good = piece(20, 16)
-    noisy = good.landmarks + rng.normal(0.0, 0.012, good.landmarks.shape)
+    noisy = good.landmarks + rng.normal(0.0, 0.006, good.landmarks.shape)
     write_recordings([replace(good, landmarks=noisy)], files[4])
     (tmp_path / "in" / "torn.npz").write_bytes(b"")
     out = tmp_path / "out"

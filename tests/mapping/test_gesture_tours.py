@@ -49,4 +49,4 @@ def test_no_finger_stays_caught_from_one_gesture_to_the_next(name: str) -> None:
     caught = (off > bench_gestures.CAUGHT).any(axis=1)
     # 13 poses; what is left are detours on their way when the next gesture begins.
     assert caught.mean() <= 0.015
-    assert still <= 10
+    assert still <= 5
