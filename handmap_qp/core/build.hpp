@@ -367,7 +367,7 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   map.ratios = from.numbers("ratios");
   map.bases = from.points("bases");
   map.starts = from.indices("starts");
-  map.finger_of = from.indices("finger_of");
+  map.finger_of = from.indices("pair.finger_of");
   map.base_margins = from.numbers("method.base_margins");
   map.pinch_margins = from.numbers("method.pinch_margins");
   map.pinch_pairs = from.indices("method.pinch_pairs");

@@ -131,15 +131,15 @@ class Detours {
     return errors[k] > std::max(rules_.away, known);
   }
 
-  bool is_nearer(const Vector& errors, const Vector& here) const {
+  bool is_nearer(const Vector& errors, const Vector& other) const {
     bool is_any = false;
-    double squares = 0.0, squares_here = 0.0;
+    double squares = 0.0, squares_other = 0.0;
     for (size_t k = 0; k < errors.size(); ++k) {
-      is_any |= here[k] > rules_.away && errors[k] < rules_.of_point * here[k];
+      is_any |= other[k] > rules_.away && errors[k] < rules_.of_point * other[k];
       squares += errors[k] * errors[k];
-      squares_here += here[k] * here[k];
+      squares_other += other[k] * other[k];
     }
-    return is_any && squares < rules_.of_all * squares_here;
+    return is_any && squares < rules_.of_all * squares_other;
   }
 };
 

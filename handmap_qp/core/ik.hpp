@@ -59,7 +59,7 @@ struct Goal {
   std::function<void(const Vector& q, TaskRows& rows)> further;
 };
 
-// The constants of collision.py, by their names there.
+// The constants of collision.py, by their names there, and which joints are the fingers'.
 struct DetourRules {
   Vector is_finger;  // 0 for the joints of an arm, which follow the wrist at all times
   double away, on_its_way, sample, again, later, of_point, of_all, pull, reached, moved, grown,
@@ -353,20 +353,21 @@ class Ik {
       diagonal_[i] += scale * std::sqrt(levers2_[i]);
   }
 
-  // Where the points' targets are: those that go with the wrist, on it where it is.
-  const std::vector<Vec3>& targets(const Goal& goal) {
+  // Whether the points' targets go with the wrist; see qp.carrier.
+  bool is_carried(const Goal& goal) const { return settings.points_follow_wrist && goal.has_wrist; }
+
+  // Find where the points' targets are: those that go with the wrist, on it where it is.
+  void place_targets(const Goal& goal) {
     targets_ = goal.points;
-    if (!goal.has_wrist || !settings.points_follow_wrist) return targets_;
+    if (!is_carried(goal)) return;
     const Pose drift = at.wrist() * inverse(goal.wrist);
     for (Vec3& target : targets_) target = drift * target;
-    return targets_;
   }
 
   double add_points(const Goal& goal) {
     double error2 = 0.0;
     levers2_.assign(tree.size, 0.0);
-    targets(goal);
-    const bool go_with = goal.has_wrist && settings.points_follow_wrist;
+    place_targets(goal);
     for (size_t k = 0; k < tree.points.size(); ++k) {
       const Attached& attached = tree.points[k];
       const Vec3 point = at.point(attached);
@@ -376,7 +377,7 @@ class Ik {
       for (const int c : support(attached.joint))
         levers_[tree.leader[c]] += (weights.points[k] * tree.factor[c]) * at.velocity(c, point);
       // What moves the wrist moves the targets too.
-      if (go_with) start_levers(tree.wrist_origin.joint);
+      if (is_carried(goal)) start_levers(tree.wrist_origin.joint);
       add_levers(attached.joint, error);
     }
     return error2;
@@ -541,7 +542,8 @@ class Ik {
     constexpr double kAtBound = 1e-7, kAtRest = 1e-3;
     const int n = tree.size;
     result.points.resize(tree.points.size());
-    result.targets = targets(goal);
+    place_targets(goal);
+    result.targets = targets_;
     double farthest2 = 0.0;
     for (size_t k = 0; k < tree.points.size(); ++k) {
       result.points[k] = at.point(tree.points[k]);

@@ -98,7 +98,7 @@ inline void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose)
 struct StepReader {
   nb::object joint_names;
   nb::object targets;         // makes `Targets` of numbers
-  nb::object result;          // makes `IkResult` of a step and its targets
+  nb::object result;          // makes `IkResult` of a step
   std::vector<Vec3> centred;  // the human points that T is estimated from, at the reference
   std::vector<int> columns;   // see IkResult.joint_columns
   nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");

@@ -645,7 +645,7 @@ class Detours:
         return bool((np.abs(off)[self._is_finger] < _REACHED).all())
 
 
-def _is_nearer(errors: np.ndarray, here: np.ndarray) -> bool:
-    """Return whether a way's errors are clearly smaller than those here, shape (m,) both."""
-    is_nearer = (here > AWAY) & (errors < _OF_POINT * here)
-    return bool(is_nearer.any() and errors @ errors < _OF_ALL * here @ here)
+def _is_nearer(errors: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether a way's errors are clearly smaller than other ones, shape (m,) both."""
+    is_nearer = (other > AWAY) & (errors < _OF_POINT * other)
+    return bool(is_nearer.any() and errors @ errors < _OF_ALL * other @ other)

@@ -23,7 +23,7 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import Rows
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import point_rows, wrist_rows
+from handmap_qp.ik.qp import carrier, point_rows, wrist_rows
 from handmap_qp.ik.tasks import Goal, Task
 from handmap_qp.se3 import lengths
 
@@ -172,11 +172,10 @@ class _ActiveConfiguration:
 
 def make_terms(hand: Hand, options: IkOptions, goal: Goal) -> list[Term]:
     """Return the terms whose sum is the cost of one sample."""
-    wrist = None if goal.wrist is None else pin.SE3(goal.wrist)
-    on = wrist if options.points_follow_wrist else None
+    on = carrier(options, goal)
     followed = [point_term(goal.points, options.point_costs(hand), on)]
-    if wrist is not None:
-        followed.append(wrist_term(wrist, options.wrist_costs))
+    if goal.wrist is not None:
+        followed.append(wrist_term(pin.SE3(goal.wrist), options.wrist_costs))
     nv = len(hand.active_columns)
     free = 3 if hand.is_floating else 0
     damping = damping_term(nv, options.damping, options.error_damping, followed, free)

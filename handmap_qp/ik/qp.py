@@ -8,8 +8,7 @@ Wrist and fingers are solved together. `w_d^2` is the damping plus a share of th
 (Levenberg-Marquardt). `E` and `e` are the rows of further tasks (`handmap_qp.ik.tasks`). The box
 never contradicts itself: where `q` starts outside its limits, the joint comes back as fast as its
 speed limit allows. Lengths are in units of 10 mm and angles of the wrist in units of 0.1 rad, which
-keeps the Hessian near one, where solvers work best. DAQP, the default, is called by itself;
-`handmap_qp.ik.solvers` has any other one.
+keeps the Hessian near one, where solvers work best. `handmap_qp.ik.solvers` has others than DAQP.
 """
 
 from __future__ import annotations
@@ -117,17 +116,21 @@ def point_rows(
     return (configuration.points - targets).ravel(), jacobian
 
 
+def carrier(options: IkOptions, goal: Goal) -> pin.SE3 | None:
+    """Return the target of the wrist if the points' targets go with it."""
+    goes = options.points_follow_wrist and goal.wrist is not None
+    return pin.SE3(goal.wrist) if goes else None
+
+
 def moved_along(hand: Configuration, targets: np.ndarray, wrist: pin.SE3) -> np.ndarray:
     """Return targets that are rigidly on a wrist's target, where the wrist is instead, (m, 3)."""
     return transform_points((hand.wrist * wrist.inverse()).homogeneous, targets)
 
 
-def wrist_rows(
-    configuration: Configuration, target: pin.SE3
-) -> tuple[np.ndarray, np.ndarray]:
+def wrist_rows(hand: Configuration, target: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
     """Return error, shape (6,), and Jacobian, (6, k), of the wrist to a pose, in its own axes."""
-    offset = target.actInv(configuration.wrist)
-    return pin.log6(offset).vector, configuration.wrist_jacobian(pin.Jlog6(offset))
+    offset = target.actInv(hand.wrist)
+    return pin.log6(offset).vector, hand.wrist_jacobian(pin.Jlog6(offset))
 
 
 def direct_cost(
@@ -141,24 +144,21 @@ def direct_cost(
         configuration: Of the hand, placed with Jacobians.
         goal: What the cost asks for.
     """
-    wrist = None if goal.wrist is None else pin.SE3(goal.wrist)
-    on = wrist if options.points_follow_wrist else None
-    parts = [point_rows(configuration, goal.points, on)]
-    if wrist is not None:
-        parts.append(wrist_rows(configuration, wrist))
+    costs = _costs(hand, options)
+    on = carrier(options, goal)
+    parts = [(costs[:-6], *point_rows(configuration, goal.points, on))]
+    if goal.wrist is not None:
+        parts.append((costs[-6:], *wrist_rows(configuration, pin.SE3(goal.wrist))))
     H = np.zeros((configuration.nv, configuration.nv))
-    c = np.zeros(configuration.nv)
-    diagonal = np.zeros(configuration.nv)
-    costs = np.split(_costs(hand, options), [-6])
-    for cost, (error, jacobian) in zip(costs, parts, strict=False):
+    c, diagonal = np.zeros((2, configuration.nv))
+    for cost, error, jacobian in parts:
         error = cost * error
         jacobian = cost[:, None] * jacobian
         H += jacobian.T.dot(jacobian)
         c += error.dot(jacobian)
         # Damp by error times lever, the curvature that the linearisation neglects.
         diagonal += options.error_damping * lengths(error) * lengths(jacobian.T)
-    # A floating wrist's translation has none.
-    diagonal[: 3 if hand.is_floating else 0] = 0.0
+    diagonal[: 3 if hand.is_floating else 0] = 0.0  # a floating wrist's translation
     diagonal += options.damping**2
     joints = hand.joint_columns
     q = configuration.q[hand.q_indices]
@@ -388,8 +388,8 @@ class PointIk:
         total = gate.admit(total, first, dt, around)
         status = "failed" if has_failed else "solved"
         targets = goal.points
-        if goal.wrist is not None and self.options.points_follow_wrist:
-            targets = moved_along(self.configuration, targets, pin.SE3(goal.wrist))
+        if (on := carrier(self.options, goal)) is not None:
+            targets = moved_along(self.configuration, targets, on)
         return self._result(status, targets, total, lower, upper, iterations, last_step)
 
     def hold(self, dt: float) -> IkResult:

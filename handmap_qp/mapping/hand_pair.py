@@ -107,6 +107,7 @@ class HandPair:
         pads: Their pads.
         contacts: All pairs of the robot's collision shapes that may collide.
         partners: Index of the human reference point that each robot reference point follows, (m,).
+        finger_of: Index of the finger that each robot reference point is of, shape (m,).
         tips: Index of the human reference point at each common fingertip, shape (f,).
         knuckles: The same at the base of each common finger.
         reach_ratios: Robot's reach over the human's, of each common finger, shape (f,).
@@ -153,6 +154,9 @@ class HandPair:
         names = point_indices(human)
         self.partners = np.array(
             [names[p.partner or p.name] for p in self.robot.reference_points]
+        )
+        self.finger_of = np.array(
+            [self.fingers.index(str(p.finger)) for p in self.robot.reference_points]
         )
         shape = [table[finger] for finger in FINGERS for table in (TIPS, MIDDLES)]
         self.shape_points = np.array([names[name] for name in shape if name in names])
@@ -212,15 +216,12 @@ class HandPair:
         robot = self.robot
         places = [self.chains[finger].knuckle for finger in self.fingers]
         knuckles = points_in_palm(self.measured.hand, robot.rest, places)
-        in_palm = np.empty((len(robot.reference_points), 3))
-        for j, point in enumerate(robot.reference_points):
-            i = self.fingers.index(str(point.finger))
-            human = self.human_rest[self.partners[j]]
-            if point.finger == THUMB:
-                in_palm[j] = self._thumb_target(knuckles, human)
-            else:
-                vector = human - self.human_rest[self.knuckles[i]]
-                in_palm[j] = knuckles[i] + self.reach_ratios[i] * vector
+        of = self.finger_of
+        human = self.human_rest[self.partners]
+        vectors = human - self.human_rest[self.knuckles[of]]
+        in_palm = knuckles[of] + self.reach_ratios[of, None] * vectors
+        if THUMB in self.fingers:
+            in_palm[of == 0] = self._thumb_targets(knuckles, human[of == 0])
         palm = self.measured.hand.frame_pose("palm", robot.rest)
         targets = transform_points(palm, in_palm)
         costs = IkOptions().point_costs(robot)
@@ -230,19 +231,19 @@ class HandPair:
             start = hand_pair(standard, self.measured.hand).matched
         return nearest_posture(robot, targets, costs, _REST_WEIGHT, start)
 
-    def _thumb_target(self, knuckles: np.ndarray, tip: np.ndarray) -> np.ndarray:
-        """Place the thumb between where it pinches and where it is above the knuckles."""
+    def _thumb_targets(self, knuckles: np.ndarray, human: np.ndarray) -> np.ndarray:
+        """Place points of the thumb, (k, 3), between where it pinches and above the knuckles."""
         gain = _THUMB_GAIN * self.finger_ratio
         if self.fingers == (THUMB,):
-            return knuckles[0] + gain * (tip - self.human_rest[self.knuckles[0]])
+            return knuckles[0] + gain * (human - self.human_rest[self.knuckles[0]])
         middle = knuckles[self._others].mean(axis=0)
-        above = middle + gain * (tip - self.human_knuckles)
+        above = middle + gain * (human - self.human_knuckles)
         chains = _human_fingers(self.human)
         pads = find_pads(self.human, chains)
         human_pinching = _pinching_thumb(self.human, chains, pads)
         return (
             _THUMB_FROM_PINCH
-            * (self.measured.pinching_thumb + gain * (tip - human_pinching))
+            * (self.measured.pinching_thumb + gain * (human - human_pinching))
             + (1.0 - _THUMB_FROM_PINCH) * above
         )
 
@@ -332,10 +333,11 @@ def _finger_points(
         for finger, chain in chains.items()
     ]
     for finger, chain in chains.items():
-        knuckle = points_in_palm(robot, robot.rest, [chain.knuckle])
-        for name, place in _joints_between(finger, chain).items():
-            apart = lengths(points_in_palm(robot, robot.rest, [place]) - knuckle)
-            if apart > 0.1 * chain.reach:
+        joints = _joints_between(finger, chain)
+        places = [chain.knuckle, *joints.values()]
+        knuckle, *ends = points_in_palm(robot, robot.rest, places)
+        for (name, place), end in zip(joints.items(), ends, strict=True):
+            if lengths(end - knuckle) > 0.1 * chain.reach:
                 # Weights count squared in the cost.
                 points.append(_point(robot, finger, name, place, _JOINT_WEIGHT**2))
     return points

@@ -347,16 +347,14 @@ class TeleoperationMap(Compiled, PalmMap):
         """Say how the person's vectors from the knuckles become the robot's, for each point."""
         pair = self.pair
         choices = self.method.choices
-        names = [point.finger for point in pair.robot.reference_points]
-        self.finger_of = np.array([pair.fingers.index(str(name)) for name in names])
-        self.starts = pair.knuckles[self.finger_of]
-        bases = pair.robot_bases[self.finger_of]
+        self.starts = pair.knuckles[pair.finger_of]
+        bases = pair.robot_bases[pair.finger_of]
         human = pair.human_rest[pair.partners] - pair.human_rest[self.starts]
         self.ratios = lengths(pair.robot_rest - bases) / lengths(human)
         # At rest, fingers are where they are in the matched posture. A thumb that is like the
         # person's points as it does there too.
         shifted = pair.robot_rest - self.ratios[:, None] * human
-        is_thumb = np.array(names) == THUMB
+        is_thumb = np.array(pair.fingers)[pair.finger_of] == THUMB
         self.bases = np.where(is_thumb[:, None], bases, shifted)
         of_thumb = choices.thumb_direction * pair.thumb_likeness
         self.directions = np.where(is_thumb, of_thumb, choices.finger_direction)
@@ -375,7 +373,7 @@ class TeleoperationMap(Compiled, PalmMap):
         points = self._moved(estimate, now)
         # Away from a pinch, fingers point as the human's do.
         closing = np.append(pinching.max(initial=0.0), pinching)
-        closing = closing.take(self.finger_of, mode="clip")
+        closing = closing.take(pair.finger_of, mode="clip")
         shares = self.directions * (1.0 - closing)
         vectors = now[pair.partners] - now[self.starts]
         led = self.bases + self.ratios[:, None] * vectors
