@@ -407,7 +407,7 @@ inline void make_distances(DistanceTask* self, const nb::object& owner) {
   const Fields from(owner);
   const Indices joints = from.get<Indices>("points.joints");
   new (self) DistanceTask{attached_of(joints, from.get<Array>("points.offsets")),
-                          from.indices("first"), from.indices("second"), from.numbers("damping")};
+                          from.indices("first"), from.indices("second")};
 }
 
 inline void make_landmark_reader(LandmarkReader* self, const nb::object& owner) {

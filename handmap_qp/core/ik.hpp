@@ -22,7 +22,6 @@ struct TaskRows {
 struct DistanceTask {
   std::vector<Attached> points;
   std::vector<int> first, second;
-  Vector damping;
 };
 
 // Length that counts as one in the cost [m].
@@ -411,38 +410,54 @@ class Ik {
   void add_distances(const DistanceTask& task, const Vector& aims, const Vector& aim_weights) {
     constexpr double kShortest = 1e-9;
     const int n = tree.size;
-    block_.resize(n);
+    block_.resize(4 * n);
+    turns_.resize(n);
     for (size_t k = 0; k < task.first.size(); ++k) {
       const double weight = aim_weights[k] / kLengthUnit;
       if (weight == 0.0) continue;
       const Attached &a = task.points[task.first[k]], &b = task.points[task.second[k]];
       const Vec3 from = at.point(b), to = at.point(a);
       Vec3 offset = to - from;
-      const double apart = norm(offset);
+      const double apart = std::max(norm(offset), kShortest);
       // Points in one place have no direction: any will do to part them.
-      if (apart <= kShortest) offset = {0.0, 0.0, kShortest};
-      const Vec3 direction = (1.0 / std::max(apart, kShortest)) * offset;
+      if (apart == kShortest) offset = {0.0, 0.0, kShortest};
+      const Vec3 direction = (1.0 / apart) * offset;
+      const std::vector<int>&moving_a = moving(a.joint), &moving_b = moving(b.joint);
       start_levers(a.joint);
       start_levers(b.joint);
-      for (const int c : support(a.joint))
-        levers_[tree.leader[c]] += tree.factor[c] * at.velocity(c, to);
-      for (const int c : support(b.joint))
-        levers_[tree.leader[c]] -= tree.factor[c] * at.velocity(c, from);
-      const std::vector<int>&moving_a = moving(a.joint), &moving_b = moving(b.joint);
+      for (const int i : moving_a) turns_[i] = Vec3{};
+      for (const int i : moving_b) turns_[i] = Vec3{};
+      // What moves both, such as a wrist, leaves their distance.
+      const std::vector<int>&support_a = support(a.joint), &support_b = support(b.joint);
+      auto [own_a, own_b] = std::mismatch(support_a.begin(), support_a.end(), support_b.begin(),
+                                          support_b.end());
+      const auto add = [&](int c, double sign, const Vec3& point) {
+        levers_[tree.leader[c]] += sign * tree.factor[c] * at.velocity(c, point);
+        turns_[tree.leader[c]] += tree.factor[c] * at.columns[c].w;
+      };
+      for (; own_a != support_a.end(); ++own_a) add(*own_a, 1.0, to);
+      for (; own_b != support_b.end(); ++own_b) add(*own_b, -1.0, from);
       movers_.clear();
       std::set_union(moving_a.begin(), moving_a.end(), moving_b.begin(), moving_b.end(),
                      std::back_inserter(movers_));
-      const double residual = weight * (apart - aims[k]);
-      const double damping = task.damping[k] * weight * std::abs(residual);
+      const double residual = weight * (apart - aims[k]), errors[4] = {residual, 0.0, 0.0, 0.0};
+      const double pull = std::sqrt(std::max(weight * residual / apart, 0.0));
       columns_.clear();
       for (const int i : movers_) {
-        const double lever = norm(levers_[i]);
-        if (lever == 0.0) continue;
+        const Vec3 lever = levers_[i];
+        if (norm(lever) == 0.0) continue;
         columns_.push_back(i);
-        block_[i] = weight * dot(direction, levers_[i]);
-        diagonal_[i] += damping * lever;
+        const double slope = dot(direction, lever);
+        block_[i] = weight * slope;
+        // The second derivatives: of the offset's length, and of the offset along itself.
+        const Vec3 across = pull * (lever - slope * direction);
+        block_[n + i] = across.x;
+        block_[2 * n + i] = across.y;
+        block_[3 * n + i] = across.z;
+        const double bend = dot(direction, cross(turns_[i], lever));
+        diagonal_[i] += std::max(weight * residual * bend, 0.0);
       }
-      add_rows(block_.data(), 1, &residual);
+      add_rows(block_.data(), pull > 0.0 ? 4 : 1, errors);
     }
   }
 
@@ -581,7 +596,7 @@ class Ik {
   int held_by_ = -1;  // the pair that holds the hand back
   const std::vector<int> none_;
   std::vector<int> columns_, movers_;
-  std::vector<Vec3> levers_, targets_;
+  std::vector<Vec3> levers_, turns_, targets_;
   Vector levers2_, lower_, upper_, total_, first_, least_, most_, h_, H_, c_, diagonal_, block_,
       taken_, times_, path_, whole_, reached_;
 };

@@ -176,7 +176,7 @@ nb::object pinching_thumb(const Tree& tree, const nb::object& solver, const nb::
   ik.weights.points.clear();
   ik.settings = like.settings;
   ik.limits = like.limits;
-  DistanceTask task{attached_at(pads), {}, {}, {}};
+  DistanceTask task{attached_at(pads), {}, {}};
   Goal goal;
   goal.postures =
       postures_of(ik, nb::cast<Postures>(nb::getattr(solver, "postures")(dt, nb::none())));
@@ -186,7 +186,6 @@ nb::object pinching_thumb(const Tree& tree, const nb::object& solver, const nb::
     task.first.push_back(0);
     task.second.push_back(k + 1);
   }
-  task.damping.assign(count, constants.get<double>("_GAP_DAMPING"));
   goal.distances = &task;
   goal.aims = vector_of(touching);
   Vec3 sum;

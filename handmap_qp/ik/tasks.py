@@ -120,7 +120,8 @@ class AttachedPoints:
         self._model = hand.model
 
     @cached_property
-    def _moved(self) -> np.ndarray:
+    def moved(self) -> np.ndarray:
+        """Which coordinates of the model move each point, shape (n, 1, model.nv)."""
         return moved_by(self._model, self.joints)[:, None]
 
     @classmethod
@@ -140,22 +141,29 @@ class AttachedPoints:
 
     def jacobians(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
         """Return the derivative of each point in the active coordinates, shape (n, 3, nv)."""
+        return hand.contracted(self.velocities(hand, positions))
+
+    def velocities(self, hand: Configuration, positions: np.ndarray) -> np.ndarray:
+        """Return the same in all coordinates of the model, shape (n, 3, model.nv)."""
         linear, angular = hand.joint_jacobian().reshape(2, 3, -1)
         # The velocity at the world's origin plus w x p is that of the point p.
         turning = np.cross(angular[None], positions[:, :, None], axis=1)
-        return hand.contracted((linear + turning) * self._moved)
+        return (linear + turning) * self.moved
 
 
 class PointDistances(Compiled):
     """Keep pairs of points at given distances.
+
+    What a pair asks for may stay out of reach, and joints on which its distance does not depend
+    must be free to move all the same. So the cost has the distance's own curvature where that is
+    convex: points that are too far apart resist moving past each other, and damping is left for
+    the joints that turn them towards each other.
 
     Args:
         points: The points, such as `AttachedPoints.reference_points(hand)`.
         pairs: Indices of both points of each pair, shape (p, 2).
         distances: Wanted distance of each pair [m], shape (p,).
         weights: Weight of each pair per 10 mm of error, shape (p,); 1 if omitted.
-        damping: Levenberg-Marquardt factor of each pair on the curvature that the linearisation
-            neglects, shape (p,) or one for all.
 
     Raises:
         InvalidInputError: On wrong shapes, numbers that are not finite, or negative ones.
@@ -167,8 +175,6 @@ class PointDistances(Compiled):
         pairs: Sequence[tuple[int, int]],
         distances: npt.ArrayLike,
         weights: npt.ArrayLike = 1.0,
-        *,
-        damping: npt.ArrayLike = 1.5,
     ) -> None:
         indices = as_floats(pairs, "pairs").reshape(-1, 2).astype(int)
         is_known = ((indices >= 0) & (indices < len(points))).all()
@@ -182,7 +188,6 @@ class PointDistances(Compiled):
         self.first, self.second = indices.T
         self.distances = _check_numbers(distances, len(indices), "distances")
         self.weights = _check_numbers(weights, len(indices), "weights")
-        self.damping = _check_numbers(damping, len(indices), "damping")
 
     def aimed_at(self, distances: np.ndarray, weights: np.ndarray) -> PointDistances:
         """Return the same task with other targets, unchecked: for use sample by sample.
@@ -196,22 +201,29 @@ class PointDistances(Compiled):
         return task
 
     def linearise(self, hand: Configuration) -> TaskRows:
-        """Return a row a pair; see `Task.linearise`."""
+        """Return a row a pair, and three a pair of its curvature; see `Task.linearise`."""
         positions = self.points.positions(hand)
         offsets = positions[self.first] - positions[self.second]
-        apart = lengths(offsets)
+        apart = np.maximum(lengths(offsets), _SHORTEST)
         # Points in one place have no direction: any will do to part them.
-        offsets[apart <= _SHORTEST] = 0.0, 0.0, _SHORTEST
-        jacobians = self.points.jacobians(hand, positions)
-        levers = jacobians[self.first] - jacobians[self.second]
+        offsets[apart == _SHORTEST] = 0.0, 0.0, _SHORTEST
+        directions = (offsets / apart[:, None])[:, None]
+        # What moves both, such as a wrist, leaves their distance.
+        is_own = self.points.moved[self.first] != self.points.moved[self.second]
+        columns = self.points.velocities(hand, positions)
+        levers = hand.contracted((columns[self.first] - columns[self.second]) * is_own)
+        turns = hand.contracted(hand.joint_jacobian()[3:] * is_own)
         weights = self.weights / LENGTH_UNIT
-        directions = (weights / np.maximum(apart, _SHORTEST))[:, None] * offsets
-        rows = np.matmul(directions[:, None], levers)[:, 0]
         residual = weights * (apart - self.distances)
-        # Per column the norm of the whole lever: the row, and what is across it.
-        columns = np.linalg.norm(levers, axis=1)
+        slopes = directions @ levers
+        # The second derivatives: of the offset's length, and of the offset along itself.
+        pulls = np.sqrt(np.maximum(weights * residual / apart, 0.0))[:, None, None]
+        across = pulls * (levers - directions.swapaxes(1, 2) * slopes)
+        bends = (directions @ np.cross(turns, levers, axis=1))[:, 0]
+        bends = np.maximum((weights * residual)[:, None] * bends, 0.0)
+        rows = np.vstack([weights[:, None] * slopes[:, 0], np.vstack(across)])
         return TaskRows(
-            residual, rows, (self.damping * weights * np.abs(residual)).dot(columns)
+            np.append(residual, np.zeros(3 * len(residual))), rows, bends.sum(axis=0)
         )
 
 

@@ -81,7 +81,6 @@ _PINCHING = _OPENING.replaced(
 _PINCH_STEPS = 20  # at most
 _TOUCHING = 0.0005  # m
 _GAP_WEIGHT = 3.0
-_GAP_DAMPING = 1.5
 _UNHURRIED = 1e3  # s
 
 
@@ -454,9 +453,7 @@ def _gap_task(
     points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in (thumb, *pads)])
     pairs = [(0, k) for k in range(1, len(points))]
     touching = np.array([thumb.radius + pad.radius for pad in pads])
-    return PointDistances(
-        points, pairs, touching + gaps, _GAP_WEIGHT, damping=_GAP_DAMPING
-    )
+    return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
 
 
 def approach(ik: PointIk, task: PointDistances, steps: int = 1) -> np.ndarray:

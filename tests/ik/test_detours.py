@@ -112,7 +112,8 @@ def test_a_hand_ends_as_near_as_from_rest_whatever_its_start() -> None:
     ]
     worse = np.zeros(2, dtype=int)
     for human_q, start in cases:
-        most = max(3.0, end_error(mapper, rest, human_q)) + 1.0
+        # The fingers' extension counts in the cost too.
+        most = max(3.0, end_error(mapper, rest, human_q)) + 1.25
         ends = [end_error(each, start, human_q) for each in (mapper, plain)]
         worse += np.array(ends) > most
         # A detour is taken only where it helps.
@@ -140,7 +141,7 @@ def test_a_detour_frees_a_caught_finger_within_all_limits(
         assert collisions.distances(mapper.point_ik.configuration).min() > 0.0
         before = q
     # Another posture has to be clearly nearer than where the hand stands.
-    assert end_error(mapper, mapper.motion, human_q) < free / 0.75 + 0.1
+    assert end_error(mapper, mapper.motion, human_q) < free / 0.75 + 0.25
 
 
 def test_both_paths_take_the_same_detour(caught: tuple[Motion, np.ndarray]) -> None:

@@ -43,9 +43,6 @@ _PINCH_OVER = 0.050
 _SQUEEZE = 0.003
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
-# Levenberg-Marquardt factors of the distance rows: with less, gloves and coupled fingers shake.
-_EXTENSION_DAMPING = 1.5
-_PINCH_DAMPING = 3.0
 # Margin between all other links [m].
 _LINK_MARGIN = 0.001
 
@@ -132,7 +129,7 @@ PRESETS = {
     "teleoperation": Preset(
         Teleoperation(),
         FOLLOWING.replaced(
-            rest_weight=0.35, takes_detours=True, points_follow_wrist=True
+            rest_weight=0.7, takes_detours=True, points_follow_wrist=True
         ),
         "gestures and pinches of a tracked hand: each robot finger does what the human's does",
         "needs a tracked palm, and fingers with names; a grasped object's motion is not imposed",
@@ -205,13 +202,8 @@ def _distances(robot: RobotFingers, pinched: tuple[str, ...]) -> PointDistances:
     pads = [robot.pads[finger] for finger in (THUMB, *pinched) if pinched]
     places += [(pad.joint, pad.offset) for pad in pads]
     pairs += [(first, k) for k in range(first + 1, len(places))]
-    damping = [_EXTENSION_DAMPING] * len(chains) + [_PINCH_DAMPING] * len(pinched)
-    return PointDistances(
-        AttachedPoints(robot.with_points, places),
-        pairs,
-        np.zeros(len(pairs)),
-        damping=damping,
-    )
+    points = AttachedPoints(robot.with_points, places)
+    return PointDistances(points, pairs, np.zeros(len(pairs)))
 
 
 class BoundTeleoperation(PalmMethod):
