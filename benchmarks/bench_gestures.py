@@ -6,7 +6,9 @@
 Every labelled pose of a right hand follows every other one, half a second between them (minimum
 jerk) and half a second each. The palm stays. Poses are those of `HANDMAP_POSES`, else of
 `../shared/poses`. A finger counts as caught where, at the end of its pose, it points or bends more
-than 60 degrees off the person's. *still* counts samples in which the person moves, and no joint of
+than 60 degrees off the person's. *read* is the share of poses that a reader, who has seen the
+person's only, names right: the nearest one by the directions of fingers, tips from the thumb's, and
+last bones. *still* counts samples in which the person moves, and no joint of
 the robot does. `start` maps one recording from 20 cuts: the share of samples
 whose joints differ by more than 5 degrees, a second later, from those of the whole recording.
 """
@@ -202,6 +204,9 @@ def measure(
     caught = (off > CAUGHT).any(axis=1)
     meter = GapMeter(robot)
     _, first = np.unique(order, return_index=True)
+    names = errors.names
+    people = signs(trace_human(shown[first], lengths), names)
+    read = reads(people, signs(trace_robot(robot, q, wrist), names))
     row = {
         "robot": name,
         "preset": preset,
@@ -213,11 +218,41 @@ def measure(
         "worst p95": np.percentile(worst, 95),
         "caught": int(caught.sum()),
         "still": still,
+        "read": np.mean(read == np.array(order)),
         "closed": pinches_closed(meter, q, shown, errors.names),
         "deepest_mm": 1e3 * min(0.0, meter.nearest(q[first]).min()),
     }
     pairs = [f"{poses[a].name} -> {poses[b].name}" for a, b in pairwise(order)]
     return row, [pairs[i - 1] for i in np.flatnonzero(caught) if i]
+
+
+def signs(hand: HandTrace, names: list[str]) -> np.ndarray:
+    """Return what a reader looks at, shape (T, 9 k): where fingers, tips and last bones point."""
+    points = hand.part(np.arange(len(hand.palm)), names).local
+    tip, middle, knuckle = (
+        points[:, :, TIP],
+        points[:, :, MIDDLE],
+        points[:, :, KNUCKLE],
+    )
+    reach = np.linalg.norm(tip - knuckle, axis=2).max(axis=0)[:, None]
+    last = tip - middle
+    parts = [
+        (tip - knuckle) / reach,
+        last / np.linalg.norm(last, axis=2, keepdims=True),
+        (tip - tip[:, :1]) / reach,
+    ]
+    return np.concatenate(parts, axis=2).reshape(len(points), -1)
+
+
+def reads(people: np.ndarray, robot: np.ndarray) -> np.ndarray:
+    """Name the person's pose that each of the robot's is most like, shape (T,).
+
+    The reader has seen the person's poses only; what differs in all of a robot's poses, it learns
+    to overlook.
+    """
+    centred = robot - robot.mean(axis=0) + people.mean(axis=0)
+    apart = np.linalg.norm(centred[:, None] - people, axis=2)
+    return apart.argmin(axis=1)
 
 
 def pinches_closed(
