@@ -566,6 +566,11 @@ class Ik {
       farthest2 = std::max(farthest2, dot(error, error));
     }
     result.wrist = at.wrist();
+    if (is_carried(goal)) {
+      // See qp.wrist_error and WRIST_LEVERS.
+      const Twist off = log6(inverse(goal.wrist) * result.wrist);
+      farthest2 = std::max({farthest2, dot(off.v, off.v), 0.01 * dot(off.w, off.w)});
+    }
     result.displacement = motion.displacement;
     result.active.resize(n);
     bool at_bound = false;

@@ -33,7 +33,7 @@ class CompiledIk:
         self.core = core_ik
         self._gate = gate
         # Without the gate, which refers to the steps.
-        self._result = partial(_result_of, hand.joint_columns, gate.links)
+        self._result = partial(_result_of, hand, gate.links)
 
     def solve(
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
@@ -99,7 +99,7 @@ class CompiledIk:
         return self._hand.configuration()
 
 
-def _result_of(columns: np.ndarray, links: Any, step: Any) -> IkResult:
+def _result_of(hand: Hand, links: Any, step: Any) -> IkResult:
     """Return the result of a step of the core."""
     return IkResult(
         STATUSES[step.outcome],
@@ -109,7 +109,7 @@ def _result_of(columns: np.ndarray, links: Any, step: Any) -> IkResult:
         step.wrist,
         frozen(step.displacement),
         frozen(step.active.astype(np.int8)),
-        columns,
+        hand,
         step.iterations,
         step.last_step,
         links[step.held_by],

@@ -47,6 +47,9 @@ _AT_BOUND = 1e-7
 # Leave out pairs of shapes that are farther apart than this beyond their margin [m].
 _HORIZON = 0.012
 
+WRIST_LEVERS = np.array([1.0, 0.1])
+"""How many metres a metre and a radian of the wrist's error count."""
+
 Status = Literal[
     "converged", "limited", "unreachable", "unsettled", "failed", "released"
 ]
@@ -56,10 +59,11 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     """Result of the iterations of one sample.
 
     Attributes:
-        status: `converged`: all points have arrived; `limited`: joints or wrist at a limit keep
-            some away; `unreachable`: no limit does and the hand does not move any more;
-            `unsettled`: it is still on its way; `failed`: the solver found no answer, and the hand
-            stays where it was, or comes back into its limits; `released`: it had no targets.
+        status: `converged`: all points have arrived, and the wrist if they go with it; `limited`:
+            joints or wrist at a limit keep some away; `unreachable`: no limit does and the hand
+            does not move any more; `unsettled`: it is still on its way; `failed`: the solver found
+            no answer, and the hand stays where it was, or comes back into its limits; `released`:
+            it had no targets.
         points: Reference points [m], shape (m, 3).
         targets: Their targets [m], shape (m, 3); on the wrist where it is if they go with it.
         q: Pinocchio configuration reached, shape (nq,).
@@ -68,8 +72,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
             joints that follow no other), shape (k,), read-only.
         active: -1 where it is at its lower bound from position and speed limits, +1 at the upper
             one, 0 between, shape (k,), read-only.
-        joint_columns: Where in those the hand's joints are, in the order of `Hand.joint_names`,
-            shape (n,).
+        hand: The hand; `hand.joint_columns` says where in those its joints are.
         iterations: QPs solved.
         last_step: Euclidean norm of the last iteration's step [rad or m].
         held_by: Links of the pair of shapes that holds the hand back most; empty if none does.
@@ -82,7 +85,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     wrist: np.ndarray
     displacement: np.ndarray
     active: np.ndarray
-    joint_columns: np.ndarray
+    hand: Hand
     iterations: int
     last_step: float
     held_by: tuple[str, ...] = ()
@@ -125,6 +128,12 @@ def carrier(options: IkOptions, goal: Goal) -> pin.SE3 | None:
 def moved_along(hand: Configuration, targets: np.ndarray, wrist: pin.SE3) -> np.ndarray:
     """Return targets that are rigidly on a wrist's target, where the wrist is instead, (m, 3)."""
     return transform_points((hand.wrist * wrist.inverse()).homogeneous, targets)
+
+
+def wrist_error(wrist: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Return how far a pose of the wrist is from its target [m, rad], shape (2,)."""
+    twist = pin.log6(pin.SE3(target).actInv(pin.SE3(wrist)))
+    return lengths(twist.vector.reshape(2, 3))
 
 
 def wrist_rows(hand: Configuration, target: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
@@ -387,10 +396,14 @@ class PointIk:
             configuration.displace(start, total)
         total = gate.admit(total, first, dt, around)
         status = "failed" if has_failed else "solved"
-        targets = goal.points
+        targets, off = goal.points, 0.0
         if (on := carrier(self.options, goal)) is not None:
             targets = moved_along(self.configuration, targets, on)
-        return self._result(status, targets, total, lower, upper, iterations, last_step)
+            error = wrist_error(self.configuration.wrist.homogeneous, goal.wrist)
+            off = (error * WRIST_LEVERS).max()
+        return self._result(
+            status, targets, total, lower, upper, iterations, last_step, off
+        )
 
     def hold(self, dt: float) -> IkResult:
         """Bring the hand to a stop within its acceleration limit, without targets.
@@ -452,6 +465,7 @@ class PointIk:
         upper: np.ndarray,
         iterations: int,
         last_step: float,
+        off: float = 0.0,
     ) -> IkResult:
         configuration = self.configuration
         points = configuration.points.copy()
@@ -459,7 +473,7 @@ class PointIk:
         is_high = upper - displacement <= _AT_BOUND * width
         is_low = displacement - lower <= _AT_BOUND * width
         active = is_high.astype(np.int8) - is_low
-        farthest = lengths(points - targets).max()
+        farthest = max(off, *lengths(points - targets))
         status: Status = "unreachable" if last_step <= _AT_REST else "unsettled"
         if end != "solved":
             status = end
@@ -475,7 +489,7 @@ class PointIk:
             configuration.wrist.homogeneous,
             frozen(displacement),
             frozen(active),
-            self.hand.joint_columns,
+            self.hand,
             iterations,
             last_step,
             self.gate.links[self.gate.held_by],

@@ -35,7 +35,7 @@ from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.sample import Finding, Rule, Verdict
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import IkResult, Status
+from handmap_qp.ik.qp import WRIST_LEVERS, IkResult, Status, wrist_error
 from handmap_qp.ik.tasks import Task
 from handmap_qp.options import Options
 from handmap_qp.se3 import lengths, transform_points
@@ -258,6 +258,26 @@ StepStatus = Status | Literal["held", "gliding"]
 """Outcome of a step: that of the inverse kinematics, or that of the tracker's samples."""
 
 
+# A wrist this near its target has arrived [m].
+_ARRIVED = 1e-3
+ArmHeldBy = Literal["", "speed", "limit", "reach"]
+"""What keeps a wrist off its target: a joint's speed limit, its range, or that the arm is short."""
+
+
+def arm_held_by(
+    hand: Hand, at_speed_limit: np.ndarray, at_limit: np.ndarray
+) -> np.ndarray:
+    """Return what keeps the wrist of an arm off its target, if it is off; shape (T,).
+
+    Args:
+        hand: The hand on the arm.
+        at_speed_limit: Whether each joint is at its speed limit only, shape (T, n).
+        at_limit: Whether it is at a position limit, shape (T, n).
+    """
+    held = [of[..., hand.moves_wrist].any(axis=-1) for of in (at_speed_limit, at_limit)]
+    return np.select(held, ["speed", "limit"], "reach")
+
+
 class RobotCommand(msgspec.Struct, frozen=True, eq=False):
     """Command for a robot driver.
 
@@ -316,7 +336,7 @@ class Stages(msgspec.Struct, frozen=True, eq=False):
         norms = self.asked.diagnostics.get("residual_norms", np.zeros(1))
         return StepSummary(
             lengths(self.ik.errors).tolist(),
-            (self.ik.active[self.ik.joint_columns] != 0).tolist(),
+            (self.ik.active[self.ik.hand.joint_columns] != 0).tolist(),
             math.sqrt(norms.dot(norms) / len(norms)),
             self.asked.flags,
         )
@@ -443,6 +463,21 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     def wrist_target(self) -> np.ndarray:
         """Target pose of the robot's wrist, shape (4, 4)."""
         return self.asked.wrist
+
+    @property
+    def wrist_error(self) -> np.ndarray:
+        """How far the robot's wrist is from its target [m, rad], shape (2,)."""
+        return wrist_error(self.command.wrist, self.wrist_target)
+
+    @property
+    def arm_held_by(self) -> ArmHeldBy:
+        """What keeps the arm's wrist off its target; empty where it has arrived, or has no arm."""
+        hand = self.ik.hand
+        is_there = (self.wrist_error * WRIST_LEVERS).max() <= _ARRIVED
+        if is_there or not hand.moves_wrist.any():
+            return ""
+        at_limit = hand.at_position_limit(self.command.q)
+        return str(arm_held_by(hand, self.at_bound & ~at_limit, at_limit))
 
     @property
     def points(self) -> np.ndarray:

@@ -60,6 +60,40 @@ def test_fingers_do_on_an_arm_what_they_do_without(
     np.testing.assert_allclose(off, other, atol=2e-3)
 
 
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_an_arm_says_how_far_it_is_off_and_what_holds_it(formulation: str) -> None:
+    # Fingers within 50 mm have arrived, so that the status is that of the wrist.
+    ik = get_preset("teleoperation").ik.replaced(
+        formulation=formulation, point_tolerance=0.05
+    )
+    arm = load_hand("ur5_allegro")
+    mapper = HandMapper(HUMAN, arm, "teleoperation", ik=ik)
+    wrist = np.eye(4)
+    step = mapper.map_step(HUMAN.rest, wrist)
+    assert (step.arm_held_by, step.status) == ("", "converged")
+    np.testing.assert_allclose(step.wrist_error, 0.0, atol=1e-3)
+    # Near enough, but not in one sample; the fingers are there all the time.
+    wrist[1, 3] = 0.1
+    step = mapper.map_step(HUMAN.rest, wrist)
+    assert step.arm_held_by == "speed"
+    assert step.status != "converged"
+    assert 0.05 < step.wrist_error[0] < 0.1
+    for _ in range(120):
+        step = mapper.map_step(HUMAN.rest, wrist)
+    assert (step.arm_held_by, step.status) == ("", "converged")
+    # Too far away for any posture.
+    wrist[1, 3] = 5.0
+    for _ in range(600):
+        step = mapper.map_step(HUMAN.rest, wrist)
+    assert step.arm_held_by in ("reach", "limit")
+    assert step.status != "converged"
+    assert step.wrist_error[0] == pytest.approx(
+        np.linalg.norm(step.command.wrist[:3, 3] - step.wrist_target[:3, 3]), rel=0.2
+    )
+    hand = load_hand("allegro_right")
+    assert HandMapper(HUMAN, hand).map_step(HUMAN.rest, wrist).arm_held_by == ""
+
+
 @pytest.mark.parametrize("name", ["ur5_allegro", "allegro_right"])
 def test_rows_that_go_with_the_wrist_are_derivatives(name: str) -> None:
     hand = load_hand(name)

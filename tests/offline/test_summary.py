@@ -88,12 +88,18 @@ def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:
     wrist[1:, 0, 3] = 0.05
     error = np.where(np.arange(seen) > 0, 0.05, 0.0)
     arm = load_hand("ur5_allegro")
-    at_speed_limit = np.zeros((seen, len(arm.joint_names)), dtype=bool)
+    free = np.zeros((seen, len(arm.joint_names)), dtype=bool)
+    at_limit, at_speed_limit = free.copy(), free.copy()
+    (joint, *_), (finger, *_) = map(np.flatnonzero, (arm.moves_wrist, ~arm.moves_wrist))
+    at_speed_limit[: seen // 4, joint] = True
+    at_limit[: seen // 2, joint] = True
+    at_speed_limit[:, finger] = True
     late = replace(
         trajectory,
         robot=arm,
         q=np.tile(arm.rest, (seen, 1)),
         at_speed_limit=at_speed_limit,
+        at_limit=at_limit,
         wrist=wrist,
         wrist_error=error,
     )
@@ -102,8 +108,12 @@ def test_an_arm_that_is_too_short_is_one_line_with_a_scale() -> None:
     assert found is not None
     assert found["scale"] == pytest.approx(0.5)
     assert found["motion_mm"] == pytest.approx(100.0)
-    (note,) = notes(summary)
+    assert set(found["held_by"]) == {"reach", "limit", "speed"}
+    assert sum(found["held_by"].values()) == pytest.approx(1.0)
+    (note,) = [note for note in notes(summary) if "arm" in note]
+    assert "held by reach 5" in note
     assert "--scale 0.5" in note
     # A floating hand, and an arm that arrives, need no line.
     assert summarise(replace(trajectory, wrist_error=error))["arm_out_of_reach"] is None
-    assert notes(summarise(replace(late, wrist_error=0.1 * error))) == []
+    near = notes(summarise(replace(late, wrist_error=0.1 * error)))
+    assert not [note for note in near if "arm" in note]

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from handmap_qp.apps.offline.trajectory import Trajectory, stretches
+from handmap_qp.mapping.method import arm_held_by
 from handmap_qp.se3 import lengths
 
 SLOW_SHARE = 0.2
@@ -31,8 +32,8 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         mean RMS difference of bones and palm from the person's. `speed_limited_share` is the share
         of the followed samples in which a speed limit held a joint; `speed_limited_joints` has the
         joints held most often, with share and limit [rad/s or m/s]. `arm_out_of_reach` has the
-        share of samples, the largest error, the extent of the motion and a scale to try, of an
-        arm that does not reach the motion; None if it does.
+        share of samples, what holds the arm in them (`ArmHeldBy`), the largest error, the extent
+        of the motion and a scale to try, of an arm that does not follow; None if it does.
     """
     seen = trajectory.valid
     points = 1e3 * trajectory.point_error[seen]
@@ -109,11 +110,14 @@ def notes(summary: dict[str, Any]) -> list[str]:
             "hand.yaml"
         )
     if arm := summary["arm_out_of_reach"]:
+        reasons = ", ".join(
+            f"{name} {100.0 * share:.0f} %" for name, share in arm["held_by"].items()
+        )
         lines.append(
             f"the arm does not reach the motion of about {arm['motion_mm']:.0f} mm: the wrist is "
             f"up to {arm['error_mm']:.0f} mm off its target, in {100.0 * arm['share']:.0f} % of "
-            f"the samples; try --scale {arm['scale']:.2g}, or start in the middle of the arm's "
-            "range"
+            f"the samples, held by {reasons}; try --scale {arm['scale']:.2g}, or start in the "
+            "middle of the arm's range"
         )
     return lines
 
@@ -157,7 +161,7 @@ def table_rows(summary: dict[str, Any]) -> dict[str, str]:
     }
 
 
-def _arm(trajectory: Trajectory) -> dict[str, float] | None:
+def _arm(trajectory: Trajectory) -> dict[str, Any] | None:
     """Measure how far a motion leaves the reach of an arm; None if the arm follows.
 
     The scale is the largest one at which no target is farther from the first sample than the wrist
@@ -173,11 +177,14 @@ def _arm(trajectory: Trajectory) -> dict[str, float] | None:
         return None
     moved = lengths(places - places[0])
     wanted = moved + errors
+    reasons = arm_held_by(robot, trajectory.at_speed_limit, trajectory.at_limit)
+    counted = Counter(reasons[trajectory.valid][late].tolist())
     scale = (moved[late] / wanted[late]).min()
     return {
         "share": float(late.mean()),
         "error_mm": 1e3 * float(errors.max()),
         "motion_mm": 1e3 * float(wanted.max()),
+        "held_by": {name: n / late.sum() for name, n in counted.most_common()},
         "scale": max(0.05, float(np.floor(20.0 * scale) / 20.0)),
     }
 
