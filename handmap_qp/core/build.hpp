@@ -338,6 +338,7 @@ inline void make_teleoperation(TeleoperationMap* self, const nb::object& owner) 
   map.robot_palm_to_wrist = from.pose("robot_palm_to_wrist");
   map.start = from.pose("start");
   map.is_still = from.get<bool>("is_still");
+  map.alignment = from.matrix("alignment");
   map.rotation = from.matrix("rotation");
   map.origin = from.point("origin");
   map.offset = from.point("offset");

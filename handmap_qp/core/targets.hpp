@@ -165,7 +165,7 @@ class TeleoperationMap : public TargetMap {
   // PalmMap
   Pose human_wrist_to_palm, robot_palm_to_wrist, start;
   bool is_still = false;
-  Mat3 rotation;
+  Mat3 alignment, rotation;
   Vec3 origin, offset, human_anchor, human_start;
   double further = 0.0;
   // TeleoperationMap
@@ -193,6 +193,7 @@ class TeleoperationMap : public TargetMap {
     if (!is_still) {
       palm = {human.R * rotation, human * origin + offset};
       if (further != 0.0) palm.p += further * (human * human_anchor - human_start);
+      palm = {alignment * palm.R, alignment * palm.p};
     }
     for (size_t k = 0; k < shape.size(); ++k) shape[k] = now[shape_points[k]];
     const Estimator::Estimate estimate = estimator.estimate(shape.data(), nullptr);

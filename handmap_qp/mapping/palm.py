@@ -10,7 +10,8 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
-from handmap_qp.mapping.method import HumanPose, RobotPosture
+from handmap_qp.mapping.alignment import in_robot_world, rotation_of
+from handmap_qp.mapping.method import AlignedOptions, HumanPose, RobotPosture
 from handmap_qp.se3 import affine, frozen, inverse_pose, transform_points
 
 if TYPE_CHECKING:
@@ -30,21 +31,23 @@ class PalmMethod:
     reference_needs_wrist = ""
     renews_reference = False
 
-    def __init__(self, human: Hand, robot: Hand) -> None:
+    def __init__(self, choices: AlignedOptions, human: Hand, robot: Hand) -> None:
+        self.alignment = choices.alignment
         self.human = human
         self.robot = robot
 
     def start_palm(self, sample: HumanPose) -> np.ndarray:
-        """Return the human's palm."""
-        return palm_of(sample, self.human)
+        """Return the human's palm in the robot's world, as far as it is known."""
+        return in_robot_world(self.alignment, palm_of(sample, self.human))
 
 
 class PalmMap:
     """Base of maps that move the robot's palm as the human's palm moves from a reference on.
 
-    Both palms have the same rotation, and the same translation (or `scale` times it) in world axes;
-    the translation is that of an anchor point on each palm. If anchors and axes coincide at the
-    reference, they stay together. A robot with a fixed wrist keeps its palm. See `TargetMap`.
+    Both palms have the same rotation, and the same translation (or `scale` times it) in world axes,
+    turned by the alignment; the translation is that of an anchor point on each palm. If anchors and
+    axes coincide at the reference, they stay together. A robot with a fixed wrist keeps its palm.
+    See `TargetMap`.
 
     Args:
         method: The method for two hands.
@@ -60,6 +63,7 @@ class PalmMap:
         robot_palm_to_wrist: Wrist in the robot's palm, shape (4, 4).
         is_still: Whether the robot's wrist is fixed.
         start: The robot's palm at the reference, shape (4, 4).
+        alignment: From the human's world to the robot's, shape (3, 3).
         rotation: The robot's palm seen from the human's, shape (3, 3).
         origin: Its origin there [m], shape (3,).
         offset: The rest of its place, in world axes [m], shape (3,).
@@ -89,6 +93,9 @@ class PalmMap:
         start = posture.wrist @ robot.wrist_to_palm
         self.start = start
         self.robot_points = transform_points(inverse_pose(start), posture.points)
+        self.alignment = Q = rotation_of(method.alignment, before, start)
+        # The robot's palm in axes of the human's world.
+        start = affine(Q.T, _ORIGIN) @ start
         self.rotation = before[:3, :3].T @ start[:3, :3]
         self.origin = human_anchor - self.rotation.dot(robot_anchor)
         self.human_start = transform_points(before, human_anchor)
@@ -116,7 +123,9 @@ class PalmMap:
         if self.further:
             moved = transform_points(human, self.human_anchor) - self.human_start
             origin += self.further * moved
-        return human, affine(human[:3, :3] @ self.rotation, origin), points
+        Q = self.alignment
+        palm = affine(Q @ human[:3, :3] @ self.rotation, Q @ origin)
+        return human, palm, points
 
     def placed(
         self, palm: np.ndarray, points: np.ndarray

@@ -52,7 +52,10 @@ def test_spreading_fingers_move_sideways_as_the_humans_do(name: str) -> None:
     robot = load_hand(name)
     human = LEFT if robot.side == "left" else HUMAN
     view, spread = PalmKinematics(robot), human.rest.copy()
-    bound, fingers = BoundJointToJoint(human, robot), find_fingers(robot)
+    bound, fingers = (
+        BoundJointToJoint(JointToJoint(), human, robot),
+        find_fingers(robot),
+    )
     spread[4::4] += 0.2
     ends = [
         bound.positions(bound.angles.measure(in_palm(human, q)))

@@ -34,7 +34,9 @@ POINT = (0.3, -0.2, 0.5)
 rigid_froms = pytest.mark.parametrize("rigid_from", ["points", "wrist", "none"])
 pivots = pytest.mark.parametrize("pivot", ["centroid", "palm", "point", "world"])
 alignments = pytest.mark.parametrize(
-    "alignment", ["world", "palm", QUARTER], ids=["world", "palm", "rotation"]
+    "alignment",
+    ["world", "palm", "y-up", QUARTER],
+    ids=["world", "palm", "y-up", "rotation"],
 )
 
 
@@ -123,7 +125,11 @@ def definition(at: Situation, options: MappingOptions) -> dict[str, np.ndarray]:
     T_rb_c = transform_points(T_rb, c_h[None])[0]
     T_def = about(U @ R, c_h, T_c) @ np.linalg.inv(T_rb)
 
-    named = {"world": np.eye(3), "palm": robot_palm[:3, :3] @ human_palm[:3, :3].T}
+    named = {
+        "world": np.eye(3),
+        "palm": robot_palm[:3, :3] @ human_palm[:3, :3].T,
+        "y-up": np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]),
+    }
     Q = (
         named[options.alignment]
         if isinstance(options.alignment, str)
@@ -322,7 +328,7 @@ def test_the_paper_can_be_had(generator: np.random.Generator) -> None:
         ({"pivot": "wrist"}, "centroid, palm, point, world"),
         ({"rigid_from": "palm"}, "points, wrist, none"),
         ({"reference": "last"}, "first, rest, previous"),
-        ({"alignment": "robot"}, "one of world, palm"),
+        ({"alignment": "robot"}, "one of world, palm, y-up"),
         ({"alignment": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))}, "matrix of shape (3, 3)"),
         (
             {"alignment": ((2.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))},
@@ -376,7 +382,7 @@ def test_values_without_a_meaning_are_refused_by_name(
             {"ridge": 0.0},
             "choose more points, or ridge > 0",
         ),
-        ({}, {}, {"gain": 1.0}, "there are ridge, rigid_from"),
+        ({}, {}, {"gain": 1.0}, "there are alignment, ridge, rigid_from"),
         (
             {"points": ("little_tip", "little_pip", "little_mcp", "wrist")},
             {},

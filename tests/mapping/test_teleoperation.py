@@ -404,7 +404,7 @@ def test_scale_shortens_the_way_of_the_palm_and_keeps_its_turn() -> None:
     posture = RobotPosture(robot.rest, robot.points(robot.rest), np.eye(4))
 
     def moved(scale: float) -> tuple[np.ndarray, np.ndarray]:
-        method = PalmMethod(human, robot)
+        method = PalmMethod(Teleoperation(), human, robot)
         follower = PalmMap(method, start, posture, *anchors, scale)
         before = follower.follow(start)[1]
         palm = follower.follow(HumanPose(points, turned))[1]

@@ -20,6 +20,7 @@ from handmap_qp.apps.viewer.figure import (
 )
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.alignment import rotation_of
 from handmap_qp.se3 import unit
 
 if TYPE_CHECKING:
@@ -273,7 +274,7 @@ def _robot_axes(
     alignment = options.get("alignment", "world")
     if upright is None or alignment == "palm":
         return (variant.samples[0].robot_wrist @ robot.wrist_to_palm)[:3, :3].T
-    return upright if isinstance(alignment, str) else upright @ np.array(alignment).T
+    return upright @ rotation_of(alignment).T
 
 
 def set_up_stage(server: viser.ViserServer) -> None:

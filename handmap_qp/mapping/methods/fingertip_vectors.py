@@ -31,8 +31,8 @@ from handmap_qp.mapping.hand_pair import (
 )
 from handmap_qp.mapping.method import (
     FOLLOWING,
+    AlignedOptions,
     HumanPose,
-    MethodOptions,
     Preset,
     RobotPosture,
     Targets,
@@ -42,7 +42,7 @@ from handmap_qp.options import number, text
 from handmap_qp.se3 import lengths
 
 
-class FingertipVectors(MethodOptions, frozen=True):
+class FingertipVectors(AlignedOptions, frozen=True):
     """Map vectors to the fingertips."""
 
     scale: (
@@ -89,7 +89,7 @@ class BoundFingertipVectors(PalmMethod):
     needs_wrist = "vectors in palm axes"
 
     def __init__(self, method: FingertipVectors, human: Hand, robot: Hand) -> None:
-        super().__init__(human, robot)
+        super().__init__(method, human, robot)
         pairs = require_partners(human, robot, option="method")
         if method.origin == "knuckle":
             pairs = [pair for pair in pairs if robot.reference_points[pair[0]].finger]

@@ -20,34 +20,30 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.options import IkOptions
+from handmap_qp.mapping.alignment import Row, in_robot_world, rotation_of
 from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import require_partners
 from handmap_qp.mapping.method import (
     FOLLOWING,
+    AlignedOptions,
     Diagnostics,
     HumanPose,
-    MethodOptions,
     Preset,
     RobotPosture,
     Targets,
 )
+from handmap_qp.mapping.palm import palm_of
 from handmap_qp.options import number, text
 from handmap_qp.se3 import (
-    FARTHEST,
     affine,
     frozen,
     inverse_pose,
     transform_points,
 )
 
-Coordinate = Annotated[float, number("Finite.", -FARTHEST, FARTHEST)]
-Row = tuple[Coordinate, Coordinate, Coordinate]
-Alignment = Literal["world", "palm"] | tuple[Row, Row, Row]
-"""Rotation from the human's world axes to the robot's."""
 
-
-class Homogeneous(MethodOptions, frozen=True):
+class Homogeneous(AlignedOptions, frozen=True):
     """The paper's mapping, and the choices that it leaves open: how T is estimated, split, imposed.
 
     The defaults are the paper's, but for `ridge`: 0 is its least squares.
@@ -77,14 +73,6 @@ class Homogeneous(MethodOptions, frozen=True):
         ),
     ] = "centroid"
     pivot_point: Annotated[Row | None, text("The point of pivot=point [m].")] = None
-    alignment: Annotated[
-        Alignment,
-        text(
-            "Rotation from the human's world axes to the robot's. world: they agree (the paper). "
-            "palm: lay the human's palm axes at the reference onto the robot's. Or a rotation "
-            "matrix."
-        ),
-    ] = "world"
     scale: Annotated[float, number("Factor on translations.")] = 1.0
     reference: Annotated[
         Literal["first", "rest", "previous"],
@@ -119,6 +107,7 @@ class Homogeneous(MethodOptions, frozen=True):
 
     def check(self) -> None:
         """Reject combinations without a meaning; see `Options.check`."""
+        super().check()
         if (self.pivot == "point") != (self.pivot_point is not None):
             raise InvalidOptionsError(
                 option="pivot_point",
@@ -132,22 +121,6 @@ class Homogeneous(MethodOptions, frozen=True):
                 problem="needs positive stretches",
                 value=self.deformation_gain,
                 advice="give stretch_min > 0",
-            )
-        if isinstance(self.alignment, str):
-            return
-        rotation = np.array(self.alignment)
-        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
-            raise InvalidOptionsError(
-                option="alignment",
-                expected="world, palm or a rotation of shape (3, 3)",
-                value=self.alignment,
-            )
-        if np.linalg.det(rotation) < 0.0:
-            raise InvalidOptionsError(
-                option="alignment",
-                problem="the matrix mirrors",
-                value=self.alignment,
-                advice="map a left hand with the URDF of a left hand",
             )
 
     def bind(self, human: Hand, robot: Hand) -> BoundHomogeneous:
@@ -227,13 +200,10 @@ class BoundHomogeneous:
         )
 
     def start_palm(self, sample: HumanPose) -> np.ndarray:
-        """Return the human's palm in the robot's world; its origin with `alignment="palm"`."""
-        palm = np.eye(4)
-        if self.options.alignment != "palm" and sample.wrist is not None:
-            palm = sample.wrist @ self.human.wrist_to_palm
-            if not isinstance(self.options.alignment, str):
-                palm[:3] = np.array(self.options.alignment) @ palm[:3]
-        return palm
+        """Return the human's palm in the robot's world, as far as it is known."""
+        is_known = sample.wrist is not None
+        palm = palm_of(sample, self.human) if is_known else None
+        return in_robot_world(self.options.alignment, palm)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> HomogeneousMap:
         """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
@@ -305,7 +275,7 @@ class HomogeneousMap(Compiled):
         else:
             pivot = robot_pivot = np.array(options.pivot_point or (0.0, 0.0, 0.0))
         self.pivot = frozen(pivot)
-        self.alignment = Q = _alignment(options, human_palm, robot_palm)
+        self.alignment = Q = rotation_of(options.alignment, human_palm, robot_palm)
         # The origin of W, taken to V by shifts.
         self.origin = robot_pivot - options.scale * Q @ pivot
         self.human_offsets = sample.points - pivot
@@ -433,17 +403,6 @@ class HomogeneousDiagnostics(Diagnostics):
     def residual_norms(self) -> np.ndarray:
         """Distance of each human point from where T takes it [m], shape (n_h,)."""
         return self._estimate.residual_norms
-
-
-def _alignment(
-    options: Homogeneous, human_palm: np.ndarray | None, robot_palm: np.ndarray
-) -> np.ndarray:
-    """Return Q, shape (3, 3)."""
-    if not isinstance(options.alignment, str):
-        return np.array(options.alignment)
-    if options.alignment == "world" or human_palm is None:
-        return np.eye(3)
-    return robot_palm[:3, :3] @ human_palm[:3, :3].T
 
 
 def _residual_share(

@@ -40,8 +40,8 @@ from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS, THUMB
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.method import (
     FOLLOWING,
+    AlignedOptions,
     HumanPose,
-    MethodOptions,
     Preset,
     RobotPosture,
     Targets,
@@ -65,12 +65,12 @@ _STRAIGHTENING = 0.0005
 _PARALLEL = 1.0 - 1e-9
 
 
-class JointToJoint(MethodOptions, frozen=True):
+class JointToJoint(AlignedOptions, frozen=True):
     """Map joint angles to joint angles, scaled by the ranges."""
 
     def bind(self, human: Hand, robot: Hand) -> BoundJointToJoint:
         """Find the joints that correspond; see `Method.bind`."""
-        return BoundJointToJoint(human, robot)
+        return BoundJointToJoint(self, human, robot)
 
 
 PRESETS = {
@@ -247,8 +247,8 @@ class BoundJointToJoint(PalmMethod):
 
     needs_wrist = "joint angles in palm axes"
 
-    def __init__(self, human: Hand, robot: Hand) -> None:
-        super().__init__(human, robot)
+    def __init__(self, method: JointToJoint, human: Hand, robot: Hand) -> None:
+        super().__init__(method, human, robot)
         chains = {
             name: chain for name, chain in find_fingers(robot).items() if chain.joints
         }

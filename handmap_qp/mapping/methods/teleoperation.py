@@ -25,9 +25,9 @@ from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import RobotFingers, finger_landmarks, hand_pair
 from handmap_qp.mapping.method import (
     FOLLOWING,
+    AlignedOptions,
     Diagnostics,
     HumanPose,
-    MethodOptions,
     Preset,
     RobotPosture,
     Targets,
@@ -47,7 +47,7 @@ _CONTACT_MARGIN = 0.0005
 _LINK_MARGIN = 0.001
 
 
-class Teleoperation(MethodOptions, frozen=True):
+class Teleoperation(AlignedOptions, frozen=True):
     """Follow a tracked hand, finger by finger."""
 
     residual_gain: Annotated[
@@ -219,7 +219,7 @@ class BoundTeleoperation(PalmMethod):
         self.choices = choices
         self.pair = hand_pair(human, robot)
         pair = self.pair
-        super().__init__(human, pair.robot)
+        super().__init__(choices, human, pair.robot)
         self.contacts = pair.contacts if choices.avoids_contact else None
         self.estimator = MotionEstimator(
             pair.human_rest[pair.shape_points], ridge=choices.ridge

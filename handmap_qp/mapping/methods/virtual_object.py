@@ -39,8 +39,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
 from handmap_qp.mapping.method import (
     FOLLOWING,
+    AlignedOptions,
     HumanPose,
-    MethodOptions,
     Preset,
     RobotPosture,
     Targets,
@@ -67,7 +67,7 @@ _SETTLED = 1e-10
 _MOST_TURNS = 100
 
 
-class VirtualObject(MethodOptions, frozen=True):
+class VirtualObject(AlignedOptions, frozen=True):
     """Map the motion of an object that encloses the fingertips."""
 
     scale: (
@@ -217,7 +217,7 @@ class BoundVirtualObject(PalmMethod):
     needs_wrist = "the motion of the fingertips in palm axes"
 
     def __init__(self, options: VirtualObject, human: Hand, robot: Hand) -> None:
-        super().__init__(human, robot)
+        super().__init__(options, human, robot)
         self.options = options
         self.human_points = _tips(human, _FEWEST_HUMAN)
         self.robot_points = _tips(robot, _FEWEST_ROBOT)

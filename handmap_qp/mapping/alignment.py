@@ -1,0 +1,76 @@
+"""Alignment: how the human's world axes and the robot's correspond."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.options import number
+from handmap_qp.se3 import FARTHEST, affine, frozen
+
+Coordinate = Annotated[float, number("Finite.", -FARTHEST, FARTHEST)]
+Row = tuple[Coordinate, Coordinate, Coordinate]
+Alignment = Literal["world", "palm", "y-up"] | tuple[Row, Row, Row]
+"""Rotation from the human's world axes to the robot's."""
+
+_ROTATIONS = {
+    "world": frozen(np.eye(3)),
+    # A tracker's right, up and back (+x, +y, +z) are a robot's -y, +z and -x (REP 103).
+    "y-up": frozen(np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])),
+}
+
+
+def check_alignment(alignment: Any) -> None:
+    """Check that a matrix is a rotation.
+
+    Raises:
+        InvalidOptionsError: If it is none.
+    """
+    if isinstance(alignment, str):
+        return
+    rotation = np.array(alignment)
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+        raise InvalidOptionsError(
+            option="alignment",
+            expected=f"{', '.join(_ROTATIONS)}, palm or a rotation of shape (3, 3)",
+            value=alignment,
+        )
+    if np.linalg.det(rotation) < 0.0:
+        raise InvalidOptionsError(
+            option="alignment",
+            problem="the matrix mirrors",
+            value=alignment,
+            advice="map a left hand with the URDF of a left hand",
+        )
+
+
+def rotation_of(
+    alignment: Alignment,
+    human_palm: np.ndarray | None = None,
+    robot_palm: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the rotation from the human's world to the robot's, shape (3, 3).
+
+    Args:
+        alignment: The option.
+        human_palm: The human's palm at the reference, shape (4, 4), which `palm` needs: else the
+            worlds agree.
+        robot_palm: The robot's palm there, likewise.
+    """
+    if alignment == "palm" and human_palm is not None and robot_palm is not None:
+        return robot_palm[:3, :3] @ human_palm[:3, :3].T
+    if isinstance(alignment, str):
+        return _ROTATIONS.get(alignment, _ROTATIONS["world"])
+    return np.array(alignment)
+
+
+def in_robot_world(alignment: Alignment, palm: np.ndarray | None) -> np.ndarray:
+    """Return where a human's palm is in the robot's world, (4, 4).
+
+    It is the origin where nothing else is known: with `palm`, and without a palm.
+    """
+    if alignment == "palm" or palm is None:
+        return np.eye(4)
+    return affine(rotation_of(alignment), np.zeros(3)) @ palm
