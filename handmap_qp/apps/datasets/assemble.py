@@ -25,7 +25,6 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import sync, writing
 from handmap_qp.trackers.formats import SEPARATOR
-from handmap_qp.trackers.formats.base import SIDES
 from handmap_qp.trackers.formats.hdf5 import check_room, created
 from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 
@@ -79,7 +78,7 @@ def assemble(
         RecordingError: If an episode is damaged, see `read_episode`.
         MissingExtraError: If the package of the format is not installed.
     """
-    hands: dict[Side, Hand] = {side: robots[side] for side in SIDES if side in robots}
+    hands = dict(sorted(robots.items()))
     episodes = _episodes(lines, folder, fps, hands)
     if form == "robomimic":
         return _write_robomimic(episodes, folder / "episodes.hdf5", hands)
@@ -121,8 +120,11 @@ def _write_lerobot(
         argument="--out",
     ) as writer:
         for episode in episodes:
-            values = (episode.state, episode.action, episode.valid)
-            columns = dict(zip(features, values, strict=True))
+            columns = {
+                _STATE: episode.state,
+                _ACTION: episode.action,
+                _VALID: episode.valid,
+            }
             writer.add(columns, episode.task, {"source": episode.sources})
     shutil.rmtree(root, ignore_errors=True)
     with writing(root, "--out"):
@@ -238,8 +240,8 @@ def _resampled(
     rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
     state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
     state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
-    before = np.maximum(np.searchsorted(time, instants, side="right") - 1, 0)
-    after = np.minimum(np.searchsorted(time, instants), len(time) - 1)
+    before = np.searchsorted(time, instants, side="right") - 1
+    after = np.searchsorted(time, instants)
     return state, columns["valid"][before] & columns["valid"][after]
 
 

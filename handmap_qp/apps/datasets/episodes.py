@@ -35,6 +35,7 @@ from handmap_qp.errors import (
     reason_of,
 )
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side
 from handmap_qp.output_files import make_folder, replaced_file, sync_all, writing
@@ -154,16 +155,17 @@ def _run(job: Job) -> dict[str, Any]:
     task = job.task
     if task.source is None or task.side is None:
         raise InvalidInputError(problem=task.error)
-    if task.side not in job.options.robots:
+    options = job.options
+    if task.side not in options.robots:
         raise InvalidInputError(
             argument="--robot", problem=f"there is no robot for the {task.side} hand"
         )
     with time_limit(_READING):
         recording = task.source.read()
     check_recording(recording)
-    robot = _robot(job.options.robots[task.side], job.options.arguments.robot_points)
+    points = options.arguments.robot_points
+    robot = _robot(options.robots[task.side], points=points)
     person = measure_person(recording)
-    options = job.options
     recording, trajectory = map_hand(
         recording, robot, person, options.arguments, smoother=options.smoother
     )
@@ -178,10 +180,8 @@ def _run(job: Job) -> dict[str, Any]:
     }
 
 
-@lru_cache(maxsize=8)
-def _robot(name: str, points: str | None) -> Hand:
-    """Load a robot once in each process."""
-    return MappingArguments(robot_points=points).load_robot(name)
+_robot = lru_cache(maxsize=8)(load_hand)
+"""Loads a robot once in each process."""
 
 
 @lru_cache(maxsize=8)

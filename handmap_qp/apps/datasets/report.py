@@ -74,8 +74,7 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     values = np.array(rows, dtype=float)
     ranks = _ranks(values)
     badness = ranks.max(axis=1)
-    mean = ranks.mean(axis=1)
-    order = np.lexsort((np.arange(len(lines)), -mean, -badness))
+    order = np.lexsort((-ranks.mean(axis=1), -badness))
     return Quality(
         lines=tuple(lines[i] for i in order),
         failed=tuple(line for _, line in state if line.status != "done"),

@@ -49,34 +49,25 @@ class Task:
     Attributes:
         file: The file.
         source: The recording in it; None where the file could not be listed.
+        entry: Name of the recording in its file; empty where the file holds only one.
+        side: Which hand; None where the file could not be listed.
+        frames: Number of samples.
         entries: How many recordings the file has.
         error: Why the file could not be listed; empty if it could.
     """
 
     file: InputFile
     source: Source | None = None
+    entry: str = ""
+    side: Side | None = None
+    frames: int = 0
     entries: int = 1
     error: str = ""
-
-    @property
-    def entry(self) -> str:
-        """Name of the recording in its file; empty where the file holds only one."""
-        return "" if self.source is None else self.source.entry.name
 
     @property
     def key(self) -> str:
         """Name of the file, `::`, and of the recording: its identity in the manifest."""
         return f"{self.file.name}{SEPARATOR}{self.entry}"
-
-    @property
-    def side(self) -> Side | None:
-        """Which hand; None where the file could not be listed."""
-        return None if self.source is None else self.source.entry.side
-
-    @property
-    def frames(self) -> int:
-        """Number of samples."""
-        return 0 if self.source is None else self.source.entry.samples
 
     @property
     def out(self) -> str:
@@ -147,7 +138,7 @@ def tasks_of(files: Sequence[InputFile], shard: tuple[int, int] = (1, 1)) -> lis
     for file in own:
         found = listings[file.path] if file.path in listings else _listing(file.path)
         if isinstance(found, tuple):
-            tasks += [Task(file, source, len(found)) for source in found]
+            tasks += [Task(file, one, *one.entry, len(found)) for one in found]
         else:
             error = f"{file.path}: cannot be read: listing it crashed, or took {PATIENCE:.0f} s"
             tasks.append(Task(file, error=found or error))

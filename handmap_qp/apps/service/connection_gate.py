@@ -38,7 +38,7 @@ _STARVED = 1.0
 _ACCEPTED = 8
 """Connections accepted in one turn of the event loop."""
 _AT_ONCE = 2048
-"""Bytes read from a client in one turn of the event loop."""
+"""Bytes read from a connection in one turn of the event loop."""
 _BUFFER = 4096
 """Bytes that wait for a client before the gate stops reading from the socket."""
 _GREETING = 64
@@ -168,7 +168,23 @@ class ConnectionGate:
         return client
 
 
-class _Client(asyncio.BufferedProtocol):
+class SmallReads(asyncio.BufferedProtocol):
+    """A protocol that reads little in one turn of the event loop."""
+
+    # Of all connections: what was read is taken out before the next turn.
+    _buffer = bytearray(_AT_ONCE)
+
+    def data_received(self, data: bytes) -> None:
+        """Take what was read."""
+
+    def get_buffer(self, sizehint: int) -> bytearray:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self.data_received(bytes(memoryview(self._buffer)[:nbytes]))
+
+
+class _Client(SmallReads):
     """The connection of one client.
 
     Attributes:
@@ -185,7 +201,6 @@ class _Client(asyncio.BufferedProtocol):
     def __init__(self, gate: ConnectionGate) -> None:
         self.heard = time.monotonic()
         self._gate = gate
-        self._buffer = bytearray(_AT_ONCE)
         self._frames = count_frames()
         self._credit = Bucket(_RATE, self.heard, gate.credit)
         next(self._frames)
@@ -220,13 +235,9 @@ class _Client(asyncio.BufferedProtocol):
         else:
             self.transport.resume_reading()
 
-    def get_buffer(self, sizehint: int) -> bytearray:
-        return self._buffer
-
-    def buffer_updated(self, nbytes: int) -> None:
-        data = bytes(memoryview(self._buffer)[:nbytes])
+    def data_received(self, data: bytes) -> None:
         try:
-            cost = nbytes + _FRAME * self._frames.send(data)
+            cost = len(data) + _FRAME * self._frames.send(data)
         except ValueError as error:
             self.end(str(error))
             return

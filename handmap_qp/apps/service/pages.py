@@ -55,7 +55,6 @@ def page_response(request: Request) -> Response | None:
 
 
 async def serve_metrics(
-    host: str,
     port: int,
     metrics: Metrics,
     health: Callable[[], dict[str, Any]],
@@ -63,8 +62,7 @@ async def serve_metrics(
     """Answer `GET /metrics`, and `GET /health` as JSON.
 
     Args:
-        host: Loopback address to listen on.
-        port: Port; 0 lets the system choose.
+        port: Port at 127.0.0.1; 0 lets the system choose.
         metrics: The counters.
         health: Returns the result of the health check; its `status` is `ok` or an error.
 
@@ -96,7 +94,7 @@ async def serve_metrics(
 
     return await serve(
         never,
-        host,
+        "127.0.0.1",
         port,
         process_request=respond,
         logger=websocket_log,

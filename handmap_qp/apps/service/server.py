@@ -174,7 +174,7 @@ class Server:
         if settings.health_port >= 0:
             with naming("health_port", str(settings.health_port)):
                 health = await serve_metrics(
-                    "127.0.0.1", settings.health_port, self.metrics, self.health
+                    settings.health_port, self.metrics, self.health
                 )
             self._closing.callback(health.close)
             self.ports["health"] = next(iter(health.sockets)).getsockname()[1]

@@ -31,6 +31,7 @@ from websockets.protocol import Event
 from websockets.typing import Subprotocol
 
 from handmap_qp.apps.refusals import naming
+from handmap_qp.apps.service.connection_gate import SmallReads
 from handmap_qp.apps.service.dispatch import Dispatcher
 from handmap_qp.apps.service.logs import report, websocket_log
 from handmap_qp.apps.service.pages import page_response
@@ -46,8 +47,6 @@ _SEND_TIMEOUT = 5.0
 _CLOSE_TIMEOUT = 1.0
 _PENALTY = 0.02
 _CONNECTIONS_PER_SESSION = 2
-_AT_ONCE = 2048
-"""Bytes read from a connection in one turn of the event loop."""
 _MOST_FRAGMENTS = 64
 _CONTROLS_PER_SECOND = 5.0
 _CONTROLS = 50.0
@@ -187,20 +186,13 @@ _Form = Callable[[bytes], bytes | str]
 """Turns a message into the form of a client's frames: msgpack or JSON."""
 
 
-class _Connection(ServerConnection, asyncio.BufferedProtocol):
+class _Connection(ServerConnection, SmallReads):
     """Read little in a turn, and bound empty fragments and control frames: the library does not."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._buffer = bytearray(_AT_ONCE)
         self._fragments = 0
         self._controls = Bucket(_CONTROLS_PER_SECOND, time.monotonic(), _CONTROLS)
         super().connection_made(transport)
-
-    def get_buffer(self, sizehint: int) -> bytearray:
-        return self._buffer
-
-    def buffer_updated(self, nbytes: int) -> None:
-        self.data_received(bytes(memoryview(self._buffer)[:nbytes]))
 
     def process_event(self, event: Event) -> None:
         is_control = isinstance(event, Frame) and event.opcode in CTRL_OPCODES

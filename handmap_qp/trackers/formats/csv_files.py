@@ -20,7 +20,6 @@ from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
-    SIDES,
     Entry,
     RecordingFormat,
     build_recording,
@@ -51,8 +50,7 @@ class CsvFormat(RecordingFormat):
         with opened_table(path) as (header, rows):
             counts = Counter(side for side, _ in _by_side(header, rows))
         is_one = len(counts) == 1
-        found = [side for side in SIDES if side in counts]
-        return tuple(Entry("" if is_one else s, s, counts[s]) for s in found)
+        return tuple(Entry("" if is_one else s, s, counts[s]) for s in sorted(counts))
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read the rows of one hand."""
