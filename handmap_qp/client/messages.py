@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 from msgspec import Meta
+from msgspec.structs import fields, force_setattr
 
 PROTOCOL = 2
 """Version of the messages."""
@@ -168,19 +169,18 @@ Former = Annotated[dict[str, Any], Meta()]
 
 def former_names(message: type[msgspec.Struct]) -> list[str]:
     """Return the former names of `options` in a message."""
-    fields = msgspec.structs.fields(message)
-    return [field.name for field in fields if field.type is Former]
+    return [field.name for field in fields(message) if field.type is Former]
 
 
 def _rename_options(request: Open | Configure) -> None:
     """Move options of former names to their present one."""
     for former in former_names(type(request)):
         if given := getattr(request, former):
-            msgspec.structs.force_setattr(request, "options", given | request.options)
-            msgspec.structs.force_setattr(request, former, {})
+            force_setattr(request, "options", given | request.options)
+            force_setattr(request, former, {})
             if isinstance(request, Open) and request.preset is None:
                 preset = "paper" if former == "mapping" else former
-                msgspec.structs.force_setattr(request, "preset", preset)
+                force_setattr(request, "preset", preset)
 
 
 class Open(Request, frozen=True):
@@ -558,7 +558,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         """Give options their former names too."""
         former = self.preset if self.preset in former_names(About) else "mapping"
-        msgspec.structs.force_setattr(self, former, self.options)
+        force_setattr(self, former, self.options)
 
 
 class State(Reply, frozen=True):

@@ -320,8 +320,8 @@ def check_recording(recording: Recording, *, name: str = "") -> None:
     finding = examine_recording(recording)
     if finding is not None:
         raise InvalidInputError(
+            finding.problem,
             argument=name or recording.name,
-            problem=finding.problem,
             advice=finding.advice,
         )
 

@@ -197,10 +197,7 @@ def test_short_recordings_go_to_a_worker_together(tmp_path: Path) -> None:
     jobs = list(plan_batch([tmp_path / "in"], tmp_path / "out", OPTIONS).jobs)
 
     def of_frames(count: int) -> list[Job]:
-        source = jobs[0].task.source
-        assert source is not None
-        longer = source._replace(entry=source.entry._replace(samples=count))
-        return [replace(job, task=replace(job.task, source=longer)) for job in jobs]
+        return [replace(job, task=replace(job.task, frames=count)) for job in jobs]
 
     # At most a quarter of what is left, and at least one.
     for count in (len(jobs), 3):

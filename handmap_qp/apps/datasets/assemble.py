@@ -36,6 +36,10 @@ _ACTION = "action"
 _VALID = "observation.valid"
 
 
+Robots = Mapping[Side, Hand]
+"""Robot hands by side."""
+
+
 class Episode(NamedTuple):
     """An episode of the data set.
 
@@ -59,7 +63,7 @@ def assemble(
     folder: Path,
     form: Literal["lerobot", "robomimic"],
     fps: float,
-    robots: Mapping[Side, Hand],
+    robots: Robots,
 ) -> Path:
     """Write the data set of a batch; an earlier one is replaced at once.
 
@@ -85,7 +89,7 @@ def assemble(
     return _write_lerobot(episodes, folder / "lerobot", fps, hands)
 
 
-def state_names(hands: Mapping[Side, Hand]) -> tuple[str, ...]:
+def state_names(hands: Robots) -> tuple[str, ...]:
     """Return the names of the numbers of a state; with both hands, their side is in front.
 
     Args:
@@ -102,7 +106,7 @@ def _write_lerobot(
     episodes: Iterator[Episode],
     root: Path,
     fps: float,
-    hands: Mapping[Side, Hand],
+    hands: Robots,
 ) -> Path:
     names = state_names(hands)
     features = {
@@ -133,9 +137,7 @@ def _write_lerobot(
     return root
 
 
-def _write_robomimic(
-    episodes: Iterator[Episode], path: Path, hands: Mapping[Side, Hand]
-) -> Path:
+def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Robots) -> Path:
     env = {
         "env_name": _robot_names(hands),
         "env_type": 2,
@@ -153,7 +155,7 @@ def _write_robomimic(
     return path
 
 
-def _robot_names(hands: Mapping[Side, Hand]) -> str:
+def _robot_names(hands: Robots) -> str:
     return " and ".join(hand.name for hand in hands.values())
 
 
@@ -184,7 +186,7 @@ def _episodes(
     lines: Sequence[Line],
     folder: Path,
     fps: float,
-    hands: Mapping[Side, Hand],
+    hands: Robots,
 ) -> Iterator[Episode]:
     """Read the episodes one after the other, by the names of their files."""
     known = [line for line in lines if line.side in hands]
@@ -202,7 +204,7 @@ def _episodes(
 def _episode(
     pairs: Sequence[tuple[Line, dict[str, np.ndarray]]],
     fps: float,
-    hands: Mapping[Side, Hand],
+    hands: Robots,
 ) -> Episode:
     """Put the hands of one recording side by side, at a fixed rate."""
     by_side = {line.side: columns for line, columns in pairs}

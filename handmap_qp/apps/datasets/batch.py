@@ -10,14 +10,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import process_time
 
-from handmap_qp.apps.datasets.engines import Engine
+from handmap_qp.apps.datasets.engines import Asked, Engine
 from handmap_qp.apps.datasets.episodes import Job, JobOptions, is_intact
 from handmap_qp.apps.datasets.manifest import Line, open_manifest, read_manifests
 from handmap_qp.apps.datasets.sources import find_files, tasks_of
 from handmap_qp.output_files import make_folder
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Plan:
     """What a batch has to do.
 
@@ -44,7 +44,7 @@ class Plan:
         return sum(job.task.frames for job in self.jobs)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Tally:
     """What a run of a batch has done.
 
@@ -135,7 +135,7 @@ def run_batch(
     engine: Engine,
     shard: tuple[int, int] = (1, 1),
     progress: Callable[[Line], None] = lambda _: None,
-    is_stopped: Callable[[], bool] = lambda: False,
+    is_stopped: Asked = lambda: False,
 ) -> Tally:
     """Run the jobs of a plan; each episode is on the disk before its line in the manifest.
 
@@ -170,7 +170,7 @@ def run_batch(
 
 
 @contextmanager
-def stopped_by_signals() -> Iterator[Callable[[], bool]]:
+def stopped_by_signals() -> Iterator[Asked]:
     """Note Ctrl-C, and SIGTERM, by which schedulers end jobs, inside the block.
 
     A second Ctrl-C interrupts at once.

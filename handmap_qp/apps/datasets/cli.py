@@ -358,6 +358,5 @@ def _shard(text: str | None) -> tuple[int, int]:
         return (1, 1)
     found = re.fullmatch(r"(\d{1,7})/(\d{1,7})", text)
     part, parts = map(int, found.groups()) if found else (0, 0)
-    is_part = 1 <= part <= parts <= 10**6
-    expect(is_part, "--shard", "I/N with 1 <= I <= N", value=text)
+    expect(1 <= part <= parts <= 10**6, "--shard", "I/N with 1 <= I <= N", value=text)
     return (part, parts)

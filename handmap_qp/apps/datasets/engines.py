@@ -32,6 +32,10 @@ _IN_FLIGHT = 3
 
 Group = tuple[Job, ...]
 """Jobs that a worker runs one after the other."""
+Work = Future[Sequence[Line]]
+"""Its result is the lines of a group, when they are on the disk."""
+Asked = Callable[[], bool]
+"""Asked now and then whether to stop: what is under way is finished, and nothing more begun."""
 
 
 class Workers(NamedTuple):
@@ -43,7 +47,7 @@ class Workers(NamedTuple):
         death: What the result raises if its worker has died.
     """
 
-    submit: Callable[[Group], Future[Sequence[Line]]]
+    submit: Callable[[Group], Work]
     count: int
     death: type[Exception] = BrokenProcessPool
 
@@ -63,7 +67,7 @@ class Engine(ABC):
         """Start workers for the block; see `Workers`."""
 
     def outcomes(
-        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Callable[[], bool]
+        self, jobs: Sequence[Job], kills: dict[str, int], is_stopped: Asked
     ) -> Iterator[Line]:
         """Run jobs, the first ones first.
 
@@ -90,10 +94,10 @@ class Engine(ABC):
                 yield from self._share(waiting, suspects, is_stopped)
 
     def _share(
-        self, waiting: deque[Job], suspects: deque[Job], is_stopped: Callable[[], bool]
+        self, waiting: deque[Job], suspects: deque[Job], is_stopped: Asked
     ) -> Iterator[Line]:
         """Run jobs until all are done, or a worker dies: what was under way is suspect then."""
-        flying: dict[Future[Sequence[Line]], Group] = {}
+        flying: dict[Work, Group] = {}
         with self.start(self._count) as workers:
             most = max(1, _IN_FLIGHT * workers.count)
 
@@ -121,7 +125,7 @@ class Engine(ABC):
         self,
         suspects: deque[Job],
         kills: dict[str, int],
-        is_stopped: Callable[[], bool],
+        is_stopped: Asked,
     ) -> Iterator[Line]:
         """Run jobs whose worker may have died over them one at a time, until one dies."""
         with self.start(1) as workers:
@@ -154,8 +158,8 @@ class SerialEngine(Engine):
     def start(self, count: int) -> Iterator[Workers]:
         """Run each group at once."""
 
-        def submit(jobs: Group) -> Future[Sequence[Line]]:
-            future: Future[Sequence[Line]] = Future()
+        def submit(jobs: Group) -> Work:
+            future: Work = Future()
             future.set_result(run_group(jobs))
             return future
 
@@ -202,7 +206,7 @@ class RayEngine(Engine):
             )
         remote = ray.remote(num_cpus=1, max_retries=0)(run_group)
 
-        def submit(jobs: Group) -> Future[Sequence[Line]]:
+        def submit(jobs: Group) -> Work:
             future = remote.remote(jobs).future()
             # A task cannot be taken back.
             future.set_running_or_notify_cancel()
@@ -212,9 +216,7 @@ class RayEngine(Engine):
         yield Workers(submit, max(1, cpus), ray.exceptions.RayError)
 
 
-def _result(
-    future: Future[Sequence[Line]], death: type[Exception]
-) -> Sequence[Line] | None:
+def _result(future: Work, death: type[Exception]) -> Sequence[Line] | None:
     """Return the lines of a group; None if its worker has died."""
     try:
         return future.result()

@@ -154,17 +154,16 @@ def _run(job: Job) -> dict[str, Any]:
     """Map one recording, write its episode, and return the results for its line."""
     task = job.task
     if task.source is None or task.side is None:
-        raise InvalidInputError(problem=task.error)
+        raise InvalidInputError(task.error)
     options = job.options
     if task.side not in options.robots:
         raise InvalidInputError(
-            argument="--robot", problem=f"there is no robot for the {task.side} hand"
+            f"there is no robot for the {task.side} hand", argument="--robot"
         )
     with time_limit(_READING):
         recording = task.source.read()
     check_recording(recording)
-    points = options.arguments.robot_points
-    robot = _robot(options.robots[task.side], points=points)
+    robot = _robot(options.robots[task.side], points=options.arguments.robot_points)
     person = measure_person(recording)
     recording, trajectory = map_hand(
         recording, robot, person, options.arguments, smoother=options.smoother

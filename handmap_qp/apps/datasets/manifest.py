@@ -116,7 +116,7 @@ def open_manifest(
                 fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
                 problem = f"{file}: another handmap batch writes to it"
-                raise InvalidInputError(argument="--out", problem=problem) from error
+                raise InvalidInputError(problem, argument="--out") from error
             _cut_torn_line(stream)
             sync(file.parent)
 
@@ -162,8 +162,8 @@ def _lines_of(file: Path) -> Iterator[Line]:
 
 def _cut_torn_line(stream: FileIO) -> None:
     """Cut off what follows the last line break."""
-    if end := stream.seek(0, os.SEEK_END):
+    # An empty file cannot be mapped.
+    if stream.seek(0, os.SEEK_END):
         with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as text:
             kept = text.rfind(b"\n") + 1
-        if kept < end:
-            stream.truncate(kept)
+        stream.truncate(kept)

@@ -21,7 +21,7 @@ FOLDER = "report"
 _MOST_DRAWN, _MOST_FAILED = 8, 50
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Quality:
     """How the episodes of a batch are.
 
@@ -66,8 +66,8 @@ def assess(folder: Path, keep: float = 0.95) -> Quality:
     lines = [line for _, line in state if line.status == "done"]
     if not lines:
         raise InvalidInputError(
+            f"{folder}: has no manifest with episodes",
             argument="DIR",
-            problem=f"{folder}: has no manifest with episodes",
             advice="run handmap batch first",
         )
     rows = [[line.metrics.get(measure.key) for measure in MEASURES] for line in lines]

@@ -18,7 +18,7 @@ from handmap_qp.errors import HandmapError
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.trackers.formats import read_recording
-from handmap_qp.trackers.formats.archive import read_archive
+from handmap_qp.trackers.formats.archive import Arrays, read_archive
 
 _COLUMNS, _BINS = 4, 40
 _LONGEST_NAME = 21  # characters beside a picture
@@ -58,8 +58,8 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
     for axes, (measure, values) in zip(grid.flat, shown, strict=False):
-        low = float(np.nanmin(values))
-        high = float(np.nanmax(values))
+        low = np.nanmin(values)
+        high = np.nanmax(values)
         # NaN is in no bin.
         axes.hist(
             [values[quality.is_kept], values[~quality.is_kept]],
@@ -125,9 +125,7 @@ def _worst_row(folder: Path, line: Line, rank: int, measure: Measure) -> SheetRo
     return replace(row, note=f"{name}\n{measure.title}\n{row.note}")
 
 
-def _worst_sample(
-    recording: Recording, columns: dict[str, np.ndarray], measure: Measure
-) -> int:
+def _worst_sample(recording: Recording, columns: Arrays, measure: Measure) -> int:
     """Return the index of the sample that is worst in a measure, or in reach."""
     usable = columns["valid"] & recording.valid
     settled = usable & (recording.time >= recording.time[0] + SETTLING)

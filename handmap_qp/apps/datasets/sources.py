@@ -111,7 +111,7 @@ def find_files(
             files[name] = _stamped(name, path)
         if len(files) + len(repeated) == before:
             raise InvalidInputError(
-                argument="INPUT", problem=f"{given}: has no files of a known form"
+                f"{given}: has no files of a known form", argument="INPUT"
             )
     return tuple(files[name] for name in sorted(files)), tuple(repeated)
 
@@ -168,9 +168,7 @@ def _paths_of(
         repeated: Paths whose identity was seen before, which are added to.
     """
     if not given.exists():
-        raise InvalidInputError(
-            argument="INPUT", problem=f"{given}: no such file or folder"
-        )
+        raise InvalidInputError(f"{given}: no such file or folder", argument="INPUT")
     # Links come last, so that they do not change the names of the files they lead to.
     waiting = deque([given])
     links = deque[Path]()

@@ -107,8 +107,8 @@ class Map:
         """Read each recording with its robot."""
         if (self.robot is None) == (self.robots is None):
             raise InvalidInputError(
+                "expected either --robot HAND or --robots LEFT RIGHT",
                 argument="--robot",
-                problem="expected either --robot HAND or --robots LEFT RIGHT",
                 advice="name hands of `handmap hands list`",
             )
         if self.robot is not None:
@@ -116,7 +116,7 @@ class Map:
                 len(self.recordings) == 1,
                 "RECORDING",
                 "one recording with --robot",
-                got=f"{len(self.recordings)}",
+                value=len(self.recordings),
                 advice="give --robots LEFT RIGHT for both hands",
             )
             robot = self.arguments.load_robot(self.robot)
@@ -125,9 +125,7 @@ class Map:
             )
             return [(fit_side(recording, robot, mirror=self.mirror), robot)]
         if self.mirror:
-            raise InvalidInputError(
-                argument="--mirror", problem="has no effect with --robots"
-            )
+            raise InvalidInputError("has no effect with --robots", argument="--mirror")
         robots = [self.arguments.load_robot(name) for name in self.robots or ()]
         for robot, side in zip(robots, SIDES, strict=True):
             expect(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
@@ -28,6 +28,7 @@ from handmap_qp.apps.offline.comparison import (
     SMOOTH,
     ComparedMethod,
     Comparison,
+    Progress,
     Take,
     check_names,
     compare_methods,
@@ -258,7 +259,7 @@ def _takes(
     request: Compare,
     robot: Hand,
     person: Person | None,
-    say: Callable[[str, int, int], None],
+    say: Progress,
 ) -> list[Take]:
     """Read all recordings before any is prepared."""
     side = robot.spec.side
@@ -298,7 +299,7 @@ def _print_tables(comparison: Comparison) -> None:
 def _write(
     out: Path,
     comparison: Comparison,
-    say: Callable[[str, int, int], None],
+    say: Progress,
 ) -> list[Path]:
     """Write all files, and return those that were written."""
     table, results, metrics, poses = (out / name for name in FILES)

@@ -34,6 +34,7 @@ from handmap_qp.apps.offline.fidelity import (
     sample_workspace,
 )
 from handmap_qp.apps.offline.hand_trace import (
+    ByFinger,
     HandTrace,
     fingers_of,
     trace_human,
@@ -72,11 +73,15 @@ LOOK_AHEAD = "+look-ahead"
 _LEFT_OUT = ("fixed_wrist",)
 
 
+Progress = Callable[[str, int, int], None]
+"""Takes what is done next, how much is done, and how much there is in all."""
+
+
 class OutsideError(HandmapError):
     """An outside program cannot be run or failed; the message is one line."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Take:
     """One recording of a human hand, on the robot's side.
 
@@ -262,7 +267,7 @@ def compare_methods(
     takes: Sequence[Take],
     robot: Hand,
     methods: Sequence[ComparedMethod],
-    progress: Callable[[str, int, int], None] = lambda *_: None,
+    progress: Progress = lambda *_: None,
 ) -> Comparison:
     """Run every method on every take, and measure what the robot does.
 
@@ -283,7 +288,8 @@ def compare_methods(
             take is of another side than the robot, or the robot has no finger with a human name.
     """
     check_names("takes", [take.name for take in takes])
-    check_names("methods", [method.name for method in methods])
+    names = tuple(method.name for method in methods)
+    check_names("methods", names)
     for take in takes:
         expect(
             take.recording.side == robot.spec.side,
@@ -294,8 +300,8 @@ def compare_methods(
         )
     if not fingers_of(robot):
         raise InvalidInputError(
+            f"{robot.name} has no finger with a human name, so nothing can be compared",
             argument="robot",
-            problem=f"{robot.name} has no finger with a human name, so nothing can be compared",
             advice="name the fingers of its points in hand.yaml",
         )
     workspace = sample_workspace(robot)
@@ -305,7 +311,6 @@ def compare_methods(
         progress(f"{method.name} on {take.name}", len(runs), total)
         runs.append(_run(method, take, robot, workspace))
     progress("measured", total, total)
-    names = tuple(method.name for method in methods)
     return Comparison(robot, tuple(takes), names, tuple(runs))
 
 
@@ -453,7 +458,7 @@ def _run(
     method: ComparedMethod,
     take: Take,
     robot: Hand,
-    workspace: dict[str, np.ndarray],
+    workspace: ByFinger,
 ) -> Run:
     try:
         motion = method.map_take(take, robot)

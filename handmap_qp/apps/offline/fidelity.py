@@ -24,6 +24,7 @@ from handmap_qp.apps.offline.hand_trace import (
     KNUCKLE,
     MIDDLE,
     TIP,
+    ByFinger,
     HandTrace,
     trace_robot,
 )
@@ -89,7 +90,7 @@ def assess_fidelity(
     hand: Hand | None = None,
     q: np.ndarray | None = None,
     human_q: np.ndarray | None = None,
-    workspace: dict[str, np.ndarray] | None = None,
+    workspace: ByFinger | None = None,
     step_time: np.ndarray | None = None,
 ) -> Fidelity:
     """Measure how well a robot's motion does what a human's meant.
@@ -117,9 +118,7 @@ def assess_fidelity(
     seen = np.ones(len(time), dtype=bool) if valid is None else np.asarray(valid)
     sizes = {"human": len(human.palm), "robot": len(robot.palm), "valid": len(seen)}
     for name, size in sizes.items():
-        expect(
-            size == len(time), name, f"{len(time)} samples as in time", got=str(size)
-        )
+        expect(size == len(time), name, f"{len(time)} samples as in time", value=size)
     expect(shared, "robot", "a finger that the human has too", got="none")
     counts = seen.astype(bool) & (time >= time[0] + SETTLING)
     expect(
@@ -153,7 +152,7 @@ def assess_fidelity(
     )
 
 
-def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> Values:
+def _over_fingers(names: list[str], fingers: ByFinger) -> Values:
     """Return metrics of the whole hand: correlations weighted by the human's range, and means."""
     correlations = fingers["extension_correlation"]
     weights = fingers["extension_range"]
@@ -168,7 +167,7 @@ def _over_fingers(names: list[str], fingers: dict[str, np.ndarray]) -> Values:
     return found
 
 
-def finger_metrics(human: HandTrace, robot: HandTrace) -> dict[str, np.ndarray]:
+def finger_metrics(human: HandTrace, robot: HandTrace) -> ByFinger:
     """Compare extension, direction and tip of each finger; see `Fidelity.fingers`.
 
     Tips are in palm frames. `tip_error_mm` scales the robot's by the ratio of hand sizes;
@@ -237,7 +236,7 @@ def palm_metrics(human: HandTrace, robot: HandTrace) -> Values:
     return {"palm_deg": np.degrees(_rms(turns)), "palm_mm": 1e3 * _rms(distances)}
 
 
-def pinch_gaps(hand: HandTrace) -> dict[str, np.ndarray]:
+def pinch_gaps(hand: HandTrace) -> ByFinger:
     """Distances from the thumb's tip to the other fingertips [m], shape (T,) each."""
     tips = _tips_by_finger(hand)
     thumb = tips.pop(THUMB, None)
@@ -377,7 +376,7 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
     }
 
 
-def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float:
+def workspace_share(robot: HandTrace, workspace: ByFinger) -> float:
     """Share of the reachable points that the fingertips came near, mean over the fingers."""
     distances = [
         KDTree(tips).query(workspace[name])[0]
@@ -387,7 +386,7 @@ def workspace_share(robot: HandTrace, workspace: dict[str, np.ndarray]) -> float
     return _mean(np.array(distances) <= WORKSPACE_RADIUS)
 
 
-def sample_workspace(hand: Hand, *, count: int = 20_000) -> dict[str, np.ndarray]:
+def sample_workspace(hand: Hand, *, count: int = 20_000) -> ByFinger:
     """Draw points that each fingertip can reach, joints uniform within their limits.
 
     Args:
@@ -404,7 +403,7 @@ def sample_workspace(hand: Hand, *, count: int = 20_000) -> dict[str, np.ndarray
     return _tips_by_finger(trace_robot(hand, q))
 
 
-def _tips_by_finger(hand: HandTrace) -> dict[str, np.ndarray]:
+def _tips_by_finger(hand: HandTrace) -> ByFinger:
     """Fingertips in the palm frame [m], shape (T, 3) each."""
     tips = hand.local[:, :, TIP].swapaxes(0, 1)
     return dict(zip(hand.names, tips, strict=True))
@@ -456,7 +455,7 @@ def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cosines between vectors along the last axis; 0 where either is zero."""
-    norms = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    norms = lengths(a) * lengths(b)
     dots = (a * b).sum(axis=-1)
     return np.clip(dots / np.where(norms > 0.0, norms, np.inf), -1.0, 1.0)
 

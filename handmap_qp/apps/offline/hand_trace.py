@@ -41,6 +41,10 @@ fingers_of = lru_cache(maxsize=32)(find_fingers)
 """The fingers of a hand, which are found once: a reach takes a search."""
 
 
+ByFinger = dict[str, np.ndarray]
+"""Arrays by the anatomical names of fingers."""
+
+
 class HandTrace(NamedTuple):
     """A hand over time.
 

@@ -88,8 +88,8 @@ class Layouts:
         for name in ("template", "picture"):
             if getattr(self, name) is not None:
                 raise InvalidInputError(
+                    "needs a layout",
                     argument=f"--{name}",
-                    problem="needs a layout",
                     advice="name one of `handmap layouts`",
                 )
         if self.json:

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from handmap_qp.apps.arguments import MappingArguments
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class LookAhead:
     """How a recording is smoothed.
 

@@ -79,8 +79,7 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
     little = np.cross(normal, bones[:, 3, 1])
     sine = (np.cross(index, little) * normal).sum(axis=1)
     cosine = (index * little).sum(axis=1)
-    spread = np.degrees(np.arctan2(sine, cosine))
-    return Posture(flexion, tip_gaps(points), spread)
+    return Posture(flexion, tip_gaps(points), np.degrees(np.arctan2(sine, cosine)))
 
 
 POSES = (
@@ -137,8 +136,7 @@ finger's 10 mm farther from the thumb, no `fist` | the smallest gap |
     Returns:
         For every name of `POSES`, the index of a sample, or None where no sample shows the pose.
     """
-    ranked = rank_poses(recording)
-    return {name: found and found[0] for name, found in ranked.items()}
+    return {name: found and found[0] for name, found in rank_poses(recording).items()}
 
 
 def rank_poses(recording: Recording) -> dict[str, tuple[int, float] | None]:

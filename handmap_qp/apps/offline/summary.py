@@ -45,21 +45,17 @@ def summarise(trajectory: Trajectory) -> dict[str, Any]:
         "held": int((~seen).sum()),
         "rules": count_rules(trajectory),
         "events": find_holds(trajectory),
-        "consistency_mm_mean": float((1e3 * consistency).mean())
-        if len(consistency)
-        else None,
-        "confidence_mean": float(trajectory.confidence[seen].mean()),
-        "step_cpu_us_median": float(np.median(step)),
-        "step_cpu_us_p99": float(np.percentile(step, 99)),
-        "point_error_mm_mean": float(points.mean()),
-        "point_error_mm_p95": float(np.percentile(points, 95)),
-        "point_error_mm_max": float(points.max()),
-        "wrist_error_mm_mean": 1e3 * float(trajectory.wrist_error[seen].mean()),
+        "consistency_mm_mean": (1e3 * consistency).mean() if len(consistency) else None,
+        "confidence_mean": trajectory.confidence[seen].mean(),
+        "step_cpu_us_median": np.median(step),
+        "step_cpu_us_p99": np.percentile(step, 99),
+        "point_error_mm_mean": points.mean(),
+        "point_error_mm_p95": np.percentile(points, 95),
+        "point_error_mm_max": points.max(),
+        "wrist_error_mm_mean": 1e3 * trajectory.wrist_error[seen].mean(),
         "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
         "limit_violation_max": trajectory.limit_violation,
-        "speed_limited_share": float(
-            trajectory.at_speed_limit[seen].any(axis=1).mean()
-        ),
+        "speed_limited_share": trajectory.at_speed_limit[seen].any(axis=1).mean(),
         "speed_limited_joints": _slow_joints(trajectory),
         "arm_out_of_reach": _arm(trajectory),
     }
@@ -77,8 +73,8 @@ def find_holds(trajectory: Trajectory) -> list[dict[str, Any]]:
     return [
         {
             "rule": str(trajectory.rule[hold.start]),
-            "start": float(time[hold.start]),
-            "duration": float(time[min(hold.stop, len(time) - 1)] - time[hold.start]),
+            "start": time[hold.start],
+            "duration": time[min(hold.stop, len(time) - 1)] - time[hold.start],
             "samples": int(hold.stop - hold.start),
         }
         for hold in stretches(~trajectory.valid)
@@ -181,11 +177,11 @@ def _arm(trajectory: Trajectory) -> dict[str, Any] | None:
     counted = Counter(reasons[trajectory.valid][late].tolist())
     scale = (moved[late] / wanted[late]).min()
     return {
-        "share": float(late.mean()),
-        "error_mm": 1e3 * float(errors.max()),
-        "motion_mm": 1e3 * float(wanted.max()),
+        "share": late.mean(),
+        "error_mm": 1e3 * errors.max(),
+        "motion_mm": 1e3 * wanted.max(),
         "held_by": {name: n / late.sum() for name, n in counted.most_common()},
-        "scale": max(0.05, float(np.floor(20.0 * scale) / 20.0)),
+        "scale": max(0.05, np.floor(20.0 * scale) / 20.0),
     }
 
 
@@ -196,8 +192,8 @@ def _slow_joints(trajectory: Trajectory) -> list[dict[str, Any]]:
     return [
         {
             "joint": robot.joint_names[i],
-            "share": float(shares[i]),
-            "limit": float(robot.velocity_limits[i]),
+            "share": shares[i],
+            "limit": robot.velocity_limits[i],
         }
         for i in np.argsort(-shares, kind="stable")[:_NAMED_JOINTS]
         if shares[i] > 0.0

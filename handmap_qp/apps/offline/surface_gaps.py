@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from handmap_qp.apps.offline.hand_trace import fingers_of
+from handmap_qp.apps.offline.hand_trace import ByFinger, fingers_of
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
@@ -31,7 +31,7 @@ class SurfaceGaps(NamedTuple):
             shape (T,).
     """
 
-    pinches: dict[str, np.ndarray]
+    pinches: ByFinger
     nearest: np.ndarray
 
 
@@ -83,7 +83,7 @@ class GapMeter:
             for pair in product(thumb, others):
                 self._geometry.addCollisionPair(pin.CollisionPair(*pair))
 
-    def pinches(self, q: np.ndarray) -> dict[str, np.ndarray]:
+    def pinches(self, q: np.ndarray) -> ByFinger:
         """Measure the gaps between the thumb and the other fingers; see `SurfaceGaps.pinches`.
 
         Args:

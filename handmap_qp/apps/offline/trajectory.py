@@ -27,7 +27,7 @@ from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.step_table import RULE_NAMES, STATUS_NAMES, StepTable
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """A robot's motion as columns of T samples.
 
@@ -137,8 +137,7 @@ def map_recording(
     """
     follower = Follower(mapper)
     if is_guarded:
-        columns = sample_columns(recording, wrist_poses)
-        table = follower.map_samples(columns, progress)
+        table = follower.map_samples(sample_columns(recording, wrist_poses), progress)
         return _trajectory(mapper.robot, recording.time, table)
     samples = recording_samples(recording, wrist_poses)
     steps = (

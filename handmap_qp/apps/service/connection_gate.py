@@ -178,9 +178,11 @@ class SmallReads(asyncio.BufferedProtocol):
         """Take what was read."""
 
     def get_buffer(self, sizehint: int) -> bytearray:
+        """Return where to put what is read."""
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
+        """Pass on what was read."""
         self.data_received(bytes(memoryview(self._buffer)[:nbytes]))
 
 

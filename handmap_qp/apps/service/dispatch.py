@@ -380,8 +380,7 @@ class Dispatcher:
                 raise RefusedError("invalid", message, field="type")
             subscribe(request.name)
             return Done(seq=request.seq)
-        has_both = bool(request.session)
-        refuse_if(has_both, "give session or name, not both", "name")
+        refuse_if(request.session, "give session or name, not both", "name")
         may_clear = by.key in self.settings.supervisor or by.owner("") == session.owner
         is_allowed = isinstance(request, Clear) and may_clear
         is_free = isinstance(request, Status | Stop)
@@ -474,8 +473,7 @@ class Dispatcher:
         first, task = self._opening.get(request.session, (payload, None))
         is_full = task is None and len(self._opening) >= self.settings.sessions
         if first != payload or is_full:
-            busy = RefusedError("busy", "too many at once")
-            send(self._failure(request.seq, busy))
+            send(self._failure(request.seq, RefusedError("busy", "too many at once")))
             return
         if task is None:
             opening = self._open(request, payload, self._who())

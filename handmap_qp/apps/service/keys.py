@@ -136,8 +136,8 @@ def read_server_keys(folder: Path) -> ServerKeys:
     file = folder / "server.key_secret"
     if not file.exists():
         raise InvalidInputError(
+            "does not exist",
             argument=str(file),
-            problem="does not exist",
             advice=f"handmap keys {folder} makes it",
         )
     _read_private(file)
@@ -178,8 +178,8 @@ def _read_private(file: Path) -> str:
         text = file.read_text(encoding="utf-8", errors="replace")
     if is_open:
         raise InvalidInputError(
+            "others can read it",
             argument=str(file),
-            problem="others can read it",
             advice="chmod 600 it, and make a new secret if they may have",
         )
     return text

@@ -204,7 +204,7 @@ class HandCache:
         return load(human_name(side), points=points, lengths=lengths)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Hands:
     """The hands of a session and what maps between them.
 

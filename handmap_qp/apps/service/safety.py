@@ -274,8 +274,7 @@ class CommandedRobot(Gate):
         self.is_placed = wrist is not None or not robot.is_floating
         self._placed = robot.configuration()
         vector = robot.configuration_vector(q, wrist if robot.is_floating else None)
-        columns = len(robot.active_columns)
-        super().__init__(robot, Motion.at_rest(vector, columns))
+        super().__init__(robot, Motion.at_rest(vector, len(robot.active_columns)))
 
     def obey(self, ik: PointIk) -> None:
         """Take over the acceleration limit of a mapper's QP, and the links that it keeps apart."""

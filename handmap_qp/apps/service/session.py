@@ -40,7 +40,7 @@ from handmap_qp.apps.service.safety import (
     next_state,
     refuse_if,
 )
-from handmap_qp.apps.service.store import Record
+from handmap_qp.apps.service.store import Posture, Record
 from handmap_qp.client.messages import (
     About,
     Command,
@@ -64,8 +64,6 @@ from handmap_qp.mapping.method import MapStep
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
 
-Posture = tuple[np.ndarray, np.ndarray | None]
-"""Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
 _FIELDS = ("q", "landmarks", "points", "values")
 
 

@@ -144,8 +144,7 @@ class Sessions:
             entry.session.last_request = self.clock()
             return entry
         is_taken = self._ended.get(secret) == "taken"
-        message = "another client took this session over"
-        refuse_if(is_taken, message, "session", "taken")
+        refuse_if(is_taken, "another client took this session over", "session", "taken")
         raise RefusedError("no_session", "no such session; open one", field="session")
 
     def named(self, name: str) -> Session:
@@ -273,9 +272,9 @@ class Sessions:
         last = self._find_named(request.name)
         held = self.entries.get(request.session)
         most = self.settings.sessions
-        is_its_own = held is not None and held.session is last
-        is_repeat = held is not None and request.seq <= held.seq
-        is_again = is_its_own and request.restore and not is_repeat
+        is_another = held is not None and not (
+            held.session is last and request.restore and request.seq > held.seq
+        )
         is_replacing = last is not None and request.restore
         count = len(self.entries) + len(self._names_opening) - is_replacing
         refuse_if(
@@ -284,7 +283,7 @@ class Sessions:
             "session",
         )
         refuse_if(
-            held is not None and not is_again,
+            is_another,
             "a session with this secret exists: choose another one",
             "session",
         )

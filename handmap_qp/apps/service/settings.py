@@ -115,11 +115,11 @@ class Settings:
             if item.name.startswith("web_") and getattr(self, item.name) != item.default
         ]
         if given and not self.web:
-            raise InvalidInputError(argument=", ".join(given), problem="requires --web")
+            raise InvalidInputError("requires --web", argument=", ".join(given))
         if (self.web_certificate is None) != (self.web_key is None):
             raise InvalidOptionsError(
+                "certificate and key go together",
                 option="web_certificate" if self.web_certificate is None else "web_key",
-                problem="certificate and key go together",
                 advice="give both or neither",
             )
         if not is_loopback(host) and None in (
@@ -131,8 +131,8 @@ class Settings:
 
 def _exposed(option: str, host: str, missing: str) -> InvalidOptionsError:
     return InvalidOptionsError(
+        f"others could move the robot on {host}",
         option=option,
-        problem=f"others could move the robot on {host}",
         value=host,
         advice=f"off loopback, give {missing}",
     )

@@ -22,6 +22,8 @@ from handmap_qp.apps.service.logs import Throttle, report
 from handmap_qp.apps.service.settings import MOST_SESSIONS
 from handmap_qp.errors import InvalidInputError, RefusedError, reason_of
 
+Posture = tuple[np.ndarray, np.ndarray | None]
+"""Joint angles (n,) [rad] and the pose of the wrist (4, 4), None if it is not known."""
 _KIND = 0x686D7170
 """Identifies the database as one of the service."""
 _LARGEST = 4096
@@ -58,8 +60,8 @@ class Record(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     owner: str = ""
 
     @property
-    def posture(self) -> tuple[np.ndarray, np.ndarray | None]:
-        """Joint angles (n,) [rad] and pose of the wrist (4, 4)."""
+    def posture(self) -> Posture:
+        """Where the robot was left."""
         return np.array(self.q), None if self.wrist is None else np.array(
             self.wrist
         ).reshape(4, 4)
@@ -192,4 +194,4 @@ def _unusable(path: Path, error: OSError | sqlite3.Error) -> InvalidInputError:
             got="another, a damaged or a former one",
             advice="name another file, and stop again what must not move",
         )
-    return InvalidInputError(argument=str(path), problem=problem)
+    return InvalidInputError(problem, argument=str(path))

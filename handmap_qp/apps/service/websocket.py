@@ -284,8 +284,8 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
         tls.load_cert_chain(certificate, key, password="")
     except ssl.SSLError as error:
         raise InvalidInputError(
+            "expected a PEM certificate and its key, without passphrase",
             argument=f"{certificate}, {key}",
-            problem="expected a PEM certificate and its key, without passphrase",
             advice=(error.reason or "").replace("_", " ").lower(),
         ) from error
     return tls

@@ -103,7 +103,7 @@ def _read(
     path: Path,
     needed: Iterable[str],
     names: Iterable[str] = (),
-) -> dict[str, np.ndarray]:
+) -> Arrays:
     """Read those arrays that are needed, and those of others that the file has."""
     arrays = read_archive(path, {*needed, *names})
     for name in needed:

@@ -140,7 +140,7 @@ def _rows(reader: Iterable[Row], is_padded: bool) -> Iterator[Row]:
             count = count or len(row)
             if is_padded:
                 row += [""] * (count - len(row))
-            expect(len(row) == count, "", f"{count} fields", got=f"{len(row)}")
+            expect(len(row) == count, "", f"{count} fields", value=len(row))
             yield row
 
 

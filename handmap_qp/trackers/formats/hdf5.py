@@ -113,8 +113,7 @@ def numbers(
     elif item.nbytes > LARGEST_ARCHIVE:
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
     if problem:
-        place = f"{group.name.rstrip('/')}/{name}"
-        raise InvalidInputError(problem, argument=place)
+        raise InvalidInputError(problem, argument=f"{group.name.rstrip('/')}/{name}")
     return item[()].astype(float, copy=False)
 
 
@@ -196,8 +195,7 @@ class RobomimicFormat(RecordingFormat):
             }
             for key in ("name", "source"):
                 columns[key] = str(demo.attrs.get(key, ""))
-        prefix = f"data/{entry.name}/obs/"
-        return build_recording(path, entry, **columns, prefix=prefix)
+        return build_recording(path, entry, **columns, prefix=f"data/{entry.name}/obs/")
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the arrays that a recording cannot hold."""
@@ -321,8 +319,7 @@ class EgoDexFormat(RecordingFormat):
                 if recording.wrist is None:
                     seen = recording.valid
                     sign = 1.0 if recording.side == "right" else -1.0
-                    palms = palm_axes(recording.landmarks[seen], sign)
-                    poses[0, seen, :3, :3] = palms
+                    poses[0, seen, :3, :3] = palm_axes(recording.landmarks[seen], sign)
                 else:
                     poses[0, :, :3, :3] = recording.wrist[:, :3, :3]
                 for name, pose in zip(joint_names(recording.side), poses, strict=True):

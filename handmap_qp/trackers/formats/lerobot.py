@@ -138,8 +138,8 @@ def writing_set(
     """
     if root.exists() and (not root.is_dir() or any(root.iterdir())):
         raise InvalidInputError(
+            f"{root} exists already",
             argument=argument,
-            problem=f"{root} exists already",
             advice="remove it first",
         )
     make_folder(root.parent, argument)
@@ -270,8 +270,7 @@ class LeRobotWriter:
     def _write(self, place: str, table: Any) -> None:
         """Append a row group to a parquet file."""
         if place not in self._open:
-            file = self._place(place)
-            self._open[place] = self._pq.ParquetWriter(file, table.schema)
+            self._open[place] = self._pq.ParquetWriter(self._place(place), table.schema)
         writer = self._open[place]
         writer.write_table(table.cast(writer.schema), max(1, table.num_rows))
 

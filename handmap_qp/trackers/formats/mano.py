@@ -141,8 +141,7 @@ def _joints_of_parameters(
         raise InvalidInputError(f"{problem}, {meaning}")
 
     def given(name: str, *shape: int | str, default: Any = None) -> np.ndarray:
-        values = arrays.get(name, default)
-        return as_floats(values, name, shape=shape, is_finite=True)
+        return as_floats(arrays.get(name, default), name, shape=shape, is_finite=True)
 
     if "pose" in arrays:
         root, fingers = np.split(given("pose", count, 48), [3], axis=1)
@@ -157,7 +156,7 @@ def _joints_of_parameters(
         components <= _TURNS,
         "hand_pose",
         at_most,
-        got=f"{components}",
+        value=components,
     )
     if components < _TURNS:
         fingers = fingers @ model["hands_components"][:components]
@@ -218,12 +217,11 @@ def _posed_joints(
         poses[:, joint] = poses[:, up] @ poses[:, joint]
     # Skin the tips: each joint carries the vertex from its place at rest to its place now.
     carried = transform_points(poses, (tips[:, :, None] - rest).swapaxes(1, 2))
-    weights = model["weights"][TIP_VERTICES]
-    skinned = np.einsum("vj,tjva->tva", weights, carried)
+    skinned = np.einsum("vj,tjva->tva", model["weights"][TIP_VERTICES], carried)
     return np.hstack([poses[..., :3, 3], skinned])
 
 
-def _load_model(side: str, given: Path | None) -> dict[str, np.ndarray]:
+def _load_model(side: str, given: Path | None) -> Arrays:
     """Load the user's model file.
 
     Args:

@@ -203,7 +203,7 @@ def _points(message: Any) -> list[tuple[float, float, float]]:
         count == LANDMARK_COUNT,
         "",
         poses,
-        got=f"{count}",
+        value=count,
     )
     return [(p.position.x, p.position.y, p.position.z) for p in message.poses]
 

@@ -92,13 +92,7 @@ class AngleLayout(Layout):
                 "not 0",
                 value=0.0,
             )
-        is_angle = table.unit in ("deg", "rad")
-        expect(
-            is_angle,
-            "unit",
-            "deg or rad",
-            value=table.unit,
-        )
+        expect(table.unit in ("deg", "rad"), "unit", "deg or rad", value=table.unit)
         self._joints = np.array([HUMAN_JOINTS.index(joint) for joint in joints])
         self._scales = np.array([entry.scale for entry in table.angles])
         self._offsets = np.array([entry.offset for entry in table.angles])

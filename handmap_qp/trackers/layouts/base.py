@@ -428,8 +428,7 @@ def sized_human(
 ) -> Hand:
     """Return the human hand of a person, or a typical one, its points the landmarks."""
     size = TYPICAL_LENGTH if lengths is None else None
-    name = human_name(side)
-    return load_hand(name, points=points, lengths=lengths, hand_length=size)
+    return load_hand(human_name(side), points=points, lengths=lengths, hand_length=size)
 
 
 def _direction(axis: Axis) -> np.ndarray:

@@ -185,7 +185,7 @@ def _read_columns(
     file: Path,
     layout: Layout,
     side: Side | None,
-) -> dict[str, np.ndarray]:
+) -> Arrays:
     """Return the columns of a CSV file by the names that an `.npz` file has for them."""
     with opened_table(file, is_padded=True) as (header, rows):
         hand = side or _named_side(" ".join(header).lower())

@@ -71,13 +71,7 @@ class MarkerLayout(Layout):
     def __init__(self, table: MarkerTable) -> None:
         super().__init__(table)
         names = [entry.name for entry in table.markers]
-        is_each_once = len(set(names)) == len(names)
-        expect(
-            is_each_once,
-            "markers",
-            "different names",
-            value=names,
-        )
+        expect(len(set(names)) == len(names), "markers", "different names", value=names)
         links = np.array([entry.link for entry in table.markers])
         self._on_palm = np.flatnonzero(links == "palm")
         count = len(self._on_palm)
@@ -85,7 +79,7 @@ class MarkerLayout(Layout):
             count >= 3,
             "markers",
             "three markers on the palm",
-            got=f"{count}",
+            value=count,
         )
         self.shapes = ((len(names), 3),)
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")

@@ -83,7 +83,7 @@ def _load(file: Path) -> Layout:
         reason = reason_of(error)
         text = f"cannot be read: {reason}" if isinstance(error, OSError) else reason
         raise InvalidInputError(
+            f"{file}: {text}",
             argument="layout",
-            problem=f"{file}: {text}",
             value=str(file),
         ) from error
