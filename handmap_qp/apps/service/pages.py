@@ -20,7 +20,6 @@ from handmap_qp.apps.addresses import names_loopback
 from handmap_qp.apps.service.logs import Metrics, websocket_log
 
 _FOLDER = Path(__file__).with_name("webxr")
-_TEXT = "text/plain; charset=utf-8"
 _TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _HEADERS = {
     "Content-Security-Policy": (
@@ -50,7 +49,7 @@ def page_response(request: Request) -> Response | None:
         return None
     found = _files().get(request.path.partition("?")[0])
     if found is None:
-        return _response(HTTPStatus.NOT_FOUND, _TEXT, b"not found\n")
+        return _response(HTTPStatus.NOT_FOUND, b"not found\n")
     return _response(HTTPStatus.OK, *found)
 
 
@@ -73,21 +72,17 @@ async def serve_metrics(
     def respond(_: ServerConnection, request: Request) -> Response:
         # Prevent DNS rebinding: an attacker's name that resolves to 127.0.0.1 in a browser.
         if not all(map(names_loopback, request.headers.get_all("Host"))):
-            return _response(
-                HTTPStatus.MISDIRECTED_REQUEST, _TEXT, b"ask for localhost\n"
-            )
+            return _response(HTTPStatus.MISDIRECTED_REQUEST, b"ask for localhost\n")
         path = request.path.partition("?")[0]
         if path == "/metrics":
             kind = "text/plain; version=0.0.4; charset=utf-8"
-            return _response(HTTPStatus.OK, kind, metrics.render().encode())
+            return _response(HTTPStatus.OK, metrics.render().encode(), kind)
         if path == "/health":
             state = health()
             is_well = state["status"] == "ok"
             status = HTTPStatus.OK if is_well else HTTPStatus.SERVICE_UNAVAILABLE
-            return _response(status, "application/json", json.dumps(state).encode())
-        return _response(
-            HTTPStatus.NOT_FOUND, _TEXT, b"there are /metrics and /health\n"
-        )
+            return _response(status, json.dumps(state).encode(), "application/json")
+        return _response(HTTPStatus.NOT_FOUND, b"there are /metrics and /health\n")
 
     async def never(_: ServerConnection) -> None:
         """Serve no WebSocket, because every request has a response."""
@@ -104,17 +99,19 @@ async def serve_metrics(
 
 
 @cache
-def _files() -> dict[str, tuple[str, bytes]]:
-    """Return type and content of every file of the page, by its path in requests."""
+def _files() -> dict[str, tuple[bytes, str]]:
+    """Return content and type of every file of the page, by its path in requests."""
     files = {
-        f"/{file.name}": (f"{_TYPES[file.suffix]}; charset=utf-8", file.read_bytes())
+        f"/{file.name}": (file.read_bytes(), f"{_TYPES[file.suffix]}; charset=utf-8")
         for file in sorted(_FOLDER.iterdir())
         if file.suffix in _TYPES
     }
     return files | {"/": files["/index.html"]}
 
 
-def _response(status: HTTPStatus, kind: str, body: bytes) -> Response:
+def _response(
+    status: HTTPStatus, body: bytes, kind: str = "text/plain; charset=utf-8"
+) -> Response:
     own = {
         "Content-Type": kind,
         "Content-Length": str(len(body)),

@@ -99,43 +99,34 @@ class Event(Enum):
     """The emergency stop is cleared on purpose."""
 
 
-_TRANSITIONS: dict[SessionState, dict[Event, SessionState]] = {
-    SessionState[state]: {Event[event]: SessionState[row[event]] for event in row}
-    for state, row in {
-        "WAITING": {
-            "SAMPLE": "FOLLOWING",
-            "RELEASE": "RELEASED",
-        },
-        "FOLLOWING": {
-            "RELEASE": "RELEASED",
-            "SILENCE": "HOLDING",
-        },
-        "RELEASED": {
-            "CLUTCH": "FOLLOWING",
-            "RESET": "FOLLOWING",
-            "SILENCE": "HOLDING_RELEASED",
-        },
-        "HOLDING": {
-            "SAMPLE": "FOLLOWING",
-            "RESET": "FOLLOWING",
-            "RELEASE": "HOLDING_RELEASED",
-            "RETURN": "RETURNING",
-        },
-        "HOLDING_RELEASED": {
-            "SAMPLE": "RELEASED",
-            "RESET": "FOLLOWING",
-            "CLUTCH": "HOLDING",
-        },
-        "RETURNING": {
-            "SAMPLE": "FOLLOWING",
-            "RESET": "FOLLOWING",
-            "RELEASE": "HOLDING_RELEASED",
-            "ARRIVAL": "HOLDING",
-        },
-        "STOPPED": {"CLEAR": "RELEASED"},
-    }.items()
+_TRANSITIONS = {
+    (SessionState[state], Event[event]): SessionState[after]
+    for state, event, after in map(
+        str.split,
+        """
+        WAITING            SAMPLE   FOLLOWING
+        WAITING            RELEASE  RELEASED
+        FOLLOWING          RELEASE  RELEASED
+        FOLLOWING          SILENCE  HOLDING
+        RELEASED           CLUTCH   FOLLOWING
+        RELEASED           RESET    FOLLOWING
+        RELEASED           SILENCE  HOLDING_RELEASED
+        HOLDING            SAMPLE   FOLLOWING
+        HOLDING            RESET    FOLLOWING
+        HOLDING            RELEASE  HOLDING_RELEASED
+        HOLDING            RETURN   RETURNING
+        HOLDING_RELEASED   SAMPLE   RELEASED
+        HOLDING_RELEASED   RESET    FOLLOWING
+        HOLDING_RELEASED   CLUTCH   HOLDING
+        RETURNING          SAMPLE   FOLLOWING
+        RETURNING          RESET    FOLLOWING
+        RETURNING          RELEASE  HOLDING_RELEASED
+        RETURNING          ARRIVAL  HOLDING
+        STOPPED            CLEAR    RELEASED
+        """.strip().splitlines(),
+    )
 }
-"""The state after an event, by their names; other events change nothing."""
+"""The state after an event in a state, by their names; other events change nothing."""
 
 
 def next_state(state: SessionState, event: Event) -> SessionState:
@@ -145,7 +136,7 @@ def next_state(state: SessionState, event: Event) -> SessionState:
     """
     if event is Event.STOP:
         return SessionState.STOPPED
-    return _TRANSITIONS[state].get(event, state)
+    return _TRANSITIONS.get((state, event), state)
 
 
 class Watchdog:
