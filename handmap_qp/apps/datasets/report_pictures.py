@@ -23,6 +23,7 @@ from handmap_qp.trackers.formats.archive import Arrays, read_archive
 _COLUMNS, _BINS = 4, 40
 _LONGEST_NAME = 21  # characters beside a picture
 _KEPT, _LEFT_OUT = "#3d6fb4", "#d8472f"
+_STYLE = Path(__file__).with_suffix(".mplstyle")
 
 
 def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[Path]:
@@ -40,9 +41,9 @@ def draw_report(folder: Path, quality: Quality, count: int, out: Path) -> list[P
     Raises:
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
-    require_matplotlib()
     file = out / "distributions.png"
-    _draw_distributions(file, quality)
+    with require_matplotlib().rc_context(fname=_STYLE):
+        _draw_distributions(file, quality)
     return [file, *_draw_worst(folder, quality, count, out)]
 
 
@@ -53,7 +54,7 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     columns = zip(MEASURES, quality.values.T, strict=True)
     shown = [pair for pair in columns if np.isfinite(pair[1]).any()]
     rows = -(-len(shown) // _COLUMNS)
-    figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained", dpi=100)
+    figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained")
     grid = figure.subplots(rows, _COLUMNS, squeeze=False)
     for axes in grid.flat[len(shown) :]:
         axes.set_axis_off()
@@ -68,18 +69,14 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
             stacked=True,
             color=[_KEPT, _LEFT_OUT],
         )
-        axes.set_title(measure.title, fontsize=9)
-        axes.tick_params(labelsize=7)
+        axes.set_title(measure.title)
         axes.yaxis.get_major_locator().set_params(integer=True)
         # Numbers that are nearly the same have long labels.
         axes.xaxis.get_major_locator().set_params(nbins=4)
-        axes.spines[["top", "right"]].set_visible(False)
     for axes in grid[:, 0]:
-        axes.set_ylabel("episodes", fontsize=8)
+        axes.set_ylabel("episodes")
     kept = int(quality.is_kept.sum())
-    figure.suptitle(
-        f"{kept} episodes kept, {len(quality.lines) - kept} left out (red)", fontsize=10
-    )
+    figure.suptitle(f"{kept} episodes kept, {len(quality.lines) - kept} left out (red)")
     figure.savefig(file)
 
 

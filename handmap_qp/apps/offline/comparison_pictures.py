@@ -29,6 +29,7 @@ _OWN = "#c8452f"
 _OUTSIDE = "#3f6fb5"
 _SAMPLE = "#b8bec6"
 _INK = "#222831"
+_STYLE = Path(__file__).with_suffix(".mplstyle")
 _BAND = 6  # Methods side by side on the contact sheet; more are drawn below.
 _WIDEST = 6.0  # Values beyond this multiple of the median value are drawn at the edge.
 
@@ -46,17 +47,12 @@ def draw_metrics(file: Path, comparison: Comparison) -> Path:
     Raises:
         MissingExtraError: If matplotlib is not installed.
     """
-    style = {
-        "font.family": "DejaVu Sans",
-        "font.size": 8.0,
-        "axes.edgecolor": "#8a929c",
-    }
-    with require_matplotlib().rc_context(style):
+    with require_matplotlib().rc_context(fname=_STYLE):
         from matplotlib.figure import Figure
 
         rows = ceil(len(METRICS) / _COLUMNS)
         height = 0.75 + 0.165 * len(comparison.methods)
-        figure = Figure(figsize=(18.5, rows * height + 0.8), dpi=100, facecolor="white")
+        figure = Figure(figsize=(18.5, rows * height + 0.8))
         axes = figure.subplots(rows, _COLUMNS, squeeze=False)
         for i, panel in enumerate(axes.flat):
             if i < len(METRICS):
@@ -203,11 +199,7 @@ def _draw_panel(
     panel.set_xlim(low, high + 0.02 * (high - low))
     panel.set_ylim(len(methods) - 0.4, -0.6)
     panel.set_yticks(range(len(methods)), methods if has_names else [""] * len(methods))
-    panel.grid(axis="y", color="#eceff2", lw=0.7)
-    panel.set_axisbelow(True)
-    panel.tick_params(length=0, labelsize=7)
-    panel.spines[["top", "right", "left"]].set_visible(False)
-    panel.set_title(metric.label, fontsize=8.5, fontweight="bold", loc="left", pad=9)
+    panel.set_title(metric.label)
     panel.text(
         0.0,
         1.005,
