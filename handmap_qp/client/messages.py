@@ -43,6 +43,8 @@ Length = Annotated[float, Meta(gt=0, le=1)]
 Gap = Annotated[float, Meta(ge=0, le=0.04)]
 Duration = Annotated[float, Meta(ge=0, le=3600)]
 Matrix = tuple[tuple[float, ...], ...]
+Options = dict[str, Any]
+"""Options by name."""
 PROTECTING = ("max_acceleration", "avoids_self_collision")
 """Fields of `ik` that protect the robot: another preset leaves them as they are."""
 NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
@@ -163,7 +165,7 @@ class Request(
     session: Annotated[str, Meta(max_length=64)] = ""
 
 
-Former = Annotated[dict[str, Any], Meta()]
+Former = Annotated[Options, Meta()]
 """A former name of `options`: that of a preset, or `mapping` for the preset paper."""
 
 
@@ -234,10 +236,10 @@ class Open(Request, frozen=True):
     robot_points: Name | None = None
     mount: Literal["floating", "fixed"] | None = None
     preset: Preset | None = None
-    options: dict[str, Any] = {}
+    options: Options = {}
     mapping: Former = {}
     teleoperation: Former = {}
-    ik: dict[str, Any] = {}
+    ik: Options = {}
     robot_q: Angles | None = None
     robot_wrist: Pose | None = None
     restore: bool = False
@@ -353,10 +355,10 @@ class Configure(Named, frozen=True):
     """
 
     preset: Preset | None = None
-    options: dict[str, Any] = {}
+    options: Options = {}
     mapping: Former = {}
     teleoperation: Former = {}
-    ik: dict[str, Any] = {}
+    ik: Options = {}
     has_detail: bool | None = None
 
     def __post_init__(self) -> None:
@@ -548,10 +550,10 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     robot_points: str | None
     mount: str | None
     preset: str
-    options: dict[str, Any]
+    options: Options
     mapping: Former = {}
     teleoperation: Former = {}
-    ik: dict[str, Any]
+    ik: Options
     has_detail: bool
     is_shared: bool
 

@@ -288,8 +288,10 @@ class Batch:
             print(f"wrote {written}")
         if not tally.is_complete:
             left = f"{len(plan.jobs) - len(tally.lines)} recordings are left"
-            text = f"handmap: interrupted, {left}: run the same command to go on"
-            print(text, file=sys.stderr)
+            print(
+                f"handmap: interrupted, {left}: run the same command to go on",
+                file=sys.stderr,
+            )
 
 
 @dataclass(frozen=True)
@@ -331,8 +333,14 @@ class Report:
         measures = summary_rows(quality)
         worst = worst_rows(quality, self.worst)
         if self.json:
-            counts = {"episodes": count, "kept": kept, "failed": len(quality.failed)}
-            result = {**counts, "measures": measures, "worst": worst, "files": files}
+            result = {
+                "episodes": count,
+                "kept": kept,
+                "failed": len(quality.failed),
+                "measures": measures,
+                "worst": worst,
+                "files": files,
+            }
             print(json.dumps(result, default=str))
             return
         print_rows(f"{count} episodes, {kept} kept", measures)

@@ -55,12 +55,11 @@ def convert(
     is_folder = bool(target.suffixes) and not out.suffix
     if target.suffixes and not is_folder:
         check_output("OUT", out, target.suffixes)
-    listed = chain.from_iterable(map(list_sources, inputs))
     sources = [
         source._replace(format=ManoFormat(mano))
         if isinstance(source.format, ManoFormat)
         else source
-        for source in listed
+        for source in chain.from_iterable(map(list_sources, inputs))
     ]
     unread = {source.path: source.format.unread(source.path) for source in sources}
     recordings = [source.read() for source in sources]

@@ -189,7 +189,7 @@ class RayEngine(Engine):
         MissingExtraError: If Ray is not installed.
     """
 
-    def __init__(self, workers: int = 1) -> None:
+    def __init__(self, workers: int) -> None:
         super().__init__(workers)
         self._ray = require("ray", "cluster")
 

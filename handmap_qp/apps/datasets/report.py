@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 
 import numpy as np
@@ -208,8 +209,8 @@ def _csv(quality: Quality) -> str:
 
 def _filter(quality: Quality) -> str:
     """Return the file of every episode that is kept, one a line, by name."""
-    pairs = zip(quality.lines, quality.is_kept, strict=True)
-    return "".join(sorted(f"{line.out}\n" for line, is_kept in pairs if is_kept))
+    kept = compress(quality.lines, quality.is_kept)
+    return "".join(sorted(f"{line.out}\n" for line in kept))
 
 
 def _counted(count: int, noun: str) -> str:

@@ -51,8 +51,11 @@ def _draw_distributions(file: Path, quality: Quality) -> None:
     """Draw a histogram of every measure, with the episodes that the filter leaves out in red."""
     from matplotlib.figure import Figure
 
-    columns = zip(MEASURES, quality.values.T, strict=True)
-    shown = [pair for pair in columns if np.isfinite(pair[1]).any()]
+    shown = [
+        pair
+        for pair in zip(MEASURES, quality.values.T, strict=True)
+        if np.isfinite(pair[1]).any()
+    ]
     rows = -(-len(shown) // _COLUMNS)
     figure = Figure(figsize=(3.0 * _COLUMNS, 2.2 * rows), layout="constrained")
     grid = figure.subplots(rows, _COLUMNS, squeeze=False)

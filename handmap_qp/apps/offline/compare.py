@@ -37,7 +37,7 @@ from handmap_qp.apps.offline.comparison import (
     own_methods,
     prepare_take,
 )
-from handmap_qp.apps.offline.metrics import GROUPS, METRICS, Metric
+from handmap_qp.apps.offline.metrics import GROUPS, METRICS, Metric, Values
 from handmap_qp.apps.offline.trajectory import package_versions
 from handmap_qp.apps.tables import progress
 from handmap_qp.errors import expect
@@ -329,7 +329,7 @@ def _pinch_samples(comparison: Comparison) -> dict[str, int]:
     }
 
 
-def _tables(values: dict[str, dict[str, float]]) -> list[str]:
+def _tables(values: dict[str, Values]) -> list[str]:
     """Return a table for every group, with a row for every method."""
     return [_table(group, metrics, values) for group, metrics in GROUPS.items()]
 
@@ -337,7 +337,7 @@ def _tables(values: dict[str, dict[str, float]]) -> list[str]:
 def _table(
     title: str,
     metrics: Sequence[Metric],
-    values: dict[str, dict[str, float]],
+    values: dict[str, Values],
 ) -> str:
     """Return a table with a row for every method."""
     columns = [(title, *values)]

@@ -45,7 +45,7 @@ from handmap_qp.apps.offline.look_ahead import (
     look_ahead,
     smooth_poses,
 )
-from handmap_qp.apps.offline.metrics import mean_values
+from handmap_qp.apps.offline.metrics import Values, mean_values
 from handmap_qp.apps.offline.surface_gaps import measure_gaps
 from handmap_qp.apps.offline.trajectory import held_samples, map_recording
 from handmap_qp.errors import HandmapError, InvalidInputError, expect, reason_of
@@ -163,7 +163,7 @@ class Run(NamedTuple):
     problem: str = ""
 
     @property
-    def values(self) -> dict[str, float]:
+    def values(self) -> Values:
         """Every metric by its key; NaN where a question does not arise or the method failed."""
         return self.fidelity.values
 
@@ -187,7 +187,7 @@ class Comparison(NamedTuple):
         """Return the runs of a method, a take each."""
         return [run for run in self.runs if run.method == method]
 
-    def overall(self, method: str) -> dict[str, float]:
+    def overall(self, method: str) -> Values:
         """Return each metric's mean over the takes in which it is not NaN."""
         return mean_values([run.values for run in self.of_method(method)])
 

@@ -12,7 +12,7 @@ displacements are then compared.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -28,7 +28,7 @@ from handmap_qp.apps.offline.hand_trace import (
     HandTrace,
     trace_robot,
 )
-from handmap_qp.apps.offline.metrics import METRICS
+from handmap_qp.apps.offline.metrics import METRICS, Values
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
 from handmap_qp.apps.offline.trajectory import rms_derivative
 from handmap_qp.errors import expect
@@ -59,8 +59,6 @@ _LIMIT_TOLERANCE = 1e-6  # A joint is outside its limits beyond this [rad or m].
 _STILL = 1e-6  # A coordinate of a fingertip that moves less stands still [m].
 _MOST_LAG = 0.3  # Lags are looked for up to here [s].
 _LEAST = 1e-8
-Values = dict[str, Any]
-"""Metrics by their keys; those that are missing are NaN."""
 
 
 class Fidelity(NamedTuple):
@@ -76,7 +74,7 @@ class Fidelity(NamedTuple):
     """
 
     values: Values
-    fingers: dict[str, dict[str, float]]
+    fingers: dict[str, Values]
     pinch_samples: int
 
 
@@ -405,8 +403,7 @@ def sample_workspace(hand: Hand, *, count: int = 20_000) -> ByFinger:
 
 def _tips_by_finger(hand: HandTrace) -> ByFinger:
     """Fingertips in the palm frame [m], shape (T, 3) each."""
-    tips = hand.local[:, :, TIP].swapaxes(0, 1)
-    return dict(zip(hand.names, tips, strict=True))
+    return dict(zip(hand.names, hand.local[:, :, TIP].swapaxes(0, 1), strict=True))
 
 
 def _object_motion(hand: HandTrace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

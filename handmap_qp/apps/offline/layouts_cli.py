@@ -59,7 +59,7 @@ class Layouts:
     def run(self) -> None:
         """Print the list or the layout, and write what is asked for."""
         if self.layout is None:
-            self._list(list(map(_summary, LAYOUTS.values())))
+            self._list()
             return
         layout = load_layout(self.layout)
         if self.template is not None:
@@ -83,7 +83,7 @@ class Layouts:
         for written in filter(None, (self.template, self.picture)):
             print(f"wrote {written}")
 
-    def _list(self, rows: list[dict[str, Any]]) -> None:
+    def _list(self) -> None:
         """Print all layouts."""
         for name in ("template", "picture"):
             if getattr(self, name) is not None:
@@ -92,6 +92,7 @@ class Layouts:
                     argument=f"--{name}",
                     advice="name one of `handmap layouts`",
                 )
+        rows = list(map(_summary, LAYOUTS.values()))
         if self.json:
             print(json.dumps(rows))
         else:
@@ -124,8 +125,7 @@ def _facts(layout: Layout) -> dict[str, Any]:
     if layout.table.mirror:
         facts["left-handed"] = f"{layout.table.mirror} is negated"
     wrist = layout.wrist_table
-    where = "fitted" if layout.has_wrist else "none; fitted to the palm"
-    facts["wrist pose"] = where
+    facts["wrist pose"] = "fitted" if layout.has_wrist else "none; fitted to the palm"
     if wrist is not None:
         own = f"of the joint {wrist.joint}"
         facts["wrist pose"] = [own if layout.has_wrist else "given beside the values"]

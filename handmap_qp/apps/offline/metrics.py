@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 
 Better = Literal["high", "low", "zero", "one"]
+Values = dict[str, Any]
+"""Metrics by their keys; those that are missing are NaN."""
 
 
 class Metric(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -80,11 +81,11 @@ GROUPS: dict[str, tuple[Metric, ...]] = msgspec.yaml.decode(
     Path(__file__).with_suffix(".yaml").read_bytes(), type=dict[str, tuple[Metric, ...]]
 )
 """All metrics by subject: those of `fidelity`, then the eight of mimic_retargeter_lab."""
-METRICS = (*chain.from_iterable(GROUPS.values()),)
+METRICS = sum(GROUPS.values(), ())
 """The same in one row."""
 
 
-def mean_values(rows: Sequence[dict[str, float]]) -> dict[str, float]:
+def mean_values(rows: Sequence[Values]) -> Values:
     """Return the mean of each metric over what is not NaN; NaN where nothing is left."""
     means = {}
     for metric in METRICS:

@@ -168,8 +168,7 @@ def _arm(trajectory: Trajectory) -> dict[str, Any] | None:
     errors = trajectory.wrist_error[trajectory.valid]
     late = errors > _WRIST_OFF
     is_on_arm = robot.has_moving_wrist and not robot.is_floating
-    # Without a sample that was followed, the mean is NaN.
-    if not (is_on_arm and late.any() and late.mean() > _LATE_SHARE):
+    if not (is_on_arm and late.mean() > _LATE_SHARE):
         return None
     moved = lengths(places - places[0])
     wanted = moved + errors

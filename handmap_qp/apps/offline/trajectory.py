@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from time import thread_time_ns
@@ -82,7 +82,7 @@ class Trajectory:
     def columns(self) -> dict[str, np.ndarray]:
         """Plain arrays by name, without those that follow from them and the robot; rad and m."""
         robot = self.robot
-        arrays = {one.name: getattr(self, one.name) for one in fields(self)}
+        arrays = vars(self).copy()
         del arrays["step_cpu"]
         return arrays | {
             "joint_names": np.array(robot.joint_names),

@@ -64,6 +64,8 @@ from handmap_qp.mapping.method import MapStep
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
 
+Fields = dict[str, Any]
+"""Values of a message or sample by the names of its fields."""
 _FIELDS = ("q", "landmarks", "points", "values")
 
 
@@ -113,7 +115,7 @@ class SampleForm:
         Raises:
             HandmapError: If the numbers are not of the layout.
         """
-        common: dict[str, Any] = {
+        common: Fields = {
             "time": sample.time,
             "side": self._side,
             "wrist": to_matrix(sample.wrist),
@@ -287,7 +289,7 @@ class Session:
         choice = self._hands.choice
         measured = self._hands.lengths
         wanted = {name: getattr(self._wanted, name) for name in About.__struct_fields__}
-        about: dict[str, Any] = wanted | {
+        about: Fields = wanted | {
             "robot": self.robot.name,
             "lengths": measured
             and Lengths(
@@ -616,7 +618,7 @@ class Session:
 
     def _diagnostics(
         self, step: MapStep, sample: Step, landmarks: np.ndarray | None
-    ) -> dict[str, Any]:
+    ) -> Fields:
         """Return the fields of a command that describe the mapping."""
         error, at_bound, residual, _ = step.stages.summary
         detail = None
@@ -676,7 +678,7 @@ class Session:
         )
 
 
-def _trust(step: MapStep) -> dict[str, Any]:
+def _trust(step: MapStep) -> Fields:
     """Return the fields of a command that say how much a sample is to be trusted."""
     consistency = step.consistency
     return {

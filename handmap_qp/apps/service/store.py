@@ -151,8 +151,7 @@ class PostureStore:
 def _open(path: Path) -> sqlite3.Connection:
     """Open a database of records, and reserve its space; leave other kinds of files unchanged."""
     # Only the owner may read it.
-    file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
-    os.close(file)
+    os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
     database = sqlite3.connect(
         path, timeout=0.0, isolation_level=None, check_same_thread=False
     )

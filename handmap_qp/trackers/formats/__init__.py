@@ -117,8 +117,7 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     chosen = [entry for entry in entries if name in ("", entry.name)]
     if not chosen:
         missing = f"has no recording {name!r}; {_listing(entries)}"
-        problem = missing if name else "has no recordings"
-        raise RecordingError(problem, file=file)
+        raise RecordingError(missing if name else "has no recordings", file=file)
     return tuple(Source(file, form, entry) for entry in chosen)
 
 

@@ -263,7 +263,7 @@ class EgoDexFormat(RecordingFormat):
         """Read one hand."""
         names = joint_names(entry.side)
         count = entry.samples
-        columns: dict[str, Any] = {}
+        confidence = None
         with opened(path) as file:
             group = file["transforms"]
             poses = np.array([numbers(group, n, (count, 4, 4)) for n in names])
@@ -272,7 +272,7 @@ class EgoDexFormat(RecordingFormat):
                 given = file["confidences"]
                 shares = np.array([numbers(given, n, (count,)) for n in names])
                 is_seen &= shares[0] > 0.0
-                columns["confidence"] = shares.mean(axis=0)
+                confidence = shares.mean(axis=0)
             time = np.arange(count) / RATE
             if "time" in file:
                 time = numbers(file, "time", (count,))
@@ -285,7 +285,7 @@ class EgoDexFormat(RecordingFormat):
             valid=is_seen,
             source="EgoDex",
             wrist=poses[0],
-            **columns,
+            confidence=confidence,
         )
 
     def unread(self, path: Path) -> tuple[str, ...]:

@@ -151,11 +151,10 @@ def _joints_of_parameters(
     shape = given("betas", _SHAPES, default=np.zeros(_SHAPES))
     shift = given("transl", count, 3, default=np.zeros((count, 3)))
     components = fingers.shape[1]
-    at_most = f"at most {_TURNS} numbers"
     expect(
         components <= _TURNS,
         "hand_pose",
-        at_most,
+        f"at most {_TURNS} numbers",
         value=components,
     )
     if components < _TURNS:
@@ -252,9 +251,8 @@ def _load_model(side: str, given: Path | None) -> Arrays:
             for name, shape in _MODEL.items()
         }
         parents = arrays["kintree_table"][0, 1:]
-        are_known = (parents < np.arange(1, _JOINTS)).all()
         expect(
-            are_known,
+            (parents < np.arange(1, _JOINTS)).all(),
             "kintree_table",
             "parents before children",
         )

@@ -82,8 +82,10 @@ class McapFormat(RecordingFormat):
             poses = _messages(bag, topics.get("wrist"))
             sevens = {_instant(message): _seven(message) for _, message in poses}
             wrists = np.array([sevens.get(time, _NOWHERE) for time in times])
-            numbers = _messages(bag, topics.get("confidence"))
-            shares = {log: message.data for log, message in numbers}
+            shares = {
+                log: message.data
+                for log, message in _messages(bag, topics.get("confidence"))
+            }
             with reading(path, array=name):
                 if "landmarks" in topics:
                     landmarks = np.array([_points(m) for m in messages])
@@ -198,11 +200,10 @@ def _seven(message: Any) -> tuple[float, ...]:
 def _points(message: Any) -> list[tuple[float, float, float]]:
     """Return the landmarks of a message [m]."""
     count = len(message.poses)
-    poses = f"{LANDMARK_COUNT} poses in every message"
     expect(
         count == LANDMARK_COUNT,
         "",
-        poses,
+        f"{LANDMARK_COUNT} poses in every message",
         value=count,
     )
     return [(p.position.x, p.position.y, p.position.z) for p in message.poses]

@@ -5,8 +5,6 @@ Angles become landmarks through the human model, as long as the person where len
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -20,6 +18,7 @@ from handmap_qp.trackers.layouts.base import (
     Hands,
     Layout,
     LayoutTable,
+    Rows,
     WristTable,
     sized_human,
 )
@@ -103,7 +102,7 @@ class AngleLayout(Layout):
             if entry.default is not None:
                 self.defaults[entry.name] = entry.default
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> Rows:
         """Describe every angle."""
         return [
             {

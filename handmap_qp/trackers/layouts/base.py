@@ -110,6 +110,10 @@ class Hands(NamedTuple):
     wrists: np.ndarray | None
 
 
+Rows = list[dict[str, Any]]
+"""A table: values by column, row by row."""
+
+
 class Layout(abc.ABC):
     """A tracker's form of samples.
 
@@ -175,7 +179,7 @@ class Layout(abc.ABC):
         return None
 
     @abc.abstractmethod
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> Rows:
         """Describe every entry: index, name and meaning."""
 
     @abc.abstractmethod

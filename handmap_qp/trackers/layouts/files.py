@@ -61,9 +61,8 @@ def read_with_layout(
     file = Path(path)
     suffix = file.suffix.lower()
     with reading(file):
-        is_known = suffix in (".npz", ".csv")
         expect(
-            is_known,
+            suffix in (".npz", ".csv"),
             "",
             "a .npz or .csv where a layout is named",
             got=suffix,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -18,6 +16,7 @@ from handmap_qp.trackers.layouts.base import (
     Hands,
     Layout,
     LayoutTable,
+    Rows,
     sized_human,
 )
 
@@ -85,7 +84,7 @@ class MarkerLayout(Layout):
         self.columns = tuple(f"{name}_{axis}" for name in names for axis in "xyz")
         self.has_wrist = True
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> Rows:
         """Describe every marker."""
         return [
             {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import msgspec
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +24,7 @@ from handmap_qp.trackers.layouts.base import (
     Hands,
     Layout,
     LayoutTable,
+    Rows,
     WristTable,
     sized_human,
 )
@@ -94,18 +93,16 @@ class PointLayout(Layout):
             "right": _indices(table.landmarks, "landmarks", table.count),
             "left": _indices(left, "left_landmarks", table.count),
         }
-        is_known = table.poses and set(table.poses) <= set(_FORMS)
         expect(
-            is_known,
+            table.poses and set(table.poses) <= set(_FORMS),
             "poses",
             "some of 3, 7 and 16",
             value=table.poses,
         )
         joint = None if table.wrist is None else table.wrist.joint
         names = {name: index for index, name in table.names.items()}
-        is_named = joint is None or joint in names
         expect(
-            is_named,
+            joint is None or joint in names,
             "wrist.joint",
             "one of the names",
             value=joint,
@@ -124,7 +121,7 @@ class PointLayout(Layout):
         """Return the index of each of our landmarks, shape (21,)."""
         return self._indices[side]
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> Rows:
         """Describe every joint."""
         titles: dict[Side, str] = {"right": "landmark"}
         if self.table.left_landmarks is not None:
