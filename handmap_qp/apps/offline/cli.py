@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -21,7 +21,7 @@ from handmap_qp.apps.arguments import (
     person_of,
 )
 from handmap_qp.apps.offline.look_ahead import map_hand
-from handmap_qp.apps.offline.summary import notes, summarise, table_rows
+from handmap_qp.apps.offline.summary import Summary, notes, summarise, table_rows
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
@@ -151,7 +151,7 @@ class Map:
         recording: Recording,
         robot: Hand,
         out: Path,
-    ) -> dict[str, Any]:
+    ) -> Summary:
         """Map one hand, write its trajectory, and return the summary."""
         person = person_of(recording, self.person)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:

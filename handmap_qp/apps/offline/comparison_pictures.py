@@ -199,6 +199,7 @@ def _draw_panel(
     panel.set_xlim(low, high + 0.02 * (high - low))
     panel.set_ylim(len(methods) - 0.4, -0.6)
     panel.set_yticks(range(len(methods)), methods if has_names else [""] * len(methods))
+    panel.tick_params(labelsize=7)
     panel.set_title(metric.label)
     panel.text(
         0.0,

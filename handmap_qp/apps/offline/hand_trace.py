@@ -71,8 +71,7 @@ class HandTrace(NamedTuple):
     @property
     def extension(self) -> np.ndarray:
         """Distance from knuckle to tip as a share of the reach, shape (T, k)."""
-        spans = self.points[:, :, TIP] - self.points[:, :, KNUCKLE]
-        return norms(spans) / self.reach
+        return norms(self.points[:, :, TIP] - self.points[:, :, KNUCKLE]) / self.reach
 
     def part(self, samples: np.ndarray, names: Sequence[str]) -> HandTrace:
         """Return some of the samples, by index or mask, and some of the fingers."""

@@ -34,6 +34,10 @@ HOLD = 0.2
 """A pose counts as clear as it was at its least clear moment of this time before the sample [s]."""
 
 
+Ranked = dict[str, tuple[int, float] | None]
+"""Index of a sample and how clear its pose is, by the names of the poses; None for no sample."""
+
+
 class Posture(NamedTuple):
     """What poses are told by, of every sample.
 
@@ -139,7 +143,7 @@ finger's 10 mm farther from the thumb, no `fist` | the smallest gap |
     return {name: found and found[0] for name, found in rank_poses(recording).items()}
 
 
-def rank_poses(recording: Recording) -> dict[str, tuple[int, float] | None]:
+def rank_poses(recording: Recording) -> Ranked:
     """Find the sample that shows each pose most clearly, and how clearly.
 
     Args:
@@ -152,7 +156,7 @@ def rank_poses(recording: Recording) -> dict[str, tuple[int, float] | None]:
     posture = measure_posture(recording.landmarks)
     start = recording.time[int(np.argmax(recording.valid))] + SETTLING
     is_usable = recording.valid & (recording.time >= start)
-    found: dict[str, tuple[int, float] | None] = {}
+    found: Ranked = {}
     for name, scores in _scores(posture).items():
         held = _held(np.where(is_usable, scores, 0.0), recording.time)
         best = int(np.argmax(held))

@@ -19,7 +19,11 @@ _NAMED_JOINTS = 3
 _NAMED_HOLDS = 5
 
 
-def summarise(trajectory: Trajectory) -> dict[str, Any]:
+Summary = dict[str, Any]
+"""Numbers of a mapped motion by name, with the unit in the name."""
+
+
+def summarise(trajectory: Trajectory) -> Summary:
     """Summarise a mapped motion.
 
     Args:
@@ -87,7 +91,7 @@ def count_rules(trajectory: Trajectory) -> dict[str, int]:
     return dict(Counter(rules).most_common())
 
 
-def notes(summary: dict[str, Any]) -> list[str]:
+def notes(summary: Summary) -> list[str]:
     """Return a line if speed limits, and one if a short arm, kept the robot from following.
 
     Args:
@@ -118,7 +122,7 @@ def notes(summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def table_rows(summary: dict[str, Any]) -> dict[str, str]:
+def table_rows(summary: Summary) -> dict[str, str]:
     """Format a summary as table rows.
 
     Args:

@@ -171,19 +171,17 @@ class ConnectionGate:
 class SmallReads(asyncio.BufferedProtocol):
     """A protocol that reads little in one turn of the event loop."""
 
-    # Of all connections: what was read is taken out before the next turn.
-    _buffer = bytearray(_AT_ONCE)
-
     def data_received(self, data: bytes) -> None:
         """Take what was read."""
 
-    def get_buffer(self, sizehint: int) -> bytearray:
-        """Return where to put what is read."""
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Return where to put what is read; a view, of which asyncio takes parts over TLS."""
+        self._buffer = memoryview(bytearray(_AT_ONCE))
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
         """Pass on what was read."""
-        self.data_received(bytes(memoryview(self._buffer)[:nbytes]))
+        self.data_received(bytes(self._buffer[:nbytes]))
 
 
 class _Client(SmallReads):

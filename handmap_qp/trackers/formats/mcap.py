@@ -105,8 +105,7 @@ class McapFormat(RecordingFormat):
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the topics that a recording cannot hold."""
         with _opened(path) as bag:
-            known = map(dict.values, _hands(bag).values())
-            rest = set(bag.topics).difference(*known)
+            rest = set(bag.topics).difference(*map(dict.values, _hands(bag).values()))
             return tuple(f"topic {topic}" for topic in sorted(rest))
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
