@@ -242,8 +242,8 @@ def _resampled(
     rows = np.hstack([columns["q"], wrist[:, :3, 3], quats])
     state = np.stack([np.interp(instants, time, column) for column in rows.T], axis=1)
     state[:, -4:] /= np.linalg.norm(state[:, -4:], axis=1, keepdims=True)
-    before = np.searchsorted(time, instants, side="right") - 1
-    after = np.searchsorted(time, instants)
+    before = np.maximum(np.searchsorted(time, instants, side="right") - 1, 0)
+    after = np.minimum(np.searchsorted(time, instants), len(time) - 1)
     return state, columns["valid"][before] & columns["valid"][after]
 
 
