@@ -77,10 +77,6 @@ class Jointed(Protocol):
         """Return Pinocchio's configuration at joint angles, shape (n,)."""
         ...
 
-    def write_configuration(self, vector: np.ndarray, q: np.ndarray) -> None:
-        """Write the joints into a configuration of the caller's."""
-        ...
-
 
 class PalmKinematics:
     """Points and motions of a hand's joints in palm axes; for one user at a time.
@@ -93,14 +89,13 @@ class PalmKinematics:
         self.hand = hand
         self._model = hand.model
         self._data = hand.model.createData()
-        self._vector = hand.configuration_vector(zero_posture(hand))
 
     def points(self, q: np.ndarray, places: Sequence[Place]) -> np.ndarray:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
         rows = []
         for posture in np.reshape(q, (-1, np.shape(q)[-1])):
-            self.hand.write_configuration(self._vector, posture)
-            pin.forwardKinematics(self._model, self._data, self._vector)
+            vector = self.hand.configuration_vector(posture)
+            pin.forwardKinematics(self._model, self._data, vector)
             to_palm = self._palm.inverse()
             rows.append(
                 [(to_palm * self._data.oMi[j]).act(offset) for j, offset in places]
@@ -149,8 +144,8 @@ class PalmKinematics:
         return np.vstack([palm.rotation.T @ linear, palm.rotation.T @ turns])
 
     def _place(self, q: np.ndarray) -> pin.SE3:
-        self.hand.write_configuration(self._vector, q)
-        pin.computeJointJacobians(self._model, self._data, self._vector)
+        vector = self.hand.configuration_vector(q)
+        pin.computeJointJacobians(self._model, self._data, vector)
         return self._palm
 
     @property

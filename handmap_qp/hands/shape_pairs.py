@@ -154,15 +154,19 @@ def _leave_out(hand: Hand, geometry: pin.GeometryModel) -> tuple[tuple[str, str]
     few.removeAllCollisionPairs()
     for k in near:
         few.addCollisionPair(pairs[k])
-    limits = hand.lower_limits, hand.upper_limits
-    shape = _POSTURES, len(hand.rest)
-    postures = np.random.default_rng(0).uniform(*limits, shape)
-    distances = pair_distances(hand, few, postures)
+    distances = pair_distances(hand, few, random_postures(hand, _POSTURES))
     is_often = np.mean(distances <= 0.0, axis=0) > _OVERLAPPING
     never = distances.max(axis=0) < np.where(is_often, _COARSE, _PARTED)
     for k in (*np.flatnonzero(overlaps), *near[never]):
         geometry.removeCollisionPair(pairs[k])
     return tuple(compress(ShapePairs(few, ()).links, never))
+
+
+def random_postures(hand: Hand, count: int) -> np.ndarray:
+    """Return postures within the joint limits, always the same ones, shape (count, n)."""
+    shape = count, len(hand.rest)
+    generator = np.random.default_rng(0)
+    return generator.uniform(hand.lower_limits, hand.upper_limits, shape)
 
 
 def pair_distances(

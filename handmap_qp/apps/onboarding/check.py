@@ -179,7 +179,8 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
                         report.findings.append(found)
                     else:
                         title, rows = found
-                        report.measured[title] = msgspec.to_builtins(rows)
+                        if rows:
+                            report.measured[title] = msgspec.to_builtins(rows)
             except HandmapError as error:
                 where = getattr(error, "key", None) or "hand"
                 report.findings.append(advice(where, f"not checked: {error}"))
@@ -188,7 +189,6 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
             "no contradiction between description, names, limits, shapes and gestures"
         )
         report.findings.append(fine("", what))
-    report.measured = {title: rows for title, rows in report.measured.items() if rows}
     report.findings.sort(key=lambda finding: LEVELS.index(finding.level))
     return report
 

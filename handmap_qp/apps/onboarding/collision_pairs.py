@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 
 from handmap_qp.apps.onboarding.detect import Detection
-from handmap_qp.apps.onboarding.measure import random_postures
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, carrier_of, find_fingers
@@ -20,6 +19,7 @@ from handmap_qp.hands.shape_pairs import (
     all_pairs,
     named_pairs,
     pair_distances,
+    random_postures,
 )
 from handmap_qp.hands.spec import CollisionSpec
 from handmap_qp.se3 import lengths

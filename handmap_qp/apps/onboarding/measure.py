@@ -22,6 +22,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
+from handmap_qp.hands.shape_pairs import random_postures
 from handmap_qp.human.sample import human_name
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
@@ -165,7 +166,8 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
     generator = np.random.default_rng(0)
     size = (_SAMPLES, len(hand.rest))
     shares = np.vstack([generator.random(size), generator.integers(0, 2, size)])
-    postures = np.where(own, across(hand, shares), hand.rest)
+    ranges = hand.upper_limits - hand.lower_limits
+    postures = np.where(own, hand.lower_limits + shares * ranges, hand.rest)
     places = np.array([hand.points(q) for q in postures])
     gaps = places[:, None] - places[:: max(1, len(places) // 100)]
     spans = 1e3 * lengths(gaps).max(axis=(0, 1))
@@ -186,16 +188,6 @@ def measure_reach(hand: Hand) -> list[FingerReach]:
                 manipulability=f"{motions.prod() * motions.any():.2e}",
             )
     return [*best.values()]
-
-
-def across(hand: Hand, shares: np.ndarray) -> np.ndarray:
-    """Return the postures at shares of the joints' ranges, shape (..., n)."""
-    return hand.lower_limits + shares * (hand.upper_limits - hand.lower_limits)
-
-
-def random_postures(hand: Hand, count: int) -> np.ndarray:
-    """Return postures within the joint limits, always the same ones, shape (count, n)."""
-    return across(hand, np.random.default_rng(0).random((count, len(hand.rest))))
 
 
 def measure_arm(hand: Hand) -> np.ndarray | None:

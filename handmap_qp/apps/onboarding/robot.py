@@ -122,7 +122,14 @@ class Robot:
         rules = mimics_of(robot)
         leaders = {name: rules[name].joint for name in given if name in rules}
         lost = {n: leader for n, leader in leaders.items() if leader not in given}
-        self._drop_rules(lost)
+        self.dropped_rules = dict.fromkeys(lost)
+        if lost:
+            missing = ", ".join(dict.fromkeys(lost.values()))
+            self._remark(
+                ", ".join(lost),
+                f"would mimic {missing}, missing or fixed here: taken as independent; couple what "
+                "belongs together under `mimic` in the hand.yaml",
+            )
         equal = self._assume_limits(given, leaders.keys() - lost)
         self.locked = prepare_urdf(robot, None, self.dropped_rules, equal, self.assumed)
         movable = [name for name in given if name not in self.locked]
@@ -219,11 +226,7 @@ class Robot:
 
     def configuration_vector(self, q: np.ndarray) -> np.ndarray:
         """Return Pinocchio's configuration at positions of the active joints, shape (n,)."""
-        return self.expansion.matrix @ q + self.expansion.offset
-
-    def write_configuration(self, vector: np.ndarray, q: np.ndarray) -> None:
-        """Write a configuration into an array of the caller's."""
-        vector[:] = self.configuration_vector(q)
+        return self.expansion.all_joints(q)
 
     def place_of(self, link: str, xyz: np.ndarray) -> Place:
         """Return a point on a link as one on a joint of the model."""
@@ -287,17 +290,6 @@ class Robot:
         ]
 
     # -- assumptions
-
-    def _drop_rules(self, dropped: Mapping[str, str]) -> None:
-        """Take joints as independent whose leader does not move in this part of the robot."""
-        self.dropped_rules = dict.fromkeys(dropped)
-        if dropped:
-            missing = ", ".join(dict.fromkeys(dropped.values()))
-            self._remark(
-                ", ".join(dropped),
-                f"would mimic {missing}, missing or fixed here: taken as independent; couple what "
-                "belongs together under `mimic` in the hand.yaml",
-            )
 
     def _assume_limits(
         self, given: Mapping[str, _Limits], followers: Collection[str]

@@ -15,7 +15,7 @@ import pinocchio as pin
 
 from handmap_qp.apps.onboarding.robot import Robot
 from handmap_qp.errors import HandError
-from handmap_qp.hands.fingers import Finger, ends_of
+from handmap_qp.hands.fingers import Finger, ends_of, zero_posture
 from handmap_qp.se3 import lengths, transform_points, unit
 
 LONGEST_FINGER = 0.3
@@ -69,6 +69,7 @@ class RobotFinger(Finger):
         end: Its fingertip.
         joint_names: Movable joints from the palm outwards.
         links: First link of the body on each joint.
+        carriers: Links of the palm's body out to the one that carries the finger.
         names: All of these, from which the finger's own name may be read.
         length: Length from its first joint to its tip at zero [m].
     """
@@ -84,6 +85,7 @@ class RobotFinger(Finger):
         super().__init__(robot, joints, robot.place_of(self.end.link, self.end.xyz))
         self.joint_names = [robot.model.names[joint] for joint in joints]
         self.links = [robot.links[joint][0] for joint in joints]
+        self.carriers = robot.carriers(joints[0])
         self.names = [*self.joint_names, *self.links]
         steps = [*np.diff(robot.origins(joints), axis=0), self.tip[1]]
         self.length = lengths(np.array(steps)).sum()
@@ -129,7 +131,7 @@ def find_structure(robot: Robot) -> Structure:
     }
     palms = [body for body in found if body not in inside]
     if len(palms) > 1:
-        links = ", ".join(_palm_link(robot, found[body]) for body in palms[:8])
+        links = ", ".join(_palm_link(found[body]) for body in palms[:8])
         raise HandError(
             f"there are {len(palms)} possible palms: {links}; choose one with --root",
             file=robot.file,
@@ -144,7 +146,7 @@ def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
     """Return the hand of all chains that are fingers."""
     notes: list[str] = []
     for fault_of in (_idleness, _second_end, _linkage):
-        faults = {finger: fault_of(robot, finger, fingers) for finger in fingers}
+        faults = {finger: fault_of(finger, fingers) for finger in fingers}
         notes += [
             f"{', '.join(finger.joint_names)}: {fault}"
             for finger, fault in faults.items()
@@ -156,7 +158,7 @@ def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:
     _check_one_hand(robot, fingers)
     how = f"the only link from which {len(fingers)} chains of at most {LONGEST_FINGER:g} m branch"
     sure = 0.95 if len(fingers) > 2 else 0.85
-    return Structure(_palm_link(robot, fingers), fingers, how, sure, notes)
+    return Structure(_palm_link(fingers), fingers, how, sure, notes)
 
 
 def _one_finger(robot: Robot) -> Structure:
@@ -174,7 +176,7 @@ def _one_finger(robot: Robot) -> Structure:
         raise HandError(problem, file=robot.file, value=robot.root)
     note = "there is only one finger, so the dorsal direction and the side are guesses"
     how = "the link from which the only chain starts"
-    return Structure(_palm_link(robot, [finger]), [finger], how, 0.5, [note])
+    return Structure(_palm_link([finger]), [finger], how, 0.5, [note])
 
 
 def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
@@ -188,9 +190,7 @@ def _check_one_hand(robot: Robot, fingers: list[RobotFinger]) -> None:
     group = np.linalg.matrix_power(near.astype(float), len(fingers))[0] > 0.0
     if min(group.sum(), (~group).sum()) < 2:
         return
-    links = [
-        _palm_link(robot, [*compress(fingers, chosen)]) for chosen in (group, ~group)
-    ]
+    links = [_palm_link([*compress(fingers, chosen)]) for chosen in (group, ~group)]
     advice = "choose one with --root"
     if len({*links}) == 1:
         advice = "keep the links of one hand in the URDF, because both start at the same link"
@@ -218,9 +218,9 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
     return [*chain.from_iterable(branches)] if len(branches) > 1 else []
 
 
-def _palm_link(robot: Robot, fingers: list[RobotFinger]) -> str:
+def _palm_link(fingers: list[RobotFinger]) -> str:
     """Return the outermost link of a body from which all its fingers branch."""
-    ways = [robot.carriers(finger.joints[0]) for finger in fingers]
+    ways = [finger.carriers for finger in fingers]
     # All begin with the body's first link.
     shared = [links[0] for links in zip(*ways, strict=False) if len({*links}) == 1]
     return shared[-1]
@@ -285,18 +285,15 @@ def _is_at_end(
     )
 
 
-def _poses(
-    robot: Robot,
-    finger: RobotFinger,
-    other: int,
-) -> np.ndarray:
+def _poses(finger: RobotFinger, other: int) -> np.ndarray:
     """Return poses of a finger's last body on another body, shape (5, 4, 4).
 
     The finger's joints cross their ranges together.
     """
+    robot = finger.hand
     data = robot.model.createData()
     poses = []
-    for q in np.linspace(*ends_of(robot, robot.zero, finger.columns), 5):
+    for q in np.linspace(*ends_of(robot, zero_posture(robot), finger.columns), 5):
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
         last = data.oMi[finger.joints[-1]]
         poses.append(data.oMi[other].actInv(last).homogeneous)
@@ -309,22 +306,14 @@ def _travel(finger: RobotFinger, poses: np.ndarray) -> float:
     return np.ptp(tips, axis=0).max()
 
 
-def _idleness(
-    robot: Robot,
-    finger: RobotFinger,
-    _: list[RobotFinger],
-) -> str:
+def _idleness(finger: RobotFinger, _: list[RobotFinger]) -> str:
     """Return what is wrong with a chain that does not move its own end."""
-    poses = _poses(robot, finger, robot.model.parents[finger.joints[0]])
+    poses = _poses(finger, finger.hand.model.parents[finger.joints[0]])
     is_idle = _travel(finger, poses) < _LEAST_TRAVEL
     return "does not move the end of its chain, so not a finger" if is_idle else ""
 
 
-def _second_end(
-    _: Robot,
-    finger: RobotFinger,
-    fingers: list[RobotFinger],
-) -> str:
+def _second_end(finger: RobotFinger, fingers: list[RobotFinger]) -> str:
     """Return what is wrong with a chain that shares most joints with a longer one."""
     for other in sorted(fingers, key=lambda one: -len(one.joints)):
         if other is finger:
@@ -334,17 +323,13 @@ def _second_end(
     return ""
 
 
-def _linkage(
-    robot: Robot,
-    bar: RobotFinger,
-    fingers: list[RobotFinger],
-) -> str:
+def _linkage(bar: RobotFinger, fingers: list[RobotFinger]) -> str:
     """Return what is wrong with a bar: hinged to a finger that the same joint drives."""
     for host in fingers:
         if (
             len(host.joints) > len(bar.joints)
             and {*host.columns} == {*bar.columns}
-            and any(_is_hinged(bar, _poses(robot, bar, body)) for body in host.joints)
+            and any(_is_hinged(bar, _poses(bar, body)) for body in host.joints)
         ):
             return f"a bar of the linkage of the finger that ends at {host.links[-1]}"
     return ""
