@@ -10,13 +10,13 @@ from typing import Annotated, Any
 import msgspec
 import tyro
 
-from handmap_qp.apps import onboarding
 from handmap_qp.apps.arguments import HandName, InputArguments, hinted
 from handmap_qp.apps.onboarding.check import check_hand
 from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.match import match_hand
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
+from handmap_qp.apps.onboarding.picture import draw_hand, draw_match, picture_path
 from handmap_qp.apps.onboarding.write import check_free, open_source, write_hand
 from handmap_qp.apps.tables import print_rows, print_table, progress
 from handmap_qp.errors import expect
@@ -315,9 +315,9 @@ class HandsCheck:
         if report.hand is None and not self.json:
             # A table of one error would say it twice.
             report.raise_if_unusable()
-        picture = self.picture or onboarding.picture.picture_path(self.hand)
+        picture = self.picture or picture_path(self.hand)
         if picture is not None and report.hand is not None:
-            onboarding.picture.draw_hand(report.hand, picture)
+            draw_hand(report.hand, picture)
         if self.json:
             print(json.dumps(report.document(picture), allow_nan=False))
         else:
@@ -368,7 +368,7 @@ class HandsMatch:
         recording = None if source is None else InputArguments().read(source)
         match = match_hand(robot, recording=recording, human_length=self.human_length)
         if self.picture is not None:
-            onboarding.picture.draw_match(match, self.picture)
+            draw_match(match, self.picture)
         written = [] if self.picture is None else [str(self.picture)]
         if self.json:
             said = {"name": robot.name, "joints": match.rows, "written": written}

@@ -1,3 +1,0 @@
-from . import (
-    picture as picture,
-)
