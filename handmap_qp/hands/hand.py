@@ -440,11 +440,11 @@ class Hand:
         names = self.spec.all_joints
         moving = (*names, *rules)
         count = len(names)
-        roles = {"active": names, "follower": rules, "locked": locked}
         self.joint_names = names
         self._locked = np.array(list(locked.values()))
         self.all_joint_names = (*moving, *locked)
-        self.all_joint_roles = tuple(role for role, of in roles.items() for _ in of)
+        others = ("follower",) * len(rules) + ("locked",) * len(locked)
+        self.all_joint_roles = ("active",) * count + others
         joints = [model.getJointId(name) for name in moving]
         self._size = model.nq
         self._moving_q = np.array([model.idx_qs[joint] for joint in joints])

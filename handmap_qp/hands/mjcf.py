@@ -200,12 +200,21 @@ def cached_urdf(file: Path) -> Path:
 
 
 class _Converter:
-    """Writes the links and joints of one model."""
+    """Writes the links and joints of one model, and collects its meshes.
 
-    def __init__(self, model: mujoco.MjModel, meshes: str, notes: list[str]) -> None:
+    Attributes:
+        meshes: Each mesh [m] by the path of its file relative to the URDF.
+    """
+
+    def __init__(self, model: mujoco.MjModel, folder: str, notes: list[str]) -> None:
         self.model = model
         self.notes = notes
-        self.shapes = _ShapeWriter(model, meshes)
+        self.meshes: dict[str, trimesh.Trimesh] = {}
+        self._folder = folder
+        self._files: dict[int, str] = {}
+        # Kinds of geoms that have no counterpart in URDF.
+        self._omitted = set[str]()
+        self._mesh_names = set[str]()
         self._link_names = set[str]()
         self._joint_names = set[str]()
         self.links = {
@@ -232,15 +241,15 @@ class _Converter:
                 SubElement(robot, "link", name=link)
             else:
                 self._add_body(robot, body, link)
-        if self.shapes.omitted:
-            kinds = ", ".join(sorted(self.shapes.omitted))
+        if self._omitted:
+            kinds = ", ".join(sorted(self._omitted))
             self.notes.append(
                 f"shapes without a counterpart in URDF are left out: {kinds}"
             )
         indent(robot)
         return ConvertedMjcf(
             tostring(robot, encoding="unicode") + "\n",
-            self.shapes.meshes,
+            self.meshes,
             tuple(self.notes),
             self.model,
             self.links,
@@ -288,7 +297,7 @@ class _Converter:
             link = SubElement(robot, "link", name=child)
             if is_last:
                 self._add_inertial(link, body)
-                self.shapes.add_shapes(link, body)
+                self._add_shapes(link, body)
             parent = child
             placed = frame
 
@@ -370,47 +379,14 @@ class _Converter:
         xx, yy, zz = model.body_inertia[body]
         _add(element, "inertia", ixx=xx, ixy=0.0, ixz=0.0, iyy=yy, iyz=0.0, izz=zz)
 
+    def _add_shapes(self, link: Element, body: int) -> None:
+        """Add the geoms of a body to its `<link>`, whose frame is the body's.
 
-def _body_pose(data: mujoco.MjData, body: int) -> np.ndarray:
-    """Return the pose of a body in the world, shape (4, 4)."""
-    return affine(data.xmat[body].reshape(3, 3), data.xpos[body])
-
-
-def _add(parent: Element, tag: str, **numbers: npt.ArrayLike) -> None:
-    set_numbers(SubElement(parent, tag), **numbers)
-
-
-def _pose_of(position: np.ndarray, quat_wxyz: np.ndarray) -> np.ndarray:
-    """Return a pose of MuJoCo as a matrix, shape (4, 4)."""
-    return affine(rotation_from_quat_wxyz(quat_wxyz), np.array(position))
-
-
-class _ShapeWriter:
-    """Writes geoms as `<visual>` and `<collision>` elements, and collects their meshes.
-
-    A geom with `contype = conaffinity = 0` is visual. The others collide; they also show if their
-    body has no visual geom, or if they are meshes that MuJoCo's viewer shows (groups 0 to 2).
-
-    Args:
-        model: The model.
-        folder: Folder of the meshes, relative to the URDF.
-
-    Attributes:
-        meshes: Each mesh [m] by the path of its file relative to the URDF.
-        omitted: Kinds of geoms that have no counterpart in URDF.
-    """
-
-    def __init__(self, model: mujoco.MjModel, folder: str) -> None:
-        self._model = model
-        self._folder = folder
-        self._files: dict[int, str] = {}
-        self._names: set[str] = set()
-        self.meshes: dict[str, trimesh.Trimesh] = {}
-        self.omitted: set[str] = set()
-
-    def add_shapes(self, link: Element, body: int) -> None:
-        """Add the geoms of a body to its `<link>`, whose frame is the body's."""
-        model = self._model
+        A geom with `contype = conaffinity = 0` is visual. The others collide; they also show if
+        their body has no visual geom, or if they are meshes that MuJoCo's viewer shows (groups 0 to
+        2).
+        """
+        model = self.model
         geoms = np.flatnonzero(model.geom_bodyid == body)
         collides = (model.geom_contype | model.geom_conaffinity)[geoms] != 0
         is_mesh = model.geom_type[geoms] == int(_GEOM.mjGEOM_MESH)
@@ -425,7 +401,7 @@ class _ShapeWriter:
 
     def _geometries(self, geom: int) -> Iterator[tuple[np.ndarray, Element]]:
         """Iterate over the URDF geometries of a geom, with their poses in the link."""
-        model = self._model
+        model = self.model
         size = model.geom_size[geom]
         pose = _pose_of(model.geom_pos[geom], model.geom_quat[geom])
         match _GEOM(int(model.geom_type[geom])):
@@ -436,12 +412,8 @@ class _ShapeWriter:
             case _GEOM.mjGEOM_SPHERE:
                 yield pose, set_numbers(Element("sphere"), radius=size[0])
             case _GEOM.mjGEOM_CYLINDER | _GEOM.mjGEOM_CAPSULE as kind:
-                yield (
-                    pose,
-                    set_numbers(
-                        Element("cylinder"), radius=size[0], length=2.0 * size[1]
-                    ),
-                )
+                cylinder = Element("cylinder")
+                yield pose, set_numbers(cylinder, radius=size[0], length=2.0 * size[1])
                 # URDF has no capsules.
                 for sign in (-1.0, 1.0) if kind == _GEOM.mjGEOM_CAPSULE else ():
                     end = affine(np.eye(3), np.array([0.0, 0.0, sign * size[1]]))
@@ -451,19 +423,33 @@ class _ShapeWriter:
                 self.meshes.setdefault(file, trimesh.creation.icosphere())
                 yield pose, set_numbers(Element("mesh", filename=file), scale=size)
             case kind:
-                self.omitted.add(kind.name.removeprefix("mjGEOM_").lower())
+                self._omitted.add(kind.name.removeprefix("mjGEOM_").lower())
 
     def _mesh(self, mesh: int) -> Element:
-        model = self._model
+        model = self.model
         if mesh not in self._files:
             own = model.mesh(mesh)
             name = _file_name(own.name or f"mesh{mesh}")
-            file = f"{self._folder}/{_unique(name, self._names)}.stl"
+            file = f"{self._folder}/{_unique(name, self._mesh_names)}.stl"
             vertices = model.mesh_vert[own.vertadr[0] :][: own.vertnum[0]]
             faces = model.mesh_face[own.faceadr[0] :][: own.facenum[0]]
             self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
             self._files[mesh] = file
         return Element("mesh", filename=self._files[mesh])
+
+
+def _body_pose(data: mujoco.MjData, body: int) -> np.ndarray:
+    """Return the pose of a body in the world, shape (4, 4)."""
+    return affine(data.xmat[body].reshape(3, 3), data.xpos[body])
+
+
+def _add(parent: Element, tag: str, **numbers: npt.ArrayLike) -> None:
+    set_numbers(SubElement(parent, tag), **numbers)
+
+
+def _pose_of(position: np.ndarray, quat_wxyz: np.ndarray) -> np.ndarray:
+    """Return a pose of MuJoCo as a matrix, shape (4, 4)."""
+    return affine(rotation_from_quat_wxyz(quat_wxyz), np.array(position))
 
 
 def _unique(name: str, taken: set[str]) -> str:

@@ -126,8 +126,7 @@ class _Constraints:
 
     def __init__(self, model: mujoco.MjModel, names: Mapping[int, str]) -> None:
         self._names = names
-        self._model = copy(model)
-        model = self._model
+        self._model = model = copy(model)
         model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         model.opt.disableflags |= (
             _DISABLE.mjDSBL_CONTACT

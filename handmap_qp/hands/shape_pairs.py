@@ -98,12 +98,10 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     geometry = read_collision_shapes(hand)
     parents = hand.model.parents
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
-    owner: dict[int, int | str] = {joint: joint for joint in joints}
-    owner |= {joint: name for name, chain in chains.items() for joint in chain.joints}
-    for i, j in combinations(range(len(joints)), 2):
-        a = joints[i]
-        b = joints[j]
-        if owner[a] != owner[b] and parents[a] != b and parents[b] != a:
+    owner = {joint: name for name, chain in chains.items() for joint in chain.joints}
+    for (i, a), (j, b) in combinations(enumerate(joints), 2):
+        is_far = parents[a] != b and parents[b] != a
+        if is_far and owner.get(a, a) != owner.get(b, b):
             geometry.addCollisionPair(pin.CollisionPair(i, j))
     joined = _leave_out(hand, geometry)
     return ShapePairs(geometry, _pinching_fingers(geometry, chains), joined)

@@ -61,8 +61,9 @@ class Clue(NamedTuple):
     @property
     def certainty(self) -> str:
         """The confidence in words."""
-        levels = ((0.9, "certain"), (0.6, "likely"), (0.0, "a guess: check it"))
-        return next(words for least, words in levels if self.confidence >= least)
+        if self.confidence >= 0.9:
+            return "certain"
+        return "likely" if self.confidence >= 0.6 else "a guess: check it"
 
 
 class Anatomy(NamedTuple):
@@ -354,7 +355,8 @@ class _Evidence:
         if len(order) < 2:
             # Nothing is left to choose but the thumb.
             confidence = max(confidence, min(0.9, sure))
-        called = [*FINGERS, *(f"finger{k}" for k in range(6, 6 + len(order)))]
+        more = map("finger{}".format, itertools.count(6))
+        called = itertools.chain(FINGERS, more)
         own = {labels.index(label): label for label in FINGERS if label in labels}
         named = dict(zip(order, called, strict=False))
         if 0 < len(order) == len(own):

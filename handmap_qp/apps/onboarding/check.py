@@ -82,7 +82,9 @@ _MOST_DIRECTIONS = 0.8
 Level = Literal["error", "warning", "advice", "fine"]
 LEVELS = get_args(Level)
 """All levels, the worst first."""
-Tables = dict[str, list[dict[str, Any]]]
+Rows = list[dict[str, Any]]
+"""Rows of a table: values by column."""
+Tables = dict[str, Rows]
 """Rows by the title of their table."""
 
 
@@ -145,7 +147,7 @@ class Report:
         rows = self._rows("level")
         return {"name": self.name, **self.measured, "findings": rows, "picture": shown}
 
-    def _rows(self, level: str) -> list[dict[str, Any]]:
+    def _rows(self, level: str) -> Rows:
         """Return a row per finding; `level` heads its first column."""
         names = (level, "key", "found", "change")
         return [dict(zip(names, finding, strict=True)) for finding in self.findings]
@@ -193,7 +195,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
     return report
 
 
-def _joint_rows(hand: Hand) -> list[dict[str, Any]]:
+def _joint_rows(hand: Hand) -> Rows:
     """Return a row per joint of the URDF: role, limits of active joints, rest angle."""
     rest = hand.all_joints(hand.rest).tolist()
     rows = [

@@ -11,7 +11,7 @@ import msgspec
 import tyro
 
 from handmap_qp.apps.arguments import HandName, InputArguments, hinted
-from handmap_qp.apps.onboarding.check import check_hand
+from handmap_qp.apps.onboarding.check import Rows, check_hand
 from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
 from handmap_qp.apps.onboarding.detect import Detection, detect
 from handmap_qp.apps.onboarding.match import match_hand
@@ -36,7 +36,7 @@ _WROTE = "wrote {0}; check it with: handmap hands check {0}"
 def _print_found(
     hand: Hand,
     found: Detection,
-    rows: list[dict[str, Any]],
+    rows: Rows,
 ) -> None:
     """Print what was found of a hand."""
     followers = hand.all_joint_roles.count("follower")
@@ -47,7 +47,7 @@ def _print_found(
         print(f"note: {note}")
 
 
-def list_hands() -> list[dict[str, Any]]:
+def list_hands() -> Rows:
     """List all hands that have a name; those of other packages come last.
 
     Returns:

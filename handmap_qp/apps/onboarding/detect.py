@@ -29,6 +29,7 @@ from handmap_qp.hands.spec import (
     PalmSpec,
     PointSpec,
     Side,
+    Vector,
     WristSpec,
 )
 from handmap_qp.se3 import lengths, transform_points
@@ -172,8 +173,7 @@ class _FoundHand:
         robot = self.robot
         anatomy = self.anatomy
         names = [joint for finger in self.fingers for joint in finger.joint_names]
-        drivers = dict.fromkeys(map(robot.driver, names))
-        joints = tuple(joint for joint in drivers if joint in robot.active)
+        joints = (*dict.fromkeys(map(robot.driver, names)),)
         palm = self.structure.palm
         origin = self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
@@ -238,13 +238,17 @@ class _FoundHand:
         width = flexion.moves.any(axis=0) * (upper - lower)
         near = _AT_LIMIT * width
         spread = _SPREAD * width
-        choices = (
-            (flexion.sign != 0.0, flexion.q_open + step),
-            (one_sided, 0.5 * (lower + upper)),
-            (upper - zero < near, upper - spread),
-            (zero - lower < near, lower + spread),
+        flexes = flexion.sign != 0.0
+        q = np.select(
+            [flexes, one_sided, upper - zero < near, zero - lower < near],
+            [
+                flexion.q_open + step,
+                0.5 * (lower + upper),
+                upper - spread,
+                lower + spread,
+            ],
+            zero,
         )
-        q = np.select(*map(list, zip(*choices, strict=True)), zero)
         q = np.clip(q.round(4) + 0.0, lower, upper)
         tips = [finger.tip for finger in self.fingers]
         points = PalmKinematics(robot).points(np.array([q, flexion.q_open]), tips)
@@ -392,6 +396,6 @@ def _point(
     )
 
 
-def _vector(values: np.ndarray, digits: int) -> tuple[float, float, float]:
+def _vector(values: np.ndarray, digits: int) -> Vector:
     x, y, z = (values.round(digits) + 0.0).tolist()
     return x, y, z

@@ -222,9 +222,11 @@ def _given(value: Any) -> Any:
     """Return the fields of a struct that differ from their defaults; any other value as it is."""
     if not isinstance(value, msgspec.Struct):
         return value
-    defaults = {field.name: field.default for field in msgspec.structs.fields(value)}
-    fields = msgspec.structs.asdict(value)
-    return {key: given for key, given in fields.items() if given != defaults[key]}
+    return {
+        field.name: given
+        for field in msgspec.structs.fields(value)
+        if (given := getattr(value, field.name)) != field.default
+    }
 
 
 def _urdf_reference(urdf: str, folder: Path) -> str:
