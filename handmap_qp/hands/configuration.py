@@ -141,9 +141,8 @@ class Configuration:
 
     def full_point_jacobian(self) -> np.ndarray:
         """Jacobian as of `point_jacobian`, by all coordinates of the model, (3 m, model.nv)."""
-        axes = pin.LOCAL_WORLD_ALIGNED
         rows = [
-            pin.getFrameJacobian(self.model, self.data, i, axes)[:3]
+            pin.getFrameJacobian(self.model, self.data, i, pin.LOCAL_WORLD_ALIGNED)[:3]
             for i in self._frames
         ]
         return np.vstack(rows)

@@ -357,15 +357,13 @@ class Finger:
         _, base, signs, gears = self._axis(view, columns, zero)
 
         def lengths_at(postures: np.ndarray) -> np.ndarray:
-            tips = view.points(postures, [self.tip])[..., 0, :]
-            return lengths(tips - base)
+            return lengths(view.points(postures, [self.tip])[..., 0, :] - base)
 
         q = self._straightened(columns, zero, lengths_at)
         ways = ends_of(self.hand, q, columns, signs)[::-1] - q
         bent = lengths_at(q + np.linspace(0.0, 1.0, _SWEEP)[:, None, None] * ways)
         shares = 1.0 - bent.min(axis=0) / bent[0].clip(1e-9)
-        travels = np.abs(gears * ways[:, columns]).sum(axis=1)
-        sense, certainty = _sense(shares, travels)
+        sense, certainty = _sense(shares, np.abs(gears * ways[:, columns]).sum(axis=1))
         straight = self._with_knuckle(columns, q[columns], sense * signs)
         q[columns] = straight
         axis, base, signs, _ = self._axis(view, columns, q)
@@ -379,7 +377,7 @@ class Finger:
         A finger that curls equally far both ways flexes to the palm's side.
         """
         found = self.flexion
-        senses = np.zeros(len(self.hand.lower_limits))
+        senses = np.zeros_like(self.hand.lower_limits)
         if found is not None:
             motion = PalmKinematics(self.hand).motion(zero_posture(self.hand), self.tip)
             dorsal = motion[2, found.columns] @ found.signs

@@ -113,8 +113,7 @@ class HumanLengths:
             expect(is_valid, name, expected, value=getattr(self, name), got=got)
 
     def __reduce__(self) -> tuple[type[Self], tuple[np.ndarray | float, ...]]:
-        values = (self.bases, self.segments, self.rolls, self.contact_gap)
-        return type(self), values
+        return type(self), (self.bases, self.segments, self.rolls, self.contact_gap)
 
     @property
     def hand_length(self) -> float:

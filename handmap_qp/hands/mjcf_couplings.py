@@ -88,9 +88,8 @@ def _fixed_tendon(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
     wraps = slice(first, first + model.tendon_num[tendon])
     if (model.wrap_type[wraps] != int(mujoco.mjtWrap.mjWRAP_JOINT)).any():
         return {}
-    joints = model.wrap_objid[wraps].tolist()
     factors = model.wrap_prm[wraps].tolist()
-    return dict(zip(joints, factors, strict=True))
+    return dict(zip(model.wrap_objid[wraps].tolist(), factors, strict=True))
 
 
 def _tendon_notes(
@@ -204,8 +203,7 @@ class _Constraints:
             f"curves couple {', '.join(others)} to {head}: lines within {worst:.2g} "
             "rad or m of them are written"
         )
-        notes = [note] * (worst > _NO_ERROR)
-        return dict(zip(joints[1:], rules, strict=True)), notes
+        return dict(zip(joints[1:], rules, strict=True)), [note] * (worst > _NO_ERROR)
 
     def _leader(self, coupled: set[int], constraints: list[int]) -> int:
         """Return the joint that leads in joint equalities, else one of a motor, else the first."""

@@ -163,8 +163,7 @@ def _leave_out(hand: Hand, geometry: pin.GeometryModel) -> tuple[tuple[str, str]
 def random_postures(hand: Hand, count: int) -> np.ndarray:
     """Return postures within the joint limits, always the same ones, shape (count, n)."""
     shape = count, len(hand.rest)
-    generator = np.random.default_rng(0)
-    return generator.uniform(hand.lower_limits, hand.upper_limits, shape)
+    return np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits, shape)
 
 
 def pair_distances(

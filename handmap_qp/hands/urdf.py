@@ -285,8 +285,8 @@ def check_tree(robot: Element) -> None:
     apart = sorted(set(links).difference(*levels))
     names = ", ".join(apart[:6])
     _reject(f"is not a tree: loops contain or carry {names}", apart)
-    kinds = {_checked_kind(joint) for joint in joints}
-    _reject("has no joint that moves", [] if kinds & {*MOVABLE} else [robot])
+    if {_checked_kind(joint) for joint in joints}.isdisjoint(MOVABLE):
+        raise HandError("the URDF has no joint that moves")
 
 
 def _reject(message: str, culprits: Sequence[object]) -> None:

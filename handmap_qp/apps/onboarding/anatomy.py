@@ -253,8 +253,7 @@ class _Evidence:
             palmar = np.sign(palmar @ upright) * upright
         if lengths(palmar) < 0.2 and self.thumb is not None:
             tips = flexion.tips_open
-            to_thumb = tips[self.thumb] - tips[rest].mean(axis=0)
-            palmar = _beside(to_thumb, ahead)
+            palmar = _beside(tips[self.thumb] - tips[rest].mean(axis=0), ahead)
             sign = 0.5
             how = "away from the thumb, because the other fingertips flex in different directions"
         if lengths(palmar) < 1e-6:

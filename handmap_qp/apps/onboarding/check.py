@@ -149,8 +149,10 @@ class Report:
 
     def _rows(self, level: str) -> Rows:
         """Return a row per finding; `level` heads its first column."""
-        names = (level, "key", "found", "change")
-        return [dict(zip(names, finding, strict=True)) for finding in self.findings]
+        return [
+            {level: at, "key": where, "found": what, "change": change}
+            for at, where, what, change in self.findings
+        ]
 
 
 def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
@@ -347,8 +349,7 @@ def _check_wrist(hand: Hand) -> Findings:
     is_on_arm = hand.has_moving_wrist and not hand.is_floating
     if spec.root is None or is_on_arm or urdf_path(spec).suffix != ".urdf":
         return
-    robot = Robot(read_urdf(spec), urdf_path(spec))
-    joints, base = left_out_wrist(robot, spec.root)
+    joints, base = left_out_wrist(Robot(read_urdf(spec), urdf_path(spec)), spec.root)
     if joints:
         what = f"wrist joints are left out: {joints}"
         yield advice("root", what, f"keep them with `hands init --base {base}`")
@@ -432,8 +433,7 @@ def _compare_detection(hand: Hand) -> Findings:
     if side == hand.side and clues["fingers"].confidence > _SURE:
         yield from _compare_fingers(hand, found.chains)
     elif side != hand.side and clues["side"].confidence > _SURE:
-        what = f"{clues['side'].how}: a {side} hand"
-        yield warning("side", what, f"side: {side}")
+        yield warning("side", f"{clues['side'].how}: a {side} hand", f"side: {side}")
 
 
 def _compare_axes(

@@ -140,8 +140,7 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     postures = np.vstack([q, random_postures(hand, _FEW)])
     overlaps = pair_distances(hand, geometry, postures) <= 0.0
     found = overlaps[0] & (overlaps[1:].mean(axis=0) < _IN_FEW)
-    pairs = ShapePairs(geometry, ()).links
-    return [*dict.fromkeys(compress(pairs, found))]
+    return [*dict.fromkeys(compress(ShapePairs(geometry, ()).links, found))]
 
 
 def _neighbours(

@@ -174,7 +174,6 @@ class _FoundHand:
         anatomy = self.anatomy
         names = [joint for finger in self.fingers for joint in finger.joint_names]
         joints = (*dict.fromkeys(map(robot.driver, names)),)
-        palm = self.structure.palm
         origin = self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
         points, sets = point_sets(tips, self._middles())
@@ -187,7 +186,7 @@ class _FoundHand:
             urdf=str(robot.file),
             side=anatomy.side,
             palm=PalmSpec(
-                palm,
+                self.structure.palm,
                 _vector(anatomy.distal, 9),
                 _vector(anatomy.dorsal, 9),
                 _vector(origin, 4),

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Iterable
+from statistics import mode
 
 from handmap_qp.hands.spec import Side
 
@@ -86,7 +86,7 @@ def _most_frequent(
     names: list[str], patterns: dict[str, re.Pattern[str]]
 ) -> str | None:
     """Return the finger that most names contain; the first one in a name counts."""
-    votes: Counter[str] = Counter()
+    found = list[str]()
     for name in names:
         places = {
             finger: match.start()
@@ -94,5 +94,5 @@ def _most_frequent(
             if (match := pattern.search(name))
         }
         if places:
-            votes[min(places, key=places.__getitem__)] += 1
-    return votes.most_common(1)[0][0] if votes else None
+            found.append(min(places, key=places.__getitem__))
+    return mode(found) if found else None

@@ -68,7 +68,6 @@ class HandFlexion:
         fingers: Sequence[Finger],
         palmar: np.ndarray | None = None,
     ) -> None:
-        self._robot = robot
         self._fingers = fingers
         self._view = PalmKinematics(robot)
         self._tips = [finger.tip for finger in fingers]
@@ -77,7 +76,7 @@ class HandFlexion:
         self.roots = self._view.points(zero, roots)
         self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
         straight = np.ma.masked_all(self.moves.shape)
-        self.sign = np.zeros(len(zero))
+        self.sign = np.zeros_like(zero)
         self.certainty = np.zeros(len(fingers))
         self.ways, self.axes = np.zeros((2, len(fingers), 3))
         self._groups: dict[int, Flexion] = {}
@@ -219,9 +218,8 @@ class HandFlexion:
         signs: np.ndarray | float = 1.0,
     ) -> float:
         """Return how much joints bring a tip to another on average from end to end [m]."""
-        ends = ends_of(self._robot, self.q_open, columns, signs)
-        others = max(1, len(self._tips) - 1)
-        return nearing(self._view, ends, self._tips, i) / others
+        ends = ends_of(self._view.hand, self.q_open, columns, signs)
+        return nearing(self._view, ends, self._tips, i) / max(1, len(self._tips) - 1)
 
 
 def _alike(slopes: dict[int, np.ndarray]) -> list[list[int]]:

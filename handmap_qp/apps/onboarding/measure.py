@@ -404,8 +404,7 @@ def _nearest(
 
     def slope(positions: np.ndarray) -> np.ndarray:
         q[columns] = positions
-        motions = (view.motion(q, place) for place in places)
-        return np.subtract(*motions)[:3, columns]
+        return np.subtract(*(view.motion(q, place) for place in places))[:3, columns]
 
     limits = np.array([hand.lower_limits, hand.upper_limits])
     first = [hand.rest, limits.mean(axis=0), zero_posture(hand)]

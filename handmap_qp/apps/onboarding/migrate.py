@@ -155,8 +155,7 @@ def migrate(
     every, sets = point_sets(tips, others)
     spec = msgspec.structs.replace(found.spec, points=every, sets=sets)
     intro = f"reference points are those of {configuration.file.name}"
-    notes = (intro, *configuration.notes, *found.notes)
-    return found._replace(spec=spec, notes=notes)
+    return found._replace(spec=spec, notes=(intro, *configuration.notes, *found.notes))
 
 
 def _carrier(robot: Robot, link: str) -> str:

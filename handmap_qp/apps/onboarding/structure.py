@@ -295,15 +295,13 @@ def _poses(finger: RobotFinger, other: int) -> np.ndarray:
     poses = []
     for q in np.linspace(*ends_of(robot, zero_posture(robot), finger.columns), 5):
         pin.forwardKinematics(robot.model, data, robot.configuration_vector(q))
-        last = data.oMi[finger.joints[-1]]
-        poses.append(data.oMi[other].actInv(last).homogeneous)
+        poses.append(data.oMi[other].actInv(data.oMi[finger.joints[-1]]).homogeneous)
     return np.array(poses)
 
 
 def _travel(finger: RobotFinger, poses: np.ndarray) -> float:
     """Return how far a fingertip moves along an axis in poses of its body [m]."""
-    tips = transform_points(poses, finger.tip[1][None])
-    return np.ptp(tips, axis=0).max()
+    return np.ptp(transform_points(poses, finger.tip[1][None]), axis=0).max()
 
 
 def _idleness(finger: RobotFinger, _: list[RobotFinger]) -> str:
