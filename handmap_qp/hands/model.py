@@ -187,8 +187,8 @@ def check_limits(
     Raises:
         HandError: With the joint at fault, and the key that gives its limits.
     """
-    for i, (name, *numbers) in enumerate(zip(spec.all_joints, *limits, strict=True)):
-        lower, upper, speed = numbers
+    rows = enumerate(zip(spec.all_joints, *limits, strict=True))
+    for i, (name, lower, upper, speed) in rows:
         interval = f"[{lower:.6g}, {upper:.6g}]"
         key = f"limits.{name}"
         if not max(-lower, upper) < NO_LIMIT:
@@ -201,7 +201,7 @@ def check_limits(
             raise spec.error(
                 f"{name!r} needs limits with lower < upper, got {interval}", key=key
             )
-        if not (np.isfinite(speed) and speed > 0.0):
+        if not 0.0 < speed < math.inf:
             raise spec.error(
                 f"{name!r} needs a velocity limit > 0, got {speed:.6g}", key=key
             )

@@ -370,18 +370,27 @@ def _parse_yaml(text: str) -> Any:
     return yaml.load(text, Loader=yaml.SafeLoader if is_deep else _LOADER)
 
 
-def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
-    """Read a file's keys, with those of the file that it extends, and its folder."""
+def read_yaml(path: Path) -> Any:
+    """Return the document in a file; do not change it.
+
+    Raises:
+        HandError: If the file cannot be read, or is not YAML.
+    """
     try:
         text = path.read_text(encoding="utf-8")
     # ValueError: not UTF-8, or a null character in the path.
     except (OSError, ValueError) as error:
         raise HandError(f"cannot be read: {reason_of(error)}", file=path) from error
     try:
-        document = _parse_yaml(text)
+        return _parse_yaml(text)
     # ValueError: an impossible date.
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise HandError(f"is not valid YAML: {reason_of(error)}", file=path) from error
+
+
+def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Read a file's keys, with those of the file that it extends, and its folder."""
+    document = read_yaml(path)
     if not isinstance(document, dict):
         raise HandError(
             f"expected a mapping of keys, got {type(document).__name__}", file=path

@@ -98,7 +98,7 @@ def test_settings_without_a_counterpart_are_named(
     ("text", "words"),
     [
         (None, "cannot be read"),
-        ("a: [", "is not YAML"),
+        ("a: [", "is not valid YAML"),
         ("hand: 1", "expected a table `retargeting`"),
         (
             VECTOR.replace("vector", "claw"),

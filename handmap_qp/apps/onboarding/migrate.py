@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import msgspec
-import yaml
 from msgspec import Meta
 
 from handmap_qp.apps.onboarding.detect import Detection, detect, point_sets
 from handmap_qp.apps.onboarding.robot import Robot
-from handmap_qp.errors import HandError, reason_of
-from handmap_qp.hands.spec import PointSpec
+from handmap_qp.errors import HandError
+from handmap_qp.hands.spec import PointSpec, read_yaml
 from handmap_qp.human.sample import LANDMARK_NAMES, TIPS
 
 _Kind = Literal["dexpilot", "vector", "position"]
@@ -63,7 +62,11 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
     Raises:
         HandError: If the file cannot be read, or is not a configuration of dex-retargeting.
     """
-    table = _read_table(path)
+    document = read_yaml(path)
+    table = document.get("retargeting") if isinstance(document, dict) else None
+    if not isinstance(table, dict):
+        problem = "expected a table `retargeting`, as in dex-retargeting's files"
+        raise HandError(problem, file=path)
 
     def setting(
         key: str,
@@ -107,21 +110,6 @@ def read_dex_configuration(path: Path) -> DexConfiguration:
         if name in table
     )
     return DexConfiguration(path, urdf, named, tuple(notes))
-
-
-def _read_table(path: Path) -> dict[str, Any]:
-    """Return the settings of a configuration's file."""
-    try:
-        document = yaml.safe_load(path.read_bytes())
-    except OSError as error:
-        raise HandError(f"cannot be read: {reason_of(error)}", file=path) from error
-    except (yaml.YAMLError, ValueError) as error:
-        raise HandError(f"is not YAML: {reason_of(error)}", file=path) from error
-    table = document.get("retargeting") if isinstance(document, dict) else None
-    if not isinstance(table, dict):
-        problem = "expected a table `retargeting`, as in dex-retargeting's files"
-        raise HandError(problem, file=path)
-    return table
 
 
 def migrate(

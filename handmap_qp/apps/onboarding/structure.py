@@ -210,9 +210,8 @@ def _fingerlike(robot: Robot, body: int) -> list[RobotFinger]:
     ]
     for _, group in groupby(chains, key=lambda one: one.joints[0]):
         branch = list(group)
-        is_wheel = branch[0].joint_names[0] in robot.endless and all(
-            len(one.joints) == 1 for one in branch
-        )
+        first, *more = branch[0].joint_names
+        is_wheel = first in robot.endless and not more
         if not is_wheel and max(one.length for one in branch) < LONGEST_FINGER:
             branches.append(branch)
     return [*chain.from_iterable(branches)] if len(branches) > 1 else []
