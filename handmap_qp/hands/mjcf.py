@@ -158,8 +158,8 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
         q = pin.integrate(robot, pin.neutral(robot), turns)
         pin.framesForwardKinematics(robot, robot_data, q)
         for body, link in converted.links.items():
-            frame = robot.getFrameId(link, pin.FrameType.BODY)
-            apart = robot_data.oMf[frame].homogeneous - _body_pose(data, body)
+            placed = robot_data.oMf[robot.getBodyId(link)].homogeneous
+            apart = placed - _body_pose(data, body)
             worst = max(worst, np.abs(apart).max())
     return worst
 

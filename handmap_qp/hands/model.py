@@ -25,6 +25,7 @@ from handmap_qp.errors import HandError, expect, reason_of
 from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import HandSpec, MimicSpec, Mount
 from handmap_qp.hands.urdf import (
+    MOVABLE,
     NO_LIMIT,
     check_tree,
     joints_by_name,
@@ -157,9 +158,9 @@ def link_frame(
         HandError: If there is no such link, with the key of the spec that names it.
     """
     # By kind as well as by name: in many URDFs a joint has the name of its link.
-    if not model.existFrame(link, pin.FrameType.BODY):
+    if not model.existBodyName(link):
         raise spec.error(f"the URDF has no link {link!r}", key=key, value=link)
-    parent_id = model.getFrameId(link, pin.FrameType.BODY)
+    parent_id = model.getBodyId(link)
     parent = model.frames[parent_id]
     pose = parent.placement * pin.SE3(placement)
     return pin.Frame(name, parent.parentJoint, parent_id, pose, pin.FrameType.OP_FRAME)
@@ -273,13 +274,12 @@ def read_mimic_rules(robot: Element) -> dict[str, MimicSpec]:
         HandError: If a leader is missing or fixed, a joint follows itself through others, or a rule
             does not hold finite numbers.
     """
-    joints = joints_by_name(robot)
-    movable = {n: j for n, j in joints.items() if j.get("type") != "fixed"}
+    movable = joints_by_name(robot, MOVABLE)
     direct = {n: rule for n, rule in mimics_of(robot).items() if n in movable}
     for follower, rule in direct.items():
         if rule.joint not in movable:
             absent = "does not exist in this part of the robot"
-            what = "cannot move" if rule.joint in joints else absent
+            what = "cannot move" if rule.joint in joints_by_name(robot) else absent
             message = (
                 f"it mimics {rule.joint!r}, which {what}: "
                 "give its rule in `mimic`, or hold it still in `locked`"

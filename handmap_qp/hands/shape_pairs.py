@@ -68,7 +68,7 @@ def named_pairs(hand: Hand, pairs: Sequence[tuple[str, str]]) -> ShapePairs:
     for i, pair in enumerate(pairs):
         for link in pair:
             if link not in shapes:
-                is_link = hand.model.existFrame(link, pin.FrameType.BODY)
+                is_link = hand.model.existBodyName(link)
                 what = (
                     "has no collision shape" if is_link else "is not a link of the URDF"
                 )

@@ -193,9 +193,15 @@ def link_names(robot: Element) -> list[str]:
     return [link.get("name", "") for link in robot.iterfind("link")]
 
 
-def joints_by_name(robot: Element) -> dict[str, Element]:
-    """Return the joints by their names, in the order of the file."""
-    return {joint.get("name", ""): joint for joint in robot.iterfind("joint")}
+def joints_by_name(
+    robot: Element, kinds: Collection[str] = _KINDS
+) -> dict[str, Element]:
+    """Return the joints of some types by their names, in the order of the file."""
+    return {
+        joint.get("name", ""): joint
+        for joint in robot.iterfind("joint")
+        if joint.get("type") in kinds
+    }
 
 
 def root_links(robot: Element) -> list[str]:
@@ -353,9 +359,8 @@ def prepare_urdf(
     fix_free_joints(robot)
     for name in limits:
         _movable_joint(robot, name, "limits")
-    for name, joint in joints_by_name(robot).items():
-        if joint.get("type") in MOVABLE:
-            _complete_limits(joint, limits.get(name, LimitSpec()))
+    for name, joint in joints_by_name(robot, MOVABLE).items():
+        _complete_limits(joint, limits.get(name, LimitSpec()))
     return positions
 
 
@@ -436,11 +441,10 @@ def fix_free_joints(robot: Element) -> list[str]:
 
     No single number moves them; an object or a whole robot hangs from them, not a finger.
     """
-    joints = joints_by_name(robot)
-    free = [name for name, joint in joints.items() if joint.get("type") in _FREE]
-    for name in free:
-        _fix(joints[name])
-    return free
+    free = joints_by_name(robot, _FREE)
+    for joint in free.values():
+        _fix(joint)
+    return [*free]
 
 
 def _fix(joint: Element) -> None:
@@ -451,8 +455,8 @@ def _fix(joint: Element) -> None:
 
 
 def _movable_joint(robot: Element, name: str, section: str) -> Element:
-    joint = joints_by_name(robot).get(name)
-    if joint is None or joint.get("type") not in MOVABLE:
+    joint = joints_by_name(robot, MOVABLE).get(name)
+    if joint is None:
         raise HandError(
             f"the URDF has no movable joint {name!r}",
             key=f"{section}.{name}",

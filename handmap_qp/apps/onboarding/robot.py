@@ -115,8 +115,7 @@ class Robot:
             self._remark(name, "has more than one coordinate: it is taken as fixed")
         given = {
             name: _limits(joint)
-            for name, joint in joints_by_name(robot).items()
-            if joint.get("type") in MOVABLE
+            for name, joint in joints_by_name(robot, MOVABLE).items()
         }
         self.endless = {n for n, one in given.items() if one.kind == "continuous"}
         rules = mimics_of(robot)
@@ -160,11 +159,11 @@ class Robot:
         self.upper_limits = model.upperPositionLimit[at]
         self.zero = zero_posture(self)
         self.palm_frame_id = 0
-        self.frames: dict[str, int] = {}
+        self.frames: dict[str, pin.Frame] = {}
         self.links: list[list[str]] = [[] for _ in model.names]
-        for i, frame in enumerate(model.frames):
+        for frame in model.frames:
             if frame.type == pin.FrameType.BODY:
-                self.frames[frame.name] = i
+                self.frames[frame.name] = frame
                 self.links[frame.parentJoint].append(frame.name)
         self._data = model.createData()
         vector = self.configuration_vector(self.zero)
@@ -189,7 +188,7 @@ class Robot:
 
     def body(self, link: str) -> int:
         """Return the body of a link."""
-        return self.model.frames[self.frames[link]].parentJoint
+        return self.frames[link].parentJoint
 
     def path(self, body: int, above: int) -> list[int]:
         """Return the joints from below a body `above` out to a body."""
@@ -203,7 +202,8 @@ class Robot:
     def ends(self, body: int) -> list[str]:
         """Return the links of a body, but its first one, that carry no other link."""
         inner = {frame.parentFrame for frame in self.model.frames}
-        return [link for link in self.links[body][1:] if self.frames[link] not in inner]
+        links = self.links[body][1:]
+        return [link for link in links if self.model.getBodyId(link) not in inner]
 
     def carriers(self, joint: int) -> list[str]:
         """Return the links of a body out to the one that carries a joint."""
@@ -230,7 +230,7 @@ class Robot:
 
     def place_of(self, link: str, xyz: np.ndarray) -> Place:
         """Return a point on a link as one on a joint of the model."""
-        frame = self.model.frames[self.frames[link]]
+        frame = self.frames[link]
         return frame.parentJoint, frame.placement.act(xyz)
 
     def origins(self, bodies: list[int]) -> np.ndarray:
@@ -240,8 +240,8 @@ class Robot:
 
     def pose_in(self, link: str, other: str) -> np.ndarray:
         """Return a link's pose in another link's frame at `zero`, shape (4, 4)."""
-        placed = self._data.oMf
-        return placed[self.frames[other]].actInv(placed[self.frames[link]]).homogeneous
+        pose, frame = (self._data.oMf[self.model.getBodyId(n)] for n in (link, other))
+        return frame.actInv(pose).homogeneous
 
     # -- surface
 
@@ -271,7 +271,7 @@ class Robot:
         if body not in self._surfaces:
             clouds = [np.zeros((0, 3))]
             for link in self.links[body]:
-                placement = self.model.frames[self.frames[link]].placement.homogeneous
+                placement = self.frames[link].placement.homogeneous
                 points = self._points(link, "visual") or self._points(link, "collision")
                 clouds += [transform_points(placement, cloud) for cloud in points]
             self._surfaces[body] = np.concatenate(clouds)

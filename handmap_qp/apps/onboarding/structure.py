@@ -138,7 +138,7 @@ def find_structure(robot: Robot) -> Structure:
             value=palms,
         )
     structure = _hand(robot, found[palms[0]]) if palms else _one_finger(robot)
-    robot.palm_frame_id = robot.frames[structure.palm]
+    robot.palm_frame_id = robot.model.getBodyId(structure.palm)
     return structure
 
 
