@@ -130,8 +130,7 @@ def _ball(supports: list[np.ndarray], tip: np.ndarray) -> tuple[np.ndarray, floa
     points = tip - np.outer(steps, unit(tip))
     depths = _depths(supports, points)
     most = float(depths[0] if depths[0] > _DEEP else depths.max())
-    chosen = np.argmax(depths >= _SHARE * most)
-    return points[chosen], max(most, _SMALLEST)
+    return points[np.argmax(depths >= _SHARE * most)], max(most, _SMALLEST)
 
 
 def _corners(geometry: coal.CollisionGeometry) -> tuple[np.ndarray, float]:

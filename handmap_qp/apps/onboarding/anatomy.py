@@ -470,8 +470,7 @@ def _widest(points: np.ndarray) -> np.ndarray:
 
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
     """Return the angle between two vectors [deg]; 90 if one is zero."""
-    cosine = np.clip(unit(one) @ unit(other), -1.0, 1.0)
-    return float(np.degrees(np.arccos(cosine)))
+    return float(np.degrees(np.arccos(np.clip(unit(one) @ unit(other), -1.0, 1.0))))
 
 
 def _snapped(

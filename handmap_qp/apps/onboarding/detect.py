@@ -291,8 +291,7 @@ class _FoundHand:
         back = knuckles @ distal
         how = "the origin of the palm's link"
         if len(cloud):
-            pose = robot.pose_in(robot.links[body][0], palm)
-            cloud = transform_points(pose, cloud)
+            cloud = transform_points(robot.pose_in(robot.links[body][0], palm), cloud)
             back -= (cloud @ distal).min()
             how = "the proximal end of the palm's surface"
         how += ", behind the centre of the knuckles"

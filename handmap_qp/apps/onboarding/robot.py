@@ -135,24 +135,23 @@ class Robot:
         if not movable:
             problem = f"no movable joint hangs from the link {self.root!r}"
             raise HandError(problem, value=self.root)
-        rules = read_mimic_rules(robot)
-        self._leaders = {name: rule.joint for name, rule in rules.items()}
-        self.active = [name for name in movable if name not in self._leaders]
+        self._rules = read_mimic_rules(robot)
+        self.active = [name for name in movable if name not in self._rules]
         self._elements = {link.get("name", ""): link for link in robot.iterfind("link")}
-        self._build(tostring(robot, encoding="unicode"), rules)
+        self._build(tostring(robot, encoding="unicode"))
         self.joints = [self.model.getJointId(name) for name in movable]
 
-    def _build(self, text: str, rules: Mapping[str, MimicSpec]) -> None:
+    def _build(self, text: str) -> None:
         """Build the model, and place it at zero."""
         try:
             self.model = model = pin.buildModelFromXML(text)
         except (RuntimeError, ValueError) as error:
             problem = f"Pinocchio cannot read the URDF: {reason_of(error)}"
             raise HandError(problem) from error
-        for note in tighten_model(model, rules):
+        for note in tighten_model(model, self._rules):
             self._remark("", note)
         names = list(model.names)[1:]
-        self.expansion = expansion_matrix(names, self.active, rules)
+        self.expansion = expansion_matrix(names, self.active, self._rules)
         self.joint_columns = np.arange(len(self.active))
         at = [names.index(name) for name in self.active]
         self.lower_limits = model.lowerPositionLimit[at]
@@ -220,7 +219,7 @@ class Robot:
 
     def driver(self, joint: str) -> str:
         """Return the active joint that moves a joint: itself, or its mimic leader."""
-        return self._leaders.get(joint, joint)
+        return self._rules.get(joint, MimicSpec(joint)).joint
 
     # -- kinematics
 

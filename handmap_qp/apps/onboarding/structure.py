@@ -69,8 +69,8 @@ class RobotFinger(Finger):
         end: Its fingertip.
         joint_names: Movable joints from the palm outwards.
         links: First link of the body on each joint.
-        carriers: Links of the palm's body out to the one that carries the finger.
         names: All of these, from which the finger's own name may be read.
+        carriers: Links of the palm's body out to the one that carries the finger.
         length: Length from its first joint to its tip at zero [m].
     """
 
@@ -85,8 +85,8 @@ class RobotFinger(Finger):
         super().__init__(robot, joints, robot.place_of(self.end.link, self.end.xyz))
         self.joint_names = [robot.model.names[joint] for joint in joints]
         self.links = [robot.links[joint][0] for joint in joints]
-        self.carriers = robot.carriers(joints[0])
         self.names = [*self.joint_names, *self.links]
+        self.carriers = robot.carriers(joints[0])
         steps = [*np.diff(robot.origins(joints), axis=0), self.tip[1]]
         self.length = lengths(np.array(steps)).sum()
 
