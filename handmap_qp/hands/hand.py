@@ -537,8 +537,7 @@ def _choose_point(spec: HandSpec, point: str | PointSpec, argument: str) -> Poin
     """Return the point of a name, or check one that the caller built."""
     _check_type(argument, point, str | PointSpec, "a name or a PointSpec")
     if isinstance(point, str):
-        named = {each.name: each for each in spec.points}
-        return _look_up(spec, "point", named, point)
+        return _look_up(spec, "point", {each.name: each for each in spec.points}, point)
     try:
         return check_point(point)
     except HandError as error:

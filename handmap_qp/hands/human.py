@@ -164,10 +164,9 @@ class HumanLengths:
             get_numbers(child_of(joints[c[0]], "origin"), "rpy", 3, "0 0 0")[0]
             for c in chains
         ]
-        segments = [[places[name][0] for name in chain[2:]] for chain in chains]
         return cls(
             np.array([places[chain[0]] for chain in chains]),
-            np.array(segments),
+            np.array([[places[name][0] for name in chain[2:]] for chain in chains]),
             np.array(rolls),
         )
 
@@ -304,8 +303,7 @@ def _palm_map(
 
     def follow(point: np.ndarray) -> np.ndarray:
         # Add the residual at the finger base, weighted linearly from wrist to base.
-        share = max(0.0, point @ base / (base @ base))
-        return scale * point + share * residual
+        return scale * point + max(0.0, point @ base / (base @ base)) * residual
 
     return follow
 
@@ -338,6 +336,5 @@ def _scale_shape(
         x, y, z = along = ends[1] - ends[0]
         set_numbers(primitive, length=np.linalg.norm(along))
         # Any rotation that lays the z axis on the new direction will do: a cylinder has no roll.
-        pitch = np.arctan2(np.hypot(x, y), z)
-        set_numbers(origin, rpy=[0.0, pitch, np.arctan2(y, x)])
+        set_numbers(origin, rpy=[0.0, np.arctan2(np.hypot(x, y), z), np.arctan2(y, x)])
     set_numbers(origin, xyz=moved)

@@ -234,8 +234,7 @@ def check_wrist(
     for (key, link), joint in zip(links, joints, strict=True):
         # All other joints hang from it or carry it.
         related = {*model.subtrees[joint], *model.supports[joint]}
-        is_trunk = len(related) == model.njoints
-        if not is_trunk or (mount == "floating" and joint != 1):
+        if len(related) < model.njoints or (mount == "floating" and joint != 1):
             message = (
                 f"{link!r} moves with joints of the hand; it must be fixed to the root"
             )

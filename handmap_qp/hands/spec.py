@@ -371,11 +371,7 @@ def _parse_yaml(text: str) -> Any:
 
 
 def read_yaml(path: Path) -> Any:
-    """Return the document in a file; do not change it.
-
-    Raises:
-        HandError: If the file cannot be read, or is not YAML.
-    """
+    """Return the document in a file, not to be changed; a `HandError` if it is not YAML."""
     try:
         text = path.read_text(encoding="utf-8")
     # ValueError: not UTF-8, or a null character in the path.

@@ -193,14 +193,12 @@ def link_names(robot: Element) -> list[str]:
     return [link.get("name", "") for link in robot.iterfind("link")]
 
 
-def joints_by_name(
-    robot: Element, kinds: Collection[str] = _KINDS
-) -> dict[str, Element]:
+def joints_by_name(robot: Element, of: Collection[str] = _KINDS) -> dict[str, Element]:
     """Return the joints of some types by their names, in the order of the file."""
     return {
         joint.get("name", ""): joint
         for joint in robot.iterfind("joint")
-        if joint.get("type") in kinds
+        if joint.get("type") in of
     }
 
 
