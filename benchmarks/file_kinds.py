@@ -28,7 +28,7 @@ from handmap_qp.hands.mjcf import convert_mjcf
 from handmap_qp.hands.sources import urdf_directory
 from handmap_qp.human.person import person_text, read_person
 from handmap_qp.human.recording import Recording
-from handmap_qp.mapping.presets import read_options
+from handmap_qp.mapping.options_file import read_options
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats import format_to_write, list_sources, read_recording
 from handmap_qp.trackers.layouts import LAYOUTS

@@ -21,6 +21,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import Person, read_person
 from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import (
     PRESETS,
     Choice,
@@ -28,7 +29,6 @@ from handmap_qp.mapping.presets import (
     known_options,
     preset_choice,
     preset_with,
-    read_options,
 )
 from handmap_qp.stream.follower import SMOOTH_IK
 from handmap_qp.stream.measurement import measure_person

@@ -12,15 +12,46 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, LARGEST_ROLL, HumanLengths
 from handmap_qp.hands.library import load_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import FIRST_JOINTS, PALM, check_length, human_name
+from handmap_qp.human.sample import (
+    FIRST_JOINTS,
+    LANDMARK_COUNT,
+    PALM,
+    expect_hand_length,
+    human_name,
+)
 from handmap_qp.ik.core import core
-from handmap_qp.se3 import frozen, lengths, rigid_fit, transform_points
+from handmap_qp.se3 import as_floats, frozen, lengths, rigid_fit, transform_points
 
 _BENT = math.sin(math.radians(15.0))
 """Sine of the angle between proximal bone and the line from PIP to tip, above which a finger spans
 a plane."""
 _FEWEST_BENT = 20
 """Bent samples that a finger's roll needs."""
+
+
+def check_length(landmarks: np.ndarray) -> np.ndarray:
+    """Reject landmarks that are not a plausible hand in metres.
+
+    Args:
+        landmarks: Of one sample or more [m], shape (T, 21, 3).
+
+    Returns:
+        Bone lengths, the median over the samples [m], shape (5, 3).
+
+    Raises:
+        InvalidInputError: On a wrong shape, anything but finite numbers, or a length outside
+            `HAND_LENGTHS`.
+    """
+    shape = ("T", LANDMARK_COUNT, 3)
+    landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
+    if core is not None:
+        segments, palm = core.bone_lengths(landmarks)
+    else:
+        bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
+        segments = np.median(bones, axis=0)
+        palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
+    expect_hand_length(float(palm + segments[2].sum()), "landmarks")
+    return segments
 
 
 def measure_hand(recording: Recording) -> HumanLengths:

@@ -18,8 +18,7 @@ from handmap_qp import ik
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec, Side
-from handmap_qp.ik.core import core
-from handmap_qp.se3 import as_floats, check_pose, frozen, lengths, transform_points
+from handmap_qp.se3 import as_floats, check_pose, frozen, transform_points
 
 LANDMARK_COUNT = 21
 """Landmarks of a hand: wrist; thumb CMC, MCP, IP, tip; of each finger MCP, PIP, DIP, tip."""
@@ -199,31 +198,6 @@ def human_name(side: Side) -> str:
     """
     check_side(side)
     return "human" if side == "right" else "human_left"
-
-
-def check_length(landmarks: np.ndarray) -> np.ndarray:
-    """Reject landmarks that are not a plausible hand in metres.
-
-    Args:
-        landmarks: Of one sample or more [m], shape (T, 21, 3).
-
-    Returns:
-        Bone lengths, the median over the samples [m], shape (5, 3).
-
-    Raises:
-        InvalidInputError: On a wrong shape, anything but finite numbers, or a length outside
-            `HAND_LENGTHS`.
-    """
-    shape = ("T", LANDMARK_COUNT, 3)
-    landmarks = as_floats(landmarks, "landmarks", shape=shape, is_finite=True)
-    if core is not None:
-        segments, palm = core.bone_lengths(landmarks)
-    else:
-        bones = lengths(np.diff(landmarks[:, 1:].reshape(-1, 5, 4, 3), axis=2))
-        segments = np.median(bones, axis=0)
-        palm = np.median(lengths(landmarks[:, 9] - landmarks[:, 0]))
-    expect_hand_length(float(palm + segments[2].sum()), "landmarks")
-    return segments
 
 
 def expect_hand_length(length: float, argument: str) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from handmap_qp.errors import InvalidOptionsError
-from handmap_qp.options import number
+from handmap_qp.mapping.method import MethodOptions
+from handmap_qp.options import number, text
 from handmap_qp.se3 import FARTHEST, affine, frozen
 
 Coordinate = Annotated[float, number("Finite.", -FARTHEST, FARTHEST)]
@@ -22,28 +23,37 @@ _ROTATIONS = {
 }
 
 
-def check_alignment(alignment: Any) -> None:
-    """Check that a matrix is a rotation.
+class AlignedOptions(MethodOptions, frozen=True):
+    """Base of methods whose robot moves as the human does in the world."""
 
-    Raises:
-        InvalidOptionsError: If it is none.
-    """
-    if isinstance(alignment, str):
-        return
-    rotation = np.array(alignment)
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
-        raise InvalidOptionsError(
-            option="alignment",
-            expected=f"{', '.join(_ROTATIONS)}, palm or a rotation of shape (3, 3)",
-            value=alignment,
-        )
-    if np.linalg.det(rotation) < 0.0:
-        raise InvalidOptionsError(
-            option="alignment",
-            problem="the matrix mirrors",
-            value=alignment,
-            advice="map a left hand with the URDF of a left hand",
-        )
+    alignment: Annotated[
+        Alignment,
+        text(
+            "Rotation from the human's world axes to the robot's. world: they agree (the paper). "
+            "y-up: the tracker's +y is up and its -z is forward, as of headsets; the robot's are "
+            "+z and +x. palm: lay the human's palm axes at the reference onto the robot's. Or a "
+            "rotation matrix."
+        ),
+    ] = "world"
+
+    def check(self) -> None:
+        """Reject a matrix that is no rotation; see `Options.check`."""
+        if isinstance(self.alignment, str):
+            return
+        rotation = np.array(self.alignment)
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-6:
+            raise InvalidOptionsError(
+                option="alignment",
+                expected=f"{', '.join(_ROTATIONS)}, palm or a rotation of shape (3, 3)",
+                value=self.alignment,
+            )
+        if np.linalg.det(rotation) < 0.0:
+            raise InvalidOptionsError(
+                option="alignment",
+                problem="the matrix mirrors",
+                value=self.alignment,
+                advice="map a left hand with the URDF of a left hand",
+            )
 
 
 def rotation_of(

@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from typing import (
     TYPE_CHECKING,
-    Annotated,
     Literal,
     NamedTuple,
     Protocol,
@@ -38,8 +37,7 @@ from handmap_qp.human.sample import Finding, Rule, Verdict
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import WRIST_LEVERS, IkResult, Status, wrist_error
 from handmap_qp.ik.tasks import Task
-from handmap_qp.mapping.alignment import Alignment, check_alignment
-from handmap_qp.options import Options, text
+from handmap_qp.options import Options
 from handmap_qp.se3 import lengths, transform_points
 
 if TYPE_CHECKING:
@@ -229,24 +227,6 @@ class MethodOptions(Options, frozen=True):
             option="method",
             problem=f"{type(self).__name__} has no `bind` for {robot.name}",
         )
-
-
-class AlignedOptions(MethodOptions, frozen=True):
-    """Base of methods whose robot moves as the human does in the world."""
-
-    alignment: Annotated[
-        Alignment,
-        text(
-            "Rotation from the human's world axes to the robot's. world: they agree (the paper). "
-            "y-up: the tracker's +y is up and its -z is forward, as of headsets; the robot's are "
-            "+z and +x. palm: lay the human's palm axes at the reference onto the robot's. Or a "
-            "rotation matrix."
-        ),
-    ] = "world"
-
-    def check(self) -> None:
-        """Reject options without a meaning; see `Options.check`."""
-        check_alignment(self.alignment)
 
 
 class Preset(NamedTuple):

@@ -10,8 +10,8 @@ import numpy as np
 from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
-from handmap_qp.mapping.alignment import in_robot_world, rotation_of
-from handmap_qp.mapping.method import AlignedOptions, HumanPose, RobotPosture
+from handmap_qp.mapping.alignment import AlignedOptions, in_robot_world, rotation_of
+from handmap_qp.mapping.method import HumanPose, RobotPosture
 from handmap_qp.se3 import affine, frozen, inverse_pose, transform_points
 
 if TYPE_CHECKING:

@@ -3,30 +3,17 @@
 Every module in `handmap_qp.mapping.methods` is a method with one or more presets (`PRESETS`); to be
 there is all that it takes. Other packages add theirs by entry points of the group
 `handmap_qp.presets`, each of which names a `Preset`.
-
-A YAML file of options, which `--options` reads and the view writes, has the names that
-`Choice.with_changes` and the service take: `preset`, and options of its method and of the QP.
-Options that are not in the file have the values of the preset.
-
-    preset: teleoperation
-    pinch_weight: 6.0
-    damping: 0.2
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from importlib import import_module
-from pathlib import Path
 from pkgutil import iter_modules
 from typing import Any, NamedTuple
 
-import msgspec
-import yaml
-
 from handmap_qp.errors import (
     HandmapError,
-    InvalidInputError,
     InvalidOptionsError,
     did_you_mean,
 )
@@ -184,48 +171,3 @@ def preset_choice(name: str, human: Hand | None = None) -> Choice:
     preset = get_preset(name)
     method = preset.method if human is None else preset.method.fitted_to(human)
     return Choice(name, method, preset.ik)
-
-
-def read_options(path: Path | str) -> dict[str, Any]:
-    """Read a file of options.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Values by name, as `Choice.with_changes` takes them. Their ranges are not checked here.
-
-    Raises:
-        InvalidInputError: If the file cannot be read, is not a table, or has an unknown name;
-            `argument` is then that name.
-    """
-    file = Path(path)
-    known = {"preset", *known_options()}
-    try:
-        table = msgspec.yaml.decode(file.read_bytes(), type=dict[Any, Any])
-    except OSError as error:
-        problem = f"{file}: cannot be read: {error.strerror or error}"
-        raise InvalidInputError(argument="options", problem=problem) from error
-    except (msgspec.MsgspecError, ValueError) as error:
-        problem = f"{file}: is not a table in YAML: {' '.join(str(error).split())}"
-        advice = "write lines such as `preset: teleoperation`"
-        raise InvalidInputError(problem, argument="options", advice=advice) from error
-    for name in map(str, table.keys() - known):
-        raise InvalidInputError(
-            argument=name,
-            problem=f"{file} has an unknown option",
-            advice=did_you_mean(name, known) or "see handmap map --help",
-        )
-    return table
-
-
-def options_text(choice: Choice, start: Choice | None = None) -> str:
-    """Return the text of a file with the options that differ from their preset's.
-
-    Args:
-        choice: Preset and options.
-        start: The preset with the values that need not be written; its own if omitted.
-    """
-    start = preset_choice(choice.preset) if start is None else start
-    changes = {"preset": choice.preset} | start.changes_to(choice)
-    return yaml.safe_dump(msgspec.to_builtins(changes), sort_keys=False)

@@ -12,7 +12,8 @@ import pytest
 from handmap_qp import cli, load_hand, load_layout, read_recording
 from handmap_qp.apps.datasets.manifest import read_manifests
 from handmap_qp.human.person import read_person
-from handmap_qp.mapping.presets import preset_choice, read_options
+from handmap_qp.mapping.options_file import read_options
+from handmap_qp.mapping.presets import preset_choice
 
 FOLDER = Path(__file__).parents[1] / "data" / "former"
 EXPECTED: dict[str, Any] = json.loads(

@@ -13,8 +13,8 @@ from handmap_qp.apps.datasets import measures
 from handmap_qp.apps.offline.look_ahead import map_hand
 from handmap_qp.human import contact_gap, sample
 from handmap_qp.human.contact_gap import smallest_gap
+from handmap_qp.human.measure import check_length
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import check_length
 from handmap_qp.ik import core as core_module
 from handmap_qp.stream.measurement import measure_person
 

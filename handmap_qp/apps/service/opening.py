@@ -32,15 +32,9 @@ from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
 from handmap_qp.hands.spec import Mount, Side, read_hand_spec
 from handmap_qp.human.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
-from handmap_qp.human.measure import measure_hand
+from handmap_qp.human.measure import check_length, measure_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import (
-    HumanSample,
-    PalmShape,
-    Rule,
-    check_length,
-    human_name,
-)
+from handmap_qp.human.sample import HumanSample, PalmShape, Rule, human_name
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.mapper import HandMapper, LandmarkReader

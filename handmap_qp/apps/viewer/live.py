@@ -13,7 +13,8 @@ from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.serving import run_frames
 from handmap_qp.errors import InvalidInputError
-from handmap_qp.mapping.presets import options_text, possible_presets
+from handmap_qp.mapping.options_file import options_text
+from handmap_qp.mapping.presets import possible_presets
 
 if TYPE_CHECKING:
     import viser

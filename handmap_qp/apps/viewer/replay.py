@@ -24,12 +24,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
-from handmap_qp.mapping.presets import (
-    Choice,
-    options_text,
-    possible_presets,
-    preset_choice,
-)
+from handmap_qp.mapping.options_file import options_text
+from handmap_qp.mapping.presets import Choice, possible_presets, preset_choice
 from handmap_qp.stream.follower import Follower
 
 if TYPE_CHECKING:

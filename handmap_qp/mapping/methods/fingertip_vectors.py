@@ -23,6 +23,7 @@ import numpy as np
 from handmap_qp.errors import InvalidOptionsError
 from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
+from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.hand_pair import (
     KNUCKLES,
     bone_lengths,
@@ -31,7 +32,6 @@ from handmap_qp.mapping.hand_pair import (
 )
 from handmap_qp.mapping.method import (
     FOLLOWING,
-    AlignedOptions,
     HumanPose,
     Preset,
     RobotPosture,

@@ -20,13 +20,17 @@ from handmap_qp.errors import InvalidInputError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.mapping.alignment import Row, in_robot_world, rotation_of
+from handmap_qp.mapping.alignment import (
+    AlignedOptions,
+    Row,
+    in_robot_world,
+    rotation_of,
+)
 from handmap_qp.mapping.decomposition import about, polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import require_partners
 from handmap_qp.mapping.method import (
     FOLLOWING,
-    AlignedOptions,
     Diagnostics,
     HumanPose,
     Preset,

@@ -38,9 +38,9 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS, THUMB
 from handmap_qp.ik.tasks import TaskRows
+from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.method import (
     FOLLOWING,
-    AlignedOptions,
     HumanPose,
     Preset,
     RobotPosture,

@@ -20,12 +20,12 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import CONTACT_GAP, FINGERS, THUMB
 from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
+from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.decomposition import polar
 from handmap_qp.mapping.estimation import MotionEstimate, MotionEstimator
 from handmap_qp.mapping.hand_pair import RobotFingers, finger_landmarks, hand_pair
 from handmap_qp.mapping.method import (
     FOLLOWING,
-    AlignedOptions,
     Diagnostics,
     HumanPose,
     Preset,

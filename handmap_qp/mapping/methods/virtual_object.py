@@ -37,9 +37,9 @@ import numpy as np
 from handmap_qp.errors import DegeneratePointsError, InvalidOptionsError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS
+from handmap_qp.mapping.alignment import AlignedOptions
 from handmap_qp.mapping.method import (
     FOLLOWING,
-    AlignedOptions,
     HumanPose,
     Preset,
     RobotPosture,
