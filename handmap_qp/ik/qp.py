@@ -399,7 +399,7 @@ class PointIk:
         targets, off = goal.points, 0.0
         if (on := carrier(self.options, goal)) is not None:
             targets = moved_along(self.configuration, targets, on)
-            error = wrist_error(self.configuration.wrist.homogeneous, goal.wrist)
+            error = wrist_error(self.configuration.wrist.homogeneous, on.homogeneous)
             off = (error * WRIST_LEVERS).max()
         return self._result(
             status, targets, total, lower, upper, iterations, last_step, off

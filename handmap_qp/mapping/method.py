@@ -256,14 +256,14 @@ StepStatus = Status | Literal["held", "gliding"]
 
 # A wrist this near its target has arrived [m].
 _ARRIVED = 1e-3
-ArmHeldBy = Literal["", "speed", "limit", "reach"]
-"""What keeps a wrist off its target: a joint's speed limit, its range, or that the arm is short."""
 
 
 def arm_held_by(
     hand: Hand, at_speed_limit: np.ndarray, at_limit: np.ndarray
 ) -> np.ndarray:
     """Return what keeps the wrist of an arm off its target, if it is off; shape (T,).
+
+    A joint's speed limit (`speed`) comes before a position limit (`limit`); else it is the `reach`.
 
     Args:
         hand: The hand on the arm.
@@ -466,8 +466,8 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         return wrist_error(self.command.wrist, self.wrist_target)
 
     @property
-    def arm_held_by(self) -> ArmHeldBy:
-        """What keeps the arm's wrist off its target; empty where it has arrived, or has no arm."""
+    def arm_held_by(self) -> str:
+        """What keeps the arm's wrist off its target (`arm_held_by`); empty if nothing does."""
         hand = self.ik.hand
         is_there = (self.wrist_error * WRIST_LEVERS).max() <= _ARRIVED
         if is_there or not hand.moves_wrist.any():

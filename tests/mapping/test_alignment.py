@@ -76,11 +76,11 @@ def test_a_turned_world_is_turned_back(
 def test_with_palm_it_does_not_matter_where_the_person_stands(
     preset: str, formulation: str
 ) -> None:
-    ways = [
+    here, elsewhere = (
         mapped(preset, "ur5_allegro", "palm", turn, formulation)
         for turn in (np.eye(3), TURN)
-    ]
-    np.testing.assert_allclose(*ways, atol=1e-6)
+    )
+    np.testing.assert_allclose(elsewhere, here, atol=1e-6)
 
 
 @pytest.mark.parametrize("preset", sorted({*OF_A_PALM} - {"fixed_wrist"}))

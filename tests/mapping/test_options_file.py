@@ -13,13 +13,8 @@ from hypothesis import strategies as st
 from handmap_qp import InvalidInputError, cli, load_hand
 from handmap_qp.apps.arguments import MappingArguments, QpFlags
 from handmap_qp.mapping.methods.homogeneous import MappingOptions
-from handmap_qp.mapping.presets import (
-    IK_NAMES,
-    PRESETS,
-    options_text,
-    preset_choice,
-    read_options,
-)
+from handmap_qp.mapping.options_file import options_text, read_options
+from handmap_qp.mapping.presets import IK_NAMES, PRESETS, preset_choice
 
 HUMAN, ROBOT = load_hand("human"), load_hand("allegro_right")
 

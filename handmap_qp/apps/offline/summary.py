@@ -36,7 +36,7 @@ def summarise(trajectory: Trajectory) -> Summary:
         mean RMS difference of bones and palm from the person's. `speed_limited_share` is the share
         of the followed samples in which a speed limit held a joint; `speed_limited_joints` has the
         joints held most often, with share and limit [rad/s or m/s]. `arm_out_of_reach` has the
-        share of samples, what holds the arm in them (`ArmHeldBy`), the largest error, the extent
+        share of samples, what holds the arm in them (`arm_held_by`), the largest error, the extent
         of the motion and a scale to try, of an arm that does not follow; None if it does.
     """
     seen = trajectory.valid
