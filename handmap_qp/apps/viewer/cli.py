@@ -16,8 +16,10 @@ from handmap_qp.apps import viewer
 from handmap_qp.apps.addresses import check_port
 from handmap_qp.apps.arguments import (
     InputArguments,
+    InputFlags,
     KeyFiles,
     MappingArguments,
+    MappingFlags,
     OpenSession,
     PersonFile,
     fit_side,
@@ -27,7 +29,7 @@ from handmap_qp.apps.arguments import (
 from handmap_qp.apps.viewer.live import LiveViewer
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
 from handmap_qp.apps.viewer.serving import run_frames, serving
-from handmap_qp.errors import InvalidInputError, did_you_mean, require
+from handmap_qp.errors import InvalidInputError, did_you_mean, expect, require
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.mapping.presets import possible_presets
 from handmap_qp.output_files import check_output, replaced_file
@@ -101,30 +103,24 @@ class View:
     host: str = "127.0.0.1"
     port: int = 8080
     open: bool = False
-    inputs: Annotated[InputArguments, tyro.conf.arg(name="")] = field(
-        default_factory=InputArguments
-    )
-    arguments: Annotated[MappingArguments, tyro.conf.arg(name="")] = field(
-        default_factory=MappingArguments
-    )
+    inputs: InputFlags = field(default_factory=InputArguments)
+    arguments: MappingFlags = field(default_factory=MappingArguments)
 
     def run(self) -> None:
         """Map the recording or connect to the service, and show it until interrupted."""
         # Check first: mapping takes a while.
         require("viser", "view")
         check_port("--port", self.port)
-        if (self.recording is None) == (self.live is None):
-            raise InvalidInputError(
-                problem="expected either a recording or --live HOST"
-            )
+        is_one = (self.recording is None) != (self.live is None)
+        expect(is_one, "", "either a recording or --live HOST")
         self._refuse_unused_options()
         if self.live is not None:
             self._show_live(self.live)
         elif self.recording is not None:
             if self.robot is None:
                 raise InvalidInputError(
+                    "missing",
                     argument="--robot",
-                    problem="missing",
                     advice="name a hand that `handmap hands list` prints",
                 )
             self._show_recording(self.recording, self.robot)
@@ -151,7 +147,7 @@ class View:
         for name, problem in problems.items():
             if name in given:
                 option = f"--{name.removeprefix('--')}"
-                raise InvalidInputError(argument=option, problem=problem)
+                raise InvalidInputError(problem, argument=option)
 
     def _show_recording(self, file: Path, robot: str) -> None:
         if self.html is not None:
@@ -210,15 +206,16 @@ class View:
         motion = fit_recording(recording, lengths=person.lengths)
         human = motion.human.with_points(self.arguments.human_points)
         names = possible_presets(human, robot)
-        if self.compare is not None and self.compare not in names:
-            raise InvalidInputError(
-                argument="--compare",
-                expected=f"one of {', '.join(names)}",
-                value=self.compare,
-                advice=did_you_mean(self.compare, names),
-            )
+        compared = self.compare
+        expect(
+            compared in (None, *names),
+            "--compare",
+            f"one of {', '.join(names)}",
+            value=compared,
+            advice=did_you_mean(compared or "", names),
+        )
         choice = self.arguments.preset_for(human, robot)
         replay = Replay(recording, motion, human, robot, choice)
-        if self.compare is not None:
-            replay.compare(replay.preset(self.compare))
+        if compared is not None:
+            replay.compare(replay.preset(compared))
         return replay

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -56,25 +57,22 @@ def say(handle: Any, said: str | HandmapError | None) -> None:
     handle.content = text
 
 
+@dataclass
 class _Control:
     """A viser control, whose changes by the user are taken once.
 
-    Args:
+    Attributes:
         handle: The viser control.
         to_shown: Converts a value to the handle's, which may be rounded or clipped.
         to_value: Converts the handle's value back.
     """
 
-    def __init__(
-        self,
-        handle: Any,
-        to_shown: Callable[[Any], Any] = lambda value: value,
-        to_value: Callable[[Any], Any] = lambda value: value,
-    ) -> None:
-        self.handle = handle
-        self._to_shown = to_shown
-        self._to_value = to_value
-        self._taken = handle.value
+    handle: Any
+    to_shown: Callable[[Any], Any] = lambda value: value
+    to_value: Callable[[Any], Any] = lambda value: value
+
+    def __post_init__(self) -> None:
+        self._taken = self.handle.value
 
     @property
     def is_changed(self) -> bool:
@@ -84,11 +82,11 @@ class _Control:
     def take(self) -> Any:
         """Return the value."""
         self._taken = self.handle.value
-        return self._to_value(self._taken)
+        return self.to_value(self._taken)
 
     def show(self, value: Any) -> None:
         """Show a value, except where the user has just changed the control."""
-        shown = self._to_shown(value)
+        shown = self.to_shown(value)
         if shown != self._taken:
             self.handle.value = self._taken = shown
 

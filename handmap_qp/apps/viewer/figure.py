@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterable
+from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -23,7 +24,12 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.human.sample import TIPS
 from handmap_qp.mapping.decomposition import polar
-from handmap_qp.se3 import inverse_pose, quat_wxyz_from_rotation, transform_points
+from handmap_qp.se3 import (
+    inverse_pose,
+    mirror_sign,
+    quat_wxyz_from_rotation,
+    transform_points,
+)
 from handmap_qp.trackers.hand_geometry import BONES, NEIGHBOURS
 
 if TYPE_CHECKING:
@@ -425,20 +431,23 @@ class HumanFigure(HandFigure):
         super().__init__(server, "human", hand, HUMAN_COLOUR)
         self.shape: Shape = "ellipsoid"
         self._label.text = "human"
-        spread = np.zeros((1, 3)) if points is None else points - points.mean(axis=0)
-        self._size = float(np.sqrt((spread**2).sum(axis=1).mean()))
-
-        def ball(name: str, colour: tuple[int, int, int], **look: Any) -> Any:
-            path = f"/human/{name}"
-            return server.scene.add_icosphere(
-                path, self._size, colour, cast_shadow=False, **look
-            )
-
+        variance = 0.0 if points is None else points.var(axis=0).sum()
+        self._size = float(np.sqrt(variance))
+        ball: Any = partial(
+            server.scene.add_icosphere, radius=self._size, cast_shadow=False
+        )
         self._ellipsoid = ball(
-            "ellipsoid", as_bytes(DEFORMATION_COLOUR), subdivisions=4, opacity=0.2
+            "/human/ellipsoid",
+            color=as_bytes(DEFORMATION_COLOUR),
+            subdivisions=4,
+            opacity=0.2,
         )
         self._ball = ball(
-            "ball", (150, 150, 160), subdivisions=2, wireframe=True, opacity=0.15
+            "/human/ball",
+            color=(150, 150, 160),
+            subdivisions=2,
+            wireframe=True,
+            opacity=0.15,
         )
         self._cube = _add_lines(
             server, "/human/cube", len(_EDGES), DEFORMATION_COLOUR, 2.5
@@ -475,9 +484,9 @@ class HumanFigure(HandFigure):
             # A rotation leaves the ball unchanged, so the rotation that T_def contains with
             # rigid_from="wrist" is not drawn.
             factors = polar(linear)
-            x, y, z = map(float, np.maximum(np.abs(factors.stretches), 1e-3))
-            self._ellipsoid.scale = x, y, z
-            axes = factors.axes * (1.0, 1.0, np.sign(np.linalg.det(factors.axes)))
+            scale = np.maximum(np.abs(factors.stretches), 1e-3)
+            self._ellipsoid.scale = tuple(scale.tolist())
+            axes = factors.axes * (1.0, 1.0, mirror_sign(factors.axes))
             self._ellipsoid.wxyz = quat_wxyz_from_rotation(axes)
         elif shape == "cube":
             corners = (self._size / np.sqrt(3.0) * (2.0 * _UNIT_BOX - 1.0)) @ linear.T

@@ -268,22 +268,19 @@ def gauge_row(sample: ViewSample) -> Row:
 
 
 class Plot(NamedTuple):
-    """Lines over time as HTML, with a mark at one instant.
+    """Lines over time as HTML, with a mark at one sample.
 
     Attributes:
         html: The plot; empty if there is nothing to show.
-        start: Time at its left end [s].
-        end: Time at its right end [s].
+        places: Where the samples are along the time axis [px], shape (n,).
     """
 
     html: str
-    start: float
-    end: float
+    places: np.ndarray
 
-    def at(self, time: float) -> str:
-        """Return the plot with its mark at a time [s]."""
-        share = (time - self.start) / (self.end - self.start)
-        return self.html.replace("_NOW_", f"{_PLOT[0] * share:.1f}")
+    def at(self, index: int) -> str:
+        """Return the plot with its mark at a sample."""
+        return self.html.replace("_NOW_", f"{self.places[index]:.1f}")
 
 
 def draw_plot(
@@ -306,9 +303,11 @@ def draw_plot(
     """
     time = time - time[0 if latest is None else -1]
     start, end = (0.0, max(time[-1], 1e-3)) if latest is None else (-latest, 0.0)
+    width, height = _PLOT
+    places = width * (time - start) / (end - start)
     values = np.minimum([line for _, _, line in lines], limit)
     if not np.isfinite(values).any():
-        return Plot("", start, end)
+        return Plot("", places)
     # Decimate: plot the maximum of each bin, at the time of its first sample.
     count = min(len(time), _MOST_POINTS)
     bins = np.linspace(0, len(time), count, endpoint=False).astype(int)
@@ -318,8 +317,7 @@ def draw_plot(
     top = decade * next(
         step for step in _STEPS if step * decade >= largest * (1 - 1e-9)
     )
-    width, height = _PLOT
-    x = width * (time[bins] - start) / (end - start)
+    x = places[bins]
     y = height * (1.0 - binned / top)
     parts = [
         f'<path d="M0 {height * (1 - share)}h{width}" stroke="#e6e8eb"/><text x="-4" '
@@ -340,7 +338,7 @@ def draw_plot(
         f'stroke-width="2"/></g></svg></div>'
     )
     entries = [(name, colour) for name, colour, _ in lines]
-    return Plot(html + legend(entries), start, end)
+    return Plot(html + legend(entries), places)
 
 
 def _path(x: np.ndarray, y: np.ndarray) -> str:
@@ -421,7 +419,6 @@ class Gauges:
         )
         note = f"median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}"
         self.timing_note.content = legend([(f"step [µs]: {note}", FIRST)])
-        self._time = time - time[0 if latest is None else -1]
 
     def draw(self, samples: Sequence[ViewSample], index: int) -> None:
         """Mark an instant in the plots and show its numbers and joints.
@@ -430,7 +427,7 @@ class Gauges:
             samples: One sample for each robot.
             index: Its index among those given to `set_rows`.
         """
-        self.error.content = self._error.at(self._time[index])
-        self.timing.content = self._timing.at(self._time[index])
+        self.error.content = self._error.at(index)
+        self.timing.content = self._timing.at(index)
         self.table.content = self._instant.table(samples)
         self.joints.content = self._instant.bars(samples)

@@ -26,6 +26,8 @@ from handmap_qp.hands.hand import Hand
 # Most samples per second in a page, and most gauges [1/s].
 _RATE = 30.0
 _GAUGES_RATE = 10.0
+_Instants = list[tuple[ViewSample, ...]]
+"""A sample of each robot, instant after instant."""
 
 
 def make_page(
@@ -61,9 +63,8 @@ def make_page(
             scene.draw(samples)
             shown = samples[0].time
         page = serializer.as_html()
-        view = scene.cameras.view
     body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), human)
-    head = _part("page_head.html").replace("__VIEW__", json.dumps(view))
+    head = _part("page_head.html").replace("__VIEW__", json.dumps(scene.cameras.view))
     page = page.replace(
         "<title>Viser</title>", f"<title>{escape(title)} - handmap view</title>", 1
     )
@@ -75,7 +76,7 @@ def make_page(
 def _body(
     title: str,
     variants: Sequence[Variant],
-    instants: Sequence[tuple[ViewSample, ...]],
+    instants: _Instants,
     human: Hand | None,
 ) -> str:
     """Return title, gauges and options."""
@@ -93,7 +94,7 @@ def _body(
         "__TITLE__": escape(title),
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": SCENE_LEGEND,
-        "__ERRORS__": error_plot(gauges.labels, rows).at(0.0),
+        "__ERRORS__": error_plot(gauges.labels, rows).at(0),
         "__OPTIONS__": "".join(map(_option_table, variants)),
         # Instants are much alike, so they are small when compressed.
         "__GAUGES__": base64.b64encode(
@@ -129,9 +130,7 @@ def _text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value or "none")
 
 
-def _at_rate(
-    instants: Sequence[tuple[ViewSample, ...]], rate: float
-) -> list[tuple[ViewSample, ...]]:
+def _at_rate(instants: _Instants, rate: float) -> _Instants:
     """Return the first instant, the last one, and at most `rate` a second between them."""
     chosen = [instants[0]]
     for samples in instants[1:]:

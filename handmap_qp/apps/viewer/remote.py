@@ -157,9 +157,9 @@ class ServiceSession:
                         and command.joint_names != self.robot.joint_names
                     ):
                         raise InvalidInputError(
-                            argument="--robot",
-                            problem=f"session {self.name} is of another hand than "
+                            f"session {self.name} is of another hand than "
                             f"{self.robot.name}, with the joints {', '.join(command.joint_names)}",
+                            argument="--robot",
                             value=self.robot.name,
                         )
                 if self.is_outdated:
@@ -266,8 +266,9 @@ class ServiceSession:
         q = np.array(command.q)
         wrist = command.wrist.matrix
         targets = np.array(detail["targets"])
-        landmarks = detail["landmarks"]
-        human_q, human_wrist = self._human_posture(detail)
+        seen = detail["landmarks"]
+        landmarks = None if seen is None else np.array(seen)
+        human_q, human_wrist = self._human_posture(detail, landmarks)
         # The last detail of a held robot may be of another method.
         has_targets = (
             len(targets) == len(self.robot.reference_points) and not self.is_released
@@ -277,7 +278,7 @@ class ServiceSession:
             human_q=human_q,
             human_wrist=human_wrist,
             human_points=np.array(detail["human_points"]),
-            landmarks=None if landmarks is None else np.array(landmarks),
+            landmarks=landmarks,
             robot_q=q,
             robot_wrist=wrist,
             robot_points=self.robot.points(
@@ -295,26 +296,24 @@ class ServiceSession:
         )
 
     def _human_posture(
-        self, detail: dict[str, Any]
+        self, detail: dict[str, Any], landmarks: np.ndarray | None
     ) -> tuple[np.ndarray | None, np.ndarray]:
         """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
-        q, wrist, landmarks = (
-            detail[name] for name in ("human_q", "human_wrist", "landmarks")
-        )
         if landmarks is not None and self._fitter is not None:
             with suppress(InvalidInputError):
-                return self._fitter.fit(np.array(landmarks))[:2]
-        if wrist is None:
+                return self._fitter.fit(landmarks)[:2]
+        if (wrist := detail["human_wrist"]) is None:
             # Estimate it by a rigid fit of the hand at rest.
             pose = rigid_fit(self._rest_points, np.array(detail["human_points"]))
         else:
             pose = msgspec.convert(wrist, Pose).matrix
+        q = detail["human_q"]
         return None if q is None else np.array(q), pose
 
     def _error(self, problem: str, advice: str = "") -> InvalidInputError:
         return InvalidInputError(
+            f"{self._host}: {problem}",
             argument="--live",
-            problem=f"{self._host}: {problem}",
             value=self._host,
             advice=advice,
         )

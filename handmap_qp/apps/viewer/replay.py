@@ -67,8 +67,7 @@ class Replay:
     ) -> None:
         if not motion.valid.any():
             raise InvalidInputError(
-                argument="motion",
-                problem="no sample is valid, there is nothing to show",
+                "no sample is valid, there is nothing to show", argument="motion"
             )
         self.human = human
         self.time = motion.time - motion.time[0]

@@ -143,10 +143,8 @@ class HandScene:
                 figure.draw(sample)
                 if (centre := figure.centre(sample)) is None:
                     continue
-                middle = figure.axes @ centre
-                if not is_pinned:
-                    middle = figure.travel.mean(axis=0)
-                figure.place(middle, low)
+                travel = figure.travel.mean(axis=0)
+                figure.place(figure.axes @ centre if is_pinned else travel, low)
                 tips = figure.tips(sample) if self.display.has_trails else None
                 if tips is not None:
                     figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
