@@ -70,17 +70,17 @@ class Target:
         """
         if self.to is None and self.record is None:
             raise InvalidInputError(
-                problem="expected --to HOST, --record FILE.npz or both",
+                "expected --to HOST, --record FILE.npz or both",
                 advice="samples need a place to go",
             )
         if self.to is None:
             for name in ("robot", "session", "preset", "person", "keys"):
                 if getattr(self, name) is not None:
-                    raise InvalidInputError(argument=f"--{name}", problem="needs --to")
+                    raise InvalidInputError("needs --to", argument=f"--{name}")
         elif self.robot is None:
             raise InvalidInputError(
+                "missing",
                 argument="--robot",
-                problem="missing",
                 advice="name a hand that `handmap hands` lists",
             )
 
@@ -109,8 +109,12 @@ class Target:
         summary = _lead(source, sinks, is_json=self.json)
         if summary.get("refusals") and not summary["accepted"]:
             raise InvalidInputError(
-                problem=f"the service refused every sample: {summary['last_refusal']}"
+                f"the service refused every sample: {summary['last_refusal']}"
             )
+
+
+TargetFlags = Annotated[Target, tyro.conf.arg(name="")]
+"""Where the samples of a command go."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +135,7 @@ class TrackReplay:
     recording: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RECORDING")]]
     speed: float = 1.0
     loop: bool = False
-    target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
+    target: TargetFlags = field(default_factory=Target)
 
     def run(self) -> None:
         """Replay the recording until its end or Ctrl-C."""
@@ -169,7 +173,7 @@ class TrackMediapipe:
     mirrored: bool = False
     fov: float = 65.0
     install: bool = False
-    target: Annotated[Target, tyro.conf.arg(name="")] = field(default_factory=Target)
+    target: TargetFlags = field(default_factory=Target)
 
     def run(self) -> None:
         """Track until the video ends or Ctrl-C."""

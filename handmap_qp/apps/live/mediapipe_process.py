@@ -94,45 +94,37 @@ class HandTracker:
             result.multi_hand_world_landmarks or (),
             strict=True,
         )
+        height, width = pixels.shape[:2]
+        focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._fov))
+        centre = (0.5 * width, 0.5 * height)
         best: dict[str, Any] = {}
         for named, image, world in hands:
             kind = named.classification[0]
             confidence = min(1.0, kind.score)
             is_ours = _OTHER.get(kind.label) == self._side
             if is_ours and confidence > best.get("confidence", -1.0):
-                place = self._place(_rows(world), _rows(image), pixels.shape)
-                best = {"landmarks": place.tolist(), "confidence": confidence}
+                shape = _rows(world)
+                places = _rows(image)[:, :2] * (width, height)
+                position = position_in_camera(shape, places, focal_length, centre)
+                landmarks = ((shape + position) * _UPRIGHT).tolist()
+                best = {"landmarks": landmarks, "confidence": confidence}
         return best
-
-    def _place(
-        self, shape: np.ndarray, image: np.ndarray, size: tuple[int, ...]
-    ) -> np.ndarray:
-        height, width = size[:2]
-        focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._fov))
-        places = image[:, :2] * (width, height)
-        centre = (0.5 * width, 0.5 * height)
-        position = position_in_camera(shape, places, focal_length, centre)
-        return (shape + position) * _UPRIGHT
 
 
 def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]]:
     """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
     import cv2
 
-    source = str(arguments.video)
-    name = f"video {arguments.video}"
-    patience = 0
-    if not (is_file := arguments.video is not None):
-        source = arguments.camera
-        patience = _LOST
-        name = f"camera {source}"
+    is_file = arguments.video is not None
+    source = str(arguments.video) if is_file else arguments.camera
+    name = f"{'video' if is_file else 'camera'} {source}"
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         _stop(f"{name} cannot be read")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
     start = time.monotonic()
     count = 0
-    for count, picture in enumerate(_read(capture, patience), start=1):
+    for count, picture in enumerate(_read(capture, 0 if is_file else _LOST), start=1):
         stamp = start + (count - 1) / rate if is_file else time.monotonic()
         time.sleep(max(0.0, stamp - time.monotonic()) * arguments.paced)
         pixels = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)

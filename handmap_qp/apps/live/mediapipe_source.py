@@ -52,7 +52,7 @@ def environment_python() -> Path:
     python = environment_folder() / "bin" / "python"
     if not python.exists():
         raise InvalidInputError(
-            problem=f"MediaPipe is not installed in {environment_folder()}",
+            f"MediaPipe is not installed in {environment_folder()}",
             advice="install it once (1 GB) by handmap track mediapipe --install",
         )
     return python
@@ -105,7 +105,7 @@ def _run(command: list[str], problem: str) -> None:
         lines = (done.stderr.strip() or done.stdout.strip() or problem).splitlines()
         errors = [line for line in lines if line.startswith("ERROR:")]
         raise InvalidInputError(
-            argument="--install", problem=f"{problem}: {(errors or lines)[-1]}"
+            f"{problem}: {(errors or lines)[-1]}", argument="--install"
         )
 
 
@@ -186,5 +186,6 @@ class MediapipeSource:
         lines = ["MediaPipe ended without a message", *messages]
         name = "mediapipe_process: "
         text = ([line for line in lines if line.startswith(name)] or lines)[-1]
-        problem = text.removeprefix(name).strip()
-        return InvalidInputError(argument=self._argument, problem=problem)
+        return InvalidInputError(
+            text.removeprefix(name).strip(), argument=self._argument
+        )

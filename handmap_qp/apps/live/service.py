@@ -197,8 +197,8 @@ class ServiceSource:
             self.name = only_session(self._client, session)
             if not self.name:
                 raise InvalidInputError(
+                    f"no session is open at {address}",
                     argument="--from",
-                    problem=f"no session is open at {address}",
                     advice="start a client that opens one, such as handmap track replay",
                 )
             about: dict[str, Any] = self._client.watch(self.name).about or {}

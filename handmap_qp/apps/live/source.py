@@ -181,8 +181,8 @@ class Recorder:
                 # The exception of the source comes before the complaint that nothing was seen.
                 return
             raise InvalidInputError(
+                f"the hand was not seen in any of {len(samples)} samples",
                 argument=self._argument,
-                problem=f"the hand was not seen in any of {len(samples)} samples",
                 advice="nothing was written",
             )
         columns: dict[str, Any] = {
