@@ -290,12 +290,12 @@ def save_contact_sheet(
 
 
 def _pictures(
-    solids: Sequence[Triangles],
+    solids: list[Triangles],
     side: Side,
     background: float,
 ) -> np.ndarray:
     """Render solids at one scale, shape (solids, views, height, width, 3)."""
-    points = merged([*solids]).vertices.reshape(-1, 3)
+    points = merged(solids).vertices.reshape(-1, 3)
     cameras = [
         Camera.framing(
             points,

@@ -153,7 +153,7 @@ def spheres(
     Raises:
         MissingExtraError: If trimesh is not installed.
     """
-    ball = require("trimesh", "plot").creation.icosphere(subdivisions=3, radius=1.0)
+    ball = require("trimesh", "plot").creation.icosphere()
     corners = np.asarray(ball.vertices)[ball.faces]
     places = np.asarray(centres, dtype=float).reshape(-1, 1, 1, 3)
     vertices = (places + radius * corners).reshape(-1, 3, 3)
@@ -276,9 +276,7 @@ def save_picture(figure: Figure, path: Path, **settings: Any) -> None:
         figure.savefig(path, **settings)
     except (OSError, ValueError) as error:
         raise InvalidInputError(
-            argument="--picture",
-            problem=f"cannot write {path}: {error}",
-            value=str(path),
+            f"cannot write {path}: {error}", argument="--picture", value=str(path)
         ) from error
 
 
@@ -292,7 +290,7 @@ def _drawn(meshes: list[Any], colour: Colour) -> Triangles:
     trimesh = require("trimesh", "plot")
     bare = [trimesh.Trimesh(mesh.vertices, mesh.faces) for mesh in meshes]
     mesh = trimesh.util.concatenate(bare)
-    mesh.merge_vertices(merge_norm=True, merge_tex=True)
+    mesh.merge_vertices()
     coarse = trimesh.Trimesh(*_simplified(mesh.vertices, mesh.faces), process=False)
     is_closed = mesh.is_watertight and mesh.is_winding_consistent
     if not is_closed or mesh.volume < 0.0:
@@ -318,7 +316,7 @@ def _simplified(
         coarse = cell_of[faces]
         coarse = coarse[(coarse != np.roll(coarse, 1, axis=1)).all(axis=1)]
         cells = int(0.85 * cells)
-    counts = np.maximum(np.bincount(cell_of), 1)
+    counts = np.bincount(cell_of)
     means = np.column_stack(
         [np.bincount(cell_of, weights) / counts for weights in vertices.T]
     )

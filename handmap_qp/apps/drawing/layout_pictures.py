@@ -72,9 +72,7 @@ def _draw_side(
     places = transform_points(UPRIGHT, points)
     directions = _wrist_axes(layout, side)
     ends = transform_points(UPRIGHT, _AXIS_LENGTH * directions)
-    around = np.concatenate(
-        [solid.vertices.reshape(-1, 3), places, ends, np.zeros((1, 3))]
-    )
+    around = np.vstack([solid.vertices.reshape(-1, 3), places, ends, np.zeros(3)])
     camera = Camera.framing(around, _PANEL, azimuth=90.0, elevation=14.0, margin=0.07)
     draw_hands(axes, solid, camera)
     shown = camera.project(places)[:, :2]
@@ -119,8 +117,7 @@ def _draw_axes(
         axes.annotate("", xy=(x, y), xytext=origin, arrowprops=arrow, zorder=4)
         sides = {1.0: " (out of the back)", -1.0: " (out of the palm)"}
         text = name + sides.get(direction[2].round(6), "")
-        style = {"fontsize": 9, "color": colour, "zorder": 6, **_halo()}
-        axes.text(x + 5, y + 11, text, **style)
+        axes.text(x + 5, y + 11, text, fontsize=9, color=colour, zorder=6, **_halo())
 
 
 def _halo() -> dict[str, Any]:

@@ -158,10 +158,12 @@ class Camera(NamedTuple):
 class _Surface(NamedTuple):
     """Result of the z-buffer: the k covered pixels, and the triangle in front at each.
 
-    `shares` (k, 3) are the barycentric coordinates of the pixels' centres in their triangles.
+    `centres` (k, 3) are the pixels' centres as x, y and 1, and `shares` (k, 3) their barycentric
+    coordinates in the triangles.
     """
 
     pixels: np.ndarray
+    centres: np.ndarray
     triangle: np.ndarray
     shares: np.ndarray
     depth: np.ndarray
@@ -196,10 +198,11 @@ def render(
     """
     fine = camera.magnified(supersampling)
     solid = _rasterise(triangles.vertices, fine)
-    picture = _shaded(triangles, solid, fine, has_creases=True)
+    picture = _shaded(triangles, solid, fine)
+    picture[..., :3] *= 1.0 - _CREASE_DEPTH * _creases(solid.depth, fine)[..., None]
     if marks is not None:
         surface = _rasterise(marks.vertices, fine)
-        shaded = _shaded(marks, surface, fine, has_creases=False)
+        shaded = _shaded(marks, surface, fine)
         is_hidden = surface.depth > solid.depth
         opacity = np.where(is_hidden, _HIDDEN_MARK_OPACITY, 1.0) * shaded[..., 3]
         picture += opacity[..., None] * (shaded - picture)
@@ -263,7 +266,7 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     shares = np.einsum("kcj,kj->kc", planes[owner], centres)
     depth = np.full(width * height, np.inf)
     depth[pixels] = 1.0 / np.maximum((shares * inverse[owner]).sum(axis=1), 1e-9)
-    return _Surface(pixels, seen[owner], shares, depth.reshape(height, width))
+    return _Surface(pixels, centres, seen[owner], shares, depth.reshape(height, width))
 
 
 def _centres(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -271,13 +274,7 @@ def _centres(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.column_stack([x + 0.5, y + 0.5, np.ones(len(x))])
 
 
-def _shaded(
-    triangles: Triangles,
-    surface: _Surface,
-    camera: Camera,
-    *,
-    has_creases: bool,
-) -> np.ndarray:
+def _shaded(triangles: Triangles, surface: _Surface, camera: Camera) -> np.ndarray:
     """Return linear light and opacity at every pixel, shape (height, width, 4)."""
     width, height = camera.size
     picture = np.zeros((height * width, 4))
@@ -286,8 +283,7 @@ def _shaded(
     rotation = camera.world_to_camera[:3, :3]
     corners = triangles.normals[triangle] @ rotation.T
     normals = unit(np.einsum("kc,kcj->kj", surface.shares, corners))
-    centres = _centres(pixels % width, pixels // width)
-    rays = centres - (*camera.centre, 1.0 - camera.focal_length)
+    rays = surface.centres - (*camera.centre, 1.0 - camera.focal_length)
     light = _GROUND + (_SKY - _GROUND) * 0.5 * (1.0 + normals @ rotation[:, 2])
     # Wrapped diffuse lighting: softens the terminator, as on skin.
     light += _KEY * np.maximum((normals @ _KEY_DIRECTION + 0.2) / 1.2, 0.0)
@@ -296,9 +292,6 @@ def _shaded(
     shine = np.maximum((normals * halfway).sum(axis=1), 0.0)
     albedo = _DARKEST + (1.0 - _DARKEST) * triangles.colours[triangle] ** 2.2
     colours = albedo * light[:, None] + _HIGHLIGHT * shine[:, None] ** 40
-    if has_creases:
-        hollow = _creases(surface.depth, camera).reshape(-1, 1)[pixels]
-        colours *= 1.0 - _CREASE_DEPTH * hollow
     picture[pixels, :3] = colours
     picture[pixels, 3] = 1.0
     return picture.reshape(height, width, 4)
