@@ -16,6 +16,7 @@ from handmap_qp.apps.simulation.commands import chosen_methods, find_pinch, map_
 from handmap_qp.apps.simulation.physics import Physics, parse_object
 from handmap_qp.apps.simulation.pictures import film, picture, write_page
 from handmap_qp.apps.simulation.pinch import (
+    Objects,
     PinchOutcome,
     PinchScene,
     PinchTrial,
@@ -85,7 +86,7 @@ class Simulate:
     stiffness: float = 3.0
     up: Up = "y"
     trials: int = 0
-    objects: Literal["nominal", "varied"] = "varied"
+    objects: Objects = "varied"
     seed: int = 0
     out: Annotated[Path | None, hinted("FILE.npz")] = None
     picture: Annotated[Path | None, hinted("FILE.png")] = None
@@ -103,8 +104,11 @@ class Simulate:
         outcomes = self._simulate(trials)
         found: dict[str, Any] = {"robot": self.robot, "seed": self.seed}
         if self.trials:
-            found["rows"] = [trial_row(name, made) for name, made in outcomes.items()]
-            found["trials"] = _described(trials, outcomes)
+            found["rows"] = list(map(trial_row, outcomes, outcomes.values()))
+            found["trials"] = drawn = []
+            for i, trial in enumerate(trials):
+                held = [name for name, made in outcomes.items() if made[i].is_held]
+                drawn.append(describe_trial(trial) | {"held": held})
         else:
             found["rows"] = [
                 outcome_row(name, made[0]) for name, made in outcomes.items()
@@ -178,14 +182,3 @@ class Simulate:
             film(episode, up, self.film)
         if self.html is not None:
             write_page(self.html, episodes, up, f"{self.robot}, simulated")
-
-
-def _described(
-    trials: list[PinchTrial], outcomes: dict[str, list[PinchOutcome]]
-) -> list[dict[str, Any]]:
-    """Describe every trial by plain values, with the mappings that held its object."""
-    described = []
-    for i, trial in enumerate(trials):
-        held = [name for name, made in outcomes.items() if made[i].is_held]
-        described.append(describe_trial(trial) | {"held": held})
-    return described

@@ -109,7 +109,7 @@ def find_pinch(recording: Recording) -> PinchWindow:
     length, closed, end = max(pinches)
     if length < _SHORTEST:
         raise InvalidInputError(
+            f"no pinch of thumb and index finger of {_SHORTEST:g} s",
             argument=recording.name,
-            problem=f"no pinch of thumb and index finger of {_SHORTEST:g} s",
         )
     return PinchWindow(int(np.searchsorted(time, time[closed] - _BEFORE)), closed, end)

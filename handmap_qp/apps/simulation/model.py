@@ -23,7 +23,7 @@ from handmap_qp.apps.simulation.physics import (
 )
 from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.hand import Hand
-from handmap_qp.se3 import quat_wxyz_from_rotation
+from handmap_qp.se3 import mirror_sign, quat_wxyz_from_rotation
 
 OBJECT = "/object"
 WRIST = "/wrist"
@@ -78,24 +78,19 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
     spec = _empty_spec(physics)
     bodies = _add_hand(spec, hand)
     for part in geometry.geometryObjects:
-        shape = _shape(spec, part.geometry) | _placed(part.placement)
-        bodies[part.parentJoint].add_geom(**shape, **_HAND)
+        bodies[part.parentJoint].add_geom(
+            **_shape(spec, part.geometry), **_placed(part.placement), **_HAND
+        )
     held = spec.worldbody.add_body(name=OBJECT)
     held.add_freejoint(name=OBJECT)
-    shape = _shape(spec, body.shape)
-    held.add_geom(name=OBJECT, mass=body.mass, **shape, **_HELD)
+    held.add_geom(name=OBJECT, mass=body.mass, **_shape(spec, body.shape), **_HELD)
     _couple_followers(spec, hand)
     # A spring with critical damping for each joint of the hand, and of its arm.
     for name in hand.joint_names:
-        is_arm = name not in hand.spec.joints
-        actuator = spec.add_actuator(
-            name=name,
-            target=name,
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-        )
-        actuator.set_to_position(
-            kp=_ARM_STIFFNESS if is_arm else physics.joint_stiffness
-        )
+        is_own = name in hand.spec.joints
+        spec.add_actuator(
+            name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
+        ).set_to_position(kp=physics.joint_stiffness if is_own else _ARM_STIFFNESS)
     model = spec.compile()
     # Critical for the inertia at each joint alone; that of MuJoCo's own ratio is less.
     inertia = model.dof_M0[model.jnt_dofadr[model.actuator_trnid[:, 0]]]
@@ -145,8 +140,8 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
                 type=kinds.mjJNT_SLIDE if is_slide else kinds.mjJNT_HINGE,
                 axis=linear if is_slide else angular,
             )
-            limits = model.lowerPositionLimit, model.upperPositionLimit
-            ends = [limit[joint.idx_q] for limit in limits]
+            i = joint.idx_q
+            ends = [model.lowerPositionLimit[i], model.upperPositionLimit[i]]
             if np.abs(ends).max() < _UNLIMITED:
                 made.limited = mujoco.mjtLimited.mjLIMITED_TRUE
                 made.range = ends
@@ -164,7 +159,7 @@ def _set_inertia(
 ) -> None:
     """Set an inertia, raised to the least that simulates well."""
     values, axes = np.linalg.eigh(inertia.inertia)
-    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    axes[:, 0] *= mirror_sign(axes)
     values = np.maximum(values, least)
     # MuJoCo asks for the triangle inequality, which rounded URDFs miss.
     values[2] = min(values[2], values[0] + values[1])

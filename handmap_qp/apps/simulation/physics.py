@@ -162,7 +162,7 @@ def parse_object(text: str) -> Shape | MeshShape:
             return Box((x, y, z))
         case "cylinder", diameter, length:
             return Cylinder(diameter / 2.0, length)
-        case (("box" | "sphere" | "cylinder"), size):
+        case _, size if kind in KINDS:
             return named_shape(kind, size)
     expect(
         Path(text).is_file(),
@@ -184,7 +184,7 @@ def surface(shape: Shape | MeshShape) -> Any:
         case Box():
             return trimesh.creation.box(extents=shape.size)
         case Sphere():
-            return trimesh.creation.icosphere(subdivisions=3, radius=shape.radius)
+            return trimesh.creation.icosphere(radius=shape.radius)
         case Cylinder():
             return trimesh.creation.cylinder(shape.radius, shape.length, sections=40)
     return trimesh.Trimesh(shape.points).convex_hull
@@ -197,7 +197,7 @@ def _mesh(file: Path) -> MeshShape:
     # Mesh readers raise many types.
     except Exception as error:
         raise InvalidInputError(
-            argument="--object", problem=f"{file}: cannot be read as a mesh ({error})"
+            f"{file}: cannot be read as a mesh ({error})", argument="--object"
         ) from error
     return MeshShape(hull.vertices - hull.center_mass)
 

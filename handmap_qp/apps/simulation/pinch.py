@@ -174,10 +174,11 @@ class Meeting(NamedTuple):
     places: np.ndarray
 
 
+@dataclass(eq=False)
 class PinchScene:
     """A robot that follows a recorded pinch, and objects for it.
 
-    Args:
+    Attributes:
         commands: Commands of the mapping for the whole recording.
         window: When the human pinches.
         physics: Actuators, gravity and time steps; the friction is that of each trial.
@@ -187,13 +188,12 @@ class PinchScene:
         HandError: If the hand has no collision shapes.
     """
 
-    def __init__(
-        self, commands: Commands, window: PinchWindow, physics: Physics
-    ) -> None:
-        self.commands = commands
-        self.window = window
-        self.physics = physics
-        self.pads = Pads(commands.hand)
+    commands: Commands
+    window: PinchWindow
+    physics: Physics
+
+    def __post_init__(self) -> None:
+        self.pads = Pads(self.commands.hand)
 
     def run(self, trial: PinchTrial) -> PinchOutcome:
         """Simulate one trial.

@@ -123,8 +123,8 @@ class Simulator:
         self.model = build_model(hand, body, self.physics)
         self.data = mujoco.MjData(self.model)
         self.target: tuple[np.ndarray, np.ndarray | None] = (hand.rest, None)
-        joints = [self.model.joint(name) for name in hand.joint_names]
-        self._places = np.array([joint.qposadr[0] for joint in joints])
+        # The actuators are in the order of the joints' names.
+        self._places = self.model.jnt_qposadr[self.model.actuator_trnid[:, 0]]
 
     @property
     def time(self) -> float:
@@ -243,7 +243,7 @@ class Simulator:
         model = self.model
         data = self.data
         contact = data.contact
-        is_object = data.contact.geom == model.geom(OBJECT).id
+        is_object = contact.geom == model.geom(OBJECT).id
         rows = np.flatnonzero(is_object.any(axis=1) & (contact.efc_address >= 0))
         forces = np.zeros((len(rows), 6))
         for row, force in zip(rows, forces, strict=True):
