@@ -176,13 +176,11 @@ def contact_sheet(
     """
     pictures = pose_pictures(columns, rows, side=side)
     width, height = CELL
-    count, wide = pictures.shape[:2]
-    bottom = _TOP + count * height
     span = len(VIEWS) * width
-    canvas = np.ones((bottom + _BOTTOM, _LEFT + wide * span, 3))
-    canvas[_TOP:bottom, _LEFT:] = np.moveaxis(pictures, 3, 1).reshape(
-        count * height, -1, 3
-    )
+    sheet = np.moveaxis(pictures, 3, 1).reshape(len(rows) * height, -1, 3)
+    margins = (_TOP, _BOTTOM), (_LEFT, 0), (0, 0)
+    canvas = np.pad(sheet, margins, constant_values=1.0)
+    bottom = _TOP + len(sheet)
     canvas[_TOP - 1 : bottom : height] = _RULE
     canvas[_TOP - 1 : bottom, _LEFT::span] = _RULE
     height, width = canvas.shape[:2]
@@ -240,8 +238,9 @@ def pose_pictures(
             f"joint angles of {len(columns)} columns",
             got=str(len(row.q)),
         )
-    humans = [_human_triangles(row.landmarks) for row in rows]
-    human = _pictures(humans, side, _HUMAN_BACKGROUND)
+    human = _pictures(
+        [_human_triangles(row.landmarks) for row in rows], side, _HUMAN_BACKGROUND
+    )
     pictures = np.stack([human] * (1 + len(columns)))
     # Columns of the same hand have the same scale.
     for hand in {id(hand): hand for _, hand in columns}.values():
@@ -317,12 +316,13 @@ def _human_triangles(landmarks: np.ndarray) -> Triangles:
     bones = [(pair, _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
     for tip, colour in zip(TIPS, FINGER_COLOURS.values(), strict=True):
         bones += [((i, i + 1), _BONE, colour) for i in range(tip - 3, tip)]
-        joints = spheres(points[tip - 2 : tip], _JOINT, colour)
-        parts += [joints, spheres(points[tip], _TIP, colour)]
+        parts.append(spheres(points[tip - 2 : tip], _JOINT, colour))
+        parts.append(spheres(points[tip], _TIP, colour))
     for pair, radius, colour in bones:
+        ends = points[[*pair]]
         # Landmarks that coincide have no bone between them.
-        if lengths(np.subtract(*points[[*pair]])) > 1e-5:
-            parts.append(tube(points[[*pair]], radius, colour))
+        if lengths(np.subtract(*ends)) > 1e-5:
+            parts.append(tube(ends, radius, colour))
     return merged(parts)
 
 
@@ -336,17 +336,20 @@ def _faces(points: np.ndarray) -> Triangles:
 
 
 def _coloured(shape: HandShape) -> HandShape:
-    """The same shape without an arm, grey, with every finger's links in the finger's colour."""
+    """The same shape without an arm, grey, with every finger's links in the finger's colour.
+
+    A link moves with the finger whose points alone lie on or beyond its joint.
+    """
+    hand = shape.hand
     links = {}
     for link, solid in shape.without_arm().links.items():
-        colour = FINGER_COLOURS.get(_finger_of(shape.hand, link), _ROBOT_COLOUR)
+        carried = hand.model.subtrees[carrier_of(hand, link)]
+        beyond = {
+            point.finger or ""
+            for point in hand.spec.points
+            if carrier_of(hand, point.link) in carried
+        }
+        finger = beyond.pop() if len(beyond) == 1 else ""
+        colour = FINGER_COLOURS.get(finger, _ROBOT_COLOUR)
         links[link] = Triangles.painted(solid.vertices, solid.normals, colour)
-    return HandShape(shape.hand, links)
-
-
-def _finger_of(hand: Hand, link: str) -> str:
-    """The finger that a link moves with: the one whose points alone lie on or beyond its joint."""
-    carried = hand.model.subtrees[carrier_of(hand, link)]
-    points = hand.spec.points
-    beyond = {p.finger or "" for p in points if carrier_of(hand, p.link) in carried}
-    return beyond.pop() if len(beyond) == 1 else ""
+    return HandShape(hand, links)

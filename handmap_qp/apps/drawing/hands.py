@@ -312,7 +312,6 @@ def _simplified(
     while len(coarse) > _MAX_MESH_TRIANGLES and cells > 8:
         grid = np.floor(places * cells).astype(np.int64)
         _, cell_of = np.unique(grid, axis=0, return_inverse=True)
-        cell_of = cell_of.reshape(-1)
         coarse = cell_of[faces]
         coarse = coarse[(coarse != np.roll(coarse, 1, axis=1)).all(axis=1)]
         cells = int(0.85 * cells)

@@ -36,6 +36,8 @@ _AXIS_LENGTH = 0.045  # m
 _SPREADS = (0.75, 0.16, 0.02, -0.12, -0.28)
 # Joints of the forearm that lie farther from the wrist are left out [m].
 _FARTHEST = 0.12
+_Entries = tuple[np.ndarray, list[str], np.ndarray]
+"""Places [m], indices as text, and whether they are landmarks."""
 
 
 def save_layout_picture(layout: Layout, path: Path) -> None:
@@ -139,8 +141,8 @@ def _entries(
     layout: Layout,
     human: Hand,
     q: np.ndarray,
-) -> tuple[np.ndarray, list[str], np.ndarray]:
-    """Return places [m], indices as text, and whether they are landmarks."""
+) -> _Entries:
+    """Return what the layout shows on a hand."""
     if isinstance(layout, AngleLayout):
         return _angle_entries(layout, human.points(q))
     if not isinstance(layout, PointLayout | MarkerLayout):
@@ -163,9 +165,7 @@ def _entries(
     return places[shown], [*map(str, shown)], is_used[shown]
 
 
-def _angle_entries(
-    layout: AngleLayout, landmarks: np.ndarray
-) -> tuple[np.ndarray, list[str], np.ndarray]:
+def _angle_entries(layout: AngleLayout, landmarks: np.ndarray) -> _Entries:
     """Return the joints that angles turn, two of which share the first place of a finger."""
     texts: dict[int, str] = {}
     for i, entry in enumerate(layout.table.angles):

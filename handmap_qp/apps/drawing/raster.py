@@ -225,12 +225,9 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     flat[..., 2] = 1.0
     planes = np.cross(np.roll(flat, -1, axis=1), np.roll(flat, 1, axis=1))
     area = planes[..., 2].sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        planes /= area[:, None, None]
     # y points down, so a counter-clockwise triangle has a negative area in the picture.
-    is_seen = (depths > _NEAR).all(axis=1) & (area < 0.0)
-    seen = np.flatnonzero(is_seen & np.isfinite(planes).all(axis=(1, 2)))
-    planes = planes[seen]
+    seen = np.flatnonzero((depths > _NEAR).all(axis=1) & (area < 0.0))
+    planes = planes[seen] / area[seen, None, None]
     inverse = 1.0 / depths[seen]
     nearness = np.einsum("nc,ncj->nj", inverse, planes)
     nearest = np.zeros(width * height)
@@ -239,7 +236,7 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     places = corners[seen, :, :2]
     low = np.ceil(places.min(axis=1) - 0.5).clip(0, camera.size).astype(np.int64)
     high = np.floor(places.max(axis=1) + 0.5).clip(0, camera.size).astype(np.int64)
-    across, down = np.maximum(high - low, 0).T
+    across, down = (high - low).T
     ends = np.cumsum(across * down)
     for start in range(0, ends.max(initial=0), _CHUNK):
         index = np.arange(start, min(start + _CHUNK, ends[-1]))
