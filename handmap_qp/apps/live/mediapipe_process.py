@@ -115,16 +115,20 @@ def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]
     """Yield time [s] and pixels (height, width, 3) of the camera or the video, unmirrored."""
     import cv2
 
-    is_file = arguments.video is not None
-    source = str(arguments.video) if is_file else arguments.camera
-    name = f"{'video' if is_file else 'camera'} {source}"
+    source = str(arguments.video)
+    name = f"video {source}"
+    patience = 0
+    if not (is_file := arguments.video is not None):
+        source = arguments.camera
+        patience = _LOST
+        name = f"camera {source}"
     capture = cv2.VideoCapture(source)
     if not capture.isOpened():
         _stop(f"{name} cannot be read")
     rate = capture.get(cv2.CAP_PROP_FPS) or 30.0
     start = time.monotonic()
     count = 0
-    for count, picture in enumerate(_read(capture, 0 if is_file else _LOST), start=1):
+    for count, picture in enumerate(_read(capture, patience), start=1):
         stamp = start + (count - 1) / rate if is_file else time.monotonic()
         time.sleep(max(0.0, stamp - time.monotonic()) * arguments.paced)
         pixels = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)

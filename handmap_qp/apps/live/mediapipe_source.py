@@ -100,7 +100,7 @@ def _find_python() -> str:
 
 
 def _run(command: list[str], problem: str) -> None:
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         lines = (done.stderr.strip() or done.stdout.strip() or problem).splitlines()
         errors = [line for line in lines if line.startswith("ERROR:")]
