@@ -154,7 +154,6 @@ class Simulate:
 
     def _simulate(self, trials: list[PinchTrial]) -> dict[str, list[PinchOutcome]]:
         """Pinch every object by every mapping."""
-        physics = self._physics()
         robot = load_hand(self.robot)
         read = read_recording(self.recording)
         methods = chosen_methods(self.methods, self.peers, self.robot)
@@ -162,7 +161,8 @@ class Simulate:
         take = prepare_take(read, robot.spec.side)
         outcomes: dict[str, list[PinchOutcome]] = {}
         for method in methods:
-            scene = PinchScene(map_commands(method, take, robot), window, physics)
+            commands = map_commands(method, take, robot)
+            scene = PinchScene(commands, window, self._physics())
             made = outcomes[method.name] = []
             with progress(method.name, len(trials)) as advance:
                 for trial in trials:

@@ -200,7 +200,7 @@ def _couple_followers(spec: Any, hand: Hand) -> None:
         if role == "follower" and hand.expansion is not None:
             coordinate = hand.model.idx_vs[hand.model.getJointId(name)]
             factors = hand.expansion.matrix[coordinate, hand.joint_columns]
-            leader = int(np.argmax(np.abs(factors)))
+            leader = np.argmax(np.abs(factors))
             rule = _add_equality(spec, "JOINT", "JOINT", name, hand.joint_names[leader])
             rule.data[:2] = [hand.expansion.offset[coordinate], factors[leader]]
 

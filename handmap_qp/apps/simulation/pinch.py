@@ -289,8 +289,8 @@ def _outcome(
     """Judge the instants at the end, for which there are distances from the pads' middle."""
     lost = np.flatnonzero(distances > _LOST + width / 2.0)
     last = int(lost[0]) if len(lost) else len(distances) - 1
-    first = len(episode.at.time) - len(distances)
-    kept = Instant(*(column[first : first + last + 1] for column in episode.at))
+    judged = (column[-len(distances) :] for column in episode.at)
+    kept = Instant(*(column[: last + 1] for column in judged))
     poses = inverse_pose(kept.wrist) @ kept.object_pose
     turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
     return PinchOutcome(
@@ -329,14 +329,14 @@ def random_trials(
     trials = []
     for _ in range(count):
         x, y, z = random.normal(0.0, _PLACE, 3).tolist()
-        trial = replace(fixed, offset=(x, y, z), yaw=float(random.uniform(-_YAW, _YAW)))
+        trial = replace(fixed, offset=(x, y, z), yaw=random.uniform(-_YAW, _YAW))
         if objects == "varied":
-            kind = str(random.choice(KINDS))
+            kind = random.choice(KINDS)
             trial = replace(
                 trial,
-                shape=named_shape(kind, float(random.uniform(*_SIZES))),
+                shape=named_shape(kind, random.uniform(*_SIZES)),
                 mass=float(np.exp(random.uniform(*np.log(_MASSES)))),
-                friction=float(random.uniform(*_FRICTIONS)),
+                friction=random.uniform(*_FRICTIONS),
             )
         trials.append(trial)
     return trials
@@ -361,7 +361,7 @@ def trial_row(name: str, outcomes: Sequence[PinchOutcome]) -> dict[str, Any]:
     """Summarise the trials of one mapping in a row of a table."""
     held = [outcome for outcome in outcomes if outcome.is_held]
     rate, low, high = success_rate(len(held), len(outcomes))
-    shares = [min(1.0, o.held_time / max(o.pinch_time, 1e-9)) for o in outcomes]
+    shares = [o.held_time / max(o.pinch_time, 1e-9) for o in outcomes]
     return {
         "mapping": name,
         "trials": len(outcomes),
