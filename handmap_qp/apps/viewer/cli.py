@@ -123,7 +123,17 @@ class View:
                     argument="--robot",
                     advice="name a hand that `handmap hands list` prints",
                 )
-            self._show_recording(self.recording, self.robot)
+            if self.html is not None:
+                check_output("--html", self.html, (".html", ".htm"))
+            replay = self.replay(self.recording, self.robot)
+            if self.html is None:
+                with self._serving() as server:
+                    run_frames(ReplayViewer(server, replay).tick)
+                return
+            page = replay.page()
+            with replaced_file(self.html, "--html") as stream:
+                stream.write(page)
+            print(f"wrote {self.html}")
 
     def _refuse_unused_options(self) -> None:
         """Refuse options that would have no effect."""
@@ -148,19 +158,6 @@ class View:
             if name in given:
                 option = f"--{name.removeprefix('--')}"
                 raise InvalidInputError(problem, argument=option)
-
-    def _show_recording(self, file: Path, robot: str) -> None:
-        if self.html is not None:
-            check_output("--html", self.html, (".html", ".htm"))
-        replay = self.replay(file, robot)
-        if self.html is None:
-            with self._serving() as server:
-                run_frames(ReplayViewer(server, replay).tick)
-            return
-        page = replay.page()
-        with replaced_file(self.html, "--html") as stream:
-            stream.write(page)
-        print(f"wrote {self.html}")
 
     def _show_live(self, live: str) -> None:
         # Connect before serving, so that a missing session is reported at once.

@@ -129,21 +129,18 @@ class DisplayControls:
         self.clear = gui.add_button(
             "Clear trails", hint="Start the trails again from here"
         )
-        self._is_to_clear = False
-        self.clear.on_click(self._request_clear)
+        self._presses: list[object] = []
+        self.clear.on_click(self._presses.append)
 
     def apply_to(self, scene: HandScene) -> None:
         """Copy the settings to the scene; its next drawing shows them."""
         display = Display(
             self.follow.value, self.shape.value, self.landmarks.value, self.trails.value
         )
-        if self._is_to_clear or (scene.display.has_trails and not display.has_trails):
-            self._is_to_clear = False
+        if self._presses or (scene.display.has_trails and not display.has_trails):
+            self._presses.clear()
             scene.clear_trails()
         scene.display = display
-
-    def _request_clear(self, _: object) -> None:
-        self._is_to_clear = True
 
 
 class SteeringControls:
@@ -470,10 +467,14 @@ class ExportControls:
 
 def _picture(client: Any) -> bytes:
     """Let the browser draw the hands, and return the picture."""
-    height = client.camera.image_height
-    width = client.camera.image_width
+    camera = client.camera
     return on_white(
-        client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
+        client.get_render(
+            camera.image_height,
+            camera.image_width,
+            transport_format="png",
+            timeout=_PATIENCE,
+        )
     )
 
 

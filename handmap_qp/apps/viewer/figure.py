@@ -90,9 +90,7 @@ class Figure(ABC):
     ) -> None:
         self.variant = variant
         self._frame = server.scene.add_frame(f"/{node}", show_axes=False)
-        self._label = server.scene.add_label(
-            f"/{node}_name", "", anchor="top-center", font_screen_scale=1.0
-        )
+        self._label = server.scene.add_label(f"/{node}_name", "", anchor="top-center")
         self.trail = Trail(server, f"/{node}/trail", colour)
         self.anchor = np.zeros(3)
         self.turn(np.eye(3))
@@ -200,7 +198,7 @@ class Spheres:
 
     def move(self, points: np.ndarray | None) -> None:
         """Place the spheres at points (n, 3), and hide those that have none."""
-        places = [] if points is None else list(points)
+        places = () if points is None else points
         while len(self._nodes) < len(places):
             self._nodes.append(self._add())
         for i, node in enumerate(self._nodes):
@@ -284,7 +282,7 @@ class LandmarkFigure(Figure):
 
     def points(self, sample: ViewSample) -> np.ndarray | None:
         """Return the landmarks, unless some are not known."""
-        return _known(sample.landmarks)
+        return known(sample.landmarks)
 
     def draw(self, sample: ViewSample) -> None:
         """Show the landmarks; hide those that are not known."""
@@ -327,14 +325,13 @@ class HandFigure(Figure):
         self._body = server.scene.add_frame(f"/{node}/body", show_axes=False)
         self._links: dict[str, Any] = {}
         self._corners: dict[str, np.ndarray] = {}
-        is_on_arm = hand.has_moving_wrist and not hand.is_floating
         for link, meshes in link_meshes(hand).items():
             path = f"/{node}/body/{link}"
             self._links[link] = server.scene.add_frame(path, show_axes=False)
             for i, mesh in enumerate(meshes):
                 server.scene.add_mesh_trimesh(f"{path}/{i}", mesh)
-            if not is_on_arm:
-                # On an arm, fit the view to the hand; parts of the arm may lie outside.
+            # On an arm, fit the view to the hand; parts of the arm may lie outside.
+            if hand.is_floating or not hand.has_moving_wrist:
                 box = _box_of(np.vstack([mesh.bounds for mesh in meshes]))
                 padded = box + _OUTWARDS * _PADDING
                 self._corners[link] = padded[_UNIT_BOX, range(3)]
@@ -466,7 +463,7 @@ class HumanFigure(HandFigure):
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tracked tips, or else those of the posture."""
         if sample.landmarks is not None:
-            return _known(sample.landmarks[TIPS])
+            return known(sample.landmarks[TIPS])
         return super().tips(sample)
 
     def draw(self, sample: ViewSample) -> None:
@@ -603,7 +600,7 @@ def _box_of(points: np.ndarray) -> np.ndarray:
     return np.array([points.min(axis=0), points.max(axis=0)])
 
 
-def _known(points: np.ndarray | None) -> np.ndarray | None:
+def known(points: np.ndarray | None) -> np.ndarray | None:
     """Return points if all of them are known."""
     return points if points is not None and np.isfinite(points).all() else None
 

@@ -12,7 +12,12 @@ import pinocchio as pin
 
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
-from handmap_qp.apps.viewer.figure import DEFORMATION_COLOUR, TARGET_COLOUR, as_bytes
+from handmap_qp.apps.viewer.figure import (
+    DEFORMATION_COLOUR,
+    TARGET_COLOUR,
+    as_bytes,
+    known,
+)
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.errors import HandError
 from handmap_qp.hands.fingers import find_fingers
@@ -124,9 +129,9 @@ class InstantGauges:
 
         The contact gap is subtracted, so that a touch reads zero.
         """
-        if sample.landmarks is None or not np.isfinite(sample.landmarks).all():
+        if (landmarks := known(sample.landmarks)) is None:
             return {}
-        gaps = np.maximum(tip_gaps(sample.landmarks) - self._contact_gap, 0.0)
+        gaps = np.maximum(tip_gaps(landmarks) - self._contact_gap, 0.0)
         return dict(zip(FINGERS[1:], gaps.tolist(), strict=True))
 
     def table(self, samples: Sequence[ViewSample]) -> str:
@@ -337,8 +342,7 @@ def draw_plot(
         f'd="M0 0v{height}" transform="translate(_NOW_ 0)" stroke="{ORANGE}" '
         f'stroke-width="2"/></g></svg></div>'
     )
-    entries = [(name, colour) for name, colour, _ in lines]
-    return Plot(html + legend(entries), places)
+    return Plot(html + legend([line[:2] for line in lines]), places)
 
 
 def _path(x: np.ndarray, y: np.ndarray) -> str:

@@ -161,12 +161,12 @@ class LiveViewer(Window):
         if preset not in (None, in_force.preset):
             changes = {"preset": preset}
         for request in steering.take_requests():
-            if request == "release":
-                source.request("release")
-            elif request == "clutch" or source.is_released:
+            if request != "reset":
+                source.request(request)
+                continue
+            if source.is_released:
                 source.request("clutch")
-            if request == "reset":
-                changes = in_force.changes_to(self._start)
+            changes = in_force.changes_to(self._start)
         if changes:
             source.configure(changes)
 

@@ -65,12 +65,12 @@ def make_page(
         page = serializer.as_html()
     body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), human)
     head = _part("page_head.html").replace("__VIEW__", json.dumps(scene.cameras.view))
-    page = page.replace(
-        "<title>Viser</title>", f"<title>{escape(title)} - handmap view</title>", 1
-    )
-    page = page.replace("</head>", head + "</head>", 1)
-    start = page.index(">", page.index("<body")) + 1
-    return (page[:start] + body + page[start:]).encode()
+    parts = {
+        "<title>Viser</title>": f"<title>{escape(title)} - handmap view</title>",
+        "</head>": f"{head}</head>",
+        "<body>": f"<body>{body}",
+    }
+    return _filled(page, parts).encode()
 
 
 def _body(
@@ -101,10 +101,14 @@ def _body(
             gzip.compress(json.dumps(shown).encode())
         ).decode(),
     }
-    body = _part("page_body.html")
-    for name, text in parts.items():
-        body = body.replace(name, text, 1)
-    return body
+    return _filled(_part("page_body.html"), parts)
+
+
+def _filled(page: str, parts: dict[str, str]) -> str:
+    """Return a page with texts in place of marks, each where it comes first."""
+    for mark, text in parts.items():
+        page = page.replace(mark, text, 1)
+    return page
 
 
 def _option_table(variant: Variant) -> str:

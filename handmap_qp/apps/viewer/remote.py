@@ -44,6 +44,15 @@ _HANDS = (
     "mount",
     "is_shared",
 )
+# Rows of numbers in a command's detail that a sample shows, where they are known.
+_ARRAYS = (
+    "human_points",
+    "human_q",
+    "landmarks",
+    "motion_deformation",
+    "pivot",
+    "targets",
+)
 
 
 class ServiceSession:
@@ -265,10 +274,11 @@ class ServiceSession:
         self._start = self._start or command.server_time
         q = np.array(command.q)
         wrist = command.wrist.matrix
-        targets = np.array(detail["targets"])
-        seen = detail["landmarks"]
-        landmarks = None if seen is None else np.array(seen)
-        human_q, human_wrist = self._human_posture(detail, landmarks)
+        arrays = {
+            name: np.array(detail[name]) for name in _ARRAYS if detail[name] is not None
+        }
+        targets = arrays["targets"]
+        human_q, human_wrist = self._human_posture(arrays, detail["human_wrist"])
         # The last detail of a held robot may be of another method.
         has_targets = (
             len(targets) == len(self.robot.reference_points) and not self.is_released
@@ -277,16 +287,16 @@ class ServiceSession:
             time=command.server_time - self._start,
             human_q=human_q,
             human_wrist=human_wrist,
-            human_points=np.array(detail["human_points"]),
-            landmarks=landmarks,
+            human_points=arrays["human_points"],
+            landmarks=arrays.get("landmarks"),
             robot_q=q,
             robot_wrist=wrist,
             robot_points=self.robot.points(
                 q, wrist if self.robot.is_floating else None
             ),
             targets=targets if has_targets else None,
-            deformation=np.array(detail["motion_deformation"])[:3, :3],
-            pivot=np.array(detail["pivot"]),
+            deformation=arrays["motion_deformation"][:3, :3],
+            pivot=arrays["pivot"],
             is_limited=np.isin(self.robot.joint_names, command.at_limit),
             status=command.status,
             held_by=detail.get("held_by", ()),
@@ -296,19 +306,19 @@ class ServiceSession:
         )
 
     def _human_posture(
-        self, detail: dict[str, Any], landmarks: np.ndarray | None
+        self, arrays: dict[str, np.ndarray], wrist: Any
     ) -> tuple[np.ndarray | None, np.ndarray]:
         """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
+        landmarks = arrays.get("landmarks")
         if landmarks is not None and self._fitter is not None:
             with suppress(InvalidInputError):
                 return self._fitter.fit(landmarks)[:2]
-        if (wrist := detail["human_wrist"]) is None:
+        if wrist is None:
             # Estimate it by a rigid fit of the hand at rest.
-            pose = rigid_fit(self._rest_points, np.array(detail["human_points"]))
+            pose = rigid_fit(self._rest_points, arrays["human_points"])
         else:
             pose = msgspec.convert(wrist, Pose).matrix
-        q = detail["human_q"]
-        return None if q is None else np.array(q), pose
+        return arrays.get("human_q"), pose
 
     def _error(self, problem: str, advice: str = "") -> InvalidInputError:
         return InvalidInputError(

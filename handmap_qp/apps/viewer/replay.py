@@ -175,7 +175,7 @@ class Replay:
             steps.append(follower.map_sample(sample))
         # Until the hand is first seen, show the reference.
         followed = [not step.is_held for step in steps]
-        first = followed.index(True) if any(followed) else 0
+        first = int(np.argmax(followed))
         steps[:first] = [steps[first]] * first
         samples = tuple(
             self._sample(i, step, followed[i]) for i, step in enumerate(steps)
@@ -246,8 +246,7 @@ class ReplayViewer(Window):
     def index(self) -> int:
         """Index of the sample that is shown."""
         now = self.play_bar.time + 0.005
-        after = int(np.searchsorted(self.replay.time, now, side="right"))
-        return max(after - 1, 0)
+        return int(np.searchsorted(self.replay.time, now, side="right")) - 1
 
     @property
     def sample(self) -> ViewSample:

@@ -6,6 +6,7 @@ dorsal. Each robot's world is rotated by its mapping's alignment, so that equal 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
@@ -32,7 +33,7 @@ _GAP = 0.035
 _FLOOR = -0.22
 # Samples for which room is reserved; a hand hardly moves between them.
 _RESERVED = 60
-_FIELD_OF_VIEW = float(np.radians(30.0))
+_FIELD_OF_VIEW = math.radians(30.0)
 # From the palm side, slightly from above.
 _DIRECTION = unit(np.array([0.0, 0.25, -1.0]))
 # Window assumed before the client reports one: a written page on a portrait screen [px].
@@ -81,7 +82,22 @@ class HandScene:
     ) -> None:
         self.server = server
         self.display = Display()
-        set_up_stage(server)
+        # Turn +y up, and draw the floor.
+        server.scene.set_up_direction("+y")
+        server.scene.world_axes.visible = False
+        server.scene.add_grid(
+            "/floor",
+            plane="xz",
+            infinite_grid=True,
+            cell_size=0.05,
+            section_size=0.25,
+            cell_color=(225, 228, 232),
+            section_color=(205, 210, 216),
+            cell_thickness=0.6,
+            section_thickness=0.8,
+            fade_distance=3.0,
+            position=(0.0, _FLOOR, 0.0),
+        )
         self.cameras = BrowserCameras(server)
         self._people: tuple[LandmarkFigure, HumanFigure] | None = None
         if human is not None:
@@ -188,7 +204,6 @@ class BrowserCameras:
         self._size = np.zeros(3)
         self._views: dict[int, tuple[float, float]] = {}
         self._folded: set[int] = set()
-        server.initial_camera.look_at = np.zeros(3)
         server.initial_camera.fov = _FIELD_OF_VIEW
 
     def fit(self, width: float, height: float, depth: float) -> None:
@@ -225,7 +240,6 @@ class BrowserCameras:
         views = {}
         for name, client in self._server.get_clients().items():
             camera = client.camera
-            is_new = name not in self._views
             columns = camera.image_width
             rows = max(camera.image_height, 1)
             if columns < _NARROW and name not in self._folded:
@@ -235,7 +249,7 @@ class BrowserCameras:
             views[name] = distance, low = self._view(columns, rows)
             if views[name] != self._views.get(name):
                 offset = camera.position - camera.look_at
-                direction = _DIRECTION if is_new else unit(offset)
+                direction = unit(offset) if name in self._views else _DIRECTION
                 middle = (0.0, low, 0.0)
                 # Setting the position moves `look_at` too, so set both.
                 camera.position = middle + distance * direction
@@ -273,22 +287,3 @@ def _robot_axes(
     if upright is None or alignment == "palm":
         return (variant.samples[0].robot_wrist @ robot.wrist_to_palm)[:3, :3].T
     return upright @ rotation_of(alignment).T
-
-
-def set_up_stage(server: viser.ViserServer) -> None:
-    """Turn +y up, and draw the floor."""
-    server.scene.set_up_direction("+y")
-    server.scene.world_axes.visible = False
-    server.scene.add_grid(
-        "/floor",
-        plane="xz",
-        infinite_grid=True,
-        cell_size=0.05,
-        section_size=0.25,
-        cell_color=(225, 228, 232),
-        section_color=(205, 210, 216),
-        cell_thickness=0.6,
-        section_thickness=0.8,
-        fade_distance=3.0,
-        position=(0.0, _FLOOR, 0.0),
-    )

@@ -52,9 +52,7 @@ def serving(host: str = "127.0.0.1", port: int = 0) -> Iterator[viser.ViserServe
         probe.bind((host, 0))
     with _own_pages_only(host), redirect_stdout(io.StringIO()):
         server = make_server(host=host, port=port, label="handmap view", verbose=False)
-    server.gui.configure_theme(
-        control_width="medium", show_logo=False, show_share_button=False
-    )
+    server.gui.configure_theme(show_logo=False, show_share_button=False)
     try:
         yield server
     finally:
