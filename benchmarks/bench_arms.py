@@ -109,7 +109,9 @@ def measure(name: str, recording: Recording) -> list[dict[str, Any]]:
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser("Hands on arms against the same hands without.")
+    parser = common.make_parser(
+        "Hands on arms against the same hands without.", draws=False
+    )
     parser.add_argument("--arms", nargs="+", default=[*BARE], metavar="HAND")
     arguments: argparse.Namespace = common.parse_arguments(parser, words)
     recordings = [

@@ -11,7 +11,7 @@ from handmap_qp import read_recording
 from handmap_qp.apps.arguments import MappingArguments
 from handmap_qp.apps.datasets import measures
 from handmap_qp.apps.offline.look_ahead import map_hand
-from handmap_qp.human import contact_gap, sample
+from handmap_qp.human import contact_gap, measure
 from handmap_qp.human.contact_gap import smallest_gap
 from handmap_qp.human.measure import check_length
 from handmap_qp.human.recording import Recording
@@ -51,7 +51,7 @@ def with_gaps(recording: Recording) -> Recording:
 def test_people_are_measured_as_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     cases = [(DEMO.time[:n], DEMO.landmarks[:n]) for n in (1, 2, 3, 8, 89, 90)]
     found = [(smallest_gap(*case), check_length(case[1])) for case in cases]
-    for module in (contact_gap, sample):
+    for module in (contact_gap, measure):
         monkeypatch.setattr(module, "core", None)
     for case, (gap, segments) in zip(cases, found, strict=True):
         assert gap == pytest.approx(smallest_gap(*case), abs=1e-12)
