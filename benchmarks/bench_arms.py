@@ -107,11 +107,22 @@ def measure(name: str, recording: Recording) -> list[dict[str, Any]]:
     return rows
 
 
+def draw(rows: list[dict[str, Any]]) -> Any:
+    """Draw how far each arm is off its target."""
+    from matplotlib.figure import Figure
+
+    figure = Figure((7.0, 1.0 + 0.14 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    names = ["{arm}, {recording}, {scale:g}, +{up}".format(**row) for row in rows][::-1]
+    axes.barh(names, [row["off p95_mm"] for row in rows][::-1], color=common.PALETTE[1])
+    axes.tick_params(axis="y", labelsize=6)
+    axes.set(title="wrist off its target, 95th percentile", xlabel="mm")
+    return figure
+
+
 def main(words: Sequence[str] | None = None) -> None:
     """Run the benchmark."""
-    parser = common.make_parser(
-        "Hands on arms against the same hands without.", draws=False
-    )
+    parser = common.make_parser("Hands on arms against the same hands without.")
     parser.add_argument("--arms", nargs="+", default=[*BARE], metavar="HAND")
     arguments: argparse.Namespace = common.parse_arguments(parser, words)
     recordings = [
@@ -126,6 +137,7 @@ def main(words: Sequence[str] | None = None) -> None:
         for row in measure(name, recording)
     ]
     common.print_table("Hands on arms", rows, to_stderr=arguments.json == "-")
+    common.save_picture(arguments.picture, lambda: draw(rows))
     common.write_json(arguments.json, "bench_arms", {"rows": rows})
 
 
