@@ -397,9 +397,10 @@ class _Core:
 def _note_changes(wanted: Request, request: Request) -> None:
     """Note changes of options in the request that opens the session again."""
     if "preset" in request:
-        # A preset replaces all options but those that protect the robot.
-        kept = {name: wanted.pop(name, {}) for name in _OPTIONS}["ik"]
-        wanted["ik"] = {name: kept[name] for name in PROTECTING if name in kept}
+        # A preset replaces all options but those that protect the robot, and of the setup.
+        kept = {name: wanted.pop(name, {}) for name in _OPTIONS}
+        for of, names in (("ik", PROTECTING), ("options", ("alignment",))):
+            wanted[of] = {name: kept[of][name] for name in names if name in kept[of]}
     for name in messages.Configure.__annotations__.keys() & request.keys():
         value = request[name]
         wanted[name] = wanted.get(name, {}) | value if name in _OPTIONS else value

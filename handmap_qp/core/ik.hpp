@@ -568,8 +568,9 @@ class Ik {
     result.wrist = at.wrist();
     if (is_carried(goal)) {
       // See qp.wrist_error and WRIST_LEVERS.
-      const Twist off = log6(inverse(goal.wrist) * result.wrist);
-      farthest2 = std::max({farthest2, dot(off.v, off.v), 0.01 * dot(off.w, off.w)});
+      const Vec3 off = result.wrist.p - goal.wrist.p;
+      const Vec3 turn = log3(transposed(goal.wrist.R) * result.wrist.R);
+      farthest2 = std::max({farthest2, dot(off, off), 0.01 * dot(turn, turn)});
     }
     result.displacement = motion.displacement;
     result.active.resize(n);

@@ -96,7 +96,9 @@ class IkOptions(Options, frozen=True):
     point_tolerance: Annotated[
         float,
         number(
-            "Points nearer to their targets than this have arrived [m].", above=True
+            "Points, and a wrist that they go with, have arrived if they are nearer to their "
+            "targets than this [m]; 0.1 rad of the wrist count as 10 mm.",
+            above=True,
         ),
     ] = 1e-3
     has_velocity_limits: Annotated[

@@ -132,8 +132,8 @@ def moved_along(hand: Configuration, targets: np.ndarray, wrist: pin.SE3) -> np.
 
 def wrist_error(wrist: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return how far a pose of the wrist is from its target [m, rad], shape (2,)."""
-    twist = pin.log6(pin.SE3(target).actInv(pin.SE3(wrist)))
-    return lengths(twist.vector.reshape(2, 3))
+    turn = pin.log3(target[:3, :3].T @ wrist[:3, :3])
+    return lengths(np.array([wrist[:3, 3] - target[:3, 3], turn]))
 
 
 def wrist_rows(hand: Configuration, target: pin.SE3) -> tuple[np.ndarray, np.ndarray]:

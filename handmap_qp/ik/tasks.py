@@ -154,10 +154,10 @@ class AttachedPoints:
 class PointDistances(Compiled):
     """Keep pairs of points at given distances.
 
-    What a pair asks for may stay out of reach, and joints on which its distance does not depend
-    must be free to move all the same. So the cost has the distance's own curvature where that is
-    convex: points that are too far apart resist moving past each other, and damping is left for
-    the joints that turn them towards each other.
+    What a pair asks for may stay out of reach, and the hand must be free to move in other
+    directions all the same. So the cost has the distance's own curvature, its two parts each where
+    they are convex: points that are too far apart resist moving past each other, and damping is
+    left for the joints that turn them towards each other. For coupled joints that is an estimate.
 
     Args:
         points: The points, such as `AttachedPoints.reference_points(hand)`.
@@ -221,7 +221,8 @@ class PointDistances(Compiled):
         across = pulls * (levers - directions.swapaxes(1, 2) * slopes)
         bends = (directions @ np.cross(turns, levers, axis=1))[:, 0]
         bends = np.maximum((weights * residual)[:, None] * bends, 0.0)
-        rows = np.vstack([weights[:, None] * slopes[:, 0], np.vstack(across)])
+        across = across.reshape(-1, across.shape[-1])
+        rows = np.vstack([weights[:, None] * slopes[:, 0], across])
         return TaskRows(
             np.append(residual, np.zeros(3 * len(residual))), rows, bends.sum(axis=0)
         )

@@ -23,7 +23,7 @@ _ROTATIONS = {
 }
 
 
-class AlignedOptions(MethodOptions, frozen=True):
+class AlignedOptions(MethodOptions, frozen=True, kw_only=True):
     """Base of methods whose robot moves as the human does in the world."""
 
     alignment: Annotated[

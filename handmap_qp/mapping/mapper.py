@@ -63,7 +63,7 @@ class HandMapper:
     """Turns the motion of a human hand into the motion of a robot hand.
 
     The first sample is the reference unless `reset` has given one. There the robot is at rest with
-    its palm on the human's palm (at the origin of its own world with `alignment="palm"`). The
+    its palm on the human's palm, as `alignment` takes it to the robot's world. The
     human's motion is imposed from there.
 
     A copy (`copy.deepcopy`, `copy.copy` or pickle) continues from the same state on its own.
@@ -407,7 +407,7 @@ class HandMapper:
             wrist_pose: Wrist pose of the reference sample; goes with `human_q`.
             robot_q: Joint angles of the robot there [rad], inside their limits; its rest posture if
                 omitted.
-            robot_wrist: Wrist pose of the robot there; by default its palm lies on the human's.
+            robot_wrist: Wrist pose of the robot there; by default that of a first sample.
 
         Raises:
             InvalidInputError: If something cannot be used; the mapper is then as it was before.

@@ -469,6 +469,8 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     def arm_held_by(self) -> str:
         """What keeps the arm's wrist off its target (`arm_held_by`); empty if nothing does."""
         hand = self.ik.hand
+        if self.ik.status in ("released", "failed"):
+            return ""
         is_there = (self.wrist_error * WRIST_LEVERS).max() <= _ARRIVED
         if is_there or not hand.moves_wrist.any():
             return ""

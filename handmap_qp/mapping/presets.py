@@ -127,14 +127,19 @@ class Choice(NamedTuple):
 
         Args:
             changes: Values by the names of options of the method and of the QP. If `preset` is
-                among them, options that are not named are those of that preset.
+                among them, options that are not named are those of that preset, but for those of
+                the setup (`kept_options`).
 
         Raises:
             InvalidOptionsError: If there is no such preset or option, or options contradict each
                 other.
         """
         rest = dict(changes)
-        start = preset_choice(rest.pop("preset")) if "preset" in rest else self
+        start = self
+        if "preset" in rest:
+            start = preset_choice(rest.pop("preset"))
+            own = preset_choice(self.preset).method.changes_to(self.method)
+            rest = kept_options(own, start.preset) | rest
         ik = {name: rest.pop(name) for name in IK_NAMES & rest.keys()}
         return start._replace(
             method=start.method.replaced(**rest), ik=start.ik.replaced(**ik)
@@ -156,6 +161,12 @@ class Choice(NamedTuple):
 
 IK_NAMES = frozenset(option.name for option in options_of(IkOptions))
 """Names of the options of the QP; no method has an option of such a name."""
+
+
+def kept_options(options: Mapping[str, Any], preset: str) -> dict[str, Any]:
+    """Return the options that another preset keeps, which describe the setup: the alignment."""
+    names = {"alignment"} & get_preset(preset).method.values.keys()
+    return {name: options[name] for name in names & options.keys()}
 
 
 def preset_choice(name: str, human: Hand | None = None) -> Choice:

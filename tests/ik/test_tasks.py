@@ -101,6 +101,16 @@ def test_the_curvature_is_the_distances_own_where_that_is_convex(
     assert convex
 
 
+def test_no_pairs_are_no_rows() -> None:
+    hand = load_hand("three_finger")
+    configuration = hand.configuration()
+    configuration.place(hand.configuration_vector(hand.rest))
+    task = PointDistances(AttachedPoints.reference_points(hand), [], [])
+    rows = task.linearise(configuration)
+    assert rows.jacobian.shape == (0, configuration.nv)
+    assert len(rows.residual) == 0
+
+
 @pytest.mark.parametrize("distance", [0.0, 0.5], ids=["too far", "too near"])
 def test_a_distance_out_of_reach_leaves_free_what_does_not_change_it(
     distance: float,

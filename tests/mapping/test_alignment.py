@@ -11,7 +11,7 @@ import pytest
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
 from handmap_qp.ik import core as core_module
 from handmap_qp.mapping.alignment import rotation_of
-from handmap_qp.mapping.presets import PRESETS, get_preset
+from handmap_qp.mapping.presets import PRESETS, get_preset, preset_choice
 
 HUMAN = load_hand("human", points="landmarks")
 FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
@@ -100,6 +100,18 @@ def test_up_and_forward_of_a_headset_are_those_of_the_robot(preset: str) -> None
             way = after[:3, 3] - before[:3, 3]
             np.testing.assert_allclose(way / np.linalg.norm(way), robot, atol=1e-6)
             mapper.clutch()
+
+
+def test_another_preset_keeps_it() -> None:
+    rows = tuple(map(tuple, TURN.tolist()))
+    for alignment in ("y-up", rows):
+        choice = preset_choice("teleoperation").with_changes({"alignment": alignment})
+        other = choice.with_changes({"preset": "object"})
+        assert other.method.values["alignment"] == alignment
+        named = choice.with_changes({"preset": "object", "alignment": "palm"})
+        assert named.method.values["alignment"] == "palm"
+    plain = preset_choice("teleoperation").with_changes({"preset": "fixed_wrist"})
+    assert plain == preset_choice("fixed_wrist")
 
 
 def test_its_names_are_rotations() -> None:

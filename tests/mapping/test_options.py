@@ -382,7 +382,7 @@ def test_values_without_a_meaning_are_refused_by_name(
             {"ridge": 0.0},
             "choose more points, or ridge > 0",
         ),
-        ({}, {}, {"gain": 1.0}, "there are alignment, ridge, rigid_from"),
+        ({}, {}, {"gain": 1.0}, "there are ridge, rigid_from"),
         (
             {"points": ("little_tip", "little_pip", "little_mcp", "wrist")},
             {},

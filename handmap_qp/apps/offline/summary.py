@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from handmap_qp.apps.offline.trajectory import Trajectory, stretches
@@ -43,7 +44,7 @@ def summarise(trajectory: Trajectory) -> Summary:
     points = 1e3 * trajectory.point_error[seen]
     step = 1e6 * trajectory.step_cpu[seen]
     consistency = trajectory.consistency[~np.isnan(trajectory.consistency)]
-    return {
+    found = {
         "robot": trajectory.robot.name,
         "samples": len(trajectory.time),
         "held": int((~seen).sum()),
@@ -63,6 +64,8 @@ def summarise(trajectory: Trajectory) -> Summary:
         "speed_limited_joints": _slow_joints(trajectory),
         "arm_out_of_reach": _arm(trajectory),
     }
+    # Plain numbers, for every encoder.
+    return msgspec.to_builtins(found, enc_hook=np.generic.item)
 
 
 def find_holds(trajectory: Trajectory) -> list[dict[str, Any]]:
@@ -114,7 +117,7 @@ def notes(summary: Summary) -> list[str]:
             f"{name} {100.0 * share:.0f} %" for name, share in arm["held_by"].items()
         )
         lines.append(
-            f"the arm does not reach the motion of about {arm['motion_mm']:.0f} mm: the wrist is "
+            f"the arm does not follow the motion of about {arm['motion_mm']:.0f} mm: the wrist is "
             f"up to {arm['error_mm']:.0f} mm off its target, in {100.0 * arm['share']:.0f} % of "
             f"the samples, held by {reasons}; try --scale {arm['scale']:.2g}, or start in the "
             "middle of the arm's range"

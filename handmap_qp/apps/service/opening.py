@@ -41,6 +41,7 @@ from handmap_qp.mapping.mapper import HandMapper, LandmarkReader
 from handmap_qp.mapping.presets import (
     IK_NAMES,
     Choice,
+    kept_options,
     known_options,
     preset_choice,
     preset_with,
@@ -332,7 +333,7 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
     ik = request.ik
     detail = changes.has_detail
     if changes.preset is not None:
-        kept = {}
+        kept = kept_options(kept, changes.preset)
         ik = {name: ik[name] for name in PROTECTING if name in ik}
     return msgspec.structs.replace(
         request,
