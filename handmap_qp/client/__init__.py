@@ -40,6 +40,7 @@ from .messages import (
     PROTECTING,
     PROTOCOL,
     PROTOCOLS,
+    SETUP,
     TOPIC_END,
     Done,
     Error,
@@ -399,7 +400,7 @@ def _note_changes(wanted: Request, request: Request) -> None:
     if "preset" in request:
         # A preset replaces all options but those that protect the robot, and of the setup.
         kept = {name: wanted.pop(name, {}) for name in _OPTIONS}
-        for of, names in (("ik", PROTECTING), ("options", ("alignment",))):
+        for of, names in (("ik", PROTECTING), ("options", SETUP)):
             wanted[of] = {name: kept[of][name] for name in names if name in kept[of]}
     for name in messages.Configure.__annotations__.keys() & request.keys():
         value = request[name]

@@ -47,6 +47,8 @@ Options = dict[str, Any]
 """Options by name."""
 PROTECTING = ("max_acceleration", "avoids_self_collision")
 """Fields of `ik` that protect the robot: another preset leaves them as they are."""
+SETUP = ("alignment",)
+"""Options that describe the setup: another preset leaves them as they are."""
 NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
 Name = Annotated[str, Meta(title=NAME, pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
 

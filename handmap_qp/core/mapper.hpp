@@ -100,7 +100,7 @@ struct StepReader {
   nb::object targets;         // makes `Targets` of numbers
   nb::object result;          // makes `IkResult` of a step
   std::vector<Vec3> centred;  // the human points that T is estimated from, at the reference
-  std::vector<int> columns;   // see IkResult.joint_columns
+  std::vector<int> columns;   // see Hand.joint_columns
   nb::object command = module_of("handmap_qp.mapping.method").object("RobotCommand");
   nb::object summary = module_of("handmap_qp.mapping.method").object("StepSummary");
   nb::object statuses = module_of("handmap_qp.ik.compiled").object("STATUSES");

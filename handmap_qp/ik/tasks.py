@@ -215,14 +215,14 @@ class PointDistances(Compiled):
         turns = hand.contracted(hand.joint_jacobian()[3:] * is_own)
         weights = self.weights / LENGTH_UNIT
         residual = weights * (apart - self.distances)
+        force = weights * residual
         slopes = directions @ levers
         # The second derivatives: of the offset's length, and of the offset along itself.
-        pulls = np.sqrt(np.maximum(weights * residual / apart, 0.0))[:, None, None]
+        pulls = np.sqrt(np.maximum(force / apart, 0.0))[:, None, None]
         across = pulls * (levers - directions.swapaxes(1, 2) * slopes)
         bends = (directions @ np.cross(turns, levers, axis=1))[:, 0]
-        bends = np.maximum((weights * residual)[:, None] * bends, 0.0)
-        across = across.reshape(-1, across.shape[-1])
-        rows = np.vstack([weights[:, None] * slopes[:, 0], across])
+        bends = np.maximum(force[:, None] * bends, 0.0)
+        rows = np.vstack([weights[:, None] * slopes[:, 0], *across.swapaxes(0, 1)])
         return TaskRows(
             np.append(residual, np.zeros(3 * len(residual))), rows, bends.sum(axis=0)
         )

@@ -65,9 +65,8 @@ def rotation_of(
 
     Args:
         alignment: The option.
-        human_palm: The human's palm at the reference, shape (4, 4), which `palm` needs: else the
-            worlds agree.
-        robot_palm: The robot's palm there, likewise.
+        human_palm: The human's palm at the reference, shape (4, 4); without it, `palm` is `world`.
+        robot_palm: The robot's, likewise.
     """
     if alignment == "palm" and human_palm is not None and robot_palm is not None:
         return robot_palm[:3, :3] @ human_palm[:3, :3].T

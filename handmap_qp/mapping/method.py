@@ -255,7 +255,7 @@ StepStatus = Status | Literal["held", "gliding"]
 
 
 # A wrist this near its target has arrived [m].
-_ARRIVED = 1e-3
+_ARRIVED = IkOptions().point_tolerance
 
 
 def arm_held_by(

@@ -113,9 +113,7 @@ class PalmMap:
         Raises:
             InvalidInputError: If the wrist was not measured.
         """
-        if sample.wrist is None:
-            raise _missing_wrist()
-        human = sample.wrist @ self.human_wrist_to_palm
+        human = palm_of(sample, self._method.human)
         points = transform_points(inverse_pose(human), sample.points)
         if self.is_still:
             return human, self.start, points
@@ -139,21 +137,22 @@ class PalmMap:
         return transform_points(palm, points), palm @ self.robot_palm_to_wrist
 
 
+def known_palm(sample: HumanPose, human: Hand) -> np.ndarray | None:
+    """Return the palm pose of a sample, shape (4, 4); None if its wrist was not measured."""
+    return None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
+
+
 def palm_of(sample: HumanPose, human: Hand) -> np.ndarray:
     """Return the palm pose of a sample, shape (4, 4).
 
     Raises:
         InvalidInputError: If its wrist was not measured.
     """
-    if sample.wrist is None:
-        raise _missing_wrist()
-    return sample.wrist @ human.wrist_to_palm
-
-
-def _missing_wrist() -> InvalidInputError:
-    return InvalidInputError(
-        argument="wrist_pose", problem="needed for the pose of the palm"
-    )
+    if (palm := known_palm(sample, human)) is None:
+        raise InvalidInputError(
+            argument="wrist_pose", problem="needed for the pose of the palm"
+        )
+    return palm
 
 
 def chain_landmarks(finger: str) -> list[str]:

@@ -9,9 +9,15 @@ import pinocchio as pin
 import pytest
 
 from handmap_qp import HandMapper, InvalidOptionsError, load_hand
+from handmap_qp.client.messages import SETUP
 from handmap_qp.ik import core as core_module
 from handmap_qp.mapping.alignment import rotation_of
-from handmap_qp.mapping.presets import PRESETS, get_preset, preset_choice
+from handmap_qp.mapping.presets import (
+    PRESETS,
+    get_preset,
+    kept_options,
+    preset_choice,
+)
 
 HUMAN = load_hand("human", points="landmarks")
 FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
@@ -110,6 +116,10 @@ def test_another_preset_keeps_it() -> None:
         assert other.method.values["alignment"] == alignment
         named = choice.with_changes({"preset": "object", "alignment": "palm"})
         assert named.method.values["alignment"] == "palm"
+    for name in PRESETS:
+        # The client, which stands alone, says the same again where it opens a lost session.
+        values = get_preset(name).method.values
+        assert [*kept_options(values, name)] == [one for one in SETUP if one in values]
     plain = preset_choice("teleoperation").with_changes({"preset": "fixed_wrist"})
     assert plain == preset_choice("fixed_wrist")
 

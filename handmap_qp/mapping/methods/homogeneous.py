@@ -37,7 +37,7 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import palm_of
+from handmap_qp.mapping.palm import known_palm
 from handmap_qp.options import number, text
 from handmap_qp.se3 import (
     affine,
@@ -205,9 +205,8 @@ class BoundHomogeneous:
 
     def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return the human's palm in the robot's world, as far as it is known."""
-        is_known = sample.wrist is not None
-        palm = palm_of(sample, self.human) if is_known else None
-        return in_robot_world(self.options.alignment, palm)
+        known = known_palm(sample, self.human)
+        return in_robot_world(self.options.alignment, known)
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> HomogeneousMap:
         """Take both hands for the reference, as they are or at rest; see `BoundMethod.start`."""
@@ -267,9 +266,7 @@ class HomogeneousMap(Compiled):
             has_prior=bool(method.needs_wrist),
         )
         robot_palm = robot.wrist @ hand.wrist_to_palm
-        human_palm = (
-            None if sample.wrist is None else sample.wrist @ human.wrist_to_palm
-        )
+        human_palm = known_palm(sample, human)
         if options.pivot == "centroid":
             pivot = self.estimator.centroid
             robot_pivot = hand.point_weights @ robot.points / hand.point_weights.sum()
