@@ -22,7 +22,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_qp.apps.offline.trajectory import Trajectory, map_recording, stretches
+from handmap_qp.apps.offline.trajectory import (
+    Trajectory,
+    held_samples,
+    map_recording,
+    stretches,
+)
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.measure import scaled_human
@@ -109,10 +114,9 @@ def smooth_poses(
     Returns:
         The smoothed poses, shape (T, 4, 4).
     """
-    rows = np.zeros((len(time), 7))
-    seen = poses[valid]
-    rows[valid] = np.hstack([continuous_quats(seen[:, :3, :3]), seen[:, :3, 3]])
-    smooth = whittaker(time, rows, valid.astype(float), options.cutoff)
+    held = poses[held_samples(valid)]
+    rows = np.hstack([continuous_quats(held[:, :3, :3]), held[:, :3, 3]])
+    smooth = whittaker(time, rows, valid, options.cutoff)
     return affine(rotation_from_quat_wxyz(smooth[:, :4], "poses"), smooth[:, 4:])
 
 
@@ -127,7 +131,8 @@ def whittaker(
     Args:
         time: Instants, strictly increasing [s], shape (T,), T >= 3.
         values: Columns, shape (T, n); ignored where the weight is 0.
-        weight: Weight of each sample, >= 0, at least two of them > 0, shape (T,).
+        weight: Weight of each sample, >= 0, at least two of them > 0, shape (T,); or whether it
+            counts.
         cutoff: Frequency that is passed at half its amplitude [Hz].
 
     Returns:
@@ -207,15 +212,12 @@ def _smoothed(
     options: LookAhead,
 ) -> np.ndarray:
     """Smooth landmarks, shape (T, 21, 3): the palm's motion, and what moves in the palm."""
-    seen = landmarks[valid]
-    points = seen[:, PALM]
+    held = landmarks[held_samples(valid)]
+    points = held[:, PALM]
     turns = rigid_fit(points[0], points)[:, :3, :3]
-    palms = np.zeros((len(time), 4, 4))
-    local = np.zeros((len(time), 21, 3))
-    palms[valid] = affine(turns, points.mean(axis=1))
-    local[valid] = transform_points(inverse_pose(palms[valid]), seen)
-    columns = local.reshape(len(time), -1)
-    inside = whittaker(time, columns, valid.astype(float), options.cutoff)
+    palms = affine(turns, points.mean(axis=1))
+    local = transform_points(inverse_pose(palms), held)
+    inside = whittaker(time, local.reshape(len(time), -1), valid, options.cutoff)
     poses = smooth_poses(time, palms, valid, options)
     return transform_points(poses, inside.reshape(local.shape))
 
