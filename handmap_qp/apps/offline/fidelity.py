@@ -28,7 +28,7 @@ from handmap_qp.apps.offline.hand_trace import (
     HandTrace,
     trace_robot,
 )
-from handmap_qp.apps.offline.metrics import METRICS, Values
+from handmap_qp.apps.offline.metrics import Values, mean_values
 from handmap_qp.apps.offline.surface_gaps import SurfaceGaps
 from handmap_qp.apps.offline.trajectory import rms_derivative
 from handmap_qp.errors import expect
@@ -125,17 +125,14 @@ def assess_fidelity(
     h = human.part(counts, shared)
     r = robot.part(counts, shared)
     fingers = finger_metrics(h, r)
-    values = dict.fromkeys((metric.key for metric in METRICS), np.nan)
-    values |= _over_fingers(shared, fingers)
-    values |= object_metrics(h, r)
-    values |= palm_metrics(h, r)
-    values |= key_vector_metrics(h, r)
+    values = mean_values([]) | _over_fingers(shared, fingers)
+    for compare in (object_metrics, palm_metrics, key_vector_metrics):
+        values |= compare(h, r)
     values["latency_ms"] = latency(h, r, time[counts])
     pinch_samples = 0
     if gaps is not None:
         pinch_samples, found = gap_metrics(h, gaps, counts)
-        values |= found
-        values["pinch_order"] = pinch_order(h, r)
+        values |= found | {"pinch_order": pinch_order(h, r)}
     if hand is not None and q is not None:
         values |= joint_metrics(hand, q, time, counts, human_q)
     values["workspace"] = workspace_share(r, workspace or {})
@@ -155,9 +152,10 @@ def _over_fingers(names: list[str], fingers: ByFinger) -> Values:
     correlations = fingers["extension_correlation"]
     weights = fingers["extension_range"]
     means = ("wrist_direction_deg", "tip_error_mm", "tip_error_knuckles_mm")
-    found: Values = {key: fingers[key].mean() for key in means}
-    found["extension_rms"] = _rms(fingers["extension_rms"])
-    found["finger_direction_deg"] = fingers["direction_deg"].mean()
+    found: Values = {key: fingers[key].mean() for key in means} | {
+        "extension_rms": _rms(fingers["extension_rms"]),
+        "finger_direction_deg": fingers["direction_deg"].mean(),
+    }
     if weights.any():
         found["extension_correlation"] = np.average(correlations, weights=weights)
     if THUMB in names:
@@ -248,11 +246,12 @@ def pinch_order(human: HandTrace, robot: HandTrace) -> float:
         Spearman's correlation over all samples and thumb-finger pairs in which the human's tips are
         less than 80 mm apart; NaN with fewer than three.
     """
-    a, b = (np.array([*pinch_gaps(hand).values()]).ravel() for hand in (human, robot))
-    a, b = a[a < NEAR], b[a < NEAR]
-    if len(a) < 3 or np.ptp(a) == 0.0 or np.ptp(b) == 0.0:
+    pairs = np.array([[*pinch_gaps(hand).values()] for hand in (human, robot)])
+    pairs = pairs.reshape(2, -1)
+    pairs = pairs[:, pairs[0] < NEAR]
+    if pairs.shape[1] < 3 or not np.ptp(pairs, axis=1).all():
         return np.nan
-    return float(_correlations(rankdata(a), rankdata(b)))
+    return float(_correlations(*rankdata(pairs, axis=1)))
 
 
 def gap_metrics(
@@ -271,16 +270,15 @@ def gap_metrics(
     found: Values = {
         "self_penetration": (nearest < -TOUCHING).mean(),
         "colliding": (nearest < 0.0).mean(),
+        "pinch_closed": _mean(pinched < CLOSED),
+        "pinch_false": _mean(apart < TOUCHING),
     }
     if len(pinched):
         deep, middle, wide = 1e3 * np.percentile(pinched, (5, 50, 95))
-        found["pinch_closed"] = (pinched < CLOSED).mean()
         found |= {"pinch_gap_mm": middle, "pinch_gap_p95_mm": wide}
         # Surfaces that never come near cannot penetrate.
         if found["pinch_closed"]:
             found["pinch_depth_mm"] = max(0.0, -deep)
-    if len(apart):
-        found["pinch_false"] = (apart < TOUCHING).mean()
     return len(pinched), found
 
 
@@ -329,13 +327,11 @@ def latency(
         return np.nan
     step = float(np.median(np.diff(time)))
     grid = np.arange(time[0], time[-1], step)
-    a, b = (
-        make_interp_spline(time, hand.local[:, :, TIP], k=1)(grid)
-        for hand in (human, robot)
-    )
-    if min(np.ptp(a, axis=0).max(), np.ptp(b, axis=0).max()) < _STILL:
+    tips = np.stack([hand.local[:, :, TIP] for hand in (human, robot)], axis=1)
+    tips = make_interp_spline(time, tips, k=1)(grid)
+    if np.ptp(tips, axis=0).max(axis=(1, 2)).min() < _STILL:
         return np.nan
-    a, b = (tips - tips.mean(axis=0) for tips in (a, b))
+    a, b = (tips - tips.mean(axis=0)).swapaxes(0, 1)
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
     values = [_lagged_correlation(a, b, lag) for lag in range(-most, most + 1)]
     best = int(np.argmax(values))

@@ -79,8 +79,7 @@ def measure_posture(landmarks: np.ndarray) -> Posture:
     flexion = np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0))).sum(axis=2)
     # The turn about the normal from index to little finger: on both hands, the normal is such
     # that the little finger's side is the positive one.
-    index = np.cross(normal, bones[:, 0, 1])
-    little = np.cross(normal, bones[:, 3, 1])
+    index, little = np.cross(normal, bones[:, [0, 3], 1].swapaxes(0, 1))
     sine = (np.cross(index, little) * normal).sum(axis=1)
     cosine = (index * little).sum(axis=1)
     return Posture(flexion, tip_gaps(points), np.degrees(np.arctan2(sine, cosine)))
