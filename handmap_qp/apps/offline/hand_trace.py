@@ -12,12 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handmap_qp.hands.fingers import (
-    Finger,
-    PalmKinematics,
-    find_fingers,
-    zero_posture,
-)
+from handmap_qp.hands.fingers import PalmKinematics, find_fingers, zero_posture
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB, HumanLengths
 from handmap_qp.hands.spec import Side
@@ -134,16 +129,12 @@ def trace_robot(
     palm = np.array(poses)
     fingers = chains.values()
     places = [place for one in fingers for place in (one.knuckle, one.middle, one.tip)]
-    local = PalmKinematics(hand).points(q, places).reshape(len(q), -1, 3, 3)
-    points = transform_points(palm[:, None], local)
+    local = PalmKinematics(hand).points(np.vstack([zero_posture(hand), q]), places)
+    flat, *moved = local.reshape(1 + len(q), -1, 3, 3)
+    points = transform_points(palm[:, None], np.array(moved))
     reach = np.array([one.reach for one in fingers])
-    return HandTrace(tuple(chains), points, reach, palm, _size(hand, chains))
-
-
-def _size(hand: Hand, chains: dict[str, Finger]) -> float:
-    """Return the size of a robot hand [m]; see `HandTrace`. Of a thumb alone, it counts too."""
-    others = {name: one for name, one in chains.items() if name != THUMB} or chains
-    places = [one.knuckle for one in others.values()]
-    knuckles = PalmKinematics(hand).points(zero_posture(hand), places)
-    reach = np.mean([one.reach for one in others.values()])
-    return float(norms(knuckles.mean(axis=0)) + reach)
+    # The size of a thumb alone is that of the thumb.
+    others = [i for i, name in enumerate(chains) if name != THUMB] or [0]
+    centre = flat[others, KNUCKLE].mean(axis=0)
+    size = float(norms(centre) + reach[others].mean())
+    return HandTrace(tuple(chains), points, reach, palm, size)
