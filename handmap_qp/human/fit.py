@@ -125,9 +125,10 @@ class LandmarkFitter:
         finger can come back on the wrong side. Such fingers start from their rest abduction too.
         """
         if self._q is None:
-            limits = (self._upper if s > 0.0 else self._lower for s in _FIRST_SHARES)
-            shares = zip(_FIRST_SHARES, limits, strict=True)
-            starts = [self._rest + share * (q - self._rest) for share, q in shares]
+            low, high = self._lower - self._rest, self._upper - self._rest
+            starts = [
+                self._rest + s * (high if s > 0.0 else low) for s in _FIRST_SHARES
+            ]
             return [self._solve(q, targets, _FIRST_ITERATIONS) for q in starts]
         q, cost = self._solve(self._q, targets, MOST_ITERATIONS)
         is_at_limit = (q <= self._lower) | (q >= self._upper)
@@ -162,8 +163,8 @@ class LandmarkFitter:
         residual, cost = self._cost(q, targets)
         for self.iterations in range(1, most + 1):
             # Second derivatives mislead far from the optimum.
-            H, g = self._normal_equations(q, residual, is_newton=is_better)
-            step = np.clip(self._step(q, H, g, damping), -_LONGEST, _LONGEST)
+            step = self._step(q, residual, damping, is_newton=is_better)
+            step = np.clip(step, -_LONGEST, _LONGEST)
             tried = np.clip(q + step, self._lower, self._upper)
             largest = np.abs(tried - q).max()
             tried_residual, tried_cost = self._cost(tried, targets)
@@ -195,14 +196,18 @@ class LandmarkFitter:
         pull = _REST_WEIGHT * (q - self._rest)
         return residual, _squares(residual) + _squares(pull)
 
-    def _normal_equations(
+    def _step(
         self,
         q: np.ndarray,
         residual: np.ndarray,
+        damping: np.ndarray,
         *,
         is_newton: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return H, shape (5, 4, 4), and the gradient, shape (5, 4), where the hand is placed."""
+    ) -> np.ndarray:
+        """Return the damped step of the joints that are free to move, shape (5, 4).
+
+        The normal equations have H, shape (5, 4, 4), and g, shape (5, 4), where the hand is placed.
+        """
         # Spatial velocities of each finger's joints at the origin; w x p takes them to the points.
         joints = self._configuration.joint_jacobian()[:, self.human.joint_columns]
         joints = joints.reshape(2, 3, *_SHAPE).transpose(0, 2, 1, 3)
@@ -212,28 +217,17 @@ class LandmarkFitter:
         moved = (turning + linear) * self._scale
         jacobian = moved.reshape(len(FINGERS), -1, _JOINTS)
         H = jacobian.transpose(0, 2, 1) @ jacobian
-        H[:, _DIAGONAL, _DIAGONAL] += _REST_WEIGHT**2
+        H += _REST_WEIGHT**2 * _EYE
         # Second derivatives: joint i before joint j turns the column of j, w_i x J_j.
         pulls = np.cross(moved, residual.reshape(*points.shape, 1), axis=2)
         bend = angular[:, 0].transpose(0, 2, 1) @ pulls.sum(axis=1)
         bend *= is_newton[:, None, None]
         H += np.where(_UPPER, bend, bend.transpose(0, 2, 1))
         g = (residual[:, None] @ jacobian)[:, 0] + _REST_WEIGHT**2 * (q - self._rest)
-        return H, g
-
-    def _step(
-        self,
-        q: np.ndarray,
-        H: np.ndarray,
-        g: np.ndarray,
-        damping: np.ndarray,
-    ) -> np.ndarray:
-        """Return the damped Newton step of the joints that are free to move, shape (5, 4)."""
         is_held = ((q <= self._lower) & (g > 0.0)) | ((q >= self._upper) & (g < 0.0))
         free = ~is_held
-        system = np.where(free[:, :, None] & free[:, None, :], H, 0.0)
-        diagonal = H[:, _DIAGONAL, _DIAGONAL] * (1.0 + damping[:, None])
-        system[:, _DIAGONAL, _DIAGONAL] = np.where(free, diagonal, 1.0)
+        H *= 1.0 + damping[:, None, None] * _EYE
+        system = np.where(free[:, :, None] & free[:, None, :], H, _EYE)
         return -np.linalg.solve(system, np.where(free, g, 0.0)[:, :, None])[:, :, 0]
 
 
@@ -283,7 +277,7 @@ def _beyond_base(landmarks: np.ndarray) -> np.ndarray:
 
 
 _EACH = np.arange(len(FINGERS))
-_DIAGONAL = np.arange(_JOINTS)
+_EYE = np.eye(_JOINTS)
 _UPPER = np.triu(np.ones((_JOINTS, _JOINTS), dtype=bool))
 _FIRST_SHARES = (0.0, 0.4, 0.8, -0.4)
 """Starts of a first fit: shares of the way from rest to the upper (or lower) limits."""
