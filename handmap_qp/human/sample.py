@@ -274,22 +274,18 @@ RULES: dict[Rule, str] = {
 UNPROVEN_SPEED = 0.25
 """Share of the speed limits at which the robot follows a wrist that is not proven yet."""
 
-Mistake = Literal["time", "unit", "order", "side", "flexion", "size", "frozen", "wrist"]
-"""Kinds of mistakes: the unit or rate of time, the unit of length, the order of landmarks, the
-other hand or a mirrored world, fingers that bend backwards, a size that changes, a finger that
-repeats, the wrist's orientation."""
-
 
 class Finding(NamedTuple):
     """What is wrong with the input.
 
     Attributes:
-        kind: The kind of mistake.
+        kind: The rule that the mistake breaks: one of those that say `for a while`, or `size` or
+            `frozen`.
         problem: What was found, in one line.
         advice: What to do about it.
     """
 
-    kind: Mistake
+    kind: Rule
     problem: str
     advice: str
 

@@ -13,7 +13,7 @@ samples. `change_between` measures how a hand has moved in that time.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -49,9 +49,6 @@ from handmap_qp.trackers.plausibility import InputCheck
 
 # -- time
 
-TimeRule = Literal["", "duplicate", "disorder", "gap", "clock_jump"]
-"""What is unusual about a time stamp; empty if nothing is."""
-
 LONGEST_STEP = 3.0
 """Longest time that one sample accounts for, in usual periods.
 
@@ -79,13 +76,14 @@ class Tick(NamedTuple):
     """What a time stamp says.
 
     Attributes:
-        rule: What is unusual about it. Samples of `duplicate` and `disorder` bring nothing new.
+        rule: What is unusual about it: `duplicate`, `disorder`, `gap`, `clock_jump` or nothing.
+            Samples of the first two bring nothing new.
         elapsed: Time since the last sample that counted [s]; the usual one after a clock jump.
         dt: Time that this sample accounts for [s], from 0 to `LONGEST_STEP` periods; one period at
             most after a sample that brought nothing new, for its command has taken the time.
     """
 
-    rule: TimeRule
+    rule: Rule
     elapsed: float
     dt: float
 
@@ -253,15 +251,11 @@ def first_track(now: float, landmarks: np.ndarray) -> Track:
     return Track(now, points, centre, fixed, still, still, np.zeros_like(points))
 
 
-def is_same_hand(before: Track, sample: Track) -> bool:
-    """Tell whether two samples have exactly the same landmarks."""
-    return all(map(np.array_equal, before[1:3], sample[1:3]))
-
-
 def change_between(track: Track, sample: Track, dt: float) -> Change:
     """Measure the motion from a track to a sample, dt [s] later."""
     # Kabsch: the rotation that takes the palm before to the palm now.
     rotation = nearest_rotation(sample.points[PALM].T @ track.points[PALM])
+    whole = sample.points.T @ track.points
     turn = pin.log3(rotation)
     angle = lengths(turn)
     in_former_axes = (sample.points @ rotation - track.points) / dt
@@ -289,16 +283,11 @@ def change_between(track: Track, sample: Track, dt: float) -> Change:
         np.array([palm / span, turned / span, fingers / span, stretch, *speeds, angle]),
         np.repeat([rate / span, 1.0, 1.0 / dt, 1.0], [3, 1, 3, 1]),
         noise_of(np.array(slips), rate),
-        is_mirrored=_is_mirrored(track.points, moved.points),
+        # A reflection lays one hand better on the other than any rotation does.
+        is_mirrored=np.linalg.det(whole) < 0.0
+        and np.linalg.svd(whole, compute_uv=False)[2] > MIRROR,
         is_alone=fingers > ALONE * second,
     )
-
-
-def _is_mirrored(before: np.ndarray, points: np.ndarray) -> bool:
-    """Tell whether a reflection lays one hand better on the other than any rotation does."""
-    covariance = points.T @ before
-    least = np.linalg.svd(covariance, compute_uv=False)[2]
-    return bool(np.linalg.det(covariance) < 0.0 and least > MIRROR)
 
 
 def fixed_lengths(landmarks: np.ndarray) -> np.ndarray:
@@ -402,8 +391,7 @@ class StreamGuard(Compiled):
         if rule:
             self._state = _holding(state, rule)
             return held._replace(rule=rule, finding=finding)
-        was_late = before.clock.late_count > 0
-        verdict, self._state = self._follow(sample, state, tick, was_late)
+        verdict, self._state = self._follow(sample, state, tick)
         if self._state.cause and not state.cause:
             self._input.alert()
         if sample.wrist is None or self._input.is_wrist_proven or verdict.is_held:
@@ -440,11 +428,7 @@ class StreamGuard(Compiled):
         return ("" if self._palm.fits(sample.landmarks) else "size"), None
 
     def _follow(
-        self,
-        sample: HumanSample,
-        state: GuardState,
-        tick: Tick,
-        was_late: bool,
+        self, sample: HumanSample, state: GuardState, tick: Tick
     ) -> tuple[Verdict, GuardState]:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
         fresh = first_track(state.now, sample.landmarks)
@@ -456,13 +440,14 @@ class StreamGuard(Compiled):
             return held._replace(is_held=False, is_return=state.cause != ""), first
         since_last = state.now - last.time
         rule: Rule = ""
-        # A tracker that is slower than its samples repeats them, which is no motion.
-        if not is_same_hand(last, fresh):
+        # A tracker that is slower than its samples repeats landmarks exactly, which is no motion.
+        if not all(map(np.array_equal, last[1:3], fresh[1:3])):
             rule, state = _moved(state, last, fresh)
         elif since_last >= FROZEN_AFTER:
             return held._replace(rule="frozen"), _holding(state, "frozen")
         if state.cause and not _has_returned(fresh, rule, state, since_last):
             return held._replace(rule=rule or "settling"), state
+        was_late = self._former.clock.late_count > 0
         is_return = tick.rule == "gap" or was_late or state.has_paused
         found = held._replace(
             rule=tick.rule, is_held=False, is_return=is_return, lost=state.lost
