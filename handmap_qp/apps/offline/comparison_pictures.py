@@ -22,7 +22,6 @@ from handmap_qp.apps.offline.poses import POSES, rank_poses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _COLUMNS = 8
 _OWN = "#c8452f"
@@ -88,6 +87,8 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     Raises:
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     shown = _clearest(comparison)
     used = {k for k, _ in shown.values()}
     motions = {}
@@ -111,7 +112,9 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
             title=comparison.robot.name,
             footnote=footnote,
         )
-        bands.append(_pixels(figure))
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        bands.append(np.asarray(canvas.buffer_rgba())[..., :3])
     # One below the other, on white.
     width = max(band.shape[1] for band in bands)
     padded = [
@@ -135,15 +138,6 @@ def _rows(
         name = recording.name.replace("_", " ").removesuffix(f" {recording.side}")
         rows.append(replace(row, note=f"{name}\n{row.note}"))
     return rows
-
-
-def _pixels(figure: Figure) -> np.ndarray:
-    """Return a picture as bytes, shape (height, width, 3)."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3]
 
 
 def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:

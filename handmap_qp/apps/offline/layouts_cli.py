@@ -115,15 +115,16 @@ def _summary(layout: Layout) -> dict[str, Any]:
 
 def _facts(layout: Layout) -> dict[str, Any]:
     """Return what the table says, in words."""
+    table = layout.table
     facts: dict[str, Any] = {
         "tracker": layout.title,
-        "values": layout.table.values,
+        "values": table.values,
         "one sample": [str(shape) for shape in layout.shapes],
-        "unit": layout.table.unit,
-        "axes": layout.table.axes,
+        "unit": table.unit,
+        "axes": table.axes,
     }
-    if layout.table.mirror:
-        facts["left-handed"] = f"{layout.table.mirror} is negated"
+    if table.mirror:
+        facts["left-handed"] = f"{table.mirror} is negated"
     wrist = layout.wrist_table
     facts["wrist pose"] = "fitted" if layout.has_wrist else "none; fitted to the palm"
     if wrist is not None:
@@ -134,9 +135,9 @@ def _facts(layout: Layout) -> dict[str, Any]:
             for side, found in (("right", wrist.right), ("left", wrist.left))
             if found is not None
         ]
-        facts["quaternions"] = getattr(layout.table, "quaternion", wrist.quaternion)
+        facts["quaternions"] = getattr(table, "quaternion", wrist.quaternion)
     return facts | {
-        "not given": [*layout.table.missing],
-        "arrays in .npz": [*layout.table.arrays],
-        "sources": [*layout.table.sources],
+        "not given": [*table.missing],
+        "arrays in .npz": [*table.arrays],
+        "sources": [*table.sources],
     }

@@ -33,9 +33,7 @@ LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
 Arrays = Mapping[str, np.ndarray]
 """Arrays of a file by their names."""
-_NEEDED = ("time", "landmarks")
 _KNOWN = (*COLUMNS, "wrist_pose", "source")
-_PREFIXES = tuple(f"{side}_" for side in SIDES)
 
 
 class NpzFormat(RecordingFormat):
@@ -72,7 +70,9 @@ class NpzFormat(RecordingFormat):
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one hand; samples with numbers that are not finite are not valid."""
         prefix = f"{entry.name}_" if entry.name else ""
-        needed, known = ([prefix + n for n in names] for names in (_NEEDED, _KNOWN))
+        needed, known = (
+            [prefix + n for n in names] for names in (("time", "landmarks"), _KNOWN)
+        )
         arrays = _read(path, needed, known)
         own: dict[str, Any] = {n.removeprefix(prefix): arrays[n] for n in arrays}
         own["source"] = str(own.get("source", ""))
@@ -80,7 +80,7 @@ class NpzFormat(RecordingFormat):
 
     def unread(self, path: Path) -> tuple[str, ...]:
         """Name the arrays that a recording cannot hold."""
-        known = {before + name for before in ("", *_PREFIXES) for name in _KNOWN}
+        known = {before + name for before in ("", "left_", "right_") for name in _KNOWN}
         return tuple(sorted(member_names(path) - known - {"handedness"}))
 
     def write(self, recordings: Sequence[Recording], path: Path) -> None:
@@ -142,9 +142,17 @@ def read_archive(
             most = f"{LARGEST_ARCHIVE >> 20} MB"
             problem = f"holds {size >> 20} MB, more than the {most} that are read"
             raise InvalidInputError(problem)
-        return {
-            _name(member): _read_member(file, archive, member) for member in members
-        }
+        arrays = {}
+        for member in members:
+            with (
+                reading(file, "is not a plain array", _name(member)),
+                archive.open(member) as stream,
+                warnings.catch_warnings(),
+            ):
+                # numpy warns of headers that Python 2 wrote.
+                warnings.simplefilter("ignore")
+                arrays[_name(member)] = npy.read_array(stream, allow_pickle=False)
+        return arrays
 
 
 def save_npz(path: Path, arrays: Arrays) -> None:
@@ -175,18 +183,3 @@ def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
         zipfile.ZipFile(stream) as archive,
     ):
         yield archive
-
-
-def _read_member(
-    file: Path,
-    archive: zipfile.ZipFile,
-    member: zipfile.ZipInfo,
-) -> np.ndarray:
-    with (
-        reading(file, "is not a plain array", _name(member)),
-        archive.open(member) as stream,
-        warnings.catch_warnings(),
-    ):
-        # numpy warns of headers that Python 2 wrote.
-        warnings.simplefilter("ignore")
-        return npy.read_array(stream, allow_pickle=False)

@@ -68,14 +68,6 @@ def opened(path: Path) -> Iterator[Any]:
         yield file
 
 
-def has_group(path: Path, name: str) -> bool:
-    """Tell whether a path is an HDF5 file that has a group."""
-    if not path.is_file():
-        return False
-    with opened(path) as file:
-        return name in file
-
-
 def numbers(
     group: Any,
     name: str,
@@ -152,7 +144,20 @@ def check_room(file: Any, size: int) -> None:
         os.posix_fallocate(room.fileno(), 0, size + _OVERHEAD)
 
 
-class RobomimicFormat(RecordingFormat):
+class _Hdf5Format(RecordingFormat):
+    suffixes = SUFFIXES
+    group: str
+    """The group that files of this form have."""
+
+    def recognises(self, path: Path) -> bool:
+        """Tell whether the file has the group."""
+        if not path.is_file():
+            return False
+        with opened(path) as file:
+            return self.group in file
+
+
+class RobomimicFormat(_Hdf5Format):
     """A file with one demonstration for each hand and recording; lossless.
 
     `obs` of each demonstration has `landmarks (N, 63)` [m], `time (N,)` [s], `valid (N,)`, and
@@ -161,27 +166,23 @@ class RobomimicFormat(RecordingFormat):
     """
 
     name = "robomimic"
-    suffixes = SUFFIXES
+    group = "data"
     about = "HDF5 in the form of robomimic; lossless, any number of recordings"
-
-    def recognises(self, path: Path) -> bool:
-        """Tell whether the file has demonstrations."""
-        return has_group(path, "data")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the demonstrations by their numbers."""
         with opened(path) as file:
-            demos = file["data"]
+            entries = []
             # demo_2 is before demo_10.
-            names = sorted(demos, key=lambda name: (len(name), name))
-            return tuple(self._entry(name, demos[name]) for name in names)
-
-    def _entry(self, name: str, demo: Any) -> Entry:
-        if "obs/landmarks" not in demo:
-            problem = f"has no obs/landmarks; it has {', '.join(sorted(demo))}"
-            raise InvalidInputError(problem, argument=f"data/{name}")
-        side = side_of(demo.attrs.get("side"), f"data/{name}")
-        return Entry(name, side, len(demo["obs/landmarks"]))
+            for name in sorted(file["data"], key=lambda name: (len(name), name)):
+                demo = file["data"][name]
+                place = f"data/{name}"
+                if "obs/landmarks" not in demo:
+                    problem = f"has no obs/landmarks; it has {', '.join(sorted(demo))}"
+                    raise InvalidInputError(problem, argument=place)
+                side = side_of(demo.attrs.get("side"), place)
+                entries.append(Entry(name, side, len(demo["obs/landmarks"])))
+            return tuple(entries)
 
     def read(self, path: Path, entry: Entry) -> Recording:
         """Read one demonstration."""
@@ -232,7 +233,7 @@ def joint_names(side: Side) -> tuple[str, ...]:
     )
 
 
-class EgoDexFormat(RecordingFormat):
+class EgoDexFormat(_Hdf5Format):
     """Both hands as poses of ARKit's joints.
 
     A sample is valid where all 21 poses are finite and the wrist's confidence is above 0. Its
@@ -241,13 +242,9 @@ class EgoDexFormat(RecordingFormat):
     """
 
     name = "egodex"
-    suffixes = SUFFIXES
+    group = "transforms"
     about = "EgoDex's HDF5, poses of ARKit's joints; one recording of each hand"
     lacks = ("source", "no wrist", "wrist position", "no confidence")
-
-    def recognises(self, path: Path) -> bool:
-        """Tell whether the file has poses of joints."""
-        return has_group(path, "transforms")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands whose wrist the file has."""

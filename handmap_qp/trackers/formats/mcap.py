@@ -208,16 +208,6 @@ def _points(message: Any) -> list[tuple[float, float, float]]:
     return [(p.position.x, p.position.y, p.position.z) for p in message.poses]
 
 
-def _posture(message: Any, side: Side) -> np.ndarray:
-    """Return the joint angles of a message, in the order of `HUMAN_JOINTS` [rad]."""
-    pairs = zip(message.name, message.position, strict=False)
-    angles = {name.removeprefix(f"{side}_"): angle for name, angle in pairs}
-    for name in HUMAN_JOINTS:
-        if name not in angles:
-            raise InvalidInputError(f"a message has no position of joint {name!r}")
-    return np.array([angles[name] for name in HUMAN_JOINTS])
-
-
 def _forward(
     messages: Sequence[Any],
     side: Side,
@@ -228,7 +218,12 @@ def _forward(
     rows = np.full((len(messages), LANDMARK_COUNT, 3), np.nan)
     has_pose = finite_samples(wrists)
     for i, message in enumerate(messages):
-        q = _posture(message, side)
+        pairs = zip(message.name, message.position, strict=False)
+        angles = {name.removeprefix(f"{side}_"): angle for name, angle in pairs}
+        for name in HUMAN_JOINTS:
+            if name not in angles:
+                raise InvalidInputError(f"a message has no position of joint {name!r}")
+        q = np.array([angles[name] for name in HUMAN_JOINTS])
         pose = None
         if has_pose[i]:
             pose = pose_from_xyz_quat(wrists[i], "wxyz", "wrist")
@@ -241,6 +236,7 @@ def _forward(
 def _write_hand(writer: Any, recording: Recording) -> None:
     """Write all topics of a recording."""
     store = _store()
+    types = store.types
     motion = fit_recording(recording)
     # Landmarks and joint states are always there.
     topics = {
@@ -251,17 +247,13 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         if getattr(recording, what, ()) is not None
     }
 
-    def made(kind: str, *values: Any) -> Any:
-        return store.types[kind](*values)
-
     def pose(
         position: np.ndarray, quat_wxyz: Sequence[float] = (1.0, 0.0, 0.0, 0.0)
     ) -> Any:
         w, x, y, z = quat_wxyz
-        return made(
-            "geometry_msgs/msg/Pose",
-            made("geometry_msgs/msg/Point", *position.tolist()),
-            made("geometry_msgs/msg/Quaternion", x, y, z, w),
+        return types["geometry_msgs/msg/Pose"](
+            types["geometry_msgs/msg/Point"](*position.tolist()),
+            types["geometry_msgs/msg/Quaternion"](x, y, z, w),
         )
 
     names = list(motion.human.joint_names)
@@ -269,8 +261,8 @@ def _write_hand(writer: Any, recording: Recording) -> None:
     landmarks = np.where(recording.valid[:, None, None], recording.landmarks, np.nan)
     for i, time in enumerate(recording.time.tolist()):
         stamp = round(1e9 * time)
-        instant = made("builtin_interfaces/msg/Time", stamp // 10**9, stamp % 10**9)
-        header = made("std_msgs/msg/Header", instant, _FRAME)
+        instant = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
+        header = types["std_msgs/msg/Header"](instant, _FRAME)
         values: dict[str, tuple[Any, ...]] = {
             _POSES: (header, [pose(point) for point in landmarks[i]])
         }
@@ -283,5 +275,5 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         if recording.confidence is not None:
             values[_NUMBER] = (float(recording.confidence[i]),)
         for kind, given in values.items():
-            content = store.serialize_cdr(made(kind, *given), kind)
+            content = store.serialize_cdr(types[kind](*given), kind)
             writer.write(topics[kind], stamp, content)
