@@ -83,15 +83,17 @@ def look_ahead(recording: Recording, options: LookAhead | None = None) -> Record
     chosen = options or LookAhead()
     time = recording.time
     valid = recording.valid
-    filled = _filled(time, valid, chosen.longest_gap)
+    filled = valid.copy()
+    for gap in stretches(~valid):
+        is_inside = gap.start > 0 and gap.stop < len(time)
+        if is_inside and time[gap.stop] - time[gap.start - 1] <= chosen.longest_gap:
+            filled[gap] = True
     landmarks = recording.landmarks.copy()
     for part in stretches(filled):
         if valid[part].sum() < 3:
             filled[part] &= valid[part]
         else:
-            landmarks[part] = _smoothed(
-                time[part], recording.landmarks[part], valid[part], chosen
-            )
+            landmarks[part] = _smoothed(recording.part(part), chosen)
     return replace(
         recording, landmarks=landmarks, valid=filled, wrist=None, confidence=None
     )
@@ -205,14 +207,11 @@ def continuous_quats(rotations: np.ndarray) -> np.ndarray:
     return quats
 
 
-def _smoothed(
-    time: np.ndarray,
-    landmarks: np.ndarray,
-    valid: np.ndarray,
-    options: LookAhead,
-) -> np.ndarray:
+def _smoothed(recording: Recording, options: LookAhead) -> np.ndarray:
     """Smooth landmarks, shape (T, 21, 3): the palm's motion, and what moves in the palm."""
-    held = landmarks[held_samples(valid)]
+    time = recording.time
+    valid = recording.valid
+    held = recording.landmarks[held_samples(valid)]
     points = held[:, PALM]
     turns = rigid_fit(points[0], points)[:, :3, :3]
     palms = affine(turns, points.mean(axis=1))
@@ -220,17 +219,3 @@ def _smoothed(
     inside = whittaker(time, local.reshape(len(time), -1), valid, options.cutoff)
     poses = smooth_poses(time, palms, valid, options)
     return transform_points(poses, inside.reshape(local.shape))
-
-
-def _filled(
-    time: np.ndarray,
-    valid: np.ndarray,
-    longest: float,
-) -> np.ndarray:
-    """Tell which samples are valid or in a gap that is filled, shape (T,)."""
-    filled = valid.copy()
-    for gap in stretches(~valid):
-        is_inside = gap.start > 0 and gap.stop < len(time)
-        if is_inside and time[gap.stop] - time[gap.start - 1] <= longest:
-            filled[gap] = True
-    return filled

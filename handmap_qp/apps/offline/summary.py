@@ -40,12 +40,15 @@ def summarise(trajectory: Trajectory) -> Summary:
         share of samples, what holds the arm in them (`arm_held_by`), the largest error, the extent
         of the motion and a scale to try, of an arm that does not follow; None if it does.
     """
+    robot = trajectory.robot
     seen = trajectory.valid
+    is_slow = trajectory.at_speed_limit[seen]
+    shares = is_slow.mean(axis=0)
     points = 1e3 * trajectory.point_error[seen]
     step = 1e6 * trajectory.step_cpu[seen]
     consistency = trajectory.consistency[~np.isnan(trajectory.consistency)]
     found = {
-        "robot": trajectory.robot.name,
+        "robot": robot.name,
         "samples": len(trajectory.time),
         "held": int((~seen).sum()),
         "rules": count_rules(trajectory),
@@ -60,8 +63,17 @@ def summarise(trajectory: Trajectory) -> Summary:
         "wrist_error_mm_mean": 1e3 * trajectory.wrist_error[seen].mean(),
         "samples_at_limit": int(trajectory.at_limit.any(axis=1).sum()),
         "limit_violation_max": trajectory.limit_violation,
-        "speed_limited_share": trajectory.at_speed_limit[seen].any(axis=1).mean(),
-        "speed_limited_joints": _slow_joints(trajectory),
+        "speed_limited_share": is_slow.any(axis=1).mean(),
+        # The joints that speed limits held most often.
+        "speed_limited_joints": [
+            {
+                "joint": robot.joint_names[i],
+                "share": shares[i],
+                "limit": robot.velocity_limits[i],
+            }
+            for i in np.argsort(-shares, kind="stable")[:_NAMED_JOINTS]
+            if shares[i] > 0.0
+        ],
         "arm_out_of_reach": _arm(trajectory),
     }
     # Plain numbers, for every encoder.
@@ -189,18 +201,3 @@ def _arm(trajectory: Trajectory) -> dict[str, Any] | None:
         "held_by": {name: n / late.sum() for name, n in counted.most_common()},
         "scale": max(0.05, np.floor(20.0 * scale) / 20.0),
     }
-
-
-def _slow_joints(trajectory: Trajectory) -> list[dict[str, Any]]:
-    """Return the joints that speed limits held most often, with share and limit."""
-    robot = trajectory.robot
-    shares = trajectory.at_speed_limit[trajectory.valid].mean(axis=0)
-    return [
-        {
-            "joint": robot.joint_names[i],
-            "share": shares[i],
-            "limit": robot.velocity_limits[i],
-        }
-        for i in np.argsort(-shares, kind="stable")[:_NAMED_JOINTS]
-        if shares[i] > 0.0
-    ]

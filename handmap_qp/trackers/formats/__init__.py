@@ -104,11 +104,9 @@ def list_sources(path: Path | str) -> tuple[Source, ...]:
     )
     file = Path(path)
     name = ""
-    if not file.exists():
-        before, separator, after = str(path).rpartition(SEPARATOR)
-        if separator:
-            file = Path(before)
-            name = after
+    if not file.exists() and SEPARATOR in str(path):
+        before, _, name = str(path).rpartition(SEPARATOR)
+        file = Path(before)
     if str(file) == DEMO and not file.is_file():
         file = DEMO_FILE
     with reading(file):
@@ -163,10 +161,8 @@ def read_recording(path: Path | str, side: Side | None = None) -> Recording:
             than expected, or it holds several recordings and none was named.
         MissingExtraError: If the format needs a package that is not installed.
     """
-    sources = list_sources(path)
-    if len(sources) > 1:
-        own = tuple(source for source in sources if source.entry.side == side)
-        sources = own or sources
+    found = list_sources(path)
+    sources = [source for source in found if source.entry.side == side] or found
     if len(sources) > 1:
         listing = _listing([source.entry for source in sources])
         problem = f"{listing}: name one of them after {SEPARATOR}"

@@ -119,8 +119,8 @@ def member_names(file: Path) -> set[str]:
     Raises:
         RecordingError: If the file cannot be read or is not an archive.
     """
-    with _opened(file) as archive:
-        return {_name(member) for member in archive.infolist()}
+    with _opened(file) as (_, members):
+        return set(members)
 
 
 def read_archive(
@@ -136,22 +136,23 @@ def read_archive(
         RecordingError: If the file cannot be read, is not an archive of plain arrays, is damaged,
             or holds more than `LARGEST_ARCHIVE`. `array` names the member at fault.
     """
-    with _opened(file) as archive:
-        members = [m for m in archive.infolist() if names is None or _name(m) in names]
-        if (size := sum(member.file_size for member in members)) > LARGEST_ARCHIVE:
+    with _opened(file) as (archive, members):
+        chosen = {n: m for n, m in members.items() if names is None or n in names}
+        size = sum(member.file_size for member in chosen.values())
+        if size > LARGEST_ARCHIVE:
             most = f"{LARGEST_ARCHIVE >> 20} MB"
             problem = f"holds {size >> 20} MB, more than the {most} that are read"
             raise InvalidInputError(problem)
         arrays = {}
-        for member in members:
+        for name, member in chosen.items():
             with (
-                reading(file, "is not a plain array", _name(member)),
+                reading(file, "is not a plain array", name),
                 archive.open(member) as stream,
                 warnings.catch_warnings(),
             ):
                 # numpy warns of headers that Python 2 wrote.
                 warnings.simplefilter("ignore")
-                arrays[_name(member)] = npy.read_array(stream, allow_pickle=False)
+                arrays[name] = npy.read_array(stream, allow_pickle=False)
         return arrays
 
 
@@ -169,17 +170,19 @@ def save_npz(path: Path, arrays: Arrays) -> None:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
 
-def _name(member: zipfile.ZipInfo) -> str:
-    return member.filename.removesuffix(".npy")
-
-
 @contextmanager
-def _opened(file: Path) -> Iterator[zipfile.ZipFile]:
-    """Open an archive, and turn every error inside the block into `RecordingError`."""
+def _opened(
+    file: Path,
+) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
+    """Open an archive, and turn every error inside the block into `RecordingError`.
+
+    Yields:
+        The archive, and its members by the names of their arrays.
+    """
     # Opened here, because zipfile leaves a damaged file open.
     with (
         reading(file, "is not an .npz file of plain arrays"),
         file.open("rb") as stream,
         zipfile.ZipFile(stream) as archive,
     ):
-        yield archive
+        yield archive, {m.filename.removesuffix(".npy"): m for m in archive.infolist()}

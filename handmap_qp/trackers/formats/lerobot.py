@@ -19,7 +19,7 @@ import numpy as np
 
 from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.human.recording import Recording, finite_samples
-from handmap_qp.output_files import make_folder, sync, writing
+from handmap_qp.output_files import check_new, make_folder, sync, writing
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     Entry,
@@ -136,12 +136,8 @@ def writing_set(
         InvalidInputError: If the folder exists and is not empty, or cannot be written.
         MissingExtraError: If pyarrow is not installed.
     """
-    if root.exists() and (not root.is_dir() or any(root.iterdir())):
-        raise InvalidInputError(
-            f"{root} exists already",
-            argument=argument,
-            advice="remove it first",
-        )
+    is_empty = root.is_dir() and not any(root.iterdir())
+    check_new(argument, root, overwrite=is_empty, advice="remove it first")
     make_folder(root.parent, argument)
     with (
         writing(root, argument),
