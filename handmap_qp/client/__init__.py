@@ -261,10 +261,8 @@ class _Core:
             now = clock.monotonic()
             socket = self._socket("requests")
             until = now + (deadline - now) / left
-            answer = yield _Io(socket, payload, until)
-            while answer is not None:
-                if (answer := (yield _Io(socket, None, until))) is None:
-                    break
+            is_sent = (yield _Io(socket, payload, until)) is not None
+            while is_sent and (answer := (yield _Io(socket, None, until))) is not None:
                 reply = self._read(answer)
                 # An error with number 0 says that the server did not read the request. Other
                 # numbers are of requests that timed out before.

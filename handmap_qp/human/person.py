@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import yaml
+from msgspec.structs import astuple
 
 from handmap_qp.errors import InvalidInputError, expect, reason_of
 from handmap_qp.hands.human import FINGERS, HumanLengths
@@ -59,8 +60,7 @@ class Person:
 
     def session_fields(self) -> dict[str, Any]:
         """Return the arguments of `Client.open` that describe the person to the service."""
-        names = ("bases", "segments", "rolls")
-        lengths = {name: getattr(self.lengths, name).tolist() for name in names}
+        lengths = {name: getattr(self.lengths, name).tolist() for name in _KEYS}
         return {"lengths": lengths, "contact_gap": self.contact_gap}
 
 
@@ -115,12 +115,9 @@ def read_person(path: Path | str) -> Person:
     file = Path(path)
     try:
         found: Any = msgspec.yaml.decode(file.read_bytes(), type=_PERSON_FILE)
-        fingers = [getattr(found.fingers, name) for name in FINGERS]
-        bases, bones, rolls = (
-            np.array([getattr(finger, key) for finger in fingers])
-            for key in _FingerFile.__struct_fields__
-        )
-        return Person(found.name, HumanLengths(bases, bones, rolls), found.contact_gap)
+        columns = zip(*map(astuple, astuple(found.fingers)), strict=True)
+        lengths = HumanLengths(*map(np.array, columns))
+        return Person(found.name, lengths, found.contact_gap)
     except InvalidInputError as error:
         key = _KEYS.get(error.argument, error.argument)
         raise _unreadable(file, key, error.what) from error

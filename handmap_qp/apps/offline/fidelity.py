@@ -171,32 +171,24 @@ def finger_metrics(human: HandTrace, robot: HandTrace) -> ByFinger:
     by the mean ratio of reaches. So it does not depend on the origin of the palm frame, which is a
     convention of each robot's description. Both are in mm of the human's hand.
     """
-    one = human.extension
-    other = robot.extension
-    is_still = np.ptp([one, other], axis=1).min(axis=0) < _STILL
+    one, other = both = np.array([human.extension, robot.extension])
+    is_still = np.ptp(both, axis=1).min(axis=0) < _STILL
     low, high = np.percentile(one, (2.0, 98.0), axis=0)
-    h = human.local
-    r = robot.local
-    tip_h = h[:, :, TIP]
-    tip_r = r[:, :, TIP]
+    points = np.array([human.local, robot.local])
+    tips = points[:, :, :, TIP]
+    knuckles = points[:, :, :, KNUCKLE]
     ratio = (robot.reach / human.reach).mean()
     # The thumb's knuckle does not count if there are others.
     others = [i for i, name in enumerate(human.names) if name != THUMB] or [0]
-    centre_h, centre_r = (
-        points[:, others, KNUCKLE].mean(axis=1, keepdims=True) for points in (h, r)
-    )
+    h, r = tips - knuckles[:, :, others].mean(axis=2, keepdims=True)
     return {
         "extension_correlation": np.where(is_still, 0.0, _correlations(one, other)),
         "extension_rms": _rms(one - other),
         "extension_range": high - low,
-        "direction_deg": angles_between(
-            tip_h - h[:, :, KNUCKLE], tip_r - r[:, :, KNUCKLE]
-        ).mean(axis=0),
-        "wrist_direction_deg": angles_between(tip_h, tip_r).mean(axis=0),
-        "tip_error_mm": _distance_mm(tip_r * (human.size / robot.size), tip_h),
-        "tip_error_knuckles_mm": _distance_mm(
-            (tip_r - centre_r) / ratio, tip_h - centre_h
-        ),
+        "direction_deg": angles_between(*(tips - knuckles)).mean(axis=0),
+        "wrist_direction_deg": angles_between(*tips).mean(axis=0),
+        "tip_error_mm": _distance_mm(tips[1] * (human.size / robot.size), tips[0]),
+        "tip_error_knuckles_mm": _distance_mm(r / ratio, h),
     }
 
 
@@ -349,23 +341,22 @@ def key_vector_metrics(human: HandTrace, robot: HandTrace) -> Values:
     Key vectors go from the palm's origin to each tip, and from the thumb's tip to each other tip.
     """
     other = _palm_points(robot)
-    aligned = _laid_on(_palm_points(human), other)
+    both = np.array([_laid_on(_palm_points(human), other), other])
     tips = [*range(1, 1 + len(human.names))]
     pairs = [(0, tip) for tip in tips]
     if THUMB in human.names:
         thumb = 1 + human.names.index(THUMB)
         pairs += [(thumb, tip) for tip in tips if tip != thumb]
     starts, ends = np.transpose(pairs)
-    a, b = (points[:, ends] - points[:, starts] for points in (aligned, other))
+    a, b = both[:, :, ends] - both[:, :, starts]
     cosine = _cosines(a, b)
-    steps, steps_other = (np.diff(p[:, tips], axis=0) for p in (aligned, other))
-    moves = _cosines(steps, steps_other)
-    bends = np.diff(steps_other, axis=0)
+    steps = np.diff(both[:, :, tips], axis=1)
+    bends = np.diff(steps[1], axis=0)
     return {
         "key_cosine": cosine.mean(),
         "key_angle_deg": np.degrees(np.arccos(cosine)).mean(),
         "key_scale": (lengths(b) / (lengths(a) + _LEAST)).mean(),
-        "motion_preservation": _mean(moves),
+        "motion_preservation": _mean(_cosines(*steps)),
         "flatness_mm2": 1e6 * _mean((bends**2).sum(axis=2)),
     }
 
