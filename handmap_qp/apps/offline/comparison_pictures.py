@@ -87,8 +87,6 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     Raises:
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-
     shown = _clearest(comparison)
     used = {k for k, _ in shown.values()}
     motions = {}
@@ -101,6 +99,9 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     missing = [name for name in names if name not in {*shown, *motions}]
     if not shown or not motions:
         return None, missing
+    matplotlib = require_matplotlib()
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     footnote = f"Not shown: {', '.join(missing)}." if missing else ""
     bands = []
     for first in range(0, len(motions), _BAND):
@@ -121,7 +122,7 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
         np.pad(band, ((0, 0), (0, width - band.shape[1]), (0, 0)), constant_values=255)
         for band in bands
     ]
-    require_matplotlib().image.imsave(file, np.concatenate(padded))
+    matplotlib.image.imsave(file, np.concatenate(padded))
     return file, missing
 
 

@@ -130,11 +130,11 @@ def trace_robot(
     fingers = chains.values()
     places = [place for one in fingers for place in (one.knuckle, one.middle, one.tip)]
     local = PalmKinematics(hand).points(np.vstack([zero_posture(hand), q]), places)
-    flat, *moved = local.reshape(1 + len(q), -1, 3, 3)
-    points = transform_points(palm[:, None], np.array(moved))
+    local = local.reshape(1 + len(q), -1, 3, 3)
+    points = transform_points(palm[:, None], local[1:])
     reach = np.array([one.reach for one in fingers])
     # The size of a thumb alone is that of the thumb.
     others = [i for i, name in enumerate(chains) if name != THUMB] or [0]
-    centre = flat[others, KNUCKLE].mean(axis=0)
+    centre = local[0, others, KNUCKLE].mean(axis=0)
     size = float(norms(centre) + reach[others].mean())
     return HandTrace(tuple(chains), points, reach, palm, size)
