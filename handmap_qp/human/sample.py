@@ -279,8 +279,7 @@ class Finding(NamedTuple):
     """What is wrong with the input.
 
     Attributes:
-        kind: The rule that the mistake breaks: one of those that say `for a while`, or `size` or
-            `frozen`.
+        kind: The kind of mistake: a rule that says `for a while`.
         problem: What was found, in one line.
         advice: What to do about it.
     """
