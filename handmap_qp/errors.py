@@ -11,6 +11,7 @@ import copyreg
 import difflib
 import importlib
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,22 @@ class HandmapError(Exception):
         return copyreg.__newobj__, (type(self), *self.args), self.__dict__  # ty: ignore[missing-attribute]
 
 
-class _DescribedError(HandmapError, ValueError):
+@dataclass(eq=False, repr=False)
+class _ProblemError(HandmapError, ValueError):
+    """An error whose evidence are its fields.
+
+    Attributes:
+        problem: What is wrong.
+    """
+
+    problem: str = ""
+
+    def __post_init__(self) -> None:
+        super().__init__(self.problem)
+
+
+@dataclass(eq=False, repr=False, kw_only=True)
+class _DescribedError(_ProblemError):
     """What is wrong with one named thing, as attributes from which the text is composed.
 
     Attributes:
@@ -42,25 +58,19 @@ class _DescribedError(HandmapError, ValueError):
         advice: What to do about it.
     """
 
-    def __init__(
-        self,
-        problem: str = "",
-        *,
-        argument: str = "",
-        option: str = "",
-        expected: str = "",
-        value: Any = UNSET,
-        got: str = "",
-        advice: str = "",
-    ) -> None:
-        super().__init__(problem)
-        self.argument = argument
-        self.option = option
-        self.problem = problem
-        self.expected = expected
-        self.value = None if value is UNSET else value
-        self.got = got or ("" if value is UNSET else describe_value(value))
-        self.advice = advice
+    argument: str = ""
+    option: str = ""
+    expected: str = ""
+    value: Any = UNSET
+    got: str = ""
+    advice: str = ""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.value is UNSET:
+            self.value = None
+        else:
+            self.got = self.got or describe_value(self.value)
 
     @property
     def what(self) -> str:
@@ -101,7 +111,8 @@ class InvalidOptionsError(_DescribedError):
     """Options contradict each other or the hands they are used with; `option` is at fault."""
 
 
-class HandError(HandmapError, ValueError):
+@dataclass(eq=False, repr=False, kw_only=True)
+class HandError(_ProblemError):
     """A hand description (`hand.yaml` or URDF) cannot be used.
 
     Attributes:
@@ -111,26 +122,17 @@ class HandError(HandmapError, ValueError):
         value: The value found there.
     """
 
-    def __init__(
-        self,
-        problem: str,
-        *,
-        file: Path | None = None,
-        key: str | None = None,
-        value: Any = None,
-    ) -> None:
-        super().__init__(problem)
-        self.problem = problem
-        self.file = file
-        self.key = key
-        self.value = value
+    file: Path | None = None
+    key: str | None = None
+    value: Any = None
 
     def __str__(self) -> str:
         """Compose `file: key: problem` in one line."""
         return _joined(self.file, self.key, self.problem)
 
 
-class RecordingError(HandmapError, ValueError):
+@dataclass(eq=False, repr=False, kw_only=True)
+class RecordingError(_ProblemError):
     """A recording of a human hand cannot be read.
 
     Attributes:
@@ -140,14 +142,9 @@ class RecordingError(HandmapError, ValueError):
         line: The line of a text file that is at fault, counted from 1; None where there is none.
     """
 
-    def __init__(
-        self, problem: str, *, file: Path, array: str = "", line: int | None = None
-    ) -> None:
-        super().__init__(problem)
-        self.problem = problem
-        self.file = file
-        self.array = array
-        self.line = line
+    file: Path
+    array: str = ""
+    line: int | None = None
 
     def __str__(self) -> str:
         """Compose `file: line: array: problem` in one line."""
@@ -156,7 +153,8 @@ class RecordingError(HandmapError, ValueError):
         return " ".join(_joined(self.file, line, self.array, self.problem).split())
 
 
-class DegeneratePointsError(HandmapError, ValueError):
+@dataclass(eq=False, repr=False, kw_only=True)
+class DegeneratePointsError(_ProblemError):
     """The reference points do not determine the motion (eq. 6 has no unique solution).
 
     Attributes:
@@ -164,10 +162,7 @@ class DegeneratePointsError(HandmapError, ValueError):
         singular_values: Of the weighted, centred points, largest first [m], shape (3,).
     """
 
-    def __init__(self, problem: str, *, singular_values: np.ndarray) -> None:
-        super().__init__(problem)
-        self.problem = problem
-        self.singular_values = singular_values
+    singular_values: np.ndarray
 
     def __str__(self) -> str:
         """Compose `problem (singular values in mm)` in one line."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from functools import cache
+from itertools import starmap
 from types import UnionType
 from typing import (
     Annotated,
@@ -78,14 +79,13 @@ class Option(NamedTuple):
     @property
     def choices(self) -> tuple[str, ...]:
         """The words that it takes; empty if there are none."""
-        return tuple(word for part in _parts(self.type) for word in _words(part))
+        return tuple(word for bare, _ in _parts(self.type) for word in _words(bare))
 
     @property
     def range(self) -> tuple[float, float] | None:
         """Least and largest number; None if it takes no numbers."""
-        for part in _parts(self.type):
-            if _bare(part) in (int, float):
-                meta = _meta(part)
+        for bare, meta in _parts(self.type):
+            if bare in (int, float):
                 low = meta.gt if meta.ge is None else meta.ge
                 return (
                     -math.inf if low is None else low,
@@ -117,7 +117,7 @@ class Option(NamedTuple):
     @property
     def expected(self) -> str:
         """What its values are, in words."""
-        return " or ".join(filter(None, map(_in_words, _parts(self.type))))
+        return " or ".join(starmap(_in_words, _parts(self.type)))
 
 
 class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -204,52 +204,43 @@ def _plain(value: Any) -> Any:
     return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
 
 
-def _bare(kind: Any) -> Any:
-    """Return a type without its description."""
-    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+def _split(kind: Any) -> tuple[Any, Meta]:
+    """Return a type without its description, and the description."""
+    if get_origin(kind) is not Annotated:
+        return kind, Meta()
+    bare, *notes = get_args(kind)
+    return bare, next((note for note in notes if isinstance(note, Meta)), Meta())
 
 
-def _meta(kind: Any) -> Meta:
-    """Return the description of a type."""
-    return next(
-        (m for m in getattr(kind, "__metadata__", ()) if isinstance(m, Meta)), Meta()
-    )
+def _parts(kind: Any) -> list[tuple[Any, Meta]]:
+    """Return the types of a union, or the type itself, each split from its description."""
+    whole = _split(kind)
+    is_union = get_origin(whole[0]) in (Union, UnionType)
+    return [*map(_split, get_args(whole[0]))] if is_union else [whole]
 
 
-def _parts(kind: Any) -> tuple[Any, ...]:
-    """Return the types of a union, or the type itself."""
-    bare = _bare(kind)
-    return get_args(bare) if get_origin(bare) in (Union, UnionType) else (kind,)
-
-
-def _words(kind: Any) -> tuple[str, ...]:
-    return get_args(_bare(kind)) if get_origin(_bare(kind)) is Literal else ()
+def _words(bare: Any) -> tuple[str, ...]:
+    return get_args(bare) if get_origin(bare) is Literal else ()
 
 
 def _description(kind: Any) -> str:
-    metas = map(_meta, (kind, *_parts(kind)))
+    metas = (meta for _, meta in (_split(kind), *_parts(kind)))
     return next((meta.description for meta in metas if meta.description), "")
 
 
-def _in_words(kind: Any) -> str:
+def _in_words(bare: Any, meta: Meta) -> str:
     """Return what the values of a type that is no union are."""
-    bare = _bare(kind)
-    meta = _meta(kind)
-    if words := _words(kind):
+    if words := _words(bare):
         return f"one of {', '.join(words)}"
     if parts := get_args(bare):  # a tuple
-        row = get_args(_bare(parts[0]))
-        shape = f"({len(parts)}, {len(row)})"
-        if row:
-            return f"a matrix of shape {shape}"
-        low = _meta(parts[0]).gt
-        return f"{len(parts)} finite numbers" + ("" if low is None else f" > {low:g}")
+        if row := get_args(_split(parts[0])[0]):
+            return f"a matrix of shape ({len(parts)}, {len(row)})"
+        return f"{len(parts)} finite numbers"
     if bare not in (int, float):
         return {bool: "true or false", str: "a name"}.get(bare, "none")
     noun = "an integer" if bare is int else "a number"
-    bracket, sign, low = (
-        ("(", ">", meta.gt) if meta.ge is None else ("[", ">=", meta.ge)
-    )
+    ends = ("(", ">", meta.gt) if meta.ge is None else ("[", ">=", meta.ge)
+    bracket, sign, low = ends
     if meta.le is not None and meta.le < LARGEST:
         return f"{noun} in {bracket}{low:g}, {meta.le:g}]"
     noun = "a finite number" if meta.le == LARGEST else noun
