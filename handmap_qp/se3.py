@@ -243,22 +243,19 @@ def check_pose(
             got=f"shape {pose.shape}",
             advice=advice.get(pose.shape, ""),
         )
-    # `<= FARTHEST` is also false for NaN.
-    if not (abs(pose) <= FARTHEST).all() or pose[3].tolist() != [0.0, 0.0, 0.0, 1.0]:
+    is_placed, defect, volume = _measure(pose)
+    if not is_placed:
         expected = (
             f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
         )
         got = str(pose.tolist())
         raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
-    turn = pose[:3, :3]
-    defect = np.abs(turn.T @ turn - np.eye(3)).max()
-    volume = np.linalg.det(turn)
     if defect > _ROTATION_TOLERANCE or volume < 0.0:
         expected = "a rotation as its 3x3 part"
         got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
         raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
     if defect > _ROTATION_EXACT:
-        pose = affine(nearest_rotation(turn), pose[:3, 3])
+        pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
     return pose
 
 
@@ -277,17 +274,27 @@ def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
         InvalidInputError: If a pose that is used is not one, with its index.
     """
     poses = as_floats(values, name, shape=(len(is_used), 4, 4))
-    # `<= FARTHEST` is also false for NaN.
-    is_pose = (np.abs(poses[:, :3]) <= FARTHEST).all(axis=(1, 2))
-    is_pose &= (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all(axis=1)
-    turns = np.where(is_pose[:, None, None], poses[:, :3, :3], 0.0)
-    defects = np.abs(turns.transpose(0, 2, 1) @ turns - np.eye(3)).max(axis=(1, 2))
-    is_pose &= (defects <= _ROTATION_TOLERANCE) & (np.linalg.det(turns) > 0.0)
+    is_placed, defects, volumes = _measure(poses)
+    is_pose = is_placed & (defects <= _ROTATION_TOLERANCE) & (volumes > 0.0)
     is_wrong = is_used & ~is_pose
     if is_wrong.any():
         got = f"another matrix in sample {np.argmax(is_wrong)}"
         raise InvalidInputError(argument=name, expected="poses", value=poses, got=got)
     return poses
+
+
+def _measure(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return whether matrices (..., 4, 4) have usable coordinates and a last row of 0, 0, 0, 1.
+
+    Also how far their 3x3 parts are from orthogonal, and their determinants; shape (...) each.
+    """
+    # `<= FARTHEST` is also false for NaN.
+    is_placed = (np.abs(poses[..., :3, :]) <= FARTHEST).all(axis=(-2, -1))
+    is_placed &= (poses[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all(axis=-1)
+    turns = np.where(is_placed[..., None, None], poses[..., :3, :3], 0.0)
+    products = turns.swapaxes(-1, -2) @ turns
+    defects = np.abs(products - np.eye(3)).max(axis=(-2, -1))
+    return is_placed, defects, np.linalg.det(turns)
 
 
 def as_floats(
@@ -325,7 +332,10 @@ def as_floats(
         got = f"{array[place]}" + (f" at {list(place)}" if place else "")
     else:
         return array
-    expected = _numbers_text(shape, "finite " if is_finite else "")
+    noun = "finite number" if is_finite else "number"
+    # Letters stand for sizes that are free.
+    sized = f"{noun}s of shape {shape}".replace("'", "")
+    expected = {None: f"{noun}s", (): f"a {noun}"}.get(shape, sized)
     raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
 
@@ -350,13 +360,3 @@ def _has_shape(array: np.ndarray, shape: tuple[int | str, ...]) -> bool:
         isinstance(wanted, str) or size == wanted
         for size, wanted in zip(array.shape, shape, strict=True)
     )
-
-
-def _numbers_text(shape: tuple[int | str, ...] | None, finite: str) -> str:
-    """Say which numbers are expected, with letters for sizes that are free."""
-    if shape is None:
-        return f"{finite}numbers"
-    if shape == ():
-        return f"a {finite}number"
-    sizes = ", ".join(map(str, shape)) + ("," if len(shape) == 1 else "")
-    return f"{finite}numbers of shape ({sizes})"

@@ -92,15 +92,16 @@ class PalmKinematics:
 
     def points(self, q: np.ndarray, places: Sequence[Place]) -> np.ndarray:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
-        rows = []
-        for posture in np.reshape(q, (-1, np.shape(q)[-1])):
+
+        def placed(posture: np.ndarray) -> np.ndarray:
             vector = self.hand.configuration_vector(posture)
             pin.forwardKinematics(self._model, self._data, vector)
             to_palm = self._palm.inverse()
-            rows.append(
+            return np.array(
                 [(to_palm * self._data.oMi[j]).act(offset) for j, offset in places]
             )
-        return np.array(rows).reshape(*np.shape(q)[:-1], len(places), 3)
+
+        return np.apply_along_axis(placed, -1, q)
 
     def axes(
         self, q: np.ndarray, joints: Sequence[int], near: Place | None = None

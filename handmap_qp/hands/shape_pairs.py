@@ -62,9 +62,8 @@ def named_pairs(hand: Hand, pairs: Sequence[tuple[str, str]]) -> ShapePairs:
         HandError: If a link does not exist or has no collision shape, or a shape cannot be read.
     """
     geometry = read_collision_shapes(hand)
-    shapes: dict[str, list[int]] = {}
-    for k, link in enumerate(_links(geometry)):
-        shapes.setdefault(link, []).append(k)
+    links = np.array(_links(geometry))
+    shapes = {str(link): np.flatnonzero(links == link).tolist() for link in links}
     for i, pair in enumerate(pairs):
         for link in pair:
             if link not in shapes:

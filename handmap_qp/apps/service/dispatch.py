@@ -10,7 +10,6 @@ import asyncio
 import math
 import re
 import time
-from bisect import bisect_left
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -20,7 +19,7 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.apps.service.logs import BUCKETS, AuditLog, Metrics, Throttle
+from handmap_qp.apps.service.logs import AuditLog, Metrics, Throttle
 from handmap_qp.apps.service.opening import HandCache
 from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
@@ -382,9 +381,8 @@ class Dispatcher:
             return Done(seq=request.seq)
         refuse_if(request.session, "give session or name, not both", "name")
         may_clear = by.key in self.settings.supervisor or by.owner("") == session.owner
-        is_allowed = isinstance(request, Clear) and may_clear
-        is_free = isinstance(request, Status | Stop)
-        is_alien = not (is_allowed or is_free or session.request.is_shared)
+        free = Status | Stop | Clear if may_clear else Status | Stop
+        is_alien = not (session.request.is_shared or isinstance(request, free))
         message = f"session {request.name!r} was not opened with is_shared: only its owner may"
         refuse_if(is_alien, message, "name", "denied")
         return self._act(session, request, now)
@@ -425,9 +423,7 @@ class Dispatcher:
         if isinstance(request, Step):
             command = session.step(request, now)
             self.metrics.counts["steps"] += 1
-            spent = self.clock() - now
-            self.metrics.steps[bisect_left(BUCKETS, spent)] += 1
-            self.metrics.seconds += spent
+            self.metrics.steps.observe(self.clock() - now)
             self._send(session, command)
             return command
         if isinstance(request, Status):

@@ -24,7 +24,6 @@ from collections import deque
 from collections.abc import Sequence
 from functools import partial
 from logging import ERROR, INFO, WARNING
-from pathlib import Path
 from typing import Any
 
 import zmq
@@ -150,7 +149,22 @@ class Server:
         self._closing.callback(context.term)
         if settings.keys is not None:
             self._keys = read_server_keys(settings.keys)
-            self._authenticate(context, settings.keys / "clients")
+            # Admit only clients whose public keys are in the folder at their handshake.
+            folder = settings.keys / "clients"
+            self._clients = ClientKeys(folder)
+            expect(
+                self._clients.read(),
+                str(folder),
+                "a client's key (*.key)",
+                got="none",
+                advice="handmap keys FOLDER --client NAME makes one",
+            )
+            authenticator = AsyncioAuthenticator(context)
+            authenticator.start()
+            self._closing.callback(authenticator.stop)
+            authenticator.configure_curve_callback(
+                "*", credentials_provider=self._clients
+            )
         # Plain sockets polled by FD: a Future per message costs a third of a step.
         plain = zmq.Context.shadow(context.underlying)
         self._router = self._socket(plain, zmq.ROUTER)
@@ -231,21 +245,6 @@ class Server:
             socket.curve_publickey, socket.curve_secretkey = keys
             socket.curve_server = True
         return socket
-
-    def _authenticate(self, context: zmq.asyncio.Context, folder: Path) -> None:
-        """Admit only clients whose public keys are in the folder at their handshake."""
-        clients = self._clients = ClientKeys(folder)
-        expect(
-            clients.read(),
-            str(folder),
-            "a client's key (*.key)",
-            got="none",
-            advice="handmap keys FOLDER --client NAME makes one",
-        )
-        authenticator = AsyncioAuthenticator(context)
-        authenticator.start()
-        self._closing.callback(authenticator.stop)
-        authenticator.configure_curve_callback("*", credentials_provider=clients)
 
     def _drain(self) -> None:
         """Read waiting messages, up to a batch of parts.

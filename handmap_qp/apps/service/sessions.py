@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import hashlib
 import hmac
+import itertools
 import math
 import secrets
 from collections.abc import Callable
@@ -121,7 +122,7 @@ class Sessions:
         self._ended: dict[str, str] = {}
         # After a restart, owners are on their way back.
         self._last_heard = dict.fromkeys(self.store.records, self.clock())
-        self._last_name = 0
+        self._numbers = itertools.count(1)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -169,7 +170,8 @@ class Sessions:
             RefusedError: With the field at fault, or `busy`, `rate`, `denied`.
         """
         self._check(request, by)
-        name = request.name or self._new_name()
+        # Else a name that is unique also over restarts, because others may watch it.
+        name = request.name or f"session-{next(self._numbers)}-{secrets.token_hex(3)}"
         self._names_opening.add(name)
         try:
             work = self._submit(lambda: self._prepare(request))
@@ -356,8 +358,3 @@ class Sessions:
             "restore",
         )
         return found
-
-    def _new_name(self) -> str:
-        """Return a name that is unique also over restarts, because others may watch it."""
-        self._last_name += 1
-        return f"session-{self._last_name}-{secrets.token_hex(3)}"

@@ -89,10 +89,17 @@ class PostureStore:
         if path is not None:
             try:
                 self._database = _open(path)
-                self._load(self._database, path)
+                # In the order of their last updates.
+                query = "SELECT name, record FROM postures ORDER BY rowid"
+                rows = self._database.execute(query).fetchall()
             except (OSError, sqlite3.Error) as error:
                 self.close()
                 raise _unusable(path, error) from error
+            for name, encoded in rows:
+                with suppress(msgspec.MsgspecError):
+                    self.records[name] = msgspec.msgpack.decode(encoded, type=Record)
+            if damaged := len(rows) - len(self.records):
+                report(WARNING, "state_damaged", file=str(path), postures_lost=damaged)
 
     def __enter__(self) -> Self:
         return self
@@ -135,17 +142,6 @@ class PostureStore:
         """Write the file and release its lock."""
         if self._database is not None:
             self._database.close()
-
-    def _load(self, database: sqlite3.Connection, path: Path) -> None:
-        """Read all records, which are in the order of their last updates."""
-        rows = database.execute(
-            "SELECT name, record FROM postures ORDER BY rowid"
-        ).fetchall()
-        for name, encoded in rows:
-            with suppress(msgspec.MsgspecError):
-                self.records[name] = msgspec.msgpack.decode(encoded, type=Record)
-        if damaged := len(rows) - len(self.records):
-            report(WARNING, "state_damaged", file=str(path), postures_lost=damaged)
 
 
 def _open(path: Path) -> sqlite3.Connection:
