@@ -40,16 +40,11 @@ def check_output(argument: str, path: Path, suffixes: tuple[str, ...]) -> Path:
         f"a file that ends in {suffixes[0]}",
         value=str(path),
     )
+    problem = f"{path} is a folder" if path.is_dir() else ""
     if not path.parent.is_dir():
-        raise InvalidInputError(
-            argument=argument,
-            problem=f"there is no folder {path.parent}",
-            value=str(path),
-        )
-    if path.is_dir():
-        raise InvalidInputError(
-            argument=argument, problem=f"{path} is a folder", value=str(path)
-        )
+        problem = f"there is no folder {path.parent}"
+    if problem:
+        raise InvalidInputError(problem, argument=argument, value=str(path))
     return path
 
 
@@ -67,8 +62,8 @@ def check_new(
     """
     if path.exists() and not overwrite:
         raise InvalidInputError(
+            f"{path} exists already",
             argument=argument,
-            problem=f"{path} exists already",
             value=str(path),
             advice=advice,
         )

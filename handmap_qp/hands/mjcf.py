@@ -13,7 +13,7 @@ import itertools
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
@@ -278,7 +278,7 @@ class _Converter:
         pose = _body_pose(self.data, body)
         parent = self.links[above]
         placed = _body_pose(self.data, above)
-        steps = self._steps(body)
+        steps = [*self._steps(body)]
         for number, step in enumerate(steps):
             is_last = number == len(steps) - 1
             child = name if is_last else _unique(f"{name}_{number}", self._link_names)
@@ -301,30 +301,32 @@ class _Converter:
             parent = child
             placed = frame
 
-    def _steps(self, body: int) -> Sequence[tuple[int, str, np.ndarray] | None]:
-        """Return the axes that move a body; None for a last step to a frame beside its last one."""
+    def _steps(self, body: int) -> Iterator[tuple[int, str, np.ndarray] | None]:
+        """Iterate over the axes that move a body: joint, name, unit vector in the body's frame.
+
+        A ball joint is three hinges, `q = q_x q_y q_z`. None is a last step, to a frame beside that
+        of the last axis.
+        """
         model = self.model
+        to_body = self.data.xmat[body].reshape(3, 3).T
         is_own = (model.jnt_bodyid == body) & (model.jnt_type != _FREE)
-        joints = np.flatnonzero(is_own).tolist()
-        steps = [(joint, *axis) for joint in joints for axis in self._axes(joint)]
-        anchored = [self._slides(j) or not model.jnt_pos[j].any() for j in joints]
-        return steps if anchored[-1:] == [True] else [*steps, None]
+        is_there = False
+        for joint in np.flatnonzero(is_own).tolist():
+            is_there = self._slides(joint) or not model.jnt_pos[joint].any()
+            if joint in self.joints:
+                yield joint, self.joints[joint], to_body @ self.data.xaxis[joint]
+                continue
+            name = self._joint_name(joint)
+            names = [_unique(f"{name}_{letter}", self._joint_names) for letter in "xyz"]
+            hinges = ", ".join(names)
+            self.notes.append(f"the ball joint {name} is three hinges: {hinges}")
+            for axis in zip(names, np.eye(3), strict=True):
+                yield joint, *axis
+        if not is_there:
+            yield None
 
     def _slides(self, joint: int) -> bool:
         return bool(self.model.jnt_type[joint] == _SLIDE)
-
-    def _axes(self, joint: int) -> list[tuple[str, np.ndarray]]:
-        """Return names and unit vectors, in the body's frame, of the axes that a joint becomes.
-
-        A ball joint is three hinges, `q = q_x q_y q_z`.
-        """
-        if self.model.jnt_type[joint] != _BALL:
-            to_body = self.data.xmat[self.model.jnt_bodyid[joint]].reshape(3, 3).T
-            return [(self.joints[joint], to_body @ self.data.xaxis[joint])]
-        name = self._joint_name(joint)
-        names = [_unique(f"{name}_{letter}", self._joint_names) for letter in "xyz"]
-        self.notes.append(f"the ball joint {name} is three hinges: {', '.join(names)}")
-        return [*zip(names, np.eye(3), strict=True)]
 
     def _describe(
         self,

@@ -6,6 +6,7 @@ picture) sees the same robot.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
 from pathlib import Path
@@ -210,13 +211,13 @@ def root_links(robot: Element) -> list[str]:
 
 def _levels(robot: Element, starts: Collection[str]) -> Iterator[list[str]]:
     """Iterate over the given links, their children, the children of these, and so on."""
-    children: dict[str, list[str]] = {}
+    children = defaultdict(list)
     for _, parent, child in edges(robot):
-        children.setdefault(parent, []).append(child)
+        children[parent].append(child)
     level = list(starts)
     while level:
         yield level
-        level = [child for link in level for child in children.get(link, ())]
+        level = [child for link in level for child in children[link]]
 
 
 def cut_subtree(robot: Element, root: str) -> None:

@@ -144,8 +144,8 @@ def read_server_keys(folder: Path) -> ServerKeys:
     # pyzmq raises these errors if the file has no key.
     with suppress(ValueError, IndexError):
         public, secret = load_certificate(file)
-        if len(public) == len(secret or b"") == _KEY_LENGTH:
-            return ServerKeys(public, secret or b"")
+        if secret and len(public) == len(secret) == _KEY_LENGTH:
+            return ServerKeys(public, secret)
     raise InvalidInputError(
         argument=str(file),
         expected="a server's secret key",

@@ -88,10 +88,15 @@ class PostureStore:
         self._failures = Throttle()
         if path is not None:
             try:
-                self._database = _open(path)
+                # Only the owner may read it.
+                os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
+                self._database = database = sqlite3.connect(
+                    path, timeout=0.0, isolation_level=None, check_same_thread=False
+                )
+                _prepare(database)
                 # In the order of their last updates.
                 query = "SELECT name, record FROM postures ORDER BY rowid"
-                rows = self._database.execute(query).fetchall()
+                rows = database.execute(query).fetchall()
             except (OSError, sqlite3.Error) as error:
                 self.close()
                 raise _unusable(path, error) from error
@@ -144,37 +149,24 @@ class PostureStore:
             self._database.close()
 
 
-def _open(path: Path) -> sqlite3.Connection:
-    """Open a database of records, and reserve its space; leave other kinds of files unchanged."""
-    # Only the owner may read it.
-    os.close(os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600))
-    database = sqlite3.connect(
-        path, timeout=0.0, isolation_level=None, check_same_thread=False
+def _prepare(database: sqlite3.Connection) -> None:
+    """Reserve the space of a database of records; leave other kinds of files unchanged."""
+    (kind,) = database.execute("PRAGMA application_id").fetchone()
+    # A start that failed leaves a database without tables.
+    if kind != _KIND and database.execute("SELECT name FROM sqlite_master").fetchone():
+        raise sqlite3.DatabaseError
+    database.executescript(_SETTINGS)
+    database.execute("BEGIN IMMEDIATE")
+    database.execute(f"PRAGMA application_id = {_KIND}")
+    database.execute(
+        "CREATE TABLE IF NOT EXISTS postures (name TEXT UNIQUE, record BLOB)"
     )
-    try:
-        (kind,) = database.execute("PRAGMA application_id").fetchone()
-        # A start that failed leaves a database without tables.
-        if (
-            kind != _KIND
-            and database.execute("SELECT name FROM sqlite_master").fetchone()
-        ):
-            raise sqlite3.DatabaseError
-        database.executescript(_SETTINGS)
-        database.execute("BEGIN IMMEDIATE")
-        database.execute(f"PRAGMA application_id = {_KIND}")
-        database.execute(
-            "CREATE TABLE IF NOT EXISTS postures (name TEXT UNIQUE, record BLOB)"
-        )
-        # A disk that fills up later must not lose postures: pages of rows that are deleted are used
-        # again, in the database and in its log.
-        unused = [(f" {i}", bytes(_LARGEST)) for i in range(MOST_SESSIONS)]
-        database.executemany(_WRITE, unused)
-        database.execute("DELETE FROM postures WHERE name LIKE ' %'")
-        database.execute("COMMIT")
-    except BaseException:
-        database.close()
-        raise
-    return database
+    # A disk that fills up later must not lose postures: pages of rows that are deleted are used
+    # again, in the database and in its log.
+    unused = [(f" {i}", bytes(_LARGEST)) for i in range(MOST_SESSIONS)]
+    database.executemany(_WRITE, unused)
+    database.execute("DELETE FROM postures WHERE name LIKE ' %'")
+    database.execute("COMMIT")
 
 
 def _unusable(path: Path, error: OSError | sqlite3.Error) -> InvalidInputError:
