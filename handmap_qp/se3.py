@@ -244,15 +244,16 @@ def check_pose(
             advice=advice.get(pose.shape, ""),
         )
     is_placed, defect, volume = _measure(pose)
+    expected = got = ""
     if not is_placed:
         expected = (
             f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
         )
         got = str(pose.tolist())
-        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
-    if defect > _ROTATION_TOLERANCE or volume < 0.0:
+    elif defect > _ROTATION_TOLERANCE or volume < 0.0:
         expected = "a rotation as its 3x3 part"
         got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
+    if got:
         raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
     if defect > _ROTATION_EXACT:
         pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])

@@ -352,7 +352,12 @@ class Finger:
         """How it curls; None if no joint turns the tip."""
         view = PalmKinematics(self.hand)
         zero = zero_posture(self.hand)
-        columns = self._flexing_columns(view.motion(zero, self.tip)[3:])
+        # The columns that turn the tip about the axis of the last one that does.
+        turns = view.motion(zero, self.tip)[3:]
+        sizes = np.linalg.norm(turns, axis=0)
+        turning = self.columns[sizes[self.columns] > _LEAST_TURN]
+        units = turns[:, turning] / sizes[turning]
+        columns = turning[(np.abs(units[:, -1:].T @ units) > PARALLEL).any(axis=0)]
         if not len(columns):
             return None
         _, base, signs, gears = self._axis(view, columns, zero)
@@ -390,13 +395,6 @@ class Finger:
     def _turns(self, joints: Sequence[int]) -> np.ndarray:
         """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
         return PalmKinematics(self.hand).axes(zero_posture(self.hand), joints)[0]
-
-    def _flexing_columns(self, turns: np.ndarray) -> np.ndarray:
-        """Return the columns that turn the tip about the axis of the last one that does."""
-        sizes = np.linalg.norm(turns, axis=0)
-        turning = self.columns[sizes[self.columns] > _LEAST_TURN]
-        units = turns[:, turning] / sizes[turning]
-        return turning[(np.abs(units[:, -1:].T @ units) > PARALLEL).any(axis=0)]
 
     def _axis(
         self, view: PalmKinematics, columns: np.ndarray, q: np.ndarray

@@ -8,7 +8,7 @@ curve is solved from MuJoCo's own constraints, and its best line is written.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from functools import partial
 from typing import NamedTuple
@@ -47,6 +47,8 @@ class Coupling(NamedTuple):
     offset: float
 
 
+_Residual = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Residuals of constraints and their derivatives at positions of joints."""
 _Solution = tuple[dict[int, Coupling], list[str]]
 """Rules of followers, and notes on them."""
 
@@ -178,15 +180,16 @@ class _Constraints:
         leader = self._leader(coupled, constraints)
         joints = [leader, *sorted(coupled - {leader})]
         start = np.array(self._model.qpos0[self._model.jnt_qposadr[joints]])
-        slopes = self._residual(joints, constraints, start)[1]
+        residual = partial(self._residual, joints, constraints)
+        slopes = residual(start)[1]
         freedom = len(joints) - np.linalg.matrix_rank(slopes, rtol=_RANK)
         if freedom == 0:
-            held = self._closed(joints, constraints, start, 0)
+            held = _closed(residual, start, 0)
             if held is None:
                 return None
             rules = [Coupling(None, 0.0, position) for position in held.tolist()]
             return dict(zip(joints, rules, strict=True)), []
-        curve = self._curve(joints, constraints, start) if freedom == 1 else []
+        curve = self._curve(residual, leader, start) if freedom == 1 else []
         if len(curve) < _SAMPLES // 2:
             return None
         postures = np.array(curve)
@@ -218,11 +221,11 @@ class _Constraints:
         return max(sorted(coupled), key=lambda j: (j in leading, j in driven))
 
     def _curve(
-        self, joints: list[int], constraints: list[int], start: np.ndarray
+        self, residual: _Residual, leader: int, start: np.ndarray
     ) -> list[np.ndarray]:
-        """Follow closed postures over the range of the first joint."""
-        low, high = self._model.jnt_range[joints[0]]
-        if not self._model.jnt_limited[joints[0]]:
+        """Follow closed postures over the range of the leader, the first of the joints."""
+        low, high = self._model.jnt_range[leader]
+        if not self._model.jnt_limited[leader]:
             low = start[0] - 1.0
             high = start[0] + 1.0
         grid = np.linspace(low, high, _SAMPLES)
@@ -232,30 +235,11 @@ class _Constraints:
             q = start
             for position in way:
                 near = np.array([position, *q[1:]])
-                closed = self._closed(joints, constraints, near, 1)
+                closed = _closed(residual, near, 1)
                 if closed is None:
                     break
                 found.append(q := closed)
         return found
-
-    def _closed(
-        self,
-        joints: list[int],
-        constraints: list[int],
-        q: np.ndarray,
-        first: int,
-    ) -> np.ndarray | None:
-        """Find a posture near another that satisfies constraints, moving the joints from `first`.
-
-        Returns None if there is none.
-        """
-        q = q.copy()
-        for _ in range(_ITERATIONS):
-            gap, slopes = self._residual(joints, constraints, q)
-            if np.abs(gap).max() < 1e-6 * _CLOSED:
-                break
-            q[first:] -= np.linalg.lstsq(slopes[:, first:], gap, rcond=_RANK)[0]
-        return q if np.abs(gap).max() < _CLOSED else None
 
     def _residual(
         self, joints: list[int], constraints: list[int], q: np.ndarray
@@ -277,3 +261,17 @@ class _Constraints:
             blocks.append(block / max(np.linalg.norm(block[:, 1:]), _LEAST_EFFECT))
         rows = np.vstack(blocks)
         return rows[:, 0], rows[:, 1:]
+
+
+def _closed(residual: _Residual, q: np.ndarray, first: int) -> np.ndarray | None:
+    """Find a posture near another that satisfies constraints, moving the joints from `first`.
+
+    Returns None if there is none.
+    """
+    q = q.copy()
+    for _ in range(_ITERATIONS):
+        gap, slopes = residual(q)
+        if np.abs(gap).max() < 1e-6 * _CLOSED:
+            break
+        q[first:] -= np.linalg.lstsq(slopes[:, first:], gap, rcond=_RANK)[0]
+    return q if np.abs(gap).max() < _CLOSED else None

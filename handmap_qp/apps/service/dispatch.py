@@ -260,7 +260,7 @@ class Dispatcher:
         elif isinstance(request, Open):
             self._receive_open(request, payload, send)
         else:
-            send(self._attempt(request, self._answer, request, payload, now, subscribe))
+            send(self._attempt(self._answer, request, payload, now, subscribe))
         return True
 
     def flush(self) -> None:
@@ -268,7 +268,7 @@ class Dispatcher:
         pending = self._pending
         self._pending = {}
         for sample, send in pending.values():
-            reply = self._attempt(sample, self._for_stream, sample)
+            reply = self._attempt(self._for_stream, sample)
             if isinstance(reply, Error):
                 send(reply)
 
@@ -325,7 +325,7 @@ class Dispatcher:
             entry.seq = sample.seq
             entry.payload = b""
             now = self.clock()
-            reply = self._attempt(sample, self._act, entry.session, sample, now)
+            reply = self._attempt(self._act, sample, entry.session, now)
             if isinstance(reply, Error):
                 self.sessions.send(entry.session.name, encode_reply(reply))
         return Done(seq=sample.seq)
@@ -354,7 +354,7 @@ class Dispatcher:
         refuse_if(request.seq <= entry.seq, message, "seq", "stale")
         entry.seq = request.seq
         entry.payload = payload
-        entry.answer = self._attempt(request, self._act, entry.session, request, now)
+        entry.answer = self._attempt(self._act, request, entry.session, now)
         return entry.answer
 
     def _by_name(
@@ -385,7 +385,7 @@ class Dispatcher:
         is_alien = not (session.request.is_shared or isinstance(request, free))
         message = f"session {request.name!r} was not opened with is_shared: only its owner may"
         refuse_if(is_alien, message, "name", "denied")
-        return self._act(session, request, now)
+        return self._act(request, session, now)
 
     def _for_all(self, request: Status | Stop, now: float) -> AnyReply:
         """Answer a request about the server, or stop the robots of all sessions."""
@@ -402,19 +402,19 @@ class Dispatcher:
             )
         self.audit.note("stop", self._who(), **_changes(request))
         for entry in list(self.sessions.entries.values()):
-            self._attempt(request, self._act, entry.session, request, now)
+            self._attempt(self._act, request, entry.session, now)
         return Done(seq=request.seq)
 
     def _attempt(
-        self, request: Request, work: Callable[..., AnyReply], *values: Any
+        self, work: Callable[..., AnyReply], request: Request, *values: Any
     ) -> AnyReply:
-        """Return what `work` makes of some values, or the error to answer with."""
+        """Return what `work` makes of a request and values, or the error to answer with."""
         try:
-            return work(*values)
+            return work(request, *values)
         except Exception as error:
             return self._failure(request.seq, error)
 
-    def _act(self, session: Session, request: Request, now: float) -> AnyReply:
+    def _act(self, request: Request, session: Session, now: float) -> AnyReply:
         """Carry out a request for a session.
 
         Raises:

@@ -69,11 +69,8 @@ class WebSocketTransport:
     token: str | None
     dispatcher: Dispatcher
 
-    def __post_init__(self) -> None:
-        """Begin without connections."""
-        self._connections: set[_Outbox] = set()
-
     async def __aenter__(self) -> int:
+        self._connections = set[_Outbox]()
         settings = self.settings
         tls = None
         if settings.web_certificate is not None and settings.web_key is not None:
