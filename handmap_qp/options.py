@@ -67,14 +67,18 @@ class Option(NamedTuple):
         type: Its type, annotated with the range.
         plain: Its type alone.
         default: Value if omitted.
-        about: What it means.
     """
 
     name: str
     type: Any
     plain: Any
     default: Any
-    about: str
+
+    @property
+    def about(self) -> str:
+        """What it means."""
+        metas = (meta for _, meta in (_split(self.type), *_parts(self.type)))
+        return next((meta.description for meta in metas if meta.description), "")
 
     @property
     def choices(self) -> tuple[str, ...]:
@@ -176,7 +180,6 @@ def options_of(kind: type[Options]) -> tuple[Option, ...]:
             hints[field.name],
             plain[field.name],
             field.default,
-            _description(hints[field.name]),
         )
         for field in msgspec.structs.fields(kind)
     )
@@ -221,11 +224,6 @@ def _parts(kind: Any) -> list[tuple[Any, Meta]]:
 
 def _words(bare: Any) -> tuple[str, ...]:
     return get_args(bare) if get_origin(bare) is Literal else ()
-
-
-def _description(kind: Any) -> str:
-    metas = (meta for _, meta in (_split(kind), *_parts(kind)))
-    return next((meta.description for meta in metas if meta.description), "")
 
 
 def _in_words(bare: Any, meta: Meta) -> str:

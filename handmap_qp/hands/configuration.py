@@ -32,7 +32,7 @@ def moved_by(model: pin.Model, joints: Sequence[int]) -> np.ndarray:
 
 
 class Configuration:
-    """One posture of a model, with its reference points.
+    """One posture of a model, with its reference points; at first Pinocchio's neutral one.
 
     `place` and `displace` put it somewhere else.
 
@@ -42,7 +42,6 @@ class Configuration:
         count: Number of reference points, m.
         expansion: From the active coordinates to the model's tangent space, shape (model.nv, k);
             None if all are active.
-        q: Configuration to start at, shape (nq,); Pinocchio's neutral one if omitted.
 
     Attributes:
         model: The model.
@@ -59,7 +58,6 @@ class Configuration:
         wrist: int,
         count: int,
         expansion: np.ndarray | None = None,
-        q: np.ndarray | None = None,
     ) -> None:
         self.model = model
         self.expansion = expansion
@@ -73,12 +71,12 @@ class Configuration:
         self._points = np.array(self._translations)
         self.points = frozen(self._points.view())
         self.wrist = self.data.oMf[wrist]
-        self.place(self._q if q is None else q)
+        self.place(self._q)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build a copy anew: the workspace is views of Pinocchio's memory."""
         frames = self._wrist, len(self._frames)
-        return type(self), (self.model, *frames, self.expansion, self._q)
+        return type(self), (self.model, *frames, self.expansion), self._q
 
     @property
     def nv(self) -> int:
@@ -105,6 +103,8 @@ class Configuration:
         pin.updateFramePlacements(self.model, self.data)
         self._q[:] = q
         self._points[:] = self._translations
+
+    __setstate__ = place
 
     def frame_pose(self, frame: pin.Frame) -> np.ndarray:
         """Return the pose of any frame on the joints in the world, shape (4, 4); a new array."""

@@ -97,9 +97,8 @@ class PalmKinematics:
             vector = self.hand.configuration_vector(posture)
             pin.forwardKinematics(self._model, self._data, vector)
             to_palm = self._palm.inverse()
-            return np.array(
-                [(to_palm * self._data.oMi[j]).act(offset) for j, offset in places]
-            )
+            rows = [(to_palm * self._data.oMi[j]).act(offset) for j, offset in places]
+            return np.reshape(rows, (-1, 3))
 
         return np.apply_along_axis(placed, -1, q)
 

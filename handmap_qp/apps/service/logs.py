@@ -47,7 +47,7 @@ disable_created_metrics()
 _RATE = 20.0
 _BURST = 400.0
 """Lines of the audit log per second, and at once."""
-_BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
+BUCKETS = (1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 5e-2)
 """Upper edges of the histogram of step times [s]."""
 _COUNTERS = {
     "requests": "Messages received.",
@@ -213,7 +213,7 @@ class Metrics:
         self._registry.register(self)
         about = "Time from a sample to its command [s]."
         self.steps = Histogram(
-            "handmap_step_seconds", about, registry=self._registry, buckets=_BUCKETS
+            "handmap_step_seconds", about, registry=self._registry, buckets=BUCKETS
         )
 
     def collect(self) -> Iterator[Metric]:

@@ -111,13 +111,20 @@ class WebSocketTransport:
         """
         if (page := page_response(request)) is not None:
             return page
+        asked = request.headers
         if self.token is not None:
-            is_admitted = _has_token(request, self.token)
+            # As a header, or among its subprotocols.
+            offered = ",".join(asked.get_all("Sec-WebSocket-Protocol")).split(",")
+            given = [part.strip().removeprefix("bearer.") for part in offered]
+            headers = asked.get_all("Authorization")
+            given += [value.removeprefix("Bearer ") for value in headers]
+            token = self.token.encode()
+            is_admitted = any(hmac.compare_digest(v.encode(), token) for v in given)
             refusal = http.HTTPStatus.UNAUTHORIZED, "token missing or wrong\n"
         else:
             is_admitted = all(
                 _LOOPBACK_ORIGIN.fullmatch(origin) or origin in self.settings.web_origin
-                for origin in request.headers.get_all("Origin")
+                for origin in asked.get_all("Origin")
             )
             refusal = (
                 http.HTTPStatus.FORBIDDEN,
@@ -286,15 +293,6 @@ def _read_tls(certificate: Path, key: Path) -> ssl.SSLContext:
             advice=(error.reason or "").replace("_", " ").lower(),
         ) from error
     return tls
-
-
-def _has_token(request: Request, token: str) -> bool:
-    """Tell whether a request has the token, as a header or among its subprotocols."""
-    offered = ",".join(request.headers.get_all("Sec-WebSocket-Protocol")).split(",")
-    given = [part.strip().removeprefix("bearer.") for part in offered]
-    for value in request.headers.get_all("Authorization"):
-        given.append(value.removeprefix("Bearer "))
-    return any(hmac.compare_digest(value.encode(), token.encode()) for value in given)
 
 
 def _who(connection: ServerConnection) -> Caller:
