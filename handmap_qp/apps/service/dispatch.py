@@ -10,6 +10,7 @@ import asyncio
 import math
 import re
 import time
+from bisect import bisect_left
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -19,7 +20,7 @@ from typing import Any
 
 import msgspec
 
-from handmap_qp.apps.service.logs import AuditLog, Metrics, Throttle
+from handmap_qp.apps.service.logs import BUCKETS, AuditLog, Metrics, Throttle
 from handmap_qp.apps.service.opening import HandCache
 from handmap_qp.apps.service.safety import Bucket, refuse_if
 from handmap_qp.apps.service.session import Session
@@ -423,7 +424,9 @@ class Dispatcher:
         if isinstance(request, Step):
             command = session.step(request, now)
             self.metrics.counts["steps"] += 1
-            self.metrics.steps.observe(self.clock() - now)
+            spent = self.clock() - now
+            self.metrics.steps[bisect_left(BUCKETS, spent)] += 1
+            self.metrics.seconds += spent
             self._send(session, command)
             return command
         if isinstance(request, Status):

@@ -19,18 +19,15 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from prometheus_client import (
-    CollectorRegistry,
-    Histogram,
-    disable_created_metrics,
-    generate_latest,
-)
+from prometheus_client import CollectorRegistry, generate_latest
 from prometheus_client.core import (
     CounterMetricFamily,
     GaugeMetricFamily,
+    HistogramMetricFamily,
     Metric,
 )
 
@@ -42,8 +39,6 @@ log = logging.getLogger("handmap_qp.apps.service")
 websocket_log = logging.getLogger(f"{log.name}.websocket")
 # Connections that send no handshake would fill the log with tracebacks.
 websocket_log.setLevel(logging.CRITICAL)
-# The time at which a histogram was made is no metric of the service.
-disable_created_metrics()
 _RATE = 20.0
 _BURST = 400.0
 """Lines of the audit log per second, and at once."""
@@ -115,30 +110,19 @@ def logs_on_stderr(level: str) -> Iterator[None]:
 
 
 class Throttle:
-    """Pass some reports per second, with the number of reports suppressed before each.
+    """Pass one report per second, with the number of reports suppressed before it."""
 
-    Args:
-        rate: Reports per second.
-        burst: Reports at once.
-    """
-
-    def __init__(self, rate: float = 1.0, burst: float = 1.0) -> None:
-        self._bucket = Bucket(rate, time.monotonic(), burst)
+    def __init__(self) -> None:
+        self._bucket = Bucket(1.0, time.monotonic())
         self._suppressed = 0
 
     def report(self, level: int, event: str, **data: Any) -> None:
         """Log an event as `report`; only count it if one was logged less than a second ago."""
-        if (swallowed := self.admit()) is not None:
-            report(level, event, **data, swallowed=swallowed)
-
-    def admit(self, *, must_pass: bool = False) -> int | None:
-        """Return how many reports were suppressed before one; None if it is suppressed too."""
-        if not (self._bucket.take(time.monotonic()) or must_pass):
+        if self._bucket.take(time.monotonic()):
+            report(level, event, **data, swallowed=self._suppressed)
+            self._suppressed = 0
+        else:
             self._suppressed += 1
-            return None
-        suppressed = self._suppressed
-        self._suppressed = 0
-        return suppressed
 
 
 class AuditLog:
@@ -153,7 +137,8 @@ class AuditLog:
 
     def __init__(self, path: Path | None = None) -> None:
         self._file = -1
-        self._throttle = Throttle(_RATE, _BURST)
+        self._bucket = Bucket(_RATE, time.monotonic(), _BURST)
+        self._omitted = 0
         if path is not None:
             flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC
             with naming(path, "cannot be written"):
@@ -173,11 +158,14 @@ class AuditLog:
         """
         if self._file < 0:
             return
-        omitted = self._throttle.admit(must_pass=event == "stop")
-        if omitted:
+        if not (self._bucket.take(time.monotonic()) or event == "stop"):
+            self._omitted += 1
+            return
+        if self._omitted:
+            omitted = self._omitted
+            self._omitted = 0
             self._write({"event": "omitted", "count": omitted})
-        if omitted is not None:
-            self._write({"event": event, "session": session, "by": str(by), **data})
+        self._write({"event": event, "session": session, "by": str(by), **data})
 
     def close(self) -> None:
         """Close the file."""
@@ -202,7 +190,8 @@ class Metrics:
         counts: Counts of what happened.
         refusals: Counts of refused messages by code.
         gauges: Functions that return present values.
-        steps: Times from a sample to its command [s].
+        steps: Steps by the bucket (`BUCKETS`) of their times from a sample to its command.
+        seconds: Sum of these times [s].
     """
 
     def __init__(self) -> None:
@@ -211,10 +200,8 @@ class Metrics:
         self.gauges: dict[str, Callable[[], float]] = {"resident_bytes": resident_bytes}
         self._registry = CollectorRegistry()
         self._registry.register(self)
-        about = "Time from a sample to its command [s]."
-        self.steps = Histogram(
-            "handmap_step_seconds", about, registry=self._registry, buckets=BUCKETS
-        )
+        self.steps = [0] * (len(BUCKETS) + 1)
+        self.seconds = 0.0
 
     def collect(self) -> Iterator[Metric]:
         """Yield counters and gauges; the registry asks for them."""
@@ -227,6 +214,12 @@ class Metrics:
         yield refusals
         for name, gauge in self.gauges.items():
             yield GaugeMetricFamily(f"handmap_{name}", _GAUGES[name], gauge())
+        edges = *map(str, BUCKETS), "+Inf"
+        buckets = list(zip(edges, accumulate(self.steps), strict=True))
+        about = "Time from a sample to its command [s]."
+        yield HistogramMetricFamily(
+            "handmap_step_seconds", about, buckets, self.seconds
+        )
 
     def render(self) -> str:
         """Return all values in the text format 0.0.4."""
