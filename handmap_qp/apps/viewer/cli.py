@@ -140,8 +140,8 @@ class View:
         changed = self.arguments.changed()
         usual = vars(View())
         given = {name for name, value in vars(self).items() if value != usual[name]}
-        given.update(name for name, value in vars(self.inputs).items() if value)
-        given.update(changed)
+        read = (name for name, value in vars(self.inputs).items() if value)
+        given.update(changed, read)
         problems = dict.fromkeys(("session", "keys"), "needs --live")
         if self.html is not None:
             problems |= dict.fromkeys(
@@ -168,11 +168,8 @@ class View:
         try:
             with self._serving() as server:
                 while True:
-                    window = LiveViewer(server, source)
-                    try:
+                    with contextlib.closing(LiveViewer(server, source)) as window:
                         window.run()
-                    finally:
-                        window.close()
                     # Its hands have changed.
                     server.gui.reset()
                     server.scene.reset()

@@ -287,8 +287,11 @@ class OptionControls:
             control.show(values[name])
 
     def _controls_of(self, kind: type[Options]) -> dict[str, _Control]:
-        options = [option for option in options_of(kind) if option.name not in LEFT_OUT]
-        return {option.name: self._control(option) for option in options}
+        return {
+            option.name: self._control(option)
+            for option in options_of(kind)
+            if option.name not in LEFT_OUT
+        }
 
     def _control(self, option: Option) -> _Control:
         """Make the control that suits an option's values."""

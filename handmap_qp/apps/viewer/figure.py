@@ -218,7 +218,7 @@ class Trail:
     def __init__(self, server: viser.ViserServer, path: str, colour: Colour) -> None:
         # Times [s], tips (n, 3) and the hand's centre (3,) [m], oldest first.
         self._points: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
-        self._lines = _add_lines(server, path, 1, colour, 2.0)
+        self._lines = _add_lines(server, path, colour, 2.0)
         self.clear()
 
     def clear(self) -> None:
@@ -263,7 +263,7 @@ class Trail:
         self._lines.visible = len(places) > 1
         if len(places) > 1:
             steps = np.stack([places[:-1], places[1:]], axis=2)
-            self._lines.points = steps.reshape(-1, 2, 3).astype(np.float32)
+            self._lines.points = steps.reshape(-1, 2, 3)
 
 
 class LandmarkFigure(Figure):
@@ -276,9 +276,7 @@ class LandmarkFigure(Figure):
         self._points = Spheres(
             server, "/landmarks/points", _LANDMARK_RADIUS, LANDMARK_COLOUR
         )
-        self._bones = _add_lines(
-            server, "/landmarks/bones", len(_LINES), LANDMARK_COLOUR, 3.0
-        )
+        self._bones = _add_lines(server, "/landmarks/bones", LANDMARK_COLOUR, 3.0)
 
     def points(self, sample: ViewSample) -> np.ndarray | None:
         """Return the landmarks, unless some are not known."""
@@ -290,7 +288,7 @@ class LandmarkFigure(Figure):
         self._points.move(points)
         self._bones.visible = points is not None
         if points is not None:
-            self._bones.points = points[_LINES].astype(np.float32)
+            self._bones.points = points[_LINES]
 
 
 class HandFigure(Figure):
@@ -446,9 +444,7 @@ class HumanFigure(HandFigure):
             wireframe=True,
             opacity=0.15,
         )
-        self._cube = _add_lines(
-            server, "/human/cube", len(_EDGES), DEFORMATION_COLOUR, 2.5
-        )
+        self._cube = _add_lines(server, "/human/cube", DEFORMATION_COLOUR, 2.5)
 
     def points(self, sample: ViewSample) -> np.ndarray | None:
         """Return the human's points."""
@@ -487,7 +483,7 @@ class HumanFigure(HandFigure):
             self._ellipsoid.wxyz = quat_wxyz_from_rotation(axes)
         elif shape == "cube":
             corners = (self._size / np.sqrt(3.0) * (2.0 * _UNIT_BOX - 1.0)) @ linear.T
-            self._cube.points = corners[_EDGES].astype(np.float32)
+            self._cube.points = corners[_EDGES]
 
 
 class RobotFigure(HandFigure):
@@ -508,8 +504,8 @@ class RobotFigure(HandFigure):
         solid = variant.solid
         self._solid: Any = solid and server.scene.add_mesh_simple(
             f"/{node}/object",
-            solid.vertices.astype(np.float32),
-            solid.faces.astype(np.uint32),
+            solid.vertices,
+            solid.faces,
             color=OBJECT_COLOUR,
             flat_shading=True,
         )
@@ -573,16 +569,12 @@ def _merged(shapes: list[LinkShape]) -> list[Any]:
 
 
 def _add_lines(
-    server: viser.ViserServer,
-    path: str,
-    count: int,
-    colour: Colour,
-    thickness: float,
+    server: viser.ViserServer, path: str, colour: Colour, thickness: float
 ) -> Any:
     """Add line segments [px], whose points are set later."""
     return server.scene.add_line_segments(
         path,
-        np.zeros((count, 2, 3), dtype=np.float32),
+        np.zeros((1, 2, 3)),
         as_bytes(colour),
         thickness=thickness,
         thickness_units="screen",

@@ -43,6 +43,13 @@ _MOST_POINTS = 456
 # Width and height of a plot, without its labels [px].
 _PLOT = (228.0, 86.0)
 _STEPS = (1.0, 2.0, 4.0, 6.0, 8.0, 10.0)
+_ERRORS = (
+    ("point error, mean", 1e3, " mm"),
+    ("point error, largest", 1e3, " mm"),
+    ("wrist position error", 1e3, " mm"),
+    ("wrist rotation error", np.degrees(1.0), "°"),
+)
+"""Name, factor and unit of the first `Readings`."""
 _CELL = "padding:0 0 0 8px;text-align:right;white-space:nowrap"
 _BAR = "position:absolute;left:0;height"
 
@@ -144,16 +151,11 @@ class InstantGauges:
         rows = "".join(
             f'<tr><td style="color:#666">{name}</td>'
             + "".join(
-                f'<td style="{_CELL}">{_text(factor * r[i], unit)}</td>'
-                for r in readings
+                f'<td style="{_CELL}">{_text(factor * value, unit)}</td>'
+                for value in values
             )
             + "</tr>"
-            for i, name, factor, unit in (
-                (0, "point error, mean", 1e3, " mm"),
-                (1, "point error, largest", 1e3, " mm"),
-                (2, "wrist position error", 1e3, " mm"),
-                (3, "wrist rotation error", np.degrees(1.0), "°"),
-            )
+            for (name, factor, unit), *values in zip(_ERRORS, *readings, strict=False)
         )
         return (
             '<div style="font-size:11px;line-height:15px;padding:2px 14px">'
@@ -347,13 +349,9 @@ def draw_plot(
 
 def _path(x: np.ndarray, y: np.ndarray) -> str:
     """Return a line through points (n,) as SVG, interrupted where y is NaN."""
-    is_known = np.isfinite(y)
-    is_joined = is_known & np.append(False, is_known[:-1])
+    known = np.ma.clump_unmasked(np.ma.masked_invalid(y))
     return "".join(
-        f"{'L' if joined else 'M'}{a:.1f} {b:.1f}"
-        for a, b, joined in zip(
-            x[is_known], y[is_known], is_joined[is_known], strict=True
-        )
+        "M" + "L".join(map("{:.1f} {:.1f}".format, x[run], y[run])) for run in known
     )
 
 

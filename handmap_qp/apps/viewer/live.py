@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -59,11 +60,20 @@ class LiveViewer(Window):
         self._source = source
         self.recent: deque[tuple[ViewSample, Row]] = deque()
         self._last_arrival = 0.0
+        self._arrived = threading.Event()
         reader = ThreadPoolExecutor(1, thread_name_prefix="handmap view: live source")
         self._reading = reader.submit(self._read)
+        self._reading.add_done_callback(lambda _: self._arrived.set())
         reader.shutdown(wait=False)
         try:
-            self._wait(patience)
+            self._arrived.wait(patience)
+            if not self.recent:
+                if self._reading.done():
+                    self._reading.result()
+                raise InvalidInputError(
+                    f"no sample arrived within {patience:g} s",
+                    advice="check that a client sends samples to this session",
+                )
         except BaseException:
             self.close()
             raise
@@ -119,10 +129,9 @@ class LiveViewer(Window):
         self._stop_number = source.stop_number
         self.clear.visible = self._stop_number != 0 and source.is_shared
         # The copy is one operation, so the thread that reads needs no lock.
-        recent = tuple(self.recent)
-        sample = recent[-1][0]
-        rows = [row for _, row in recent]
-        self.scene.make_room([sample])
+        samples, rows = zip(*self.recent, strict=True)
+        sample = samples[-1]
+        self.scene.make_room(sample)
         self.draw([sample])
         if self.is_time_for_gauges():
             self.gauges.set_rows([rows], latest=_SPAN)
@@ -180,7 +189,7 @@ class LiveViewer(Window):
         variant = self._variant()
         source = self._source
         title = f"{source.robot.name}, {variant.label}"
-        samples = [sample for sample, _ in tuple(self.recent)]
+        samples, _ = zip(*self.recent, strict=True)
         return make_page(title, source.human, [variant._replace(samples=samples)])
 
     def _read(self) -> None:
@@ -189,17 +198,4 @@ class LiveViewer(Window):
             while not 0.0 <= sample.time - self.recent[0][0].time <= _SPAN:
                 self.recent.popleft()
             self._last_arrival = time.monotonic()
-
-    def _wait(self, patience: float) -> None:
-        """Wait for the first sample, an error, or the end of the source."""
-        end = time.monotonic() + patience
-        while not self.recent:
-            has_ended = self._reading.done()
-            if has_ended:
-                self._reading.result()
-            if has_ended or time.monotonic() > end:
-                raise InvalidInputError(
-                    f"no sample arrived within {patience:g} s",
-                    advice="check that a client sends samples to this session",
-                )
-            time.sleep(0.02)
+            self._arrived.set()

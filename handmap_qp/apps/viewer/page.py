@@ -63,45 +63,34 @@ def make_page(
             scene.draw(samples)
             shown = samples[0].time
         page = serializer.as_html()
-    body = _body(title, variants, _at_rate(instants, _GAUGES_RATE), human)
-    head = _part("page_head.html").replace("__VIEW__", json.dumps(scene.cameras.view))
-    parts = {
-        "<title>Viser</title>": f"<title>{escape(title)} - handmap view</title>",
-        "</head>": f"{head}</head>",
-        "<body>": f"<body>{body}",
-    }
-    return _filled(page, parts).encode()
-
-
-def _body(
-    title: str,
-    variants: Sequence[Variant],
-    instants: _Instants,
-    human: Hand | None,
-) -> str:
-    """Return title, gauges and options."""
     gauges = InstantGauges(variants, human)
     rows = np.array([[gauge_row(sample) for sample in v.samples] for v in variants])
     start, end = rows[0, [0, -1], 0]
-    count = len(variants[0].samples)
+    count = len(instants)
     rate = f", {(count - 1) / (end - start):.0f} per second" if end > start else ""
-    shown = {
-        "time": [round(samples[0].time - start, 3) for samples in instants],
-        "table": list(map(gauges.table, instants)),
-        "bars": list(map(gauges.bars, instants)),
+    gauged = _at_rate(instants, _GAUGES_RATE)
+    numbers = {
+        "time": [round(samples[0].time - start, 3) for samples in gauged],
+        "table": list(map(gauges.table, gauged)),
+        "bars": list(map(gauges.bars, gauged)),
     }
-    parts = {
+    # Instants are much alike, so they are small when compressed.
+    packed = base64.b64encode(gzip.compress(json.dumps(numbers).encode()))
+    body = {
         "__TITLE__": escape(title),
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": SCENE_LEGEND,
         "__ERRORS__": error_plot(gauges.labels, rows).at(0),
         "__OPTIONS__": "".join(map(_option_table, variants)),
-        # Instants are much alike, so they are small when compressed.
-        "__GAUGES__": base64.b64encode(
-            gzip.compress(json.dumps(shown).encode())
-        ).decode(),
+        "__GAUGES__": packed.decode(),
     }
-    return _filled(_part("page_body.html"), parts)
+    head = _part("page_head.html").replace("__VIEW__", json.dumps(scene.cameras.view))
+    parts = {
+        "<title>Viser</title>": f"<title>{escape(title)} - handmap view</title>",
+        "</head>": f"{head}</head>",
+        "<body>": f"<body>{_filled(_part('page_body.html'), body)}",
+    }
+    return _filled(page, parts).encode()
 
 
 def _filled(page: str, parts: dict[str, str]) -> str:

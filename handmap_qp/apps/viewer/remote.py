@@ -112,7 +112,7 @@ class ServiceSession:
             self._about = {name: about[name] for name in _HANDS}
             self.choice = _choice(about)
             measured = about["lengths"]
-            lengths = None if measured is None else HumanLengths(**measured)
+            lengths = measured and HumanLengths(**measured)
             self.human = load_hand(
                 human_name(about["side"]), points=about["human_points"], lengths=lengths
             )
@@ -129,10 +129,9 @@ class ServiceSession:
             )
             self.robot = self._with_method_points()
             # Landmarks are mapped as they are; joint angles are fitted for drawing only.
-            is_tracked = about["input"] == "landmarks"
-            self._fitter = (
-                LandmarkFitter(about["side"], lengths) if is_tracked else None
-            )
+            self._fitter = None
+            if about["input"] == "landmarks":
+                self._fitter = LandmarkFitter(about["side"], lengths)
         self._client.timeout = _TIMEOUT
         self._rest_points = self.human.points(self.human.rest, np.eye(4))
 
@@ -161,18 +160,15 @@ class ServiceSession:
                     continue
                 if not self._is_as_before(command):
                     self._update_status()
-                    if (
-                        not self.is_outdated
-                        and command.joint_names != self.robot.joint_names
-                    ):
-                        raise InvalidInputError(
-                            f"session {self.name} is of another hand than "
-                            f"{self.robot.name}, with the joints {', '.join(command.joint_names)}",
-                            argument="--robot",
-                            value=self.robot.name,
-                        )
                 if self.is_outdated:
                     return
+                if command.joint_names != self.robot.joint_names:
+                    raise InvalidInputError(
+                        f"session {self.name} is of another hand than {self.robot.name}, "
+                        f"with the joints {', '.join(command.joint_names)}",
+                        argument="--robot",
+                        value=self.robot.name,
+                    )
                 if (sample := self._sample(command)) is not None:
                     yield sample
 
@@ -274,29 +270,25 @@ class ServiceSession:
         self._start = self._start or command.server_time
         q = np.array(command.q)
         wrist = command.wrist.matrix
-        arrays = {
+        arrays: dict[str, Any] = {
             name: np.array(detail[name]) for name in _ARRAYS if detail[name] is not None
         }
-        targets = arrays["targets"]
-        human_q, human_wrist = self._human_posture(arrays, detail["human_wrist"])
+        posture = self._human_posture(arrays, detail["human_wrist"])
+        arrays["human_q"], arrays["human_wrist"] = posture
+        arrays["deformation"] = arrays.pop("motion_deformation")[:3, :3]
         # The last detail of a held robot may be of another method.
-        has_targets = (
-            len(targets) == len(self.robot.reference_points) and not self.is_released
-        )
+        if self.is_released or len(arrays["targets"]) != len(
+            self.robot.reference_points
+        ):
+            del arrays["targets"]
         return ViewSample(
+            **arrays,
             time=command.server_time - self._start,
-            human_q=human_q,
-            human_wrist=human_wrist,
-            human_points=arrays["human_points"],
-            landmarks=arrays.get("landmarks"),
             robot_q=q,
             robot_wrist=wrist,
             robot_points=self.robot.points(
                 q, wrist if self.robot.is_floating else None
             ),
-            targets=targets if has_targets else None,
-            deformation=arrays["motion_deformation"][:3, :3],
-            pivot=arrays["pivot"],
             is_limited=np.isin(self.robot.joint_names, command.at_limit),
             status=command.status,
             held_by=detail.get("held_by", ()),
@@ -306,7 +298,7 @@ class ServiceSession:
         )
 
     def _human_posture(
-        self, arrays: dict[str, np.ndarray], wrist: Any
+        self, arrays: dict[str, Any], wrist: Any
     ) -> tuple[np.ndarray | None, np.ndarray]:
         """Return the human's joint angles (n,), None if not known, and its wrist (4, 4)."""
         landmarks = arrays.get("landmarks")

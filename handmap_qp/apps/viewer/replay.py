@@ -121,8 +121,9 @@ class Replay:
         Raises:
             HandmapError: If the options cannot be used; the replay is then unchanged.
         """
-        is_changed = self.preset(choice.preset).changes_to(choice)
-        label = f"{choice.preset}, changed" if is_changed else choice.preset
+        label = choice.preset
+        if self.preset(label).changes_to(choice):
+            label += ", changed"
         variant = self._map(choice, label)
         other = self.other
         if other and other.choice and self._other_switches != self.switches:

@@ -114,15 +114,16 @@ class HandScene:
         Args:
             variants: The robots, all of the hand of the first.
         """
-        for i in range(len(self._robots), len(variants)):
-            self._robots.append(RobotFigure(self.server, variants[i], i))
         upright = None
         wrist = variants[0].samples[0].human_wrist
         if self._people is not None and wrist is not None:
             upright = (wrist @ self._people[1].hand.wrist_to_palm)[:3, :3].T
             for figure in self._people:
                 figure.turn(upright)
-        for robot, variant in zip(self._robots, variants, strict=False):
+        for i, variant in enumerate(variants):
+            if i == len(self._robots):
+                self._robots.append(RobotFigure(self.server, variant, i))
+            robot = self._robots[i]
             robot.turn(_robot_axes(robot.hand, variant, upright))
             robot.label = variant.label
         for robot in self._robots:
@@ -165,11 +166,10 @@ class HandScene:
                 if tips is not None:
                     figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
 
-    def make_room(self, samples: Sequence[ViewSample]) -> None:
-        """Make room for one more instant, of samples that are not known beforehand."""
+    def make_room(self, sample: ViewSample) -> None:
+        """Make room for one more instant of a single robot, not known beforehand."""
         for figure in self._figures:
-            if figure.variant < len(samples):
-                figure.include(samples[figure.variant])
+            figure.include(sample)
 
     @property
     def _figures(self) -> list[Figure]:
