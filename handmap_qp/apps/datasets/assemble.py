@@ -14,7 +14,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -31,9 +31,6 @@ from handmap_qp.trackers.formats.lerobot import Feature, writing_set
 WRIST_NAMES = tuple(f"wrist_{name}" for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
 """Names of the wrist's position [m] and quaternion in the state."""
 _NO_WRIST = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-_STATE = "observation.state"
-_ACTION = "action"
-_VALID = "observation.valid"
 
 
 Robots = Mapping[Side, Hand]
@@ -110,9 +107,9 @@ def _write_lerobot(
 ) -> Path:
     names = state_names(hands)
     features = {
-        _STATE: Feature("float32", names),
-        _ACTION: Feature("float32", names),
-        _VALID: Feature("bool", tuple(hands)),
+        "observation.state": Feature("float32", names),
+        "action": Feature("float32", names),
+        "observation.valid": Feature("bool", tuple(hands)),
     }
     fresh = root.with_name(f"{root.name}.new")
     shutil.rmtree(fresh, ignore_errors=True)
@@ -124,11 +121,8 @@ def _write_lerobot(
         argument="--out",
     ) as writer:
         for episode in episodes:
-            columns = {
-                _STATE: episode.state,
-                _ACTION: episode.action,
-                _VALID: episode.valid,
-            }
+            arrays = episode.state, episode.action, episode.valid
+            columns = dict(zip(features, arrays, strict=True))
             writer.add(columns, episode.task, {"source": episode.sources})
     shutil.rmtree(root, ignore_errors=True)
     with writing(root, "--out"):
@@ -149,32 +143,29 @@ def _write_robomimic(episodes: Iterator[Episode], path: Path, hands: Robots) -> 
         data.attrs["env_args"] = json.dumps(env)
         for i, episode in enumerate(episodes):
             check_room(file, 5 * episode.state.nbytes)
-            _write_demo(data.create_group(f"demo_{i}"), episode)
-            total += len(episode.state)
+            demo = data.create_group(f"demo_{i}")
+            count = len(episode.state)
+            demo.attrs.update(
+                num_samples=count, source=episode.sources, task=episode.task
+            )
+            columns = {
+                "actions": episode.action,
+                "states": episode.state,
+                "rewards": np.zeros(count),
+                "dones": (np.arange(count) == count - 1).astype(np.int64),
+                "obs/state": episode.state,
+                "obs/valid": episode.valid,
+                "next_obs/state": episode.action,
+            }
+            for name, column in columns.items():
+                demo[name] = column
+            total += count
         data.attrs["total"] = total
     return path
 
 
 def _robot_names(hands: Robots) -> str:
     return " and ".join(hand.name for hand in hands.values())
-
-
-def _write_demo(demo: Any, episode: Episode) -> None:
-    count = len(episode.state)
-    demo.attrs.update(num_samples=count, source=episode.sources, task=episode.task)
-    dones = np.zeros(count, dtype=np.int64)
-    dones[-1] = 1
-    columns = {
-        "actions": episode.action,
-        "states": episode.state,
-        "rewards": np.zeros(count),
-        "dones": dones,
-        "obs/state": episode.state,
-        "obs/valid": episode.valid,
-        "next_obs/state": episode.action,
-    }
-    for name, column in columns.items():
-        demo[name] = column
 
 
 def _file_of(line: Line) -> str:

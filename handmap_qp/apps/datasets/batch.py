@@ -32,11 +32,11 @@ class Plan:
     """
 
     jobs: tuple[Job, ...]
-    done: tuple[Line, ...]
-    left_alone: tuple[Line, ...]
+    done: Sequence[Line]
+    left_alone: Sequence[Line]
     kills: dict[str, int] = field(default_factory=dict)
-    damaged: tuple[Line, ...] = ()
-    repeated: tuple[Path, ...] = ()
+    damaged: Sequence[Line] = ()
+    repeated: Sequence[Path] = ()
 
     @property
     def frames(self) -> int:
@@ -124,9 +124,7 @@ def plan_batch(
         elif line.kills:
             kills[task.key] = line.kills
         jobs.append(Job(task, options, digest, folder))
-    return Plan(
-        tuple(jobs), tuple(done), tuple(left_alone), kills, tuple(damaged), repeated
-    )
+    return Plan(tuple(jobs), done, left_alone, kills, damaged, repeated)
 
 
 def run_batch(

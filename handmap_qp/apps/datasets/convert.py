@@ -8,10 +8,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handmap_qp.errors import expect
-from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import check_output, make_folder
 from handmap_qp.trackers.formats import Source, format_to_write, list_sources
-from handmap_qp.trackers.formats.base import RecordingFormat
 from handmap_qp.trackers.formats.mano import ManoFormat
 
 
@@ -62,36 +60,26 @@ def convert(
         for source in chain.from_iterable(map(list_sources, inputs))
     ]
     unread = {source.path: source.format.unread(source.path) for source in sources}
-    recordings = [source.read() for source in sources]
-    files: tuple[Path, ...] = (out,)
+    recordings = list(map(Source.read, sources))
+    contents = {out: recordings}
     if is_folder:
-        files = _write_each(recordings, sources, out, target)
-    else:
-        target.write(recordings, out)
+        contents = {}
+        for source, recording in zip(sources, recordings, strict=True):
+            file = out / f"{source.name}{target.suffixes[0]}"
+            expect(
+                file not in contents,
+                "IN",
+                "recordings of different names",
+                got=f"{file.stem} twice",
+            )
+            contents[file] = [recording]
+        make_folder(out, "OUT")
+    for file, content in contents.items():
+        target.write(content, file)
     return Conversion(
         recordings=len(recordings),
         samples=sum(map(len, recordings)),
-        files=files,
+        files=tuple(contents),
         not_read=tuple(dict.fromkeys(chain.from_iterable(unread.values()))),
         lost=target.losses(recordings),
     )
-
-
-def _write_each(
-    recordings: list[Recording],
-    sources: list[Source],
-    out: Path,
-    target: RecordingFormat,
-) -> tuple[Path, ...]:
-    files = [out / f"{source.name}{target.suffixes[0]}" for source in sources]
-    for file in files:
-        expect(
-            files.count(file) == 1,
-            "IN",
-            "recordings of different names",
-            got=f"{file.stem} twice",
-        )
-    make_folder(out, "OUT")
-    for recording, file in zip(recordings, files, strict=True):
-        target.write([recording], file)
-    return tuple(files)

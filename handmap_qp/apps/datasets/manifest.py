@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import errno
 import fcntl
-import mmap
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from io import FileIO
 from pathlib import Path
 from typing import Literal
 
@@ -117,7 +115,9 @@ def open_manifest(
             except BlockingIOError as error:
                 problem = f"{file}: another handmap batch writes to it"
                 raise InvalidInputError(problem, argument="--out") from error
-            _cut_torn_line(stream)
+            # Cut off what follows the last line break.
+            if file.stat().st_size:
+                stream.truncate(file.read_bytes().rfind(b"\n") + 1)
             sync(file.parent)
 
         def append(line: Line) -> None:
@@ -147,23 +147,11 @@ def read_manifests(folder: Path) -> dict[str, Line]:
     state: dict[str, Line] = {}
     for file in sorted(folder.glob("manifest*.jsonl")):
         done = {key: line for key, line in state.items() if line.status == "done"}
-        state |= {line.key: line for line in _lines_of(file)} | done
+        with naming("DIR", f"{file}: cannot be read"), file.open("rb") as stream:
+            for text in stream:
+                # Without a line break, it was being written when the process was killed.
+                with suppress(msgspec.DecodeError, UnicodeDecodeError):
+                    line = _DECODER.decode(text if text.endswith(b"\n") else b"")
+                    state[line.key] = line
+        state |= done
     return state
-
-
-def _lines_of(file: Path) -> Iterator[Line]:
-    """Read the lines of one manifest."""
-    with naming("DIR", f"{file}: cannot be read"), file.open("rb") as stream:
-        for text in stream:
-            # Without a line break, it was being written when the process was killed.
-            with suppress(msgspec.DecodeError, UnicodeDecodeError):
-                yield _DECODER.decode(text if text.endswith(b"\n") else b"")
-
-
-def _cut_torn_line(stream: FileIO) -> None:
-    """Cut off what follows the last line break."""
-    # An empty file cannot be mapped.
-    if stream.seek(0, os.SEEK_END):
-        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as text:
-            kept = text.rfind(b"\n") + 1
-        stream.truncate(kept)

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import compress
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import rankdata
@@ -19,11 +18,11 @@ from handmap_qp.output_files import make_folder, replaced_file
 
 FOLDER = "report"
 """Folder of the report, below that of the batch."""
+_SUMMARY = "measure", "median", "worst 5 %", "worst", "episodes"
 _MOST_DRAWN, _MOST_FAILED = 8, 50
 
 
-@dataclass(frozen=True, eq=False)
-class Quality:
+class Quality(NamedTuple):
     """How the episodes of a batch are.
 
     Attributes:
@@ -101,12 +100,11 @@ def summary_rows(quality: Quality) -> list[dict[str, str]]:
     rows = []
     for measure, column in zip(MEASURES, quality.values.T, strict=True):
         known = column[np.isfinite(column)]
-        bad, worst = (95, 100) if measure.worse == "high" else (5, 0)
-        shares = {"median": 50, "worst 5 %": bad, "worst": worst}
         if len(known):
-            row = {key: _text(np.percentile(known, k)) for key, k in shares.items()}
-            counted = {"episodes": str(len(known))}
-            rows.append({"measure": measure.title} | row | counted)
+            shares = (50, 95, 100) if measure.worse == "high" else (50, 5, 0)
+            numbers = map(_text, np.percentile(known, shares))
+            cells = (measure.title, *numbers, str(len(known)))
+            rows.append(dict(zip(_SUMMARY, cells, strict=True)))
     return rows
 
 
@@ -155,10 +153,24 @@ def write_report(
     if draws:
         drawing = datasets.report_pictures
         pictures = drawing.draw_report(folder, quality, min(worst, _MOST_DRAWN), out)
+    # The worst episode first.
+    rows = [
+        {
+            "episode": line.key,
+            "file": line.out,
+            "kept": int(kept),
+            "badness": f"{badness:.4f}",
+            "frames": line.frames,
+            **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
+        }
+        for line, kept, badness in zip(
+            quality.lines, quality.is_kept, quality.badness, strict=True
+        )
+    ]
     texts = {
         "report.md": _markdown(quality, worst, [file.name for file in pictures]),
-        "episodes.csv": _csv(quality),
-        "keep.txt": _filter(quality),
+        "episodes.csv": csv_text(rows),
+        "keep.txt": "".join(sorted(f"{row['file']}\n" for row in rows if row["kept"])),
     }
     for name, text in texts.items():
         with replaced_file(out / name, "DIR") as file:
@@ -186,31 +198,6 @@ def _markdown(quality: Quality, count: int, pictures: Sequence[str]) -> str:
         parts += ["## Failed recordings", markdown_table(rows)]
     parts += [f"![{name}]({name})" for name in pictures]
     return "\n\n".join(parts) + "\n"
-
-
-def _csv(quality: Quality) -> str:
-    """Return all numbers as CSV, the worst episode first."""
-    return csv_text(
-        [
-            {
-                "episode": line.key,
-                "file": line.out,
-                "kept": int(kept),
-                "badness": f"{badness:.4f}",
-                "frames": line.frames,
-                **{measure.key: line.metrics.get(measure.key) for measure in MEASURES},
-            }
-            for line, kept, badness in zip(
-                quality.lines, quality.is_kept, quality.badness, strict=True
-            )
-        ]
-    )
-
-
-def _filter(quality: Quality) -> str:
-    """Return the file of every episode that is kept, one a line, by name."""
-    kept = compress(quality.lines, quality.is_kept)
-    return "".join(sorted(f"{line.out}\n" for line in kept))
 
 
 def _counted(count: int, noun: str) -> str:

@@ -95,7 +95,7 @@ def find_files(
     """
     files: dict[str, InputFile] = {}
     repeated: list[Path] = []
-    own = None if out is None else _identity(out)
+    own = out and _identity(out)
     seen: set[object] = set()
     for given in inputs:
         before = len(files) + len(repeated)
@@ -108,12 +108,15 @@ def find_files(
                 got=f"{name} twice",
                 advice="name the folder above both",
             )
-            files[name] = _stamped(name, path)
+            stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
+            latest = max((stat.st_mtime_ns for stat in stats), default=0)
+            size = sum(stat.st_size for stat in stats)
+            files[name] = InputFile(name, path, size, latest)
         if len(files) + len(repeated) == before:
             raise InvalidInputError(
                 f"{given}: has no files of a known form", argument="INPUT"
             )
-    return tuple(files[name] for name in sorted(files)), tuple(repeated)
+    return tuple(map(files.__getitem__, sorted(files))), tuple(repeated)
 
 
 def tasks_of(files: Sequence[InputFile], shard: tuple[int, int] = (1, 1)) -> list[Task]:
@@ -180,7 +183,9 @@ def _paths_of(
             continue
         if identity in seen:
             repeated.append(path)
-        elif not path.is_dir() or _is_set(path):
+        elif not path.is_dir() or any(
+            form.recognises(path) for form in FORMATS.values()
+        ):
             yield path
         else:
             inside = sorted(path.glob("[!.]*"))
@@ -195,14 +200,3 @@ def _identity(path: Path) -> object:
         return path
     stat = path.stat()
     return stat.st_dev, stat.st_ino
-
-
-def _is_set(folder: Path) -> bool:
-    """Tell whether a folder is a data set, not a folder of files."""
-    return any(form.recognises(folder) for form in FORMATS.values())
-
-
-def _stamped(name: str, path: Path) -> InputFile:
-    stats = [p.stat() for p in (path, *path.rglob("*")) if p.is_file()]
-    latest = max((stat.st_mtime_ns for stat in stats), default=0)
-    return InputFile(name, path, sum(stat.st_size for stat in stats), latest)

@@ -26,18 +26,6 @@ MOST_STARTS = 10
 """Pools in a row whose first worker dies before it begins; after that, none is started."""
 
 
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Give workers that start inside the block one thread each."""
-    before = dict(os.environ)
-    os.environ.update(ONE_THREAD)
-    try:
-        yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
-
-
 def start_worker() -> None:
     """Prepare a worker: it leaves Ctrl-C to its parent, and ends when the parent has died."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -74,17 +62,23 @@ def started_pool(count: int) -> Iterator[ProcessPoolExecutor]:
         InvalidInputError: If the first worker dies before it begins, several times in a row: memory
             is short, or a script starts processes without a guard.
     """
-    with one_thread():
+    before = dict(os.environ)
+    os.environ.update(ONE_THREAD)
+    try:
         for _ in range(MOST_STARTS):
             pool = ProcessPoolExecutor(
                 count, mp_context=CONTEXT, initializer=start_worker
             )
             try:
-                if _begins(pool):
+                # One that dies here has no recording to blame.
+                if pool.submit(os.getpid).exception() is None:
                     yield pool
                     return
             finally:
                 pool.shutdown(cancel_futures=True)
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
     raise InvalidInputError(
         argument="--workers",
         expected="processes that start",
@@ -92,15 +86,6 @@ def started_pool(count: int) -> Iterator[ProcessPoolExecutor]:
         advice="take fewer if memory is short, or 0 to map in this process; in a script, "
         "call it below `if __name__ == '__main__':`",
     )
-
-
-def _begins(pool: ProcessPoolExecutor) -> bool:
-    """Return whether a first worker comes up; one that dies here has no recording to blame."""
-    try:
-        pool.submit(os.getpid).result()
-    except BrokenProcessPool:
-        return False
-    return True
 
 
 def each_apart(
