@@ -67,17 +67,15 @@ class HandTracker:
     """MediaPipe's hand tracker.
 
     Args:
-        side: The hand to track, `right` or `left`.
-        fov: The camera's horizontal field of view [deg].
+        arguments: Those of the program: `side`, and `fov`, the camera's horizontal one [deg].
     """
 
-    def __init__(self, side: str, fov: float) -> None:
+    def __init__(self, arguments: argparse.Namespace) -> None:
         try:
             from mediapipe.python.solutions.hands import Hands
         except ImportError as error:
             _stop(f"mediapipe cannot be imported: {error}")
-        self._side = side
-        self._fov = fov
+        self._arguments = arguments
         self._hands = Hands(max_num_hands=2, model_complexity=1)
 
     def find(self, pixels: np.ndarray) -> dict[str, Any]:
@@ -95,13 +93,13 @@ class HandTracker:
             strict=True,
         )
         height, width = pixels.shape[:2]
-        focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._fov))
+        focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._arguments.fov))
         centre = (0.5 * width, 0.5 * height)
         best: dict[str, Any] = {}
         for named, image, world in hands:
             kind = named.classification[0]
             confidence = min(1.0, kind.score)
-            is_ours = _OTHER.get(kind.label) == self._side
+            is_ours = _OTHER.get(kind.label) == self._arguments.side
             if is_ours and confidence > best.get("confidence", -1.0):
                 shape = _rows(world)
                 places = _rows(image)[:, :2] * (width, height)
@@ -178,7 +176,7 @@ def sent(
 def main() -> None:
     """Track until the video ends or the program is stopped."""
     arguments = _parse()
-    tracker = HandTracker(arguments.side, arguments.fov)
+    tracker = HandTracker(arguments)
     with contextlib.ExitStack() as closing:
         emit = printed if arguments.to is None else sent(arguments, closing)
         # Ctrl-C and a reader that has gone end this process without a traceback.

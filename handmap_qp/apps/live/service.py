@@ -74,8 +74,9 @@ class ServiceSink:
         self._counts = Counter(
             sent=0, hand_lost=0, commands=0, accepted=0, unanswered=0
         )
-        names = "statuses", "flags", "refusals"
-        self._said: dict[str, Counter[str]] = {name: Counter() for name in names}
+        self._said: dict[str, Counter[str]] = {
+            name: Counter() for name in ("statuses", "flags", "refusals")
+        }
         self._refusal = ""
         self.command: Command | None = None
         self._heard = self._sent = time.monotonic()
@@ -233,15 +234,11 @@ class ServiceSource:
                     landmarks = (command.detail or {}).get("landmarks")
                     if landmarks is not None:
                         yield HumanSample(command.time, self.side, np.array(landmarks))
-                elif time.monotonic() - heard > _WAIT and not self._is_open():
-                    return
-
-    def _is_open(self) -> bool:
-        """Return whether the session is open; a service that restarts may open it again."""
-        try:
-            self._client.status()
-        except ServiceTimeoutError:
-            return True
-        except ServiceError:
-            return False
-        return True
+                elif time.monotonic() - heard > _WAIT:
+                    try:
+                        client.status()
+                    except ServiceTimeoutError:
+                        # A service that restarts may open the session again.
+                        continue
+                    except ServiceError:
+                        return
