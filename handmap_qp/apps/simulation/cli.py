@@ -34,6 +34,13 @@ from handmap_qp.trackers.formats import read_recording
 from handmap_qp.trackers.formats.archive import save_npz
 
 Up = Literal["x", "y", "z", "-x", "-y", "-z"]
+_FILES = {
+    "out": (".npz",),
+    "picture": (".png",),
+    "film": (".gif", ".webp", ".png"),
+    "html": (".html", ".htm"),
+}
+"""Options that name a file to write, and its suffixes."""
 _OBJECT = "box:0.03"
 _MASS = 0.05
 _FRICTION = 0.8
@@ -118,25 +125,19 @@ class Simulate:
             print(json.dumps(found))
             return
         print_rows(f"{self.robot}: simulated", found["rows"])
-        for path in filter(None, (self.out, self.picture, self.film, self.html)):
+        for path in filter(None, map(vars(self).get, _FILES)):
             print(f"wrote {path}")
 
     def _check(self) -> None:
         """Reject options that contradict each other, before any work is done."""
-        files = (
-            ("--out", self.out, (".npz",)),
-            ("--picture", self.picture, (".png",)),
-            ("--film", self.film, (".gif", ".webp", ".png")),
-            ("--html", self.html, (".html", ".htm")),
-        )
         problem = advice = ""
         given = (self.object, self.mass, self.friction)
         if self.objects == "varied" and given != (_OBJECT, _MASS, _FRICTION):
             problem = "draws object, mass and friction"
             advice = "add --objects nominal to draw places alone"
-        for option, path, endings in files:
-            if path is not None:
-                check_output(option, path, endings)
+        for name, endings in _FILES.items():
+            if (path := getattr(self, name)) is not None:
+                check_output(f"--{name}", path, endings)
                 problem, advice = "writes no file", ""
         if self.trials and problem:
             raise InvalidInputError(

@@ -29,16 +29,6 @@ OBJECT = "/object"
 WRIST = "/wrist"
 """Names of the object's body and of the wrist's site; others bear the names of joints."""
 
-# Least mass and inertia are for links without mass and shape.
-_EMPTY = """
-<mujoco>
-  <compiler angle="radian" boundmass="1e-4" boundinertia="1e-9"/>
-  <option integrator="implicitfast" cone="elliptic" impratio="100" noslip_iterations="3"/>
-  <default>
-    <geom solimp="0.95 0.99 5e-4 0.5 2"/>
-  </default>
-</mujoco>
-"""
 _MOCAP = "/mocap"
 # Who collides with whom.
 _HAND = {"contype": 1, "conaffinity": 2}
@@ -101,16 +91,20 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
 
 def _empty_spec(physics: Physics) -> Any:
     """Return a specification with what holds for all bodies, joints and geoms."""
-    spec = mujoco.MjSpec.from_string(_EMPTY)
-    spec.option.timestep = physics.time_step
-    spec.option.gravity = physics.gravity
-    geom = spec.default.geom
-    geom.density = physics.density
-    geom.condim = 4 if physics.torsion > 0.0 else 3
-    geom.friction = [physics.friction, max(physics.torsion, 1e-5), 1e-5]
-    geom.solref = [physics.contact_time, 1.0]
-    spec.default.joint.armature = physics.armature
-    return spec
+    # Least mass and inertia are for links without mass and shape.
+    return mujoco.MjSpec.from_string(f"""
+<mujoco>
+  <compiler angle="radian" boundmass="1e-4" boundinertia="1e-9"/>
+  <option integrator="implicitfast" cone="elliptic" impratio="100" noslip_iterations="3"
+    timestep="{physics.time_step}" gravity="{" ".join(map(str, physics.gravity))}"/>
+  <default>
+    <joint armature="{physics.armature}"/>
+    <geom density="{physics.density}" condim="{4 if physics.torsion > 0.0 else 3}"
+      friction="{physics.friction} {max(physics.torsion, 1e-5)} 1e-5"
+      solref="{physics.contact_time} 1" solimp="0.95 0.99 5e-4 0.5 2"/>
+  </default>
+</mujoco>
+""")
 
 
 def _add_hand(spec: Any, hand: Hand) -> list[Any]:
@@ -133,12 +127,11 @@ def _add_hand(spec: Any, hand: Hand) -> list[Any]:
             )
             joint = model.joints[index]
             linear, angular = np.split(np.array(joint.createData().S).ravel(), 2)
-            is_slide = linear.any()
             kinds = mujoco.mjtJoint
             made = body.add_joint(
                 name=name,
-                type=kinds.mjJNT_SLIDE if is_slide else kinds.mjJNT_HINGE,
-                axis=linear if is_slide else angular,
+                type=kinds.mjJNT_SLIDE if linear.any() else kinds.mjJNT_HINGE,
+                axis=linear + angular,
             )
             i = joint.idx_q
             ends = [model.lowerPositionLimit[i], model.upperPositionLimit[i]]

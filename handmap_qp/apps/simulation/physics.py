@@ -164,13 +164,22 @@ def parse_object(text: str) -> Shape | MeshShape:
             return Cylinder(diameter / 2.0, length)
         case _, size if kind in KINDS:
             return named_shape(kind, size)
+    file = Path(text)
     expect(
-        Path(text).is_file(),
+        file.is_file(),
         "--object",
         "box:0.05, box:0.03x0.04x0.1, sphere:0.04, cylinder:0.04x0.1 or a mesh file",
         value=text,
     )
-    return _mesh(Path(text))
+    trimesh = require("trimesh", "plot")
+    # Mesh readers raise many types.
+    try:
+        hull = trimesh.load_mesh(file).convex_hull
+    except Exception as error:
+        raise InvalidInputError(
+            f"{file}: cannot be read as a mesh ({error})", argument="--object"
+        ) from error
+    return MeshShape(hull.vertices - hull.center_mass)
 
 
 def surface(shape: Shape | MeshShape) -> Any:
@@ -188,18 +197,6 @@ def surface(shape: Shape | MeshShape) -> Any:
         case Cylinder():
             return trimesh.creation.cylinder(shape.radius, shape.length, sections=40)
     return trimesh.Trimesh(shape.points).convex_hull
-
-
-def _mesh(file: Path) -> MeshShape:
-    trimesh = require("trimesh", "plot")
-    try:
-        hull = trimesh.load_mesh(file).convex_hull
-    # Mesh readers raise many types.
-    except Exception as error:
-        raise InvalidInputError(
-            f"{file}: cannot be read as a mesh ({error})", argument="--object"
-        ) from error
-    return MeshShape(hull.vertices - hull.center_mass)
 
 
 class Physics(Options, frozen=True):

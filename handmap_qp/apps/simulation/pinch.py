@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import takewhile
 from typing import Any, Literal, NamedTuple
@@ -120,8 +120,7 @@ class Pads:
         return min(pressing[is_thumb].sum(), pressing[~is_thumb].sum()) > _PRESSED
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PinchTrial:
+class PinchTrial(NamedTuple):
     """One object and its place.
 
     Attributes:
@@ -289,8 +288,7 @@ def _outcome(
     """Judge the instants at the end, for which there are distances from the pads' middle."""
     lost = np.flatnonzero(distances > _LOST + width / 2.0)
     last = int(lost[0]) if len(lost) else len(distances) - 1
-    judged = (column[-len(distances) :] for column in episode.at)
-    kept = Instant(*(column[: last + 1] for column in judged))
+    kept = Instant(*(each[-len(distances) :][: last + 1] for each in episode.at))
     poses = inverse_pose(kept.wrist) @ kept.object_pose
     turn = Rotation.from_matrix(poses[-1, :3, :3] @ poses[0, :3, :3].T).magnitude()
     return PinchOutcome(
@@ -329,11 +327,10 @@ def random_trials(
     trials = []
     for _ in range(count):
         x, y, z = random.normal(0.0, _PLACE, 3).tolist()
-        trial = replace(fixed, offset=(x, y, z), yaw=random.uniform(-_YAW, _YAW))
+        trial = fixed._replace(offset=(x, y, z), yaw=random.uniform(-_YAW, _YAW))
         if objects == "varied":
             kind = random.choice(KINDS)
-            trial = replace(
-                trial,
+            trial = trial._replace(
                 shape=named_shape(kind, random.uniform(*_SIZES)),
                 mass=float(np.exp(random.uniform(*np.log(_MASSES)))),
                 friction=random.uniform(*_FRICTIONS),
