@@ -243,7 +243,7 @@ def pose_pictures(
     )
     pictures = np.stack([human] * (1 + len(columns)))
     # Columns of the same hand have the same scale.
-    for hand in {id(hand): hand for _, hand in columns}.values():
+    for hand in {hand for _, hand in columns}:
         shape = _coloured(load_shape(hand))
         own = [i for i, (_, other) in enumerate(columns) if other is hand]
         solids = []
@@ -312,7 +312,15 @@ def _pictures(
 def _human_triangles(landmarks: np.ndarray) -> Triangles:
     """Tubes through raw landmarks (21, 3) in palm axes, a colour for every finger."""
     points = transform_points(UPRIGHT, landmarks)
-    parts = [_faces(points), spheres(points[PALM], _JOINT, _PALM_COLOUR)]
+    # The palm is flat, and seen from both sides.
+    corners = points[_PALM_FACES]
+    corners = np.concatenate([corners, corners[:, ::-1]])
+    sides = np.diff(corners, axis=1)
+    normals = unit(np.cross(sides[:, :1], sides[:, 1:])).repeat(3, axis=1)
+    parts = [
+        Triangles.painted(corners, normals, _PALM_COLOUR),
+        spheres(points[PALM], _JOINT, _PALM_COLOUR),
+    ]
     bones = [(pair, _PALM_BONE, _PALM_COLOUR) for pair in _PALM_BONES]
     for tip, colour in zip(TIPS, FINGER_COLOURS.values(), strict=True):
         bones += [((i, i + 1), _BONE, colour) for i in range(tip - 3, tip)]
@@ -324,15 +332,6 @@ def _human_triangles(landmarks: np.ndarray) -> Triangles:
         if lengths(np.subtract(*ends)) > 1e-5:
             parts.append(tube(ends, radius, colour))
     return merged(parts)
-
-
-def _faces(points: np.ndarray) -> Triangles:
-    """The palm as flat triangles, seen from both sides."""
-    corners = points[_PALM_FACES]
-    corners = np.concatenate([corners, corners[:, ::-1]])
-    sides = np.diff(corners, axis=1)
-    normals = unit(np.cross(sides[:, :1], sides[:, 1:]))
-    return Triangles.painted(corners, normals.repeat(3, axis=1), _PALM_COLOUR)
 
 
 def _coloured(shape: HandShape) -> HandShape:

@@ -223,13 +223,11 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     # Barycentric coordinates are linear in the pixel: coefficients of x, y, and the constant.
     flat = corners.copy()
     flat[..., 2] = 1.0
-    planes = np.cross(np.roll(flat, -1, axis=1), np.roll(flat, 1, axis=1))
-    area = planes[..., 2].sum(axis=1)
     # y points down, so a counter-clockwise triangle has a negative area in the picture.
-    seen = np.flatnonzero((depths > _NEAR).all(axis=1) & (area < 0.0))
-    planes = planes[seen] / area[seen, None, None]
-    inverse = 1.0 / depths[seen]
-    nearness = np.einsum("nc,ncj->nj", inverse, planes)
+    is_seen = (depths > _NEAR).all(axis=1) & (np.linalg.det(flat) < 0.0)
+    seen = np.flatnonzero(is_seen)
+    planes = np.linalg.inv(flat[seen]).swapaxes(1, 2)
+    nearness = np.einsum("nc,ncj->nj", 1.0 / depths[seen], planes)
     nearest = np.zeros(width * height)
     front = np.zeros(width * height, dtype=np.int64)
     # The pixels in the box around each triangle, row by row.
@@ -262,7 +260,7 @@ def _rasterise(vertices: np.ndarray, camera: Camera) -> _Surface:
     centres = _centres(pixels % width, pixels // width)
     shares = np.einsum("kcj,kj->kc", planes[owner], centres)
     depth = np.full(width * height, np.inf)
-    depth[pixels] = 1.0 / np.maximum((shares * inverse[owner]).sum(axis=1), 1e-9)
+    depth[pixels] = 1.0 / nearest[pixels]
     return _Surface(pixels, centres, seen[owner], shares, depth.reshape(height, width))
 
 
