@@ -438,7 +438,15 @@ class ExportControls:
                 "handmap.png",
                 "picture",
                 "Download the hands as they are shown, without the panels",
-                _picture,
+                # The browser draws the hands.
+                lambda client: on_white(
+                    client.get_render(
+                        client.camera.image_height,
+                        client.camera.image_width,
+                        transport_format="png",
+                        timeout=_PATIENCE,
+                    )
+                ),
             ),
             (
                 "handmap.html",
@@ -466,19 +474,6 @@ class ExportControls:
         except HandmapError as error:
             said = error
         say(self._message, said)
-
-
-def _picture(client: Any) -> bytes:
-    """Let the browser draw the hands, and return the picture."""
-    camera = client.camera
-    return on_white(
-        client.get_render(
-            camera.image_height,
-            camera.image_width,
-            transport_format="png",
-            timeout=_PATIENCE,
-        )
-    )
 
 
 def on_white(image: np.ndarray) -> bytes:

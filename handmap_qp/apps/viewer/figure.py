@@ -554,7 +554,6 @@ def link_meshes(hand: Hand) -> dict[str, list[Any]]:
 def _merged(shapes: list[LinkShape]) -> list[Any]:
     """Return one mesh of those without textures, each face in its colour, and the others."""
     from trimesh.util import concatenate
-    from trimesh.visual import ColorVisuals
 
     plain, textured = [], []
     for meshes, colour in shapes:
@@ -563,7 +562,7 @@ def _merged(shapes: list[LinkShape]) -> list[Any]:
                 textured.append(mesh)
                 continue
             own = mesh.visual.face_colors if colour is None else as_bytes(colour)
-            mesh.visual = ColorVisuals(mesh, face_colors=own)
+            mesh.visual.face_colors = own
             plain.append(mesh)
     return [concatenate(plain), *textured] if plain else textured
 

@@ -111,10 +111,10 @@ class InstantGauges:
         self._groups = joints_by_finger(robot)
         self._contact_gap = CONTACT_GAP if human is None else human.contact_gap
         try:
-            self._meter = GapMeter(robot)
+            self._pinches = GapMeter(robot).pinches
         except HandError:
             # Without readable collision shapes, only the pinch gaps are missing.
-            self._meter = None
+            self._pinches = lambda _: {}
 
     def read(self, sample: ViewSample) -> Readings:
         """Return the numbers of a robot's sample."""
@@ -125,7 +125,7 @@ class InstantGauges:
         if wanted is not None and self._robot.has_moving_wrist:
             shift = np.linalg.norm(wrist[:3, 3] - wanted[:3, 3])
             angle = np.linalg.norm(pin.log3(wanted[:3, :3].T @ wrist[:3, :3]))
-        gaps = {} if self._meter is None else self._meter.pinches(sample.robot_q[None])
+        gaps = self._pinches(sample.robot_q[None])
         pinches = {finger: float(gap[0]) for finger, gap in gaps.items()}
         return Readings(
             errors.mean(), errors.max(), float(shift), float(angle), pinches

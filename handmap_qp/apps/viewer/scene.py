@@ -124,7 +124,7 @@ class HandScene:
             if i == len(self._robots):
                 self._robots.append(RobotFigure(self.server, variant, i))
             robot = self._robots[i]
-            robot.turn(_robot_axes(robot.hand, variant, upright))
+            robot.turn(_robot_axes(variant, upright))
             robot.label = variant.label
         for robot in self._robots:
             robot.is_shown = robot.variant < len(variants)
@@ -269,14 +269,11 @@ class BrowserCameras:
         return float(distance), float(-0.5 * _NAMES * pixel)
 
 
-def _robot_axes(
-    robot: Hand, variant: Variant, upright: np.ndarray | None
-) -> np.ndarray:
+def _robot_axes(variant: Variant, upright: np.ndarray | None) -> np.ndarray:
     """Return the rotation from V to the scene's axes, shape (3, 3).
 
     Args:
-        robot: The robot hand.
-        variant: What moves it.
+        variant: The robot hand, and what moves it.
         upright: The rotation from W to the scene's axes, shape (3, 3); None without a human hand,
             and the robot's first palm is upright then.
     """
@@ -285,5 +282,6 @@ def _robot_axes(
     options = {} if variant.choice is None else variant.choice.method.values
     alignment = options.get("alignment", "world")
     if upright is None or alignment == "palm":
-        return (variant.samples[0].robot_wrist @ robot.wrist_to_palm)[:3, :3].T
+        palm = variant.samples[0].robot_wrist @ variant.robot.wrist_to_palm
+        return palm[:3, :3].T
     return upright @ rotation_of(alignment).T
