@@ -12,7 +12,12 @@ from time import process_time
 
 from handmap_qp.apps.datasets.engines import Asked, Engine
 from handmap_qp.apps.datasets.episodes import Job, JobOptions, is_intact
-from handmap_qp.apps.datasets.manifest import Line, open_manifest, read_manifests
+from handmap_qp.apps.datasets.manifest import (
+    MOST_KILLS,
+    Line,
+    open_manifest,
+    read_manifests,
+)
 from handmap_qp.apps.datasets.sources import find_files, tasks_of
 from handmap_qp.output_files import make_folder
 
@@ -37,11 +42,6 @@ class Plan:
     kills: dict[str, int] = field(default_factory=dict)
     damaged: Sequence[Line] = ()
     repeated: Sequence[Path] = ()
-
-    @property
-    def frames(self) -> int:
-        """Samples to map."""
-        return sum(job.task.frames for job in self.jobs)
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def plan_batch(
             continue
         elif line.status == "done":
             damaged.append(line)
-        elif line.is_final:
+        elif line.kills >= MOST_KILLS:
             left_alone.append(line)
             continue
         elif line.kills:

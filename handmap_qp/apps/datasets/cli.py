@@ -206,9 +206,10 @@ class Batch:
         )
         counts = Counter[str]()
         # The time left is by samples, not by files.
+        frames = sum(job.task.frames for job in plan.jobs)
         with (
             stopped_by_signals() as is_stopped,
-            progress("mapping", plan.frames or None) as show,
+            progress("mapping", frames or None) as show,
         ):
 
             def advance(line: Line) -> None:

@@ -77,11 +77,6 @@ class Line(msgspec.Struct, frozen=True, omit_defaults=True):
         _, _, entry = self.key.rpartition(SEPARATOR)
         return f"{self.path}{SEPARATOR}{entry}" if entry else self.path
 
-    @property
-    def is_final(self) -> bool:
-        """True if the recording is not tried again as long as nothing changes."""
-        return self.status == "done" or self.kills >= MOST_KILLS
-
 
 _DECODER = msgspec.json.Decoder(Line)
 

@@ -85,9 +85,14 @@ def _measured(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
     errors = 1e3 * trajectory.point_error[seen]
     fingers = recording.landmarks[recording.valid, 1:].reshape(-1, 5, 4, 3)
     bones = lengths(np.diff(fingers, axis=2))
+    # The longest time between valid samples, beyond the usual step.
+    whole = recording.time
+    times = whole[recording.valid]
+    inside = np.diff(times).max(initial=0.0) - np.median(recording.steps)
+    gap = max(0.0, inside, times[0] - whole[0], whole[-1] - times[-1])
     return {
         "valid": recording.valid.mean(),
-        "longest_gap_s": _longest_gap(recording),
+        "longest_gap_s": gap,
         "bone_variation": (bones.std(axis=0) / bones.mean(axis=0)).mean(),
         "reach_mm": errors.mean(),
         "reach_p95_mm": np.percentile(errors, 95),
@@ -95,14 +100,6 @@ def _measured(recording: Recording, trajectory: Trajectory) -> dict[str, Any]:
         "speed_limited": trajectory.at_speed_limit[seen].any(axis=1).mean(),
         "jerk": rms_derivative(trajectory.q, trajectory.time, seen, order=3),
     }
-
-
-def _longest_gap(recording: Recording) -> float:
-    """Return the longest time between valid samples beyond the usual step [s]."""
-    times = recording.time[recording.valid]
-    whole = recording.time
-    inside = np.diff(times).max(initial=0.0) - np.median(recording.steps)
-    return max(0.0, inside, times[0] - whole[0], whole[-1] - times[-1])
 
 
 def _surfaces(
