@@ -182,5 +182,4 @@ def _wrist_axes(layout: Layout, side: Side) -> np.ndarray:
     if layout.wrist_table is None:
         return np.eye(3) if isinstance(layout, MarkerLayout) else np.zeros((3, 3))
     # Axes of left-handed data point where the data says, mirrored into the right-handed world.
-    axes = layout.wrist_axes(side)[:3, :3]
-    return unit(axes.T).T
+    return unit(layout.wrist_axes(side)[:3, :3].T).T

@@ -179,9 +179,8 @@ def _shape(spec: Any, shape: Any) -> dict[str, Any]:
             size = [shape.radius, shape.length / 2.0, 0.0]
         case _:
             name = f"hull{len(spec.meshes)}"
-            vertices = shape.points
-            if not isinstance(shape, MeshShape):
-                vertices = [shape.point(i) for i in range(shape.num_points)]
+            is_ours = isinstance(shape, MeshShape)
+            vertices = shape.points if is_ours else shape.points()
             spec.add_mesh(name=name, uservert=np.ravel(vertices).tolist())
             return {"type": mujoco.mjtGeom.mjGEOM_MESH, "meshname": name}
     return {"type": getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"), "size": size}

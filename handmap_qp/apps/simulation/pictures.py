@@ -141,19 +141,17 @@ def write_page(
     for name, episode in episodes.items():
         held = surface(episode.body.shape)
         hand = episode.hand
-        samples = []
-        for at in map(Instant, *episode.at):
-            wrist = at.wrist if hand.is_floating else None
-            samples.append(
-                ViewSample(
-                    time=float(at.time),
-                    robot_q=at.q,
-                    robot_wrist=at.wrist,
-                    robot_points=hand.points(at.q, wrist),
-                    object_pose=at.object_pose,
-                    note=f"{at.normal_force:.1f} N, {at.links_touching} links touch",
-                )
+        samples = [
+            ViewSample(
+                time=float(at.time),
+                robot_q=at.q,
+                robot_wrist=at.wrist,
+                robot_points=hand.points(at.q, at.wrist if hand.is_floating else None),
+                object_pose=at.object_pose,
+                note=f"{at.normal_force:.1f} N, {at.links_touching} links touch",
             )
+            for at in map(Instant, *episode.at)
+        ]
         variants.append(Variant(name, hand, None, samples, held, axes))
     page = make_page(title, None, variants, display=Display("world"))
     with replaced_file(path, "--html") as file:

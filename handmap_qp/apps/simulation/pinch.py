@@ -53,7 +53,7 @@ _LOST = 0.02
 _LAG = 1.0
 # The object of the simulation in which the pads meet, far from the hand.
 _NOTHING = Body(Sphere(0.01), 0.01)
-_FAR = affine(np.eye(3), np.array([0.0, 0.0, 100.0]))
+_FAR = affine(np.eye(3), (0.0, 0.0, 100.0))
 
 Objects = Literal["nominal", "varied"]
 """One object at random places, or random objects at random places."""
