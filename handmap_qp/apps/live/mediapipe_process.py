@@ -67,7 +67,7 @@ class HandTracker:
     """MediaPipe's hand tracker.
 
     Args:
-        arguments: Those of the program: `side`, and `fov`, the camera's horizontal one [deg].
+        arguments: The program's `side`, and `fov`, the horizontal field of view [deg].
     """
 
     def __init__(self, arguments: argparse.Namespace) -> None:
