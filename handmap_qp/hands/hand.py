@@ -105,6 +105,7 @@ class Hand:
             `with_joints`.
         stretches: Factors from its shapes to this hand's along the axes of their joint, shape (3,),
             by the joint; for those of the fingers.
+        parts: The hands of a robot that is moved as one (`hands.robot.joined`); else empty.
 
     Raises:
         HandError: If spec and URDF do not fit together, naming file, key and value.
@@ -127,6 +128,7 @@ class Hand:
         self.unscaled: Hand | None = None
         self.moves: dict[str, JointMove] = {}
         self.stretches: dict[int, np.ndarray] = {}
+        self.parts: tuple[Hand, ...] = ()
         self.name = spec.name
         self.side = spec.side
         self.mount: Mount = choose_mount(spec, mount)
@@ -154,7 +156,7 @@ class Hand:
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
         check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
         self._add_wrist_and_palm()
-        self._take_points(chosen)
+        self.use_points(chosen)
 
     @cached_property
     def model(self) -> pin.Model:
@@ -195,8 +197,15 @@ class Hand:
         return self.model.frames[self.wrist_frame_id].parentJoint > 0
 
     @property
+    def hands(self) -> tuple[Hand, ...]:
+        """The hands of a robot that is moved as one; else this hand alone."""
+        return self.parts or (self,)
+
+    @property
     def moves_wrist(self) -> np.ndarray:
-        """Which joints move the wrist, those of an arm, shape (n,)."""
+        """Which joints move the wrist, those of an arm, or a wrist of a robot, shape (n,)."""
+        if self.parts:
+            return np.any([hand.moves_wrist for hand in self.parts], axis=0)
         model = self.model
         arm = [*model.supports[model.frames[self.wrist_frame_id].parentJoint]]
         return np.isin([model.getJointId(joint) for joint in self.joint_names], arm)
@@ -247,7 +256,7 @@ class Hand:
             return self
         # All but the model is read-only, so both hands share it.
         hand = copy(self)
-        hand._take_points(chosen)
+        hand.use_points(chosen)
         return hand
 
     def with_contact_gap(self, gap: float) -> Hand:
@@ -481,8 +490,8 @@ class Hand:
         self._wrist_to_root = wrist.placement.inverse()
         self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
 
-    def _take_points(self, points: tuple[PointSpec, ...]) -> None:
-        """Use reference points."""
+    def use_points(self, points: tuple[PointSpec, ...]) -> None:
+        """Use other reference points, while nobody else has this hand."""
         self.reference_points = points
         self.point_weights = _frozen([point.weight for point in points])
         vars(self).pop("point_frames", None)

@@ -7,6 +7,7 @@ human hand is one of them, and the only one that can be scaled to a person.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache, partial
 from pathlib import Path
@@ -125,7 +126,7 @@ def load_hand(
 
 
 def _spec_of(hand: str | Path | HandSpec) -> HandSpec:
-    return hand if isinstance(hand, HandSpec) else read_hand_spec(_find(hand))
+    return hand if isinstance(hand, HandSpec) else read_hand_spec(find_file(hand))
 
 
 def _load_human(
@@ -165,22 +166,37 @@ def _person_urdf(spec: HandSpec, lengths: HumanLengths) -> str:
     return compose_urdf(spec, scaled_human_urdf(read_urdf(spec), lengths))[0]
 
 
-def _find(hand: str | Path) -> Path:
-    """Find the `hand.yaml` of a name or path."""
-    name = str(hand)
-    known = hand_files()
+def find_file(
+    given: str | Path,
+    known: Mapping[str, Path] | None = None,
+    kind: str = "hand",
+    folder: Path = Path(),
+) -> Path:
+    """Find the `hand.yaml` or `robot.yaml` of a name or path.
+
+    Args:
+        given: The name or path.
+        known: Descriptions by name; those of hands if omitted.
+        kind: `hand` or `robot`.
+        folder: Folder at which relative paths start.
+
+    Raises:
+        HandError: If there is none.
+    """
+    name = str(given)
+    known = hand_files() if known is None else known
     if name in known:
         return known[name]
-    path = Path(hand)
+    path = folder / given
     if path.suffix in (".yaml", ".yml"):
         return path
     with suppress(OSError):  # a name that is too long for a file, say
-        if (path / "hand.yaml").is_file():
-            return path / "hand.yaml"
+        if (path / f"{kind}.yaml").is_file():
+            return path / f"{kind}.yaml"
     if path.suffix.lower() in _ROBOT_FILES or is_named_source(name):
         problem = f"{name} describes a robot, not yet its hand"
-        advice = f"run `handmap hands init {name}` first, and give the hand.yaml that it writes"
+        advice = f"run `handmap hands init {name}` first, and give the {kind}.yaml that it writes"
         raise HandError(f"{problem}: {advice}", value=name)
-    expected = f"one of {', '.join(known)}, or the path of a hand.yaml"
+    expected = f"one of {', '.join(known)}, or the path of a {kind}.yaml"
     advice = did_you_mean(name, known) or f"expected {expected}"
-    raise HandError(f"no hand {describe_value(name)}: {advice}", value=name)
+    raise HandError(f"no {kind} {describe_value(name)}: {advice}", value=name)

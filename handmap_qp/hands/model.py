@@ -224,17 +224,20 @@ def check_wrist(
 ) -> None:
     """Reject a wrist or palm that moves with the fingers.
 
-    Only the free-flyer or the joints of an arm may move them, and both together.
+    Only the free-flyer or the joints of an arm may move them, and both together. Joints of the
+    robot beside them carry no point.
 
     Raises:
         HandError: With the key of the link at fault.
     """
     joints = [model.frames[frame].parentJoint for frame in (wrist, palm)]
-    links = (("wrist.link", spec.wrist.link), ("palm.link", spec.palm.link))
-    for (key, link), joint in zip(links, joints, strict=True):
+    links = {point.link for point in spec.points if model.existBodyName(point.link)}
+    carriers = {model.frames[model.getBodyId(link)].parentJoint for link in links}
+    named = (("wrist.link", spec.wrist.link), ("palm.link", spec.palm.link))
+    for (key, link), joint in zip(named, joints, strict=True):
         # All other joints hang from it or carry it.
         related = {*model.subtrees[joint], *model.supports[joint]}
-        if len(related) < model.njoints or (mount == "floating" and joint != 1):
+        if carriers - related or (mount == "floating" and joint != 1):
             message = (
                 f"{link!r} moves with joints of the hand; it must be fixed to the root"
             )

@@ -258,9 +258,9 @@ class HandSpec(_HandFields, frozen=True):
             HandError: With the key and the value at fault.
         """
         values = {name: getattr(self, name) for name in self.__struct_fields__}
-        typed = _typed(values, _HandFields, self.file)
+        checked = typed(values, _HandFields, self.file)
         for name in self.__struct_fields__:
-            msgspec.structs.force_setattr(self, name, getattr(typed, name))
+            msgspec.structs.force_setattr(self, name, getattr(checked, name))
         for i, point in enumerate(self.points):
             _check_pad(point, self.file, f"points[{i}].")
         _check_joints(self)
@@ -281,7 +281,7 @@ def read_hand_spec(path: Path) -> HandSpec:
             key.
     """
     file = Path(path)
-    fields = _typed(_read_document(file) | {"file": str(file)}, _HandFields, file)
+    fields = typed(read_document(file) | {"file": str(file)}, _HandFields, file)
     return HandSpec(**msgspec.structs.asdict(fields))
 
 
@@ -296,12 +296,12 @@ def check_point(point: PointSpec) -> PointSpec:
     Raises:
         HandError: With the key and the value at fault.
     """
-    checked = _typed(point, PointSpec, None)
+    checked = typed(point, PointSpec, None)
     _check_pad(checked, None, "")
     return checked
 
 
-def _typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
+def typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
     """Copy plain values, or a value built in code, as a type; reject numbers that are not finite.
 
     Raises:
@@ -384,7 +384,7 @@ def read_yaml(path: Path) -> Any:
         raise HandError(f"is not valid YAML: {reason_of(error)}", file=path) from error
 
 
-def _read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
+def read_document(path: Path, extending: tuple[Path, ...] = ()) -> dict[str, Any]:
     """Read a file's keys, with those of the file that it extends, and its folder."""
     document = read_yaml(path)
     if not isinstance(document, dict):
@@ -420,7 +420,7 @@ def _extended(
             key="extends",
             value=str(other),
         )
-    base = _read_document(other, (*extending, path.resolve(), other))
+    base = read_document(other, (*extending, path.resolve(), other))
     if "urdf" not in own and not is_named_source(str(base.get("urdf"))):
         own["urdf"] = str(other.parent / str(base.get("urdf")))
     return base | own

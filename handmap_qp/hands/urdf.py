@@ -477,6 +477,34 @@ def set_mesh_paths(robot: Element, folder: Path) -> None:
 # -- a hand on an arm, a mirrored hand
 
 
+# The kinds of things that have names, and the attribute of each tag that holds one.
+_NAMES = {
+    "link": ("link", "name"),
+    "parent": ("link", "link"),
+    "child": ("link", "link"),
+    "joint": ("joint", "name"),
+    "mimic": ("joint", "joint"),
+    "material": ("material", "name"),
+}
+
+
+def rename(
+    robot: Element, prefix: str, only: Collection[tuple[str, str]] | None = None
+) -> None:
+    """Put a prefix before the names of links, joints and materials.
+
+    Args:
+        robot: The URDF.
+        prefix: The prefix.
+        only: Kinds and names of those to rename; all if omitted.
+    """
+    for element in robot.iter():
+        kind, key = _NAMES.get(element.tag, ("", ""))
+        name = element.get(key)
+        if name and (only is None or (kind, name) in only):
+            element.set(key, f"{prefix}{name}")
+
+
 def mount_on_arm(arm: Element, hand: Element, spec: ArmSpec) -> None:
     """Join an arm, which becomes the whole robot, and a hand.
 
@@ -489,13 +517,12 @@ def mount_on_arm(arm: Element, hand: Element, spec: ArmSpec) -> None:
     mount = SubElement(arm, "joint", name="hand_mount", type="fixed")
     SubElement(mount, "parent", link=spec.tip)
     set_origin(mount, affine(rotation_from_rpy(spec.rpy), spec.xyz))
-    tags = ("link", "joint", "material")
-    taken = {tag: {each.get("name") for each in hand.iter(tag)} for tag in tags}
-    taken |= dict.fromkeys(("parent", "child"), taken["link"])
-    for element in arm.iter():
-        key = "link" if element.tag in ("parent", "child") else "name"
-        if (name := element.get(key)) in taken.get(element.tag, ()):
-            element.set(key, f"{spec.name}_{name}")
+    taken = {
+        (kind, each.get(key, ""))
+        for tag, (kind, key) in _NAMES.items()
+        for each in hand.iter(tag)
+    }
+    rename(arm, f"{spec.name}_", taken)
     # The composed URDF counts as the hand's file, so relative names would be looked for there.
     set_mesh_paths(arm, urdf_path(spec).parent)
     SubElement(mount, "child", link=root_links(hand)[0])

@@ -1,0 +1,236 @@
+"""A robot with one or two hands: `Robot`, and the `robot.yaml` it is read from.
+
+    name: g1
+    hands:
+      left: {hand: ../g1_arm_left/hand.yaml}
+      right: {hand: ../g1_arm_right/hand.yaml}
+
+Hands of one URDF share its root, waist and torso: a joint that any of them moves is one of the
+robot's. Hands of other URDFs, such as two arms on a table, stand beside each other; names of their
+links and joints then begin with `left_` or `right_`.
+
+A hand of a robot is a `Hand` whose model is that of the whole robot: palm, wrist and points are its
+own, and every `q` has all joints of the robot. So a method, a task or a limit needs no other hand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from functools import reduce
+from operator import or_
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+from msgspec import Meta
+from msgspec.structs import replace
+
+from handmap_qp.errors import HandError
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import find_file
+from handmap_qp.hands.model import compose_urdf
+from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
+from handmap_qp.hands.spec import (
+    Document,
+    HandSpec,
+    Side,
+    Vector,
+    read_document,
+    read_hand_spec,
+    typed,
+)
+from handmap_qp.hands.urdf import (
+    parse_urdf,
+    rename,
+    root_links,
+    set_mesh_paths,
+    set_origin,
+)
+from handmap_qp.se3 import affine, rotation_from_rpy
+
+_BASE = "robot_base"
+"""Link that all hands stand on."""
+
+
+class RobotHandSpec(Document, frozen=True):
+    """One hand of a robot, with its arm.
+
+    Attributes:
+        hand: Name of a hand, or path of its `hand.yaml` from the folder of the `robot.yaml`.
+        xyz: Origin of its URDF's root on the robot's base [m].
+        rpy: Roll, pitch and yaw of the root there, as in a URDF [rad].
+    """
+
+    hand: str
+    xyz: Vector = (0.0, 0.0, 0.0)
+    rpy: Vector = (0.0, 0.0, 0.0)
+
+
+class RobotSpec(Document, frozen=True):
+    """A robot: the hands that follow a person's left and right one.
+
+    Attributes:
+        name: Short name of the robot.
+        hands: Its hands by their side.
+        directory: Folder at which relative paths start; that of `robot.yaml`.
+        file: The file that the description was read from, for messages.
+    """
+
+    name: str
+    hands: Annotated[dict[Side, RobotHandSpec], Meta(min_length=1)]
+    directory: Path | None = None
+    file: Path | None = None
+
+
+class Robot(NamedTuple):
+    """A robot with its hands, in one model.
+
+    Attributes:
+        name: Short name of the robot.
+        hands: Its hands by their side; each has all joints of the robot.
+    """
+
+    name: str
+    hands: dict[Side, Hand]
+
+
+def joined(hands: Sequence[Hand]) -> Hand:
+    """Return the hands of one robot as one, which a QP moves; `Hand.parts` has them.
+
+    Its palm and wrist are those of the first one, its reference points those of all, one hand after
+    the other.
+    """
+    whole = copy(hands[0])
+    whole.parts = tuple(hands)
+    whole.use_points(tuple(p for hand in hands for p in hand.reference_points))
+    return whole
+
+
+def robot_files() -> dict[str, Path]:
+    """Return the description of every robot of the package, by name."""
+    files = sorted(urdf_directory().glob("*/robot.yaml"))
+    return {file.parent.name: file for file in files}
+
+
+def read_robot_spec(file: Path) -> RobotSpec:
+    """Read and check a `robot.yaml`; its folder becomes the spec's `directory`.
+
+    Raises:
+        HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
+            key.
+    """
+    return typed(read_document(file) | {"file": str(file)}, RobotSpec, file)
+
+
+def load_robot(robot: str | Path | RobotSpec) -> Robot:
+    """Load a robot with its hands.
+
+    Args:
+        robot: Name of a robot (`robot_files()`), path of a `robot.yaml`, or a `RobotSpec` built in
+            code.
+
+    Raises:
+        HandError: If there is no such robot, or its description or that of a hand cannot be used.
+        MissingExtraError: If a URDF lies in a package that is not installed.
+    """
+    if not isinstance(robot, RobotSpec):
+        robot = read_robot_spec(find_file(robot, robot_files(), "robot"))
+    specs = {side: _read_hand(robot, side) for side in robot.hands}
+    trees: dict[Any, list[Side]] = {}
+    for side, spec in specs.items():
+        place = robot.hands[side].xyz, robot.hands[side].rpy
+        # Hands on arms of their own share nothing.
+        tree = (source_file(spec), spec.root) if spec.arm is None else side
+        trees.setdefault((tree, place), []).append(side)
+    whole = Element("robot", name=robot.name)
+    SubElement(whole, "link", name=_BASE)
+    prefixes: dict[Side, str] = {}
+    rest: dict[str, float] = {}
+    for (_, place), sides in trees.items():
+        prefix = "" if len(trees) == 1 else f"{sides[0]}_"
+        spec = _merged([specs[side] for side in sides])
+        _stand(whole, spec, prefix, *place)
+        arm = {} if spec.arm is None else spec.arm.rest
+        rest |= {f"{prefix}{joint}": at for joint, at in (arm | spec.rest).items()}
+        prefixes |= dict.fromkeys(sides, prefix)
+    text = tostring(whole, encoding="unicode")
+    hands = {
+        side: Hand(_on_robot(specs[side], robot.name, prefix, rest), urdf_text=text)
+        for side, prefix in sorted(prefixes.items())
+    }
+    return Robot(robot.name, hands)
+
+
+def _read_hand(robot: RobotSpec, side: Side) -> HandSpec:
+    folder = robot.directory or Path()
+    spec = read_hand_spec(find_file(robot.hands[side].hand, folder=folder))
+    if spec.side != side:
+        problem = f"{spec.name} is a {spec.side} hand"
+        raise HandError(problem, file=robot.file, key=f"hands.{side}", value=spec.name)
+    return spec
+
+
+def _merged(specs: Sequence[HandSpec]) -> HandSpec:
+    """Return the description of all joints that hands of one URDF move."""
+    rest = reduce(or_, (spec.rest for spec in specs))
+    locked = reduce(or_, (spec.locked for spec in specs))
+    return replace(
+        specs[0],
+        joints=(*rest,),
+        rest=rest,
+        matched=None,
+        locked={joint: at for joint, at in locked.items() if joint not in rest},
+        limits=reduce(or_, (spec.limits for spec in specs)),
+        mimic=reduce(or_, (spec.mimic for spec in specs)),
+    )
+
+
+def _stand(
+    robot: Element, spec: HandSpec, prefix: str, xyz: Vector, rpy: Vector
+) -> None:
+    """Add what a description composes to the URDF of a robot."""
+    text, *_ = compose_urdf(spec, read_urdf(spec))
+    tree = parse_urdf(text)
+    # The whole lies in no folder.
+    set_mesh_paths(tree, urdf_path(spec).parent)
+    rename(tree, prefix)
+    mount = SubElement(robot, "joint", name=f"{prefix}{_BASE}", type="fixed")
+    SubElement(mount, "parent", link=_BASE)
+    SubElement(mount, "child", link=root_links(tree)[0])
+    set_origin(mount, affine(rotation_from_rpy(rpy), xyz))
+    robot.extend(list(tree))
+
+
+def _on_robot(
+    spec: HandSpec, name: str, prefix: str, rest: dict[str, float]
+) -> HandSpec:
+    """Return the description of a hand in the composed URDF of its robot."""
+
+    def renamed(value: Any) -> Any:
+        return replace(value, link=f"{prefix}{value.link}")
+
+    matched = spec.matched
+    if matched is not None:
+        matched = rest | {f"{prefix}{joint}": at for joint, at in matched.items()}
+    collision = spec.collision
+    if collision is not None:
+        pairs = tuple((f"{prefix}{a}", f"{prefix}{b}") for a, b in collision.pairs)
+        collision = replace(collision, pairs=pairs)
+    return replace(
+        spec,
+        name=f"{name}_{spec.side}",
+        joints=(*rest,),
+        rest=rest,
+        matched=matched,
+        palm=renamed(spec.palm),
+        wrist=replace(renamed(spec.wrist), mount="fixed"),
+        points=tuple(map(renamed, spec.points)),
+        collision=collision,
+        mirror=False,
+        root=None,
+        arm=None,
+        locked={},
+        limits={},
+        mimic={},
+    )
