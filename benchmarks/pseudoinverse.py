@@ -110,7 +110,7 @@ class PseudoinverseIk(PointIk):
         """
         hand = self.hand
         configuration = self._configuration
-        wrist = None if goal.wrist is None else pin.SE3(goal.wrist)
+        wrist = None if goal.wrists is None else pin.SE3(goal.wrists[0])
         A, b = weighted_task(hand, self.options, configuration, goal.points, wrist)
         U, s, Vt = np.linalg.svd(A * self._scale, full_matrices=False)
         if self._damping > 0.0:

@@ -91,4 +91,10 @@ inline NumpyArray array_of(const Pose& pose) {
   return array_of({4, 4}, m);
 }
 
+inline NumpyArray array_of(const std::vector<Pose>& poses) {
+  Vector m(16 * poses.size());
+  for (size_t i = 0; i < poses.size(); ++i) write_pose(poses[i], m.data() + 16 * i);
+  return array_of({poses.size(), 4, 4}, m.data());
+}
+
 }  // namespace handmap

@@ -100,6 +100,13 @@ inline Fields module_of(const char* name) { return Fields(nb::module_::import_(n
 // The element of a sequence of Python.
 inline nb::object item(const nb::object& sequence, size_t i) { return sequence[nb::int_(i)]; }
 
+// The wrist of a hand, and the range of its points among those of a robot.
+inline Part part_of(const Fields& hand, size_t first) {
+  const Fields wrist(item(hand.object("model.frames"), hand.get<size_t>("wrist_frame_id")));
+  return {wrist.get<int>("parentJoint") - 1, wrist.pose("placement.homogeneous"), first,
+          first + hand.get<Array>("point_weights").size()};
+}
+
 inline Tree make_tree(const Fields& hand) {
   const Fields model(hand.object("model"));
   const nb::object joints = model.object("joints"), placements = model.object("jointPlacements");
@@ -142,9 +149,10 @@ inline Tree make_tree(const Fields& hand) {
       tree.factor[c] = *most;
     }
   }
-  const Fields wrist(item(model.object("frames"), hand.get<size_t>("wrist_frame_id")));
-  tree.wrist_origin = {wrist.get<int>("parentJoint") - 1, {}};
-  tree.wrist = wrist.pose("placement.homogeneous");
+  const Part own = part_of(hand, 0);
+  tree.wrist_origin = {own.joint, {}};
+  tree.wrist = own.wrist;
+  tree.parts = {{own.joint, own.wrist, 0, 0}};
   const Fields palm(item(model.object("frames"), hand.get<size_t>("palm_frame_id")));
   tree.palm_origin = {palm.get<int>("parentJoint") - 1, {}};
   tree.palm = palm.pose("placement.homogeneous");
@@ -311,6 +319,11 @@ inline void make_ik(Ik* self, const Tree& tree, const nb::object& hand, const nb
                     const nb::object& gate) {
   Ik& ik = *new (self) Ik(tree);
   ik.tree.points = reference_points(Fields(hand));
+  ik.tree.parts.clear();
+  for (const nb::handle& each : nb::getattr(hand, "hands")) {
+    const size_t first = ik.tree.parts.empty() ? 0 : ik.tree.parts.back().end;
+    ik.tree.parts.push_back(part_of(Fields(nb::borrow(each)), first));
+  }
   set_weights(ik, Fields(hand), Fields(options));
   set_detours(ik, Fields(hand), Fields(options));
   set_limits(ik, Fields(nb::getattr(gate, "limits")));

@@ -24,6 +24,19 @@ struct DistanceTask {
   std::vector<int> first, second;
 };
 
+// A task with its aims in one sample.
+struct AimedDistances {
+  const DistanceTask* task;
+  Vector aims, weights;
+};
+
+// Where a point of one hand should be from that of another; see tasks.PointOffset.
+struct OffsetTask {
+  Attached from, to;
+  Vec3 aim;
+  double weight;
+};
+
 // Length that counts as one in the cost [m].
 constexpr double kLengthUnit = 0.01;
 
@@ -49,11 +62,10 @@ struct Posture {
 // What the cost of one sample asks for.
 struct Goal {
   std::vector<Vec3> points;
-  bool has_wrist = false;
-  Pose wrist;
+  std::vector<Pose> wrists;  // of each hand; empty where they are free
   std::vector<Posture> postures;
-  const DistanceTask* distances = nullptr;
-  Vector aims, aim_weights;
+  std::vector<AimedDistances> distances;
+  std::vector<OffsetTask> offsets;
   // Further rows at a configuration, of tasks written elsewhere.
   std::function<void(const Vector& q, TaskRows& rows)> further;
 };
@@ -79,7 +91,7 @@ enum class Status { converged, limited, unreachable, unsettled, failed, released
 struct Result {
   Status status;
   std::vector<Vec3> points, targets;
-  Pose wrist;
+  std::vector<Pose> wrists;
   Vector displacement;
   std::vector<std::int8_t> active;
   int iterations;
@@ -173,7 +185,7 @@ class Ik {
     result.points.resize(tree.points.size());
     for (size_t k = 0; k < tree.points.size(); ++k) result.points[k] = at.point(tree.points[k]);
     result.targets = result.points;
-    result.wrist = at.wrist();
+    place_wrists(result);
     result.displacement = motion.displacement;
     result.active.assign(tree.size, 0);
     result.iterations = 0;
@@ -322,8 +334,11 @@ class Ik {
     H_.assign(n * n, 0.0);
     c_.assign(n, 0.0);
     diagonal_.assign(n, weights.damping * weights.damping);
-    damp(add_points(goal));
-    if (goal.has_wrist) damp(add_wrist(goal.wrist));
+    place_targets(goal);
+    for (size_t i = 0; i < tree.parts.size(); ++i) {
+      damp(add_points(tree.parts[i], is_carried(goal)));
+      if (!goal.wrists.empty()) damp(add_wrist(tree.parts[i], goal.wrists[i]));
+    }
     for (const Posture& posture : goal.postures) {
       for (size_t j = 0; j < tree.joint_columns.size(); ++j) {
         const int i = tree.joint_columns[j];
@@ -333,7 +348,9 @@ class Ik {
         c_[i] += weight2 * (at.q[tree.q_indices[j]] - posture.q[j]);
       }
     }
-    if (goal.distances) add_distances(*goal.distances, goal.aims, goal.aim_weights);
+    for (const AimedDistances& aimed : goal.distances)
+      add_distances(*aimed.task, aimed.aims, aimed.weights);
+    for (const OffsetTask& offset : goal.offsets) add_offset(offset);
     if (goal.further) {
       goal.further(at.q, further_);
       columns_.resize(n);
@@ -352,22 +369,30 @@ class Ik {
       diagonal_[i] += scale * std::sqrt(levers2_[i]);
   }
 
-  // Whether the points' targets go with the wrist; see qp.carrier.
-  bool is_carried(const Goal& goal) const { return settings.points_follow_wrist && goal.has_wrist; }
-
-  // Find where the points' targets are: those that go with the wrist, on it where it is.
-  void place_targets(const Goal& goal) {
-    targets_ = goal.points;
-    if (!is_carried(goal)) return;
-    const Pose drift = at.wrist() * inverse(goal.wrist);
-    for (Vec3& target : targets_) target = drift * target;
+  // Whether the points' targets go with the wrists; see qp.carriers.
+  bool is_carried(const Goal& goal) const {
+    return settings.points_follow_wrist && !goal.wrists.empty();
   }
 
-  double add_points(const Goal& goal) {
+  // Find where the points' targets are: those that go with a wrist, on it where it is.
+  void place_targets(const Goal& goal) {
+    targets_ = goal.points;
+    for (size_t i = 0; is_carried(goal) && i < tree.parts.size(); ++i) {
+      const Part& part = tree.parts[i];
+      const Pose drift = at.wrist(part) * inverse(goal.wrists[i]);
+      for (size_t k = part.first; k < part.end; ++k) targets_[k] = drift * targets_[k];
+    }
+  }
+
+  void place_wrists(Result& result) const {
+    result.wrists.clear();
+    for (const Part& part : tree.parts) result.wrists.push_back(at.wrist(part));
+  }
+
+  double add_points(const Part& part, bool is_carried) {
     double error2 = 0.0;
     levers2_.assign(tree.size, 0.0);
-    place_targets(goal);
-    for (size_t k = 0; k < tree.points.size(); ++k) {
+    for (size_t k = part.first; k < part.end; ++k) {
       const Attached& attached = tree.points[k];
       const Vec3 point = at.point(attached);
       const Vec3 error = weights.points[k] * (point - targets_[k]);
@@ -376,19 +401,19 @@ class Ik {
       for (const int c : support(attached.joint))
         levers_[tree.leader[c]] += (weights.points[k] * tree.factor[c]) * at.velocity(c, point);
       // What moves the wrist moves the targets too.
-      if (is_carried(goal)) start_levers(tree.wrist_origin.joint);
+      if (is_carried) start_levers(part.joint);
       add_levers(attached.joint, error);
     }
     return error2;
   }
 
-  double add_wrist(const Pose& target) {
-    const Pose here = at.wrist(), offset = inverse(target) * here;
+  double add_wrist(const Part& part, const Pose& target) {
+    const Pose here = at.wrist(part), offset = inverse(target) * here;
     const Twist twist = log6(offset);
     const LogJacobian log = jlog6(offset);
     const double a = weights.wrist_position, b = weights.wrist_orientation;
     levers2_.assign(tree.size, 0.0);
-    const int joint = tree.wrist_origin.joint;
+    const int joint = part.joint;
     const Vec3 v = a * twist.v, w = b * twist.w;
     // The columns' velocities in the wrist's axes.
     start_levers(joint);
@@ -459,6 +484,28 @@ class Ik {
       }
       add_rows(block_.data(), pull > 0.0 ? 4 : 1, errors);
     }
+  }
+
+  // Rows of one point's offset from another: see tasks.PointOffset.
+  void add_offset(const OffsetTask& task) {
+    const int n = tree.size;
+    const Vec3 from = at.point(task.from), to = at.point(task.to);
+    const Vec3 error = task.weight * (to - from - task.aim);
+    const std::vector<int>&moving_a = moving(task.to.joint), &moving_b = moving(task.from.joint);
+    start_levers(task.to.joint);
+    start_levers(task.from.joint);
+    for (const int c : support(task.to.joint))
+      levers_[tree.leader[c]] += (task.weight * tree.factor[c]) * at.velocity(c, to);
+    for (const int c : support(task.from.joint))
+      levers_[tree.leader[c]] += (-task.weight * tree.factor[c]) * at.velocity(c, from);
+    columns_.clear();
+    std::set_union(moving_a.begin(), moving_a.end(), moving_b.begin(), moving_b.end(),
+                   std::back_inserter(columns_));
+    block_.resize(4 * n);
+    for (const int i : columns_)
+      for (int axis = 0; axis < 3; ++axis) block_[axis * n + i] = levers_[i][axis];
+    const double errors[3] = {error.x, error.y, error.z};
+    add_rows(block_.data(), 3, errors);
   }
 
   // Whether a displacement and the stop behind it are clear of overlaps.
@@ -565,11 +612,11 @@ class Ik {
       const Vec3 error = result.points[k] - result.targets[k];
       farthest2 = std::max(farthest2, dot(error, error));
     }
-    result.wrist = at.wrist();
-    if (is_carried(goal)) {
+    place_wrists(result);
+    for (size_t i = 0; is_carried(goal) && i < tree.parts.size(); ++i) {
       // See qp.wrist_error and WRIST_LEVERS.
-      const Vec3 off = result.wrist.p - goal.wrist.p;
-      const Vec3 turn = log3(transposed(goal.wrist.R) * result.wrist.R);
+      const Pose &here = result.wrists[i], &target = goal.wrists[i];
+      const Vec3 off = here.p - target.p, turn = log3(transposed(target.R) * here.R);
       farthest2 = std::max({farthest2, dot(off, off), 0.01 * dot(turn, turn)});
     }
     result.displacement = motion.displacement;

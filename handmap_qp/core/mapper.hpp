@@ -123,7 +123,7 @@ struct Stages : Step {
   }
   nb::object read_command() {
     if (!command_.is_valid())
-      command_ = reader->command(reader->joint_names, array_of(q), array_of(result.wrist));
+      command_ = reader->command(reader->joint_names, array_of(q), array_of(result.wrists[0]));
     return command_;
   }
   nb::object status() const { return item(reader->statuses, static_cast<size_t>(result.status)); }

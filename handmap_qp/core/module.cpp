@@ -61,23 +61,28 @@ Vector margins_of(const Ik& ik, const std::optional<Array>& margins) {
 }
 
 nb::object solve(Ik& ik, const nb::object& gate, const Array& points,
-                 const std::optional<Array>& wrist, double dt, double speed,
+                 const std::optional<Array>& wrists, double dt, double speed,
                  const std::optional<Array>& margins, const Postures& postures,
-                 const DistanceTask* distances, const std::optional<Array>& aims,
-                 const std::optional<Array>& aim_weights, const nb::object& linearise) {
+                 const nb::list& distances, const nb::list& offsets, const nb::object& linearise) {
   expect_size(points, 3 * ik.tree.points.size(), "points");
   Goal goal;
   goal.points = points_of(points);
-  if (wrist) {
-    expect_size(*wrist, 16, "wrist");
-    goal.has_wrist = true;
-    goal.wrist = pose_of(wrist->data());
+  if (wrists) {
+    expect_size(*wrists, 16 * ik.tree.parts.size(), "wrists");
+    for (size_t i = 0; i < ik.tree.parts.size(); ++i)
+      goal.wrists.push_back(pose_of(wrists->data() + 16 * i));
   }
   goal.postures = postures_of(ik, postures);
-  if (distances) {
-    goal.distances = distances;
-    goal.aims = vector_of(*aims);
-    goal.aim_weights = vector_of(*aim_weights);
+  for (const nb::handle& each : distances) {
+    const Fields task(nb::borrow(each));
+    goal.distances.push_back({nb::cast<const DistanceTask*>(task.object("core")),
+                              task.numbers("distances"), task.numbers("weights")});
+  }
+  for (const nb::handle& each : offsets) {
+    const Fields task(nb::borrow(each));
+    const std::vector<Attached> ends = attached_at(task.object("places"));
+    goal.offsets.push_back(
+        {ends[0], ends[1], task.point("aim"), task.get<double>("weight") / kLengthUnit});
   }
   goal.further = rows_of(linearise, ik.tree.size);
   take_motion(ik, gate);
@@ -121,9 +126,9 @@ NumpyArray solve_many(Ik& ik, const Array& points,
   expect_size(points, count * m, "points");
   expect_size(speed, count, "speed");
   if (wrists) expect_size(*wrists, 16 * count, "wrists");
+  if (ik.tree.parts.size() > 1) throw std::invalid_argument("several hands");
   Goal goal;
   goal.points.resize(ik.tree.points.size());
-  goal.has_wrist = wrists.has_value();
   goal.postures = postures_of(ik, postures);
   const Vector kept = margins_of(ik, margins);
   double* to;
@@ -134,7 +139,7 @@ NumpyArray solve_many(Ik& ik, const Array& points,
     const double* from = points.data() + i * m;
     for (size_t k = 0; k < goal.points.size(); ++k)
       goal.points[k] = {from[3 * k], from[3 * k + 1], from[3 * k + 2]};
-    if (wrists) goal.wrist = pose_of(wrists->data() + 16 * i);
+    if (wrists) goal.wrists = {pose_of(wrists->data() + 16 * i)};
     ik.solve(goal, dt.data()[i], kept, speed.data()[i], result);
     for (const Vector* part : {&ik.motion.q, &ik.motion.displacement, &ik.motion.stop_times})
       to = std::copy(part->begin(), part->end(), to);
@@ -186,12 +191,12 @@ nb::object pinching_thumb(const Tree& tree, const nb::object& solver, const nb::
     task.first.push_back(0);
     task.second.push_back(k + 1);
   }
-  goal.distances = &task;
-  goal.aims = vector_of(touching);
+  goal.distances = {{&task, vector_of(touching), Vector(count)}};
   Vec3 sum;
   for (int k = 0; k < count; ++k) {
-    goal.aim_weights.assign(count, 0.0);
-    goal.aim_weights[k] = constants.get<double>("_GAP_WEIGHT");
+    Vector& weights = goal.distances[0].weights;
+    weights.assign(count, 0.0);
+    weights[k] = constants.get<double>("_GAP_WEIGHT");
     goal.points.clear();
     approach(ik, goal, tree.rest, dt, constants.get<int>("_PINCH_STEPS"),
              constants.get<double>("_TOUCHING"));
@@ -351,15 +356,14 @@ NB_MODULE(_core, m) {
       .def("__init__", &make_ik)
       .def("set_motion", &set_motion)
       .def_prop_rw("detour", &detour_of, &set_detour)
-      .def("solve", &solve, "gate"_a, "points"_a, "wrist"_a.none(), "dt"_a, "speed"_a,
-           "margins"_a.none(), "postures"_a, "distances"_a.none(), "aims"_a.none(),
-           "aim_weights"_a.none(), "linearise"_a.none())
+      .def("solve", &solve, "gate"_a, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
+           "margins"_a.none(), "postures"_a, "distances"_a, "offsets"_a, "linearise"_a.none())
       .def("solve_many", &solve_many, "points"_a, "wrists"_a.none(), "dt"_a, "speed"_a,
            "margins"_a.none(), "postures"_a);
   nb::class_<Step>(m, "Step")
       .def("__call__", &motion_of)
       .def_prop_ro("q", [](const Step& step) { return array_of(step.q); })
-      .def_prop_ro("wrist", [](const Step& step) { return array_of(step.result.wrist); })
+      .def_prop_ro("wrists", [](const Step& step) { return array_of(step.result.wrists); })
       .def_prop_ro("points", [](const Step& step) { return array_of(step.result.points); })
       .def_prop_ro("targets", [](const Step& step) { return array_of(step.result.targets); })
       .def_prop_ro("configuration", [](const Step& step) { return array_of(step.motion.q); })

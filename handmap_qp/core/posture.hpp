@@ -215,22 +215,21 @@ class NearestPosture {
 // a tolerance of their aims, or for so many samples; see hand_pair._approach.
 inline void approach(Ik& ik, Goal& goal, const Vector& start, double dt, int samples,
                      double tolerance) {
-  const DistanceTask& task = *goal.distances;
+  const auto& [task, aims, weights] = goal.distances[0];
   ik.motion = {start, Vector(ik.tree.size, 0.0), 1.0, Vector(ik.tree.size, 0.0)};
   Placed placed(ik.tree);
   placed.place(start.data());
-  goal.has_wrist = true;
-  goal.wrist = placed.wrist();
+  goal.wrists = {placed.wrist()};
   for (const Attached& point : ik.tree.points) goal.points.push_back(placed.point(point));
   Result result;
   for (bool is_near = false; samples > 0 && !is_near; --samples) {
     ik.solve(goal, dt, {}, 1.0, result);
     placed.place(ik.motion.q.data());
     is_near = true;
-    for (size_t k = 0; k < goal.aims.size(); ++k) {
-      const Vec3 apart = placed.point(task.points[task.first[k]]) -
-                         placed.point(task.points[task.second[k]]);
-      is_near &= goal.aim_weights[k] == 0.0 || std::abs(norm(apart) - goal.aims[k]) < tolerance;
+    for (size_t k = 0; k < aims.size(); ++k) {
+      const Vec3 apart = placed.point(task->points[task->first[k]]) -
+                         placed.point(task->points[task->second[k]]);
+      is_near &= weights[k] == 0.0 || std::abs(norm(apart) - aims[k]) < tolerance;
     }
   }
 }

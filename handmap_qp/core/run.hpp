@@ -84,7 +84,7 @@ struct Run {
     constexpr double kHeld = static_cast<double>(Status::released) + 1.0;
     const Result& result = step.result;
     Vector numbers = step.q;
-    append(result.wrist, numbers);
+    append(result.wrists[0], numbers);
     append(step.asked.wrist, numbers);
     append(step.asked.points, numbers);
     append(result.points, numbers);

@@ -124,12 +124,10 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double d
       (!asked.margins.empty() && (!ik.pairs || asked.margins.size() != ik.pairs->size())))
     throw std::invalid_argument("the map is of another hand");
   goal.points = asked.points;
-  goal.has_wrist = true;
-  goal.wrist = asked.wrist;
+  goal.wrists = {asked.wrist};
   goal.postures = ik.postures(map.rest, std::max(dt, kShortestDt));
-  goal.distances = asked.distances;
-  goal.aims = asked.aims;
-  goal.aim_weights = asked.weights;
+  goal.distances.clear();
+  if (asked.distances) goal.distances.push_back({asked.distances, asked.aims, asked.weights});
   seek(ik, goal, dt, asked.margins, speed, step.result);
   asked.points = step.result.targets;
   finish(ik, step);
@@ -139,7 +137,7 @@ inline void follow(Ik& ik, const TargetMap& map, const HumanPose& pose, double d
 inline void hold(Ik& ik, double dt, Step& step) {
   ik.hold(dt, step.result);
   step.asked.points = step.result.points;
-  step.asked.wrist = step.result.wrist;
+  step.asked.wrist = step.result.wrists[0];
   finish(ik, step);
 }
 

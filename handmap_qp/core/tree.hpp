@@ -45,6 +45,13 @@ struct Frame {
   Pose placement;           // on the joint
 };
 
+// One hand of a robot: its wrist, in the frame of a joint, and the range of its reference points.
+struct Part {
+  int joint;
+  Pose wrist;
+  size_t first, end;
+};
+
 // What never changes of a hand.
 struct Tree {
   int nq = 0, nv = 0, size = 0;  // size: number of active coordinates
@@ -60,6 +67,7 @@ struct Tree {
   Attached palm_origin{-1, {}};
   Pose palm;                        // likewise
   std::vector<Attached> points;     // reference points
+  std::vector<Part> parts;          // the hands; see hands.Hand.hands
   std::vector<Frame> frames;        // where they are needed, as is what follows
   Vector rest;                      // configuration at rest, with the wrist at the origin
   std::vector<int> set_by_joints;   // coordinates that joint positions set, and how: see Expansion
@@ -231,6 +239,7 @@ class Placed {
   }
   Vec3 point(const Attached& at) const { return pose(at.joint) * at.offset; }
   Pose wrist() const { return pose(tree_.wrist_origin.joint) * tree_.wrist; }
+  Pose wrist(const Part& part) const { return pose(part.joint) * part.wrist; }
   // Velocity of a point of space that moves with the tree, per velocity of a coordinate.
   Vec3 velocity(int column, const Vec3& point) const {
     return columns[column].v + cross(columns[column].w, point);

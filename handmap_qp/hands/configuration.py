@@ -7,6 +7,7 @@ reads from a configuration (`model.nv`, `nv`, `q`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -38,8 +39,8 @@ class Configuration:
 
     Args:
         model: Pinocchio model, whose last m frames are the reference points.
-        wrist: Index of the wrist's frame.
-        count: Number of reference points, m.
+        wrists: Index of the frame of each hand's wrist.
+        counts: Number of reference points of each hand; m together.
         expansion: From the active coordinates to the model's tangent space, shape (model.nv, k);
             None if all are active.
 
@@ -49,14 +50,15 @@ class Configuration:
         q: Configuration last placed, shape (nq,); a read-only view that follows every placement.
         points: Reference points in the world [m], shape (m, 3); a read-only view that follows
             every placement.
-        wrist: Wrist frame, a `pinocchio.SE3` view that follows every placement.
+        wrists: Wrist frame of each hand, a `pinocchio.SE3` view that follows every placement.
+        parts: Where the points of each hand are among all.
     """
 
     def __init__(
         self,
         model: pin.Model,
-        wrist: int,
-        count: int,
+        wrists: Sequence[int],
+        counts: Sequence[int],
         expansion: np.ndarray | None = None,
     ) -> None:
         self.model = model
@@ -64,19 +66,27 @@ class Configuration:
         self.data = model.createData()
         self._q = pin.neutral(model)
         self.q = frozen(self._q.view())
-        self._wrist = wrist
-        self._frames = range(model.nframes - count, model.nframes)
+        self._wrists = tuple(wrists)
+        self._counts = tuple(counts)
+        ends = [*accumulate(counts)]
+        self.parts = [*map(slice, [0, *ends], ends)]
+        self._frames = range(model.nframes - ends[-1], model.nframes)
         # Pinocchio's arrays follow every placing, so they are fetched once.
         self._translations = [self.data.oMf[i].translation for i in self._frames]
         self._points = np.array(self._translations)
         self.points = frozen(self._points.view())
-        self.wrist = self.data.oMf[wrist]
+        self.wrists = [self.data.oMf[wrist] for wrist in wrists]
         self.place(self._q)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build a copy anew: the workspace is views of Pinocchio's memory."""
-        frames = self._wrist, len(self._frames)
+        frames = self._wrists, self._counts
         return type(self), (self.model, *frames, self.expansion), self._q
+
+    @property
+    def wrist(self) -> pin.SE3:
+        """Wrist frame of the hand, or of the first one of a robot."""
+        return self.wrists[0]
 
     @property
     def nv(self) -> int:
@@ -147,16 +157,18 @@ class Configuration:
         ]
         return np.vstack(rows)
 
-    def wrist_jacobian(self, error_jacobian: np.ndarray) -> np.ndarray:
-        """Body Jacobian of the wrist in the active coordinates.
+    def wrist_jacobian(self, error_jacobian: np.ndarray, part: int = 0) -> np.ndarray:
+        """Body Jacobian of a wrist in the active coordinates.
 
         Args:
             error_jacobian: Factor on its left, shape (6, 6).
+            part: Index of the hand.
 
         Returns:
             `error_jacobian @ J_wrist`, shape (6, k); a new array.
         """
-        wrist = pin.getFrameJacobian(self.model, self.data, self._wrist, pin.LOCAL)
+        frame = self._wrists[part]
+        wrist = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL)
         return self.contracted(error_jacobian @ wrist)
 
     def contracted(self, jacobian: np.ndarray) -> np.ndarray:

@@ -290,10 +290,14 @@ class Hand:
 
     def configuration(self) -> Configuration:
         """Return a new workspace for this hand, for one user at a time."""
+        model = self._placed_model
+        first = model.nframes - len(self.point_frames)
+        # The frames of the other hands' wrists are before the points.
+        others = range(first - len(self.hands) + 1, first)
         return Configuration(
-            self._placed_model,
-            self.wrist_frame_id,
-            len(self.point_frames),
+            model,
+            (self.wrist_frame_id, *others),
+            [len(hand.reference_points) for hand in self.hands],
             None if self.expansion is None else self.expansion.matrix,
         )
 
@@ -500,9 +504,12 @@ class Hand:
 
     @cached_property
     def _placed_model(self) -> pin.Model:
-        """The model with the frames of the points behind its own."""
+        """The model with the frames of other hands' wrists and of the points behind its own."""
         model = pin.Model(self.model)
-        for frame in self.point_frames:
+        others = [hand.model.frames[hand.wrist_frame_id] for hand in self.hands[1:]]
+        for k, frame in enumerate(others):
+            frame.name = f"/wrist/{k}"
+        for frame in (*others, *self.point_frames):
             model.addFrame(frame)
         return model
 

@@ -18,11 +18,14 @@ from handmap_qp.ik.core import core
 from handmap_qp.ik.limits import Gate
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, Status
-from handmap_qp.ik.tasks import Goal, PointDistances, Task
+from handmap_qp.ik.tasks import Goal, PointDistances, PointOffset, Task
 from handmap_qp.se3 import frozen
 
 STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
+
+
+_IN_CORE = PointDistances, PointOffset
 
 
 class CompiledIk:
@@ -39,23 +42,19 @@ class CompiledIk:
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
     ) -> IkResult:
         """Move the hand for one sample; arguments as of `PointIk.solve`."""
-        tasks = goal.tasks
-        distances = aims = weights = None
-        first = tasks[0] if tasks else None
-        if isinstance(first, PointDistances) and first.core is not None:
-            distances, aims, weights = first.core, first.distances, first.weights
-            tasks = tasks[1:]
+        distances = [task for task in goal.tasks if isinstance(task, PointDistances)]
+        offsets = [task for task in goal.tasks if isinstance(task, PointOffset)]
+        tasks = [task for task in goal.tasks if not isinstance(task, _IN_CORE)]
         step = self.core.solve(
             self._gate,
             goal.points,
-            goal.wrist,
+            goal.wrists,
             dt,
             speed,
             margins,
             goal.postures,
             distances,
-            aims,
-            weights,
+            offsets,
             partial(self._linearise, tasks) if tasks else None,
         )
         return self._result(step)
@@ -106,7 +105,7 @@ def _result_of(hand: Hand, links: Any, step: Any) -> IkResult:
         step.points,
         step.targets,
         step.configuration,
-        step.wrist,
+        step.wrists,
         frozen(step.displacement),
         frozen(step.active.astype(np.int8)),
         hand,

@@ -23,7 +23,7 @@ from handmap_qp.hands.configuration import Configuration
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.limits import Rows
 from handmap_qp.ik.options import IkOptions
-from handmap_qp.ik.qp import carrier, point_rows, wrist_rows
+from handmap_qp.ik.qp import carriers, point_rows, wrist_rows
 from handmap_qp.ik.tasks import Goal, Task
 from handmap_qp.se3 import lengths
 
@@ -54,26 +54,28 @@ class Term(mink.Task):
 
 
 def point_term(
-    targets: np.ndarray, cost: np.ndarray, wrist: pin.SE3 | None = None
+    targets: np.ndarray, cost: np.ndarray, wrist: pin.SE3 | None = None, part: int = 0
 ) -> Term:
-    """Return the term of all reference points to their targets.
+    """Return the term of a hand's p reference points to their targets.
 
     Args:
-        targets: Targets of the points [m], shape (m, 3).
-        cost: Weight of each point's error [cost]/[m], shape (m,).
+        targets: Targets of all points [m], shape (m, 3).
+        cost: Weight of the error of each of its own [cost]/[m], shape (p,).
         wrist: Target of the wrist, if they go with it.
+        part: Index of the hand.
     """
-    return Term(np.repeat(cost, 3), lambda hand: point_rows(hand, targets, wrist))
+    return Term(np.repeat(cost, 3), lambda hand: point_rows(hand, targets, wrist, part))
 
 
-def wrist_term(target: pin.SE3, costs: tuple[float, float]) -> Term:
+def wrist_term(target: pin.SE3, costs: tuple[float, float], part: int = 0) -> Term:
     """Return the term of the wrist frame to a pose, by the SE(3) logarithm in the wrist's own axes.
 
     Args:
         target: Target of the wrist frame.
         costs: Weights of the translational error [cost]/[m] and the rotational one [cost]/[rad].
+        part: Index of the hand.
     """
-    return Term(np.repeat(costs, 3), lambda hand: wrist_rows(hand, target))
+    return Term(np.repeat(costs, 3), lambda hand: wrist_rows(hand, target, part))
 
 
 def posture_term(hand: Hand, cost: float | np.ndarray, posture: np.ndarray) -> Term:
@@ -172,10 +174,17 @@ class _ActiveConfiguration:
 
 def make_terms(hand: Hand, options: IkOptions, goal: Goal) -> list[Term]:
     """Return the terms whose sum is the cost of one sample."""
-    on = carrier(options, goal)
-    followed = [point_term(goal.points, options.point_costs(hand), on)]
-    if goal.wrist is not None:
-        followed.append(wrist_term(pin.SE3(goal.wrist), options.wrist_costs))
+    costs = options.point_costs(hand)
+    on = dict(enumerate(carriers(options, goal)))
+    first = 0
+    followed = []
+    for part, each in enumerate(hand.hands):
+        end = first + len(each.reference_points)
+        term = point_term(goal.points, costs[first:end], on.get(part), part)
+        followed.append(term)
+        first = end
+    for part, wrist in enumerate(() if goal.wrists is None else goal.wrists):
+        followed.append(wrist_term(pin.SE3(wrist), options.wrist_costs, part))
     nv = len(hand.active_columns)
     free = 3 if hand.is_floating else 0
     damping = damping_term(nv, options.damping, options.error_damping, followed, free)

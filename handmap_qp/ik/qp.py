@@ -67,7 +67,7 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
         points: Reference points [m], shape (m, 3).
         targets: Their targets [m], shape (m, 3); on the wrist where it is if they go with it.
         q: Pinocchio configuration reached, shape (nq,).
-        wrist: Wrist frame there, shape (4, 4).
+        wrists: Wrist frame of each hand there, shape (h, 4, 4).
         displacement: From the sample before to this one, in the active coordinates (wrist, and
             joints that follow no other), shape (k,), read-only.
         active: -1 where it is at its lower bound from position and speed limits, +1 at the upper
@@ -82,13 +82,18 @@ class IkResult(msgspec.Struct, frozen=True, eq=False):
     points: np.ndarray
     targets: np.ndarray
     q: np.ndarray
-    wrist: np.ndarray
+    wrists: np.ndarray
     displacement: np.ndarray
     active: np.ndarray
     hand: Hand
     iterations: int
     last_step: float
     held_by: tuple[str, ...] = ()
+
+    @property
+    def wrist(self) -> np.ndarray:
+        """Wrist frame of the hand, or of the first one of a robot, shape (4, 4)."""
+        return self.wrists[0]
 
     @property
     def errors(self) -> np.ndarray:
@@ -103,31 +108,38 @@ def _costs(hand: Hand, options: IkOptions) -> np.ndarray:
 
 
 def point_rows(
-    configuration: Configuration, targets: np.ndarray, wrist: pin.SE3 | None
+    configuration: Configuration,
+    targets: np.ndarray,
+    wrist: pin.SE3 | None = None,
+    part: int = 0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return error, shape (3 m,), and Jacobian, shape (3 m, k), of the points to their targets.
+    """Return error, shape (3 p,), and Jacobian, shape (3 p, k), of a hand's p points to targets.
 
     Args:
-        configuration: Of the hand, placed with Jacobians.
-        targets: Targets of the reference points [m], shape (m, 3).
+        configuration: Of the hand or robot, placed with Jacobians.
+        targets: Targets of all reference points [m], shape (m, 3).
         wrist: Target of the wrist, if they go with it: what moves the wrist moves them too.
+        part: Index of the hand.
     """
-    jacobian = configuration.point_jacobian()
+    own = configuration.parts[part]
+    targets = targets[own]
+    jacobian = configuration.point_jacobian()[3 * own.start : 3 * own.stop]
     if wrist is not None:
-        targets = moved_along(configuration, targets, wrist)
-        jacobian[:, configuration.wrist_jacobian(np.eye(6)).any(axis=0)] = 0.0
-    return (configuration.points - targets).ravel(), jacobian
+        targets = moved_along(configuration.wrists[part], targets, wrist)
+        carrying = configuration.wrist_jacobian(np.eye(6), part).any(axis=0)
+        jacobian[:, carrying] = 0.0
+    return (configuration.points[own] - targets).ravel(), jacobian
 
 
-def carrier(options: IkOptions, goal: Goal) -> pin.SE3 | None:
-    """Return the target of the wrist if the points' targets go with it."""
-    goes = options.points_follow_wrist and goal.wrist is not None
-    return pin.SE3(goal.wrist) if goes else None
+def carriers(options: IkOptions, goal: Goal) -> list[pin.SE3]:
+    """Return the targets of the wrists if the points' targets go with them; else none."""
+    goes = options.points_follow_wrist and goal.wrists is not None
+    return [*map(pin.SE3, goal.wrists)] if goes else []
 
 
-def moved_along(hand: Configuration, targets: np.ndarray, wrist: pin.SE3) -> np.ndarray:
+def moved_along(here: pin.SE3, targets: np.ndarray, wrist: pin.SE3) -> np.ndarray:
     """Return targets that are rigidly on a wrist's target, where the wrist is instead, (m, 3)."""
-    return transform_points((hand.wrist * wrist.inverse()).homogeneous, targets)
+    return transform_points((here * wrist.inverse()).homogeneous, targets)
 
 
 def wrist_error(wrist: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -136,10 +148,12 @@ def wrist_error(wrist: np.ndarray, target: np.ndarray) -> np.ndarray:
     return lengths(np.array([wrist[:3, 3] - target[:3, 3], turn]))
 
 
-def wrist_rows(hand: Configuration, target: pin.SE3) -> tuple[np.ndarray, np.ndarray]:
-    """Return error, shape (6,), and Jacobian, (6, k), of the wrist to a pose, in its own axes."""
-    offset = target.actInv(hand.wrist)
-    return pin.log6(offset).vector, hand.wrist_jacobian(pin.Jlog6(offset))
+def wrist_rows(
+    hand: Configuration, target: pin.SE3, part: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return error, shape (6,), and Jacobian, (6, k), of a wrist to a pose, in its own axes."""
+    offset = target.actInv(hand.wrists[part])
+    return pin.log6(offset).vector, hand.wrist_jacobian(pin.Jlog6(offset), part)
 
 
 def direct_cost(
@@ -154,13 +168,17 @@ def direct_cost(
         goal: What the cost asks for.
     """
     costs = _costs(hand, options)
-    on = carrier(options, goal)
-    parts = [(costs[:-6], *point_rows(configuration, goal.points, on))]
-    if goal.wrist is not None:
-        parts.append((costs[-6:], *wrist_rows(configuration, pin.SE3(goal.wrist))))
+    on = dict(enumerate(carriers(options, goal)))
+    blocks = []
+    for part, own in enumerate(configuration.parts):
+        rows = point_rows(configuration, goal.points, on.get(part), part)
+        blocks.append((costs[3 * own.start : 3 * own.stop], *rows))
+    for part, wrist in enumerate(() if goal.wrists is None else goal.wrists):
+        rows = wrist_rows(configuration, pin.SE3(wrist), part)
+        blocks.append((costs[-6:], *rows))
     H = np.zeros((configuration.nv, configuration.nv))
     c, diagonal = np.zeros((2, configuration.nv))
-    for cost, error, jacobian in parts:
+    for cost, error, jacobian in blocks:
         error = cost * error
         jacobian = cost[:, None] * jacobian
         H += jacobian.T.dot(jacobian)
@@ -324,8 +342,8 @@ class PointIk:
 
         Args:
             point_targets: Targets of the reference points in the world [m], shape (m, 3).
-            wrist_target: Target of the wrist frame, shape (4, 4). None leaves it free; fixed hands
-                need none.
+            wrist_target: Target of the wrist frame, shape (4, 4), or of each hand's of a robot, (h,
+                4, 4). None leaves it free; fixed hands need none.
             dt: Time since the last sample [s]; bounds the displacement through the speed limits.
             rest: Joint positions that the rest term pulls to, in the order of `Hand.joint_names`
                 [rad or m], shape (n,); the hand's rest posture if omitted.
@@ -340,7 +358,8 @@ class PointIk:
         """
         dt = max(dt, SHORTEST_DT)
         tasks = *tasks, *self._tasks
-        goal = Goal(point_targets, wrist_target, self.postures(dt, rest), tasks)
+        wrists = None if wrist_target is None else wrist_target.reshape(-1, 4, 4)
+        goal = Goal(point_targets, wrists, self.postures(dt, rest), tasks)
         if self.core is not None:
             return self.core.solve(goal, dt, margins, speed)
         if self._detours:
@@ -396,11 +415,15 @@ class PointIk:
             configuration.displace(start, total)
         total = gate.admit(total, first, dt, around)
         status = "failed" if has_failed else "solved"
-        targets, off = goal.points, 0.0
-        if (on := carrier(self.options, goal)) is not None:
-            targets = moved_along(self.configuration, targets, on)
-            error = wrist_error(self.configuration.wrist.homogeneous, on.homogeneous)
-            off = (error * WRIST_LEVERS).max()
+        targets, off = goal.points.copy(), 0.0
+        placed = self.configuration
+        on = zip(
+            placed.parts, placed.wrists, carriers(self.options, goal), strict=False
+        )
+        for own, here, wrist in on:
+            targets[own] = moved_along(here, targets[own], wrist)
+            error = wrist_error(here.homogeneous, wrist.homogeneous)
+            off = max(off, *(error * WRIST_LEVERS))
         return self._result(
             status, targets, total, lower, upper, iterations, last_step, off
         )
@@ -486,7 +509,7 @@ class PointIk:
             points,
             targets,
             configuration.q.copy(),
-            configuration.wrist.homogeneous,
+            np.array([wrist.homogeneous for wrist in configuration.wrists]),
             frozen(displacement),
             frozen(active),
             self.hand,

@@ -68,14 +68,14 @@ class Goal(NamedTuple):
 
     Attributes:
         points: Targets of the reference points in the world [m], shape (m, 3).
-        wrist: Target of the wrist frame, shape (4, 4); None leaves it free.
+        wrists: Target of the wrist frame of each hand, shape (h, 4, 4); None leaves them free.
         postures: Weights, of each joint or one for all, each with the joint positions that it pulls
             to, shape (n,), in the order of `Hand.joint_names` [rad or m].
         tasks: Further terms.
     """
 
     points: np.ndarray
-    wrist: np.ndarray | None
+    wrists: np.ndarray | None
     postures: Sequence[tuple[float | np.ndarray, np.ndarray]]
     tasks: Sequence[Task]
 
@@ -226,6 +226,37 @@ class PointDistances(Compiled):
         return TaskRows(
             np.append(residual, np.zeros(3 * len(residual))), rows, bends.sum(axis=0)
         )
+
+
+class PointOffset:
+    """Keeps a point of a robot at an offset from another one, in world axes.
+
+    Args:
+        hand: The robot.
+        places: The first point and the other one; joint of the model, and offset in its frame [m].
+        aim: Offset of the other point from the first one [m], shape (3,).
+        weight: Weight per 10 mm of error.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        places: Sequence[tuple[int, np.ndarray]],
+        aim: np.ndarray,
+        weight: float,
+    ) -> None:
+        self.places = places
+        self.aim = aim
+        self.weight = weight
+        self._points = AttachedPoints(hand, places)
+
+    def linearise(self, hand: Configuration) -> TaskRows:
+        """Return a row an axis; see `Task.linearise`."""
+        positions = self._points.positions(hand)
+        first, other = self._points.jacobians(hand, positions)
+        weight = self.weight / LENGTH_UNIT
+        residual = weight * (positions[1] - positions[0] - self.aim)
+        return TaskRows(residual, weight * (other - first))
 
 
 def _check_numbers(values: npt.ArrayLike, count: int, name: str) -> np.ndarray:

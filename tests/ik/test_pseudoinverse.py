@@ -48,9 +48,10 @@ def well_conditioned_cases(hand: Hand, count: int, seed: int) -> list[Case]:
 
 def goal_of(hand: Hand, case: Case, rest: np.ndarray | None = None) -> Goal:
     """Return the targets of a case, with another rest posture than the hand's if given."""
-    wrist = None if case.wrist_target is None else pin.SE3(case.wrist_target)
+    target = case.wrist_target
+    wrists = None if target is None else target[None]
     posture = hand.rest if rest is None else rest
-    return Goal(case.point_targets, wrist, [(PLAIN.rest_weight, posture)], ())
+    return Goal(case.point_targets, wrists, [(PLAIN.rest_weight, posture)], ())
 
 
 def eq_8(

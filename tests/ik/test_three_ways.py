@@ -51,8 +51,11 @@ def placed(hand: Hand, case: Case, options: IkOptions = ONE_STEP) -> PointIk:
 def way_1(
     ik: PointIk, case: Case, extra_tasks: Sequence[mink.Task] = ()
 ) -> qpsolvers.Problem:
-    wrist = None if case.wrist_target is None else pin.SE3(case.wrist_target)
-    goal = Goal(case.point_targets, wrist, [(ik.options.rest_weight, ik.hand.rest)], ())
+    target = case.wrist_target
+    wrists = None if target is None else target[None]
+    goal = Goal(
+        case.point_targets, wrists, [(ik.options.rest_weight, ik.hand.rest)], ()
+    )
     limit = RowsLimit(*ik.gate.bounds(case.dt))
     configuration = ik.configuration
     return build_problem(
