@@ -25,9 +25,6 @@ STATUSES = get_args(Status)
 """Outcomes in the order of the core's numbers."""
 
 
-_IN_CORE = PointDistances, PointOffset
-
-
 class CompiledIk:
     """The core of one hand; see `compile_ik`. It moves the hand, and the gate with it."""
 
@@ -42,9 +39,14 @@ class CompiledIk:
         self, goal: Goal, dt: float, margins: np.ndarray | None, speed: float
     ) -> IkResult:
         """Move the hand for one sample; arguments as of `PointIk.solve`."""
-        distances = [task for task in goal.tasks if isinstance(task, PointDistances)]
-        offsets = [task for task in goal.tasks if isinstance(task, PointOffset)]
-        tasks = [task for task in goal.tasks if not isinstance(task, _IN_CORE)]
+        distances, offsets, tasks = [], [], []
+        for task in goal.tasks:
+            if isinstance(task, PointDistances) and task.core is not None:
+                distances.append(task)
+            elif isinstance(task, PointOffset):
+                offsets.append(task)
+            else:
+                tasks.append(task)
         step = self.core.solve(
             self._gate,
             goal.points,
