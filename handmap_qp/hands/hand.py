@@ -18,7 +18,7 @@ import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.errors import HandError, InvalidInputError, expect
-from handmap_qp.hands.configuration import Configuration
+from handmap_qp.hands.configuration import Configuration, moved_by
 from handmap_qp.hands.human import CONTACT_GAP, JointMove
 from handmap_qp.hands.model import (
     Expansion,
@@ -209,6 +209,14 @@ class Hand:
         model = self.model
         arm = [*model.supports[model.frames[self.wrist_frame_id].parentJoint]]
         return np.isin([model.getJointId(joint) for joint in self.joint_names], arm)
+
+    @property
+    def moves_points(self) -> np.ndarray:
+        """Which joints move each reference point, shape (m, n)."""
+        moves = moved_by(self.model, [f.parentJoint for f in self.point_frames])
+        if self.expansion is not None:
+            moves = moves @ np.abs(self.expansion.matrix)
+        return moves[:, self.joint_columns] > 0.0
 
     @property
     def stop_distances(self) -> np.ndarray:

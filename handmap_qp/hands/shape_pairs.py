@@ -106,6 +106,37 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     return ShapePairs(geometry, _pinching_fingers(geometry, chains), joined)
 
 
+def common_pairs(
+    of: Sequence[ShapePairs],
+) -> tuple[ShapePairs, list[tuple[np.ndarray, np.ndarray]]]:
+    """Return the pairs that all hands of one robot keep apart.
+
+    Args:
+        of: The pairs of each hand, of the same shapes.
+
+    Returns:
+        The pairs, and of each hand's pairs that pinch their indices there and among its own.
+    """
+    ends = [
+        [(pair.first, pair.second) for pair in pairs.geometry.collisionPairs]
+        for pairs in of
+    ]
+    common = sorted(set.intersection(*map(set, ends)))
+    geometry = of[0].geometry.copy()
+    geometry.removeAllCollisionPairs()
+    for end in common:
+        geometry.addCollisionPair(pin.CollisionPair(*end))
+    fingers = [""] * len(common)
+    pinching = []
+    for own, pairs in zip(ends, of, strict=True):
+        closing = [k for k, f in enumerate(pairs.fingers) if f and own[k] in common]
+        rows = [common.index(own[k]) for k in closing]
+        for row, k in zip(rows, closing, strict=True):
+            fingers[row] = pairs.fingers[k]
+        pinching.append((np.array(rows, dtype=int), np.array(closing, dtype=int)))
+    return ShapePairs(geometry, tuple(fingers)), pinching
+
+
 def _pinching_fingers(
     geometry: pin.GeometryModel, chains: dict[str, Finger]
 ) -> tuple[str, ...]:

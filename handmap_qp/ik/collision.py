@@ -544,11 +544,7 @@ class Detours:
         # The joints of an arm follow the wrist at all times.
         self._is_finger = ~hand.moves_wrist
         self._fingers = hand.joint_columns[self._is_finger]
-        joints = [frame.parentJoint for frame in hand.point_frames]
-        moves = moved_by(hand.model, joints)
-        if hand.expansion is not None:
-            moves = moves @ np.abs(hand.expansion.matrix)
-        self._moves = moves[:, self._fingers]
+        self._moves = hand.moves_points[:, self._is_finger]
         self._costs = ik.options.point_costs(hand)
 
     @property
@@ -596,7 +592,7 @@ class Detours:
         is_fast = (
             np.abs(result.displacement[self._fingers]) > ON_ITS_WAY * time * speeds
         )
-        is_held = self._moves.dot(is_fast) == 0.0
+        is_held = ~self._moves.dot(is_fast)
         if not np.any(is_held & (here > AWAY) & (here > _GROWN * known)):
             return
         via = goal.postures[0][1]

@@ -126,7 +126,7 @@ class HandMapper:
             method = default_preset(human, robot)
         chosen, weights = _method_of(method, options)
         bound = chosen.bind(human, robot)
-        solver = PointIk(bound.robot, ik or weights, contacts=bound.contacts)
+        solver = self._solver(bound, ik or weights)
         self._plan = _Plan(chosen, bound, solver, tuple(tasks))
         self._start: _Start | None = _Start(robot.rest, None)
         self._reference: _Reference | None = None
@@ -380,7 +380,7 @@ class HandMapper:
         held = ik.hold(check_dt(dt))
         # Before the first sample, a floating robot has no place yet.
         vector = ik.configuration.q if start is None else start.vector(robot, np.eye(4))
-        posture = _posture(robot, vector)
+        posture = posture_of(robot, vector)
         stages = Stages(
             seen,
             Targets(posture.points, posture.wrist),
@@ -388,6 +388,12 @@ class HandMapper:
             RobotCommand(robot.joint_names, posture.q, posture.wrist),
         )
         return MapStep(stages, (), perf_counter() - started)
+
+    def _solver(
+        self, bound: BoundMethod, options: IkOptions, motion: Motion | None = None
+    ) -> PointIk:
+        """Return what moves the robot, from how it moves now; at rest if that is omitted."""
+        return PointIk(bound.robot, options, motion, contacts=bound.contacts)
 
     # -- between samples
 
@@ -475,9 +481,7 @@ class HandMapper:
             chosen, weights = _method_of(method, {})
             ik = weights if ik is None and isinstance(method, str) else ik
             bound = chosen.bind(self.human, self._given_robot)
-            contacts = bound.contacts
-            motion = plan.ik.gate.motion
-            solver = PointIk(bound.robot, plan.ik.options, motion, contacts=contacts)
+            solver = self._solver(bound, plan.ik.options, plan.ik.gate.motion)
             plan = plan._replace(method=chosen, bound=bound, ik=solver)
             reference = None if reference is None else _bound_again(reference, bound)
         if ik is not None:
@@ -667,7 +671,7 @@ def _count_from(
     bound: BoundMethod, sample: HumanPose, vector: np.ndarray
 ) -> _Reference:
     """Count from a sample and a configuration (nq,) of the robot."""
-    posture = _posture(bound.robot, vector)
+    posture = posture_of(bound.robot, vector)
     return _Reference(sample, posture, bound.start(sample, posture))
 
 
@@ -699,7 +703,7 @@ def _method_of(
     )
 
 
-def _posture(robot: Hand, vector: np.ndarray) -> RobotPosture:
+def posture_of(robot: Hand, vector: np.ndarray) -> RobotPosture:
     """Compute where a robot's points and its wrist are in a configuration."""
     if (tree := ik.compiled.core_tree(robot)) is not None:
         places = tree.posture(vector, robot.reference_points)

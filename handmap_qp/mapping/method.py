@@ -500,10 +500,11 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
         the robot is on its way back to the human after a hold. Otherwise the outcome of the inverse
         kinematics (`IkResult.status`), so `converged` means that the sample made sense too.
         """
+        if self.is_held:
+            return "held"
         status = self.stages.status
-        if status == "released":
-            return "held" if self.is_held else status
-        return "gliding" if self.is_gliding else status
+        is_coming = self.is_gliding and status != "released"
+        return "gliding" if is_coming else status
 
     @property
     def iterations(self) -> int:

@@ -68,6 +68,7 @@ class PalmMap:
         origin: Its origin there [m], shape (3,).
         offset: The rest of its place, in world axes [m], shape (3,).
         human_anchor: As given.
+        robot_anchor: As given.
         human_start: The human's anchor at the reference [m], shape (3,).
         further: Scale of the translation beyond 1.
         robot_points: The robot's points at the reference, in palm axes [m], shape (n_r, 3).
@@ -101,6 +102,7 @@ class PalmMap:
         self.human_start = transform_points(before, human_anchor)
         self.offset = transform_points(start, robot_anchor) - self.human_start
         self.human_anchor = human_anchor
+        self.robot_anchor = robot_anchor
         self.further = scale - 1.0
 
     def follow(self, sample: HumanPose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -124,6 +126,16 @@ class PalmMap:
         Q = self.alignment
         palm = affine(Q @ human[:3, :3] @ self.rotation, Q @ origin)
         return human, palm, points
+
+    def anchor_of(self, sample: HumanPose) -> np.ndarray:
+        """Return a sample's anchor in axes of the robot's world, times the scale [m], shape (3,).
+
+        Raises:
+            InvalidInputError: If the wrist was not measured.
+        """
+        palm = palm_of(sample, self._method.human)
+        anchor = transform_points(palm, self.human_anchor)
+        return (1.0 + self.further) * self.alignment @ anchor
 
     def placed(
         self, palm: np.ndarray, points: np.ndarray

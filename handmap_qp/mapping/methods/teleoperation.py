@@ -15,6 +15,7 @@ from functools import lru_cache
 from typing import Annotated, Self
 
 import numpy as np
+import numpy.typing as npt
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import CONTACT_GAP, FINGERS, THUMB
@@ -44,7 +45,7 @@ _SQUEEZE = 0.003
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
 # Margin between all other links [m].
-_LINK_MARGIN = 0.001
+LINK_MARGIN = 0.001
 
 
 class Teleoperation(AlignedOptions, frozen=True):
@@ -293,7 +294,7 @@ class BoundTeleoperation(PalmMethod):
     def _prepare_margins(self) -> None:
         """Say which contact pair belongs to which pinch."""
         fingers = () if self.contacts is None else self.contacts.fingers
-        self.base_margins = np.full(len(fingers), _LINK_MARGIN)
+        self.base_margins = np.full(len(fingers), LINK_MARGIN)
         closing = [
             (k, self.pinched.index(f))
             for k, f in enumerate(fingers)
@@ -427,7 +428,7 @@ class TeleoperationMap(Compiled, PalmMap):
         )
 
 
-def smoothstep(x: np.ndarray) -> np.ndarray:
+def smoothstep(x: npt.ArrayLike) -> np.ndarray:
     """Go smoothly from 0 at 0 to 1 at 1."""
     x = np.clip(x, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)

@@ -1,0 +1,464 @@
+"""`RobotMapper`: both hands of a person move one robot, by one QP and one command.
+
+    mapper = RobotMapper(load_robot("g1"))
+    step = mapper.map_landmarks({"left": left, "right": right})
+    robot.move_joints(step.command.joint_names, step.command.q)
+
+Each hand is mapped by a `Leader`: a `HandMapper` that leaves the motion to the robot. Where the
+person's palms are near each other, the robot's are kept as far apart as they are, whatever the
+references were.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from copy import deepcopy
+from functools import partial
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+from msgspec import structs
+
+from handmap_qp.errors import HandmapError, InvalidInputError, expect
+from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.robot import Robot, joined
+from handmap_qp.hands.shape_pairs import ShapePairs, common_pairs
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.sample import human_name
+from handmap_qp.ik.limits import Motion
+from handmap_qp.ik.options import IkOptions
+from handmap_qp.ik.qp import IkResult, PointIk
+from handmap_qp.ik.tasks import PointOffset, Task
+from handmap_qp.mapping.mapper import HandMapper, check_dt, check_joints, posture_of
+from handmap_qp.mapping.method import (
+    HumanPose,
+    MapStep,
+    Method,
+    RobotCommand,
+    Stages,
+    StepStatus,
+    Targets,
+)
+from handmap_qp.mapping.methods.teleoperation import LINK_MARGIN, smoothstep
+from handmap_qp.mapping.palm import PalmMap
+from handmap_qp.se3 import PoseLike, lengths
+
+# Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
+_NEAR = 0.4
+_TOGETHER = 0.2
+# Weight of that over the weight of a wrist's position.
+_TOGETHER_SHARE = 5.0
+
+
+class Asked(NamedTuple):
+    """What one hand of a person asks of the robot.
+
+    Attributes:
+        targets: Of the robot's hand.
+        rest: Joint positions that the QP's rest term pulls to, shape (n,).
+        dt: Time since the last sample [s].
+        speed: Share of the speed limits at which the robot may move.
+        palm: The map that the palm follows, and the person's palm in the robot's world [m], shape
+            (3,); None where the robot's hand stays, or the method moves no palm.
+    """
+
+    targets: Targets
+    rest: np.ndarray
+    dt: float
+    speed: float = 1.0
+    palm: tuple[PalmMap, np.ndarray] | None = None
+
+
+class Leader(HandMapper):
+    """A hand of a person that asks a robot to move; see `HandMapper`.
+
+    Its steps say what it asked, and where the robot's hand was before.
+    """
+
+    asked: Asked
+    """What it asked last."""
+
+    _is_staying = False
+
+    def join(self, ik: PointIk) -> None:
+        """Ask the robot that a solver moves."""
+        self._plan = self._plan._replace(ik=ik)
+        self._start = None
+
+    @property
+    def contacts(self) -> ShapePairs | None:
+        """Collision shapes that the method keeps apart."""
+        return self._plan.bound.contacts
+
+    def clutch(self) -> None:
+        """Make the next sample the reference; see `HandMapper.clutch`."""
+        super().clutch()
+        self._is_staying = False
+
+    def _core_at(self, reference: Any) -> Any:
+        """Return None: the robot moves, not this hand."""
+        del reference
+
+    def _moved(
+        self,
+        sample: HumanPose,
+        asked: Targets,
+        rest: np.ndarray,
+        dt: float,
+        speed: float,
+    ) -> Stages:
+        """Ask for targets."""
+        palm = None
+        leading = self._reference and self._reference.map
+        if isinstance(leading, PalmMap) and sample.wrist is not None:
+            palm = leading, leading.anchor_of(sample)
+        self.asked = Asked(asked, rest, dt, speed, palm)
+        self._is_staying = False
+        return self._unmoved(sample, asked)
+
+    def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
+        """Ask that the robot's hand stays where it is; arguments as of `HandMapper.hold`."""
+        check_dt(dt)
+        if not self._is_staying:
+            at = posture_of(self.robot, self.point_ik.configuration.q)
+            before = vars(self).get("asked")
+            margins = before and before.targets.margins
+            self.asked = Asked(Targets(at.points, at.wrist, margins=margins), at.q, dt)
+            self._is_staying = True
+        self.asked = self.asked._replace(dt=dt)
+        if seen is None:
+            count = len(self.human.reference_points)
+            seen = HumanPose(np.full((count, 3), np.nan), None)
+        return MapStep(self._unmoved(seen, self.asked.targets), (), 0.0)
+
+    def _unmoved(self, sample: HumanPose, asked: Targets) -> Stages:
+        """Return stages, with the robot's hand where it is."""
+        at = posture_of(self.robot, self.point_ik.configuration.q)
+        none = np.zeros(len(self.robot.active_columns))
+        result = IkResult(
+            "released",
+            at.points,
+            asked.points,
+            self.point_ik.configuration.q.copy(),
+            at.wrist[None],
+            none,
+            none.astype(np.int8),
+            self.robot,
+            0,
+            0.0,
+        )
+        command = RobotCommand(self.robot.joint_names, at.q, at.wrist)
+        return Stages(sample, asked, result, command)
+
+
+class RobotStep(msgspec.Struct, frozen=True, eq=False):
+    """One step of a robot.
+
+    Attributes:
+        hands: The step of each hand; its `ik` and `command` are the robot's, with the hand's own
+            points and wrist.
+        command: Joint angles of the whole robot; `wrist` has the wrist of each hand, (h, 4, 4).
+        ik: Result of the inverse kinematics, of all points and wrists.
+        duration: Wall time of the step [s].
+    """
+
+    hands: dict[Side, MapStep]
+    command: RobotCommand
+    ik: IkResult
+    duration: float
+
+    @property
+    def status(self) -> StepStatus:
+        """Outcome of the step; `held` if all hands are."""
+        is_held = all(step.is_held for step in self.hands.values())
+        return "held" if is_held else self.ik.status
+
+
+class RobotMapper:
+    """Turns the motion of a person's hands into the motion of a robot.
+
+    The first sample of each hand is its reference; the robot is at rest there. A copy continues
+    from the same state on its own.
+
+    Args:
+        robot: The robot.
+        humans: The hands that lead, by side; hands of the package's person if omitted.
+        method: As of `HandMapper`, for all hands.
+        ik: Weights and settings of the QP; those of the preset if omitted.
+        **options: As of `HandMapper`.
+
+    Attributes:
+        robot: The robot.
+        leaders: The mapping of each hand. Its reference and clutch are its own.
+
+    Raises:
+        InvalidOptionsError: As of `HandMapper`.
+        InvalidInputError: Likewise, or if a hand of the robot has no partner in `humans`.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        humans: Mapping[Side, Hand] | None = None,
+        method: Method | str | None = None,
+        *,
+        ik: IkOptions | None = None,
+        **options: Any,
+    ) -> None:
+        self.robot = robot
+        if humans is None:
+            names = {side: human_name(side) for side in robot.hands}
+            humans = {s: load_hand(n, points="landmarks") for s, n in names.items()}
+        _expect_sides(robot.hands, humans, "humans")
+        self.leaders = {
+            side: Leader(humans[side], hand, method, ik=ik, **options)
+            for side, hand in robot.hands.items()
+        }
+        self._join(next(iter(self.leaders.values())).ik)
+        self.reset()
+
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
+
+    @property
+    def point_ik(self) -> PointIk:
+        """The robot's present posture and the QP. Read it only: changing it breaks the mapper."""
+        return self._ik
+
+    @property
+    def motion(self) -> Motion:
+        """How the robot moves. Set it where something else has moved the robot."""
+        return self._ik.gate.motion
+
+    @motion.setter
+    def motion(self, motion: Motion) -> None:
+        self._ik.gate.motion = motion
+
+    def map_landmarks(
+        self,
+        landmarks: Mapping[Side, npt.ArrayLike],
+        wrist_poses: Mapping[Side, PoseLike] | None = None,
+        *,
+        dt: float | None = None,
+    ) -> RobotStep:
+        """Map the landmarks of one or both hands; see `HandMapper.map_landmarks`.
+
+        A hand without landmarks goes on to what it asked for last.
+
+        Args:
+            landmarks: By side, shape (21, 3) [m].
+            wrist_poses: Poses of the wrists by side; fitted where omitted.
+            dt: Time since the last sample [s]; the mapper's own if omitted.
+
+        Raises:
+            InvalidInputError: If a sample cannot be used, or there is none; the mapper is then as
+                it was before.
+            DegeneratePointsError: As of `HandMapper.map_landmarks`.
+        """
+        wrists = wrist_poses or {}
+        return self.step(
+            {
+                side: partial(
+                    self._leader(side).map_landmarks, points, wrists.get(side), dt=dt
+                )
+                for side, points in landmarks.items()
+            }
+        )
+
+    def map_step(
+        self,
+        human_q: Mapping[Side, npt.ArrayLike],
+        wrist_pose: Mapping[Side, PoseLike],
+        *,
+        dt: float | None = None,
+    ) -> RobotStep:
+        """Map joint angles of one or both hands; see `HandMapper.map_step` and `map_landmarks`."""
+        _expect_sides(human_q, wrist_pose, "wrist_pose")
+        return self.step(
+            {
+                side: partial(self._leader(side).map_step, q, wrist_pose[side], dt=dt)
+                for side, q in human_q.items()
+            }
+        )
+
+    def step(self, asking: Mapping[Side, Callable[[], MapStep]]) -> RobotStep:
+        """Let leaders ask, and move the robot.
+
+        Args:
+            asking: A step of the leader of each hand that has a sample, such as
+                `partial(mapper.leaders["left"].map, pose)`.
+
+        Raises:
+            InvalidInputError: If there is none.
+            HandmapError: Any of a leader; the mapper is then as it was before.
+        """
+        started = perf_counter()
+        if not asking:
+            raise InvalidInputError(
+                argument="hands", problem="a step needs a sample of a hand at least"
+            )
+        leaders = self.leaders.values()
+        before = [vars(leader).copy() for leader in leaders]
+        try:
+            steps = self._last | {side: ask() for side, ask in asking.items()}
+            result = self._moved(max(self.leaders[side].asked.dt for side in asking))
+        except HandmapError:
+            for leader, state in zip(leaders, before, strict=True):
+                vars(leader).update(state)
+            raise
+        self._last = steps
+        whole = self._ik.hand
+        q = result.q[whole.q_indices]
+        command = RobotCommand(whole.joint_names, q, result.wrists)
+        duration = perf_counter() - started
+        hands = {}
+        first = 0
+        for k, (side, leader) in enumerate(self.leaders.items()):
+            hand = leader.robot
+            own = slice(first, first + len(hand.reference_points))
+            first = own.stop
+            wrist = result.wrists[k]
+            part = structs.replace(
+                result,
+                points=result.points[own],
+                targets=result.targets[own],
+                wrists=wrist[None],
+                hand=hand,
+            )
+            step = steps[side]
+            asked = structs.replace(leader.asked.targets, points=part.targets)
+            stages = Stages(
+                step.stages.pose, asked, part, structs.replace(command, wrist=wrist)
+            )
+            hands[side] = structs.replace(step, stages=stages, duration=duration)
+        return RobotStep(hands, command, result, duration)
+
+    def _moved(self, dt: float) -> IkResult:
+        """Move the robot for what all hands ask, or bring it to a stop."""
+        if self._is_released:
+            return self._ik.hold(dt)
+        asked = [leader.asked for leader in self.leaders.values()]
+        rest = self._ik.hand.rest.copy()
+        for own, each in zip(self._own, asked, strict=True):
+            rest[own] = each.rest[own]
+        return self._ik.solve(
+            np.concatenate([each.targets.points for each in asked]),
+            np.array([each.targets.wrist for each in asked]),
+            dt,
+            rest=rest,
+            tasks=(
+                *self._together(asked),
+                *(t for a in asked for t in a.targets.tasks),
+            ),
+            margins=self._margins(asked),
+            speed=min(each.speed for each in asked),
+        )
+
+    def _together(self, asked: list[Asked]) -> list[Task]:
+        """Return the task of both palms where the person's are near each other."""
+        palms = [each.palm for each in asked if each.palm]
+        if len(palms) < 2:
+            return []
+        (first, here), (other, there) = palms
+        apart = there - here
+        gap = lengths(apart) / (1.0 + first.further)
+        share = float(smoothstep((_NEAR - gap) / (_NEAR - _TOGETHER)))
+        if share == 0.0 or not np.array_equal(first.alignment, other.alignment):
+            return []
+        weight = _TOGETHER_SHARE * share * self._ik.options.wrist_position_weight
+        hands = zip(self.leaders.values(), (first, other), strict=True)
+        places = [palm_place(leader.robot, way.robot_anchor) for leader, way in hands]
+        return [PointOffset(self._ik.hand, places, apart, weight)]
+
+    def _margins(self, asked: list[Asked]) -> np.ndarray | None:
+        """Return the margin of each pair: that of the hand whose thumb and finger it is."""
+        if not self._pinching:
+            return None
+        found = LINK_MARGIN * np.ones(len(self._ik.gate.links) - 1)
+        for each, (rows, own) in zip(asked, self._pinching, strict=True):
+            if (margins := each.targets.margins) is not None:
+                found[rows] = margins[own]
+        return found
+
+    def _join(self, options: IkOptions, motion: Motion | None = None) -> None:
+        """Make one solver of what the leaders are bound to, and let them know it."""
+        leaders = self.leaders.values()
+        whole = joined([leader.robot for leader in leaders])
+        contacts = [leader.contacts for leader in leaders if leader.contacts]
+        pairs, self._pinching = common_pairs(contacts) if contacts else (None, [])
+        self._ik = PointIk(whole, options, motion, contacts=pairs)
+        moves = [leader.robot.moves_points.any(axis=0) for leader in leaders]
+        self._own = [moved & ~whole.moves_wrist for moved in moves]
+        for leader in leaders:
+            leader.join(self._ik)
+
+    # -- between samples
+
+    def reset(self, robot_q: npt.ArrayLike | None = None) -> None:
+        """Start again: the next sample of each hand is its reference.
+
+        Args:
+            robot_q: Joint positions of the robot there [rad or m], inside their limits; its rest
+                posture if omitted.
+
+        Raises:
+            InvalidInputError: If they cannot be used.
+        """
+        whole = self._ik.hand
+        q = whole.rest
+        if robot_q is not None:
+            q = check_joints(whole, robot_q, "robot_q")[0]
+        self._ik.place(whole.configuration_vector(q))
+        self.clutch()
+
+    def release(self) -> None:
+        """Release the robot: it brakes and holds still until `clutch`, whatever the hands do."""
+        self._is_released = True
+
+    def clutch(self) -> None:
+        """Make the next sample of each hand its reference; the robot continues from here."""
+        self._is_released = False
+        self._last: dict[Side, MapStep] = {}
+        for side, leader in self.leaders.items():
+            leader.clutch()
+            self._last[side] = leader.hold(leader.dt)
+
+    def configure(
+        self, method: Method | str | None = None, *, ik: IkOptions | None = None
+    ) -> None:
+        """Change options between samples, as `HandMapper.configure` of all hands.
+
+        Raises:
+            InvalidOptionsError: As there; the mapper is then as it was before.
+        """
+        leaders = self.leaders.values()
+        before = [vars(leader).copy() for leader in leaders]
+        try:
+            for leader in leaders:
+                leader.configure(method, ik=ik)
+            self._join(next(iter(leaders)).ik, self.motion)
+        except HandmapError:
+            for leader, state in zip(leaders, before, strict=True):
+                vars(leader).update(state)
+            raise
+
+    def _leader(self, side: Side) -> Leader:
+        _expect_sides([side], self.leaders, "side")
+        return self.leaders[side]
+
+
+def palm_place(hand: Hand, anchor: np.ndarray) -> tuple[int, np.ndarray]:
+    """Return the joint that carries a palm, and where a point of palm axes (3,) is on it."""
+    frame = hand.model.frames[hand.palm_frame_id]
+    return frame.parentJoint, frame.placement.act(anchor)
+
+
+def _expect_sides(sides: Iterable[Side], known: Mapping[Side, Any], name: str) -> None:
+    """Reject sides that are not among the known ones."""
+    for side in sides:
+        expected = " and ".join(known) or "at least one"
+        expect(side in known, name, expected, value=side)
