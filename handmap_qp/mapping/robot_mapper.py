@@ -45,7 +45,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.methods.teleoperation import LINK_MARGIN, smoothstep
 from handmap_qp.mapping.palm import PalmMap
-from handmap_qp.se3 import PoseLike, lengths
+from handmap_qp.se3 import PoseLike, lengths, transform_points
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
 _NEAR = 0.4
@@ -330,7 +330,9 @@ class RobotMapper:
                 hand=hand,
             )
             step = steps[side]
-            asked = structs.replace(leader.asked.targets, points=part.targets)
+            asked = structs.replace(
+                leader.asked.targets, points=part.targets, wrist=self._wrists[k]
+            )
             stages = Stages(
                 step.stages.pose, asked, part, structs.replace(command, wrist=wrist)
             )
@@ -339,40 +341,55 @@ class RobotMapper:
 
     def _moved(self, dt: float) -> IkResult:
         """Move the robot for what all hands ask, or bring it to a stop."""
-        if self._is_released:
-            return self._ik.hold(dt)
         asked = [leader.asked for leader in self.leaders.values()]
         rest = self._ik.hand.rest.copy()
         for own, each in zip(self._own, asked, strict=True):
             rest[own] = each.rest[own]
+        points = [each.targets.points for each in asked]
+        wrists = np.array([each.targets.wrist for each in asked])
+        tasks = self._together(asked, points, wrists)
+        self._wrists = wrists
+        if self._is_released:
+            return self._ik.hold(dt)
         return self._ik.solve(
-            np.concatenate([each.targets.points for each in asked]),
-            np.array([each.targets.wrist for each in asked]),
+            np.concatenate(points),
+            wrists,
             dt,
             rest=rest,
-            tasks=(
-                *self._together(asked),
-                *(t for a in asked for t in a.targets.tasks),
-            ),
+            tasks=(*tasks, *(task for each in asked for task in each.targets.tasks)),
             margins=self._margins(asked),
             speed=min(each.speed for each in asked),
         )
 
-    def _together(self, asked: list[Asked]) -> list[Task]:
-        """Return the task of both palms where the person's are near each other."""
+    def _together(
+        self, asked: list[Asked], points: list[np.ndarray], wrists: np.ndarray
+    ) -> list[Task]:
+        """Move the targets of near palms to where their offset is the person's.
+
+        Returns:
+            The task of that offset, for palms that cannot come there.
+        """
         palms = [each.palm for each in asked if each.palm]
         if len(palms) < 2:
             return []
         (first, here), (other, there) = palms
-        apart = there - here
-        gap = lengths(apart) / (1.0 + first.further)
+        gap = lengths(there - here) / (1.0 + first.further)
         share = float(smoothstep((_NEAR - gap) / (_NEAR - _TOGETHER)))
         if share == 0.0 or not np.array_equal(first.alignment, other.alignment):
             return []
+        places, targets = [], []
+        hands = zip(self.leaders.values(), (first, other), wrists, strict=True)
+        for leader, way, wrist in hands:
+            places.append(palm_place(leader.robot, way.robot_anchor))
+            palm = wrist @ leader.robot.wrist_to_palm
+            targets.append(transform_points(palm, way.robot_anchor))
+        own = targets[1] - targets[0]
+        aim = own + share * (there - here - own)
+        for k, half in enumerate((-0.5, 0.5)):
+            points[k] = points[k] + half * (aim - own)
+            wrists[k, :3, 3] += half * (aim - own)
         weight = _TOGETHER_SHARE * share * self._ik.options.wrist_position_weight
-        hands = zip(self.leaders.values(), (first, other), strict=True)
-        places = [palm_place(leader.robot, way.robot_anchor) for leader, way in hands]
-        return [PointOffset(self._ik.hand, places, apart, weight)]
+        return [PointOffset(self._ik.hand, places, aim, weight)]
 
     def _margins(self, asked: list[Asked]) -> np.ndarray | None:
         """Return the margin of each pair: that of the hand whose thumb and finger it is."""

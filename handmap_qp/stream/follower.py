@@ -385,6 +385,23 @@ class Follower:
                 progress(i)
         return table
 
+    @property
+    def state(self) -> tuple[Any, ...]:
+        """What `forget` takes back a sample with."""
+        return self._return, self._reference, self._core
+
+    def forget(self, step: MapStep, state: tuple[Any, ...]) -> None:
+        """Forget the sample that was mapped last.
+
+        Args:
+            step: Its step.
+            state: `state` before it.
+        """
+        self._return, self._reference, self._core = state
+        self._guard.forget()
+        if not step.is_held:
+            self._smoother.forget()
+
     def map(self, pose: HumanPose, dt: float, *, speed: float = 1.0) -> MapStep:
         """Smooth a pose, and map it without judging it; arguments as of `HandMapper.map`."""
         if self._has_new_reference:

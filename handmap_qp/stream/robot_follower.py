@@ -1,0 +1,91 @@
+"""`RobotFollower`: a robot follows the samples of both hands of a person that make sense.
+
+Each hand has the guard, the return and the smoothing of a `Follower`; the robot moves once for all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from copy import deepcopy
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from handmap_qp.errors import HandmapError
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.recording import Recording, sample_columns
+from handmap_qp.human.sample import HumanSample
+from handmap_qp.mapping.method import MapStep
+from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.stream.follower import Follower
+
+
+class RobotFollower:
+    """Lets a robot follow the samples of a tracker of both hands.
+
+    A hand whose sample makes no sense, or that has been without one for longer than `Follower`
+    accepts, holds its side of the robot; the other one is followed.
+
+    Args:
+        mapper: Maps the samples; its human hands must be scaled to the person.
+        **options: As of `Follower`.
+
+    Attributes:
+        mapper: As given.
+        hands: The follower of each hand, by side.
+    """
+
+    def __init__(self, mapper: RobotMapper, **options: Any) -> None:
+        self.mapper = mapper
+        self.hands = {
+            side: Follower(leader, **options) for side, leader in mapper.leaders.items()
+        }
+
+    # A shallow copy would move the same robot.
+    __copy__ = deepcopy
+
+    def map_samples(
+        self,
+        samples: Mapping[Side, HumanSample],
+        *,
+        dt: float | None = None,
+        arrival: float | None = None,
+    ) -> RobotStep:
+        """Map one sample of each hand that has one; arguments and errors as of `Follower`.
+
+        A hand without a sample goes on to what it asked for last.
+        """
+        followed: dict[Side, MapStep] = {}
+        before = {side: follower.state for side, follower in self.hands.items()}
+
+        def follow(side: Side) -> MapStep:
+            sample = samples[side]
+            follower = self.hands[side]
+            followed[side] = follower.map_sample(sample, dt=dt, arrival=arrival)
+            return followed[side]
+
+        try:
+            return self.mapper.step({side: partial(follow, side) for side in samples})
+        except HandmapError:
+            # The hand whose sample was refused is as it was before by itself.
+            for side, step in followed.items():
+                self.hands[side].forget(step, before[side])
+            raise
+
+
+def paired(recordings: Mapping[Side, Recording]) -> Iterator[dict[Side, HumanSample]]:
+    """Yield the samples of both hands at the instants of the one that has most.
+
+    The other one's are the newest at each instant, and used once.
+    """
+    leading = max(recordings.values(), key=len)
+    columns = {side: sample_columns(each) for side, each in recordings.items()}
+    before = dict.fromkeys(columns, -1)
+    for time in leading.time:
+        newest = {
+            side: int(np.searchsorted(each.time, time, "right")) - 1
+            for side, each in columns.items()
+        }
+        yield {s: columns[s].sample(k) for s, k in newest.items() if k > before[s]}
+        before = newest
