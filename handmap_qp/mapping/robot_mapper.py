@@ -17,7 +17,6 @@ from functools import partial
 from time import perf_counter
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
 from msgspec import structs
@@ -28,7 +27,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.robot import Robot, joined
 from handmap_qp.hands.shape_pairs import ShapePairs, common_pairs
 from handmap_qp.hands.spec import Side
-from handmap_qp.human.sample import human_name
+from handmap_qp.human.sample import Verdict, human_name
 from handmap_qp.ik.limits import Motion
 from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import IkResult, PointIk
@@ -40,7 +39,6 @@ from handmap_qp.mapping.method import (
     Method,
     RobotCommand,
     Stages,
-    StepStatus,
     Targets,
 )
 from handmap_qp.mapping.methods.teleoperation import LINK_MARGIN, smoothstep
@@ -151,31 +149,26 @@ class Leader(HandMapper):
             0,
             0.0,
         )
-        command = RobotCommand(self.robot.joint_names, at.q, at.wrist)
-        return Stages(sample, asked, result, command)
+        return _stages(sample, asked, result)
 
 
-class RobotStep(msgspec.Struct, frozen=True, eq=False):
-    """One step of a robot.
+class RobotStep(MapStep, frozen=True, eq=False, kw_only=True):
+    """One step of a robot: that of one hand with the points of all, one after the other.
+
+    `wrist` and its error are those of the first hand. It is held if all hands are, and has the rule
+    of any that breaks one.
 
     Attributes:
-        hands: The step of each hand; its `ik` and `command` are the robot's, with the hand's own
-            points and wrist.
-        command: Joint angles of the whole robot; `wrist` has the wrist of each hand, (h, 4, 4).
-        ik: Result of the inverse kinematics, of all points and wrists.
-        duration: Wall time of the step [s].
+        hands: The step of each hand by side, with its own points and wrist.
     """
 
     hands: dict[Side, MapStep]
-    command: RobotCommand
-    ik: IkResult
-    duration: float
 
     @property
-    def status(self) -> StepStatus:
-        """Outcome of the step; `held` if all hands are."""
-        is_held = all(step.is_held for step in self.hands.values())
-        return "held" if is_held else self.ik.status
+    def arm_held_by(self) -> str:
+        """What keeps the wrist of a hand off its target; see `MapStep.arm_held_by`."""
+        reasons = (step.arm_held_by for step in self.hands.values())
+        return next(filter(None, reasons), "")
 
 
 class RobotMapper:
@@ -192,7 +185,6 @@ class RobotMapper:
         **options: As of `HandMapper`.
 
     Attributes:
-        robot: The robot.
         leaders: The mapping of each hand. Its reference and clutch are its own.
 
     Raises:
@@ -209,7 +201,6 @@ class RobotMapper:
         ik: IkOptions | None = None,
         **options: Any,
     ) -> None:
-        self.robot = robot
         if humans is None:
             names = {side: human_name(side) for side in robot.hands}
             humans = {s: load_hand(n, points="landmarks") for s, n in names.items()}
@@ -223,6 +214,16 @@ class RobotMapper:
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
+
+    @property
+    def robot(self) -> Hand:
+        """The robot as one hand, with the reference points of all that the methods move."""
+        return self._ik.hand
+
+    @property
+    def ik(self) -> IkOptions:
+        """Weights and settings of the QP."""
+        return self._ik.options
 
     @property
     def point_ik(self) -> PointIk:
@@ -311,38 +312,53 @@ class RobotMapper:
                 vars(leader).update(state)
             raise
         self._last = steps
-        whole = self._ik.hand
-        q = result.q[whole.q_indices]
-        command = RobotCommand(whole.joint_names, q, result.wrists)
         duration = perf_counter() - started
         hands = {}
         first = 0
         for k, (side, leader) in enumerate(self.leaders.items()):
-            hand = leader.robot
-            own = slice(first, first + len(hand.reference_points))
+            own = slice(first, first + len(leader.robot.reference_points))
             first = own.stop
-            wrist = result.wrists[k]
             part = structs.replace(
                 result,
                 points=result.points[own],
                 targets=result.targets[own],
-                wrists=wrist[None],
-                hand=hand,
+                wrists=result.wrists[k : k + 1],
+                hand=leader.robot,
             )
-            step = steps[side]
             asked = structs.replace(
                 leader.asked.targets, points=part.targets, wrist=self._wrists[k]
             )
-            stages = Stages(
-                step.stages.pose, asked, part, structs.replace(command, wrist=wrist)
-            )
-            hands[side] = structs.replace(step, stages=stages, duration=duration)
-        return RobotStep(hands, command, result, duration)
+            stages = _stages(steps[side].stages.pose, asked, part)
+            hands[side] = structs.replace(steps[side], stages=stages, duration=duration)
+        return self._whole(hands, result, duration)
+
+    def _whole(
+        self, hands: dict[Side, MapStep], result: IkResult, duration: float
+    ) -> RobotStep:
+        """Return the step of all hands."""
+        steps = hands.values()
+        poses = [step.stages.pose for step in steps]
+        points = np.concatenate([pose.points for pose in poses])
+        flags = tuple(flag for step in steps for flag in step.asked.flags)
+        asked = Targets(result.targets, self._wrists[0], flags=flags)
+        verdicts = [step.verdict for step in steps if step.verdict]
+        # That of a hand with a rule comes first.
+        verdicts.sort(key=lambda verdict: not verdict.rule)
+        is_held = all(step.is_held for step in steps)
+        return RobotStep(
+            stages=_stages(HumanPose(points, poses[0].wrist), asked, result),
+            out_of_range=tuple(name for step in steps for name in step.out_of_range),
+            duration=duration,
+            verdict=verdicts[0]._replace(is_held=is_held) if verdicts else None,
+            confidence=min(step.confidence for step in steps),
+            is_gliding=any(step.is_gliding for step in steps),
+            hands=hands,
+        )
 
     def _moved(self, dt: float) -> IkResult:
         """Move the robot for what all hands ask, or bring it to a stop."""
         asked = [leader.asked for leader in self.leaders.values()]
-        rest = self._ik.hand.rest.copy()
+        rest = self.robot.rest.copy()
         for own, each in zip(self._own, asked, strict=True):
             rest[own] = each.rest[own]
         points = [each.targets.points for each in asked]
@@ -389,7 +405,7 @@ class RobotMapper:
             points[k] = points[k] + half * (aim - own)
             wrists[k, :3, 3] += half * (aim - own)
         weight = _TOGETHER_SHARE * share * self._ik.options.wrist_position_weight
-        return [PointOffset(self._ik.hand, places, aim, weight)]
+        return [PointOffset(self.robot, places, aim, weight)]
 
     def _margins(self, asked: list[Asked]) -> np.ndarray | None:
         """Return the margin of each pair: that of the hand whose thumb and finger it is."""
@@ -415,6 +431,17 @@ class RobotMapper:
 
     # -- between samples
 
+    def stay(self, side: Side, verdict: Verdict) -> None:
+        """Let a hand of the robot stay where it is until its next sample.
+
+        Args:
+            side: The hand.
+            verdict: What its steps say meanwhile.
+        """
+        leader = self._leader(side)
+        held = leader.hold(leader.dt)
+        self._last[side] = structs.replace(held, verdict=verdict)
+
     def reset(self, robot_q: npt.ArrayLike | None = None) -> None:
         """Start again: the next sample of each hand is its reference.
 
@@ -425,7 +452,7 @@ class RobotMapper:
         Raises:
             InvalidInputError: If they cannot be used.
         """
-        whole = self._ik.hand
+        whole = self.robot
         q = whole.rest
         if robot_q is not None:
             q = check_joints(whole, robot_q, "robot_q")[0]
@@ -466,6 +493,13 @@ class RobotMapper:
     def _leader(self, side: Side) -> Leader:
         _expect_sides([side], self.leaders, "side")
         return self.leaders[side]
+
+
+def _stages(pose: HumanPose, asked: Targets, result: IkResult) -> Stages:
+    hand = result.hand
+    q = result.q[hand.q_indices]
+    command = RobotCommand(hand.joint_names, q, result.wrist)
+    return Stages(pose, asked, result, command)
 
 
 def palm_place(hand: Hand, anchor: np.ndarray) -> tuple[int, np.ndarray]:

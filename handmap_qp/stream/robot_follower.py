@@ -5,6 +5,7 @@ Each hand has the guard, the return and the smoothing of a `Follower`; the robot
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from functools import partial
@@ -15,17 +16,20 @@ import numpy as np
 from handmap_qp.errors import HandmapError
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, sample_columns
-from handmap_qp.human.sample import HumanSample
+from handmap_qp.human.sample import HumanSample, Verdict
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
 from handmap_qp.stream.follower import Follower
+
+_SILENCE = 0.25
+"""Time without a sample after which a hand is held [s]."""
 
 
 class RobotFollower:
     """Lets a robot follow the samples of a tracker of both hands.
 
-    A hand whose sample makes no sense, or that has been without one for longer than `Follower`
-    accepts, holds its side of the robot; the other one is followed.
+    A hand whose sample makes no sense, or that has been without one for a quarter
+    of a second, holds its side of the robot; the other one is followed.
 
     Args:
         mapper: Maps the samples; its human hands must be scaled to the person.
@@ -41,6 +45,8 @@ class RobotFollower:
         self.hands = {
             side: Follower(leader, **options) for side, leader in mapper.leaders.items()
         }
+
+        self._seen = dict.fromkeys(self.hands, -math.inf)
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
@@ -66,12 +72,18 @@ class RobotFollower:
             return followed[side]
 
         try:
-            return self.mapper.step({side: partial(follow, side) for side in samples})
+            step = self.mapper.step({side: partial(follow, side) for side in samples})
         except HandmapError:
             # The hand whose sample was refused is as it was before by itself.
             for side, step in followed.items():
                 self.hands[side].forget(step, before[side])
             raise
+        newest = max(sample.time for sample in samples.values())
+        self._seen |= dict.fromkeys(samples, newest)
+        for side, time in self._seen.items():
+            if newest - time > _SILENCE:
+                self.mapper.stay(side, Verdict("missing", True, False, 0.0, math.nan))
+        return step
 
 
 def paired(recordings: Mapping[Side, Recording]) -> Iterator[dict[Side, HumanSample]]:
