@@ -113,6 +113,11 @@ def robot_files() -> dict[str, Path]:
     return {file.parent.name: file for file in files}
 
 
+def is_robot(name: str) -> bool:
+    """Return whether a name or path is that of a robot, not of a hand."""
+    return name in robot_files() or Path(name).name == "robot.yaml"
+
+
 def read_robot_spec(file: Path) -> RobotSpec:
     """Read and check a `robot.yaml`; its folder becomes the spec's `directory`.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import tyro
 
 from handmap_qp.apps.arguments import (
@@ -20,12 +21,13 @@ from handmap_qp.apps.arguments import (
     hinted,
     person_of,
 )
-from handmap_qp.apps.offline.look_ahead import map_hand
+from handmap_qp.apps.offline.look_ahead import map_hand, map_hands
 from handmap_qp.apps.offline.summary import Summary, notes, summarise, table_rows
 from handmap_qp.apps.tables import print_table, progress
 from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
-from handmap_qp.human.person import write_person
+from handmap_qp.hands.robot import Robot, is_robot, load_robot
+from handmap_qp.human.person import read_person, write_person
 from handmap_qp.human.recording import Recording
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream.measurement import measure_person
@@ -41,20 +43,23 @@ class Map:
     [mm], times [us] and limits. Writes an .npz file with time [s], joint_names, q [rad or m], wrist
     (poses), targets and points [m], point_error [m], valid, versions and more.
 
-    Both hands are in one file or in two; --robots names a left and a right robot hand. `handmap
-    convert --help` lists the forms of files.
+    Both hands are in one file or in two; --robots names a left and a right robot hand, each in a
+    world of its own, and --robot a robot with both (`handmap robots list`). The forms of files are
+    listed by `handmap convert --help`.
 
     Examples:
         handmap map demo --robot allegro_right
         handmap map recording.npz --robot my_hand.yaml --preset object --json
         handmap map recording.npz --robot allegro_right --person anna.yaml
         handmap map left.npz right.npz --robots allegro_left allegro_right
+        handmap map left.npz right.npz --robot g1
         handmap map glove.csv --layout manus --side right --robot allegro_right
 
     Attributes:
         recordings: Recording of a human hand, or one of each hand: files as of `handmap convert`.
             `FILE::NAME` is one recording of several in a file; `demo` comes with the package.
-        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml.
+        robot: Robot hand: a name of `handmap hands list`, or the path of its hand.yaml. Or a robot
+            with both hands: a name of `handmap robots list`, or the path of its robot.yaml.
         robots: A left and a right robot hand, for recordings of both human hands.
         out: File to write; with --robots the folder.
         mirror: Map the mirror image of a recording of the other hand.
@@ -90,8 +95,11 @@ class Map:
 
     def run(self) -> None:
         """Read, measure and map each hand, write the trajectories, and print summaries."""
-        pairs = [(*pair, self._out(*pair)) for pair in self._pairs()]
-        summaries = [self._map(*pair) for pair in pairs]
+        if self.robot is not None and is_robot(self.robot):
+            summaries = [self._map_robot(load_robot(self.robot))]
+        else:
+            pairs = [(*pair, self._out(*pair)) for pair in self._pairs()]
+            summaries = [self._map(*pair) for pair in pairs]
         if self.json:
             found = summaries if self.robots else summaries[0]
             print(json.dumps(found, allow_nan=False))
@@ -137,7 +145,7 @@ class Map:
         hands = self.inputs.read_both(self.recordings, self.person)
         return [(hands[robot.spec.side], robot) for robot in robots]
 
-    def _out(self, recording: Recording, robot: Hand) -> Path:
+    def _out(self, recording: Recording, robot: Hand | Robot) -> Path:
         """Check the file to write, before any work is done."""
         out = Path(f"{recording.name}_{robot.name}.npz")
         if self.out is not None:
@@ -145,6 +153,34 @@ class Map:
         if self.robots:
             make_folder(out.parent, "--out")
         return check_output("--out", out, (".npz",))
+
+    def _map_robot(self, robot: Robot) -> Summary:
+        """Map both hands to one robot; see `_map`."""
+        if self.mirror:
+            raise InvalidInputError("has no effect on both hands", argument="--mirror")
+        hands = self.inputs.read_both(self.recordings, self.person)
+        used = [hands[side] for side in robot.hands]
+        out = self._out(used[0], robot)
+        person = read_person(self.person) if self.person else measure_person(*used)
+        count = max(map(len, used))
+        with progress(f"mapping to {robot.name}", count) as advance:
+            trajectory = map_hands(
+                {each.side: each for each in used},
+                robot,
+                person,
+                self.arguments,
+                progress=advance,
+            )
+        wrists = {
+            f"wrist_{side}": np.array(
+                [hand.frame_pose("wrist", q) for q in trajectory.q]
+            )
+            for side, hand in robot.hands.items()
+        }
+        save_npz(out, trajectory.all_columns | wrists)
+        name = " and ".join(each.name for each in used)
+        found = {"recording": name, **summarise(trajectory), "out": str(out)}
+        return found | {"robot": robot.name}
 
     def _map(
         self,

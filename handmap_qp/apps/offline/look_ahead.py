@@ -16,7 +16,7 @@ smoothing (`SMOOTH_IK`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -27,14 +27,18 @@ from handmap_qp.apps.offline.trajectory import (
     held_samples,
     map_recording,
     stretches,
+    trajectory_of,
 )
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.robot import Robot
+from handmap_qp.hands.spec import Side
 from handmap_qp.human.measure import scaled_human
 from handmap_qp.human.person import Person
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import PALM
 from handmap_qp.mapping.mapper import HandMapper
+from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.se3 import (
     affine,
     inverse_pose,
@@ -43,6 +47,7 @@ from handmap_qp.se3 import (
     transform_points,
 )
 from handmap_qp.stream.follower import SMOOTH_IK
+from handmap_qp.stream.robot_follower import RobotFollower, paired
 
 if TYPE_CHECKING:
     from handmap_qp.apps.arguments import MappingArguments
@@ -192,6 +197,33 @@ def map_hand(
     ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
     mapper = HandMapper(human, robot, choice.method, ik=ik)
     return recording, map_recording(mapper, recording, progress)
+
+
+def map_hands(
+    recordings: Mapping[Side, Recording],
+    robot: Robot,
+    person: Person,
+    arguments: MappingArguments,
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> Trajectory:
+    """Map recordings of both hands of a person to one robot; arguments as of `map_hand`.
+
+    Returns:
+        The motion of the whole robot at the instants of the longest recording; points are of all
+        hands, one after the other, and wrist poses of the first.
+    """
+    points = arguments.human_points
+    humans = {
+        side: scaled_human(recording, points=points, lengths=person.lengths)
+        for side, recording in recordings.items()
+    }
+    side = next(iter(robot.hands))
+    choice = arguments.preset_for(humans[side], robot.hands[side])
+    follower = RobotFollower(RobotMapper(robot, humans, choice.method, ik=choice.ik))
+    steps = map(follower.map_samples, paired(recordings))
+    time = max(recordings.values(), key=len).time
+    return trajectory_of(follower.mapper.robot, time, steps, progress)
 
 
 def continuous_quats(rotations: np.ndarray) -> np.ndarray:
