@@ -94,6 +94,26 @@ inline void check_map(const Ik& ik, const TargetMap& map, const HumanPose& pose)
 
 // -- steps
 
+// Points, wrist, aims, weights, margins and diagnostics, one after the other.
+inline NumpyArray numbers_of(const Asked& asked) {
+  Vector found;
+  append(asked.points, found);
+  append(asked.wrist, found);
+  for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins, &asked.diagnostics})
+    append(*part, found);
+  return array_of(found);
+}
+
+// The targets of a pose, as numbers for Python's `asked`.
+inline nb::tuple targets_of(const TargetMap& map, const nb::object& given) {
+  const HumanPose pose = pose_from(given);
+  if (pose.points.size() != map.human_points || !pose.has_wrist)
+    throw std::invalid_argument("the map is of other hands");
+  Asked asked;
+  map.targets(pose.points, &pose.wrist, asked);
+  return nb::make_tuple(numbers_of(asked), asked.is_clamped);
+}
+
 // What Python needs to read the numbers of a step.
 struct StepReader {
   nb::object joint_names;
@@ -118,7 +138,7 @@ struct Stages : Step {
   nb::object asked_, ik_, command_, summary_;
 
   nb::object read_asked() {
-    if (!asked_.is_valid()) asked_ = reader->targets(numbers(), asked.is_clamped);
+    if (!asked_.is_valid()) asked_ = reader->targets(numbers_of(asked), asked.is_clamped);
     return asked_;
   }
   nb::object read_command() {
@@ -139,16 +159,6 @@ struct Stages : Step {
   }
 
  private:
-  // Points, wrist, aims, weights, margins and diagnostics, one after the other.
-  NumpyArray numbers() const {
-    Vector found;
-    append(asked.points, found);
-    append(asked.wrist, found);
-    for (const Vector* part : {&asked.aims, &asked.weights, &asked.margins, &asked.diagnostics})
-      append(*part, found);
-    return array_of(found);
-  }
-
   // RMS distance of the points from where T takes them. The diagnostics of every map begin with T's
   // linear part, the centroid and the points, after the motion.
   double residual() const {

@@ -288,7 +288,7 @@ class HandMapper:
         reference = self._reference or self._reference_at(sample)
         core: Any = None if sample.wrist is None else self._core_at(reference)
         target_map = reference.map
-        asked = None if core else target_map.targets(sample)
+        asked = None if core else _targets(target_map, sample)
         if bound.renews_reference:
             # Points that cannot be the next reference are rejected before the robot moves.
             bound.start(sample, reference.posture)
@@ -701,6 +701,14 @@ def _method_of(
         expected="a method, the name of a preset, or single options of the paper's method",
         value=method,
     )
+
+
+def _targets(target_map: Any, sample: HumanPose) -> Targets:
+    """Return the targets of a map, by the core where it has the map."""
+    made = getattr(target_map, "core", None)
+    if made and sample.wrist is not None:
+        return target_map.asked(*made.targets(sample))
+    return target_map.targets(sample)
 
 
 def posture_of(robot: Hand, vector: np.ndarray) -> RobotPosture:

@@ -80,12 +80,30 @@ class Leader(HandMapper):
     asked: Asked
     """What it asked last."""
 
+    moved: IkResult
+    """Where the robot's hand is."""
+
     _is_staying = False
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
         self._plan = self._plan._replace(ik=ik)
         self._start = None
+        q = ik.gate.motion.q
+        at = posture_of(self.robot, q)
+        none = np.zeros(len(self.robot.active_columns))
+        self.moved = IkResult(
+            "released",
+            at.points,
+            at.points,
+            q.copy(),
+            at.wrist[None],
+            none,
+            none.astype(np.int8),
+            self.robot,
+            0,
+            0.0,
+        )
 
     @property
     def contacts(self) -> ShapePairs | None:
@@ -116,40 +134,23 @@ class Leader(HandMapper):
             palm = leading, leading.anchor_of(sample)
         self.asked = Asked(asked, rest, dt, speed, palm)
         self._is_staying = False
-        return self._unmoved(sample, asked)
+        return _stages(sample, asked, self.moved)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Ask that the robot's hand stays where it is; arguments as of `HandMapper.hold`."""
         check_dt(dt)
         if not self._is_staying:
-            at = posture_of(self.robot, self.point_ik.configuration.q)
+            at = self.moved
             before = vars(self).get("asked")
             margins = before and before.targets.margins
-            self.asked = Asked(Targets(at.points, at.wrist, margins=margins), at.q, dt)
+            targets = Targets(at.points, at.wrist, margins=margins)
+            self.asked = Asked(targets, at.q[self.robot.q_indices], dt)
             self._is_staying = True
         self.asked = self.asked._replace(dt=dt)
         if seen is None:
             count = len(self.human.reference_points)
             seen = HumanPose(np.full((count, 3), np.nan), None)
-        return MapStep(self._unmoved(seen, self.asked.targets), (), 0.0)
-
-    def _unmoved(self, sample: HumanPose, asked: Targets) -> Stages:
-        """Return stages, with the robot's hand where it is."""
-        at = posture_of(self.robot, self.point_ik.configuration.q)
-        none = np.zeros(len(self.robot.active_columns))
-        result = IkResult(
-            "released",
-            at.points,
-            asked.points,
-            self.point_ik.configuration.q.copy(),
-            at.wrist[None],
-            none,
-            none.astype(np.int8),
-            self.robot,
-            0,
-            0.0,
-        )
-        return _stages(sample, asked, result)
+        return MapStep(_stages(seen, self.asked.targets, self.moved), (), 0.0)
 
 
 class RobotStep(MapStep, frozen=True, eq=False, kw_only=True):
@@ -238,6 +239,7 @@ class RobotMapper:
     @motion.setter
     def motion(self, motion: Motion) -> None:
         self._ik.gate.motion = motion
+        self._meet()
 
     def map_landmarks(
         self,
@@ -330,6 +332,7 @@ class RobotMapper:
             )
             stages = _stages(steps[side].stages.pose, asked, part)
             hands[side] = structs.replace(steps[side], stages=stages, duration=duration)
+            leader.moved = part
         return self._whole(hands, result, duration)
 
     def _whole(
@@ -426,7 +429,11 @@ class RobotMapper:
         self._ik = PointIk(whole, options, motion, contacts=pairs)
         moves = [leader.robot.moves_points.any(axis=0) for leader in leaders]
         self._own = [moved & ~whole.moves_wrist for moved in moves]
-        for leader in leaders:
+        self._meet()
+
+    def _meet(self) -> None:
+        """Let the leaders know what moves the robot, and where it is."""
+        for leader in self.leaders.values():
             leader.join(self._ik)
 
     # -- between samples
@@ -457,6 +464,7 @@ class RobotMapper:
         if robot_q is not None:
             q = check_joints(whole, robot_q, "robot_q")[0]
         self._ik.place(whole.configuration_vector(q))
+        self._meet()
         self.clutch()
 
     def release(self) -> None:
