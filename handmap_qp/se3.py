@@ -361,3 +361,9 @@ def _has_shape(array: np.ndarray, shape: tuple[int | str, ...]) -> bool:
         isinstance(wanted, str) or size == wanted
         for size, wanted in zip(array.shape, shape, strict=True)
     )
+
+
+def smoothstep(x: npt.ArrayLike) -> np.ndarray:
+    """Go smoothly from 0 at 0 to 1 at 1."""
+    x = np.clip(x, 0.0, 1.0)
+    return x * x * (3.0 - 2.0 * x)

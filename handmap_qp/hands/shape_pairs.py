@@ -14,6 +14,8 @@ from handmap_qp.hands.fingers import Finger, zero_posture
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 
+LINK_MARGIN = 0.001
+"""Margin between all links but those that pinch [m]."""
 # Random postures in which pairs are measured.
 _POSTURES = 64
 # Pairs that are never farther apart than this in them count as joined [m].

@@ -11,7 +11,8 @@ references were.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import deepcopy
 from functools import partial
 from time import perf_counter
@@ -25,7 +26,7 @@ from handmap_qp.errors import HandmapError, InvalidInputError, expect
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.robot import Robot, joined
-from handmap_qp.hands.shape_pairs import ShapePairs, common_pairs
+from handmap_qp.hands.shape_pairs import LINK_MARGIN, ShapePairs, common_pairs
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import Verdict, human_name
 from handmap_qp.ik.limits import Motion
@@ -41,9 +42,8 @@ from handmap_qp.mapping.method import (
     Stages,
     Targets,
 )
-from handmap_qp.mapping.methods.teleoperation import LINK_MARGIN, smoothstep
 from handmap_qp.mapping.palm import PalmMap
-from handmap_qp.se3 import PoseLike, lengths, transform_points
+from handmap_qp.se3 import PoseLike, lengths, smoothstep, transform_points
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
 _NEAR = 0.4
@@ -74,46 +74,25 @@ class Asked(NamedTuple):
 class Leader(HandMapper):
     """A hand of a person that asks a robot to move; see `HandMapper`.
 
-    Its steps say what it asked, and where the robot's hand was before.
+    Its steps have no motion before the robot has moved.
+
+    Attributes:
+        asked: What it asked last.
+        is_staying: Whether that is to stay.
     """
 
     asked: Asked
-    """What it asked last."""
-
-    moved: IkResult
-    """Where the robot's hand is."""
-
-    _is_staying = False
+    is_staying = False
 
     def join(self, ik: PointIk) -> None:
         """Ask the robot that a solver moves."""
         self._plan = self._plan._replace(ik=ik)
         self._start = None
-        q = ik.gate.motion.q
-        at = posture_of(self.robot, q)
-        none = np.zeros(len(self.robot.active_columns))
-        self.moved = IkResult(
-            "released",
-            at.points,
-            at.points,
-            q.copy(),
-            at.wrist[None],
-            none,
-            none.astype(np.int8),
-            self.robot,
-            0,
-            0.0,
-        )
 
     @property
     def contacts(self) -> ShapePairs | None:
         """Collision shapes that the method keeps apart."""
         return self._plan.bound.contacts
-
-    def clutch(self) -> None:
-        """Make the next sample the reference; see `HandMapper.clutch`."""
-        super().clutch()
-        self._is_staying = False
 
     def _core_at(self, reference: Any) -> Any:
         """Return None: the robot moves, not this hand."""
@@ -130,27 +109,33 @@ class Leader(HandMapper):
         """Ask for targets."""
         palm = None
         leading = self._reference and self._reference.map
-        if isinstance(leading, PalmMap) and sample.wrist is not None:
+        if isinstance(leading, PalmMap):
             palm = leading, leading.anchor_of(sample)
         self.asked = Asked(asked, rest, dt, speed, palm)
-        self._is_staying = False
-        return _stages(sample, asked, self.moved)
+        self.is_staying = False
+        return _unmoved(sample, asked)
 
     def hold(self, dt: float, seen: HumanPose | None = None) -> MapStep:
         """Ask that the robot's hand stays where it is; arguments as of `HandMapper.hold`."""
         check_dt(dt)
-        if not self._is_staying:
-            at = self.moved
-            before = vars(self).get("asked")
+        before: Any = vars(self).get("asked")
+        if not (before and self.is_staying):
+            at = posture_of(self.robot, self.motion.q)
             margins = before and before.targets.margins
-            targets = Targets(at.points, at.wrist, margins=margins)
-            self.asked = Asked(targets, at.q[self.robot.q_indices], dt)
-            self._is_staying = True
-        self.asked = self.asked._replace(dt=dt)
+            before = Asked(Targets(at.points, at.wrist, margins=margins), at.q, dt)
+        self.asked = before._replace(dt=dt)
+        self.is_staying = True
         if seen is None:
-            count = len(self.human.reference_points)
-            seen = HumanPose(np.full((count, 3), np.nan), None)
-        return MapStep(_stages(seen, self.asked.targets, self.moved), (), 0.0)
+            seen = HumanPose(
+                np.full((len(self.human.reference_points), 3), np.nan), None
+            )
+        return MapStep(_unmoved(seen, self.asked.targets), (), 0.0)
+
+
+def _unmoved(pose: HumanPose, asked: Targets) -> Stages:
+    """Return stages before the robot has moved."""
+    nothing: Any = None
+    return Stages(pose, asked, nothing, nothing)
 
 
 class RobotStep(MapStep, frozen=True, eq=False, kw_only=True):
@@ -239,7 +224,6 @@ class RobotMapper:
     @motion.setter
     def motion(self, motion: Motion) -> None:
         self._ik.gate.motion = motion
-        self._meet()
 
     def map_landmarks(
         self,
@@ -304,15 +288,9 @@ class RobotMapper:
             raise InvalidInputError(
                 argument="hands", problem="a step needs a sample of a hand at least"
             )
-        leaders = self.leaders.values()
-        before = [vars(leader).copy() for leader in leaders]
-        try:
+        with self._unless_refused():
             steps = self._last | {side: ask() for side, ask in asking.items()}
             result = self._moved(max(self.leaders[side].asked.dt for side in asking))
-        except HandmapError:
-            for leader, state in zip(leaders, before, strict=True):
-                vars(leader).update(state)
-            raise
         self._last = steps
         duration = perf_counter() - started
         hands = {}
@@ -332,7 +310,6 @@ class RobotMapper:
             )
             stages = _stages(steps[side].stages.pose, asked, part)
             hands[side] = structs.replace(steps[side], stages=stages, duration=duration)
-            leader.moved = part
         return self._whole(hands, result, duration)
 
     def _whole(
@@ -429,11 +406,7 @@ class RobotMapper:
         self._ik = PointIk(whole, options, motion, contacts=pairs)
         moves = [leader.robot.moves_points.any(axis=0) for leader in leaders]
         self._own = [moved & ~whole.moves_wrist for moved in moves]
-        self._meet()
-
-    def _meet(self) -> None:
-        """Let the leaders know what moves the robot, and where it is."""
-        for leader in self.leaders.values():
+        for leader in leaders:
             leader.join(self._ik)
 
     # -- between samples
@@ -464,7 +437,6 @@ class RobotMapper:
         if robot_q is not None:
             q = check_joints(whole, robot_q, "robot_q")[0]
         self._ik.place(whole.configuration_vector(q))
-        self._meet()
         self.clutch()
 
     def release(self) -> None:
@@ -477,6 +449,7 @@ class RobotMapper:
         self._last: dict[Side, MapStep] = {}
         for side, leader in self.leaders.items():
             leader.clutch()
+            leader.is_staying = False
             self._last[side] = leader.hold(leader.dt)
 
     def configure(
@@ -487,15 +460,20 @@ class RobotMapper:
         Raises:
             InvalidOptionsError: As there; the mapper is then as it was before.
         """
-        leaders = self.leaders.values()
-        before = [vars(leader).copy() for leader in leaders]
-        try:
-            for leader in leaders:
+        with self._unless_refused():
+            for leader in self.leaders.values():
                 leader.configure(method, ik=ik)
-            self._join(next(iter(leaders)).ik, self.motion)
+            self._join(next(iter(self.leaders.values())).ik, self.motion)
+
+    @contextmanager
+    def _unless_refused(self) -> Iterator[None]:
+        """Let an error leave all leaders as they were."""
+        before = {side: vars(each).copy() for side, each in self.leaders.items()}
+        try:
+            yield
         except HandmapError:
-            for leader, state in zip(leaders, before, strict=True):
-                vars(leader).update(state)
+            for side, state in before.items():
+                vars(self.leaders[side]).update(state)
             raise
 
     def _leader(self, side: Side) -> Leader:

@@ -15,10 +15,10 @@ from functools import lru_cache
 from typing import Annotated, Self
 
 import numpy as np
-import numpy.typing as npt
 
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import CONTACT_GAP, FINGERS, THUMB
+from handmap_qp.hands.shape_pairs import LINK_MARGIN
 from handmap_qp.ik.core import Compiled, Parts
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.alignment import AlignedOptions
@@ -35,7 +35,7 @@ from handmap_qp.mapping.method import (
 )
 from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of, point_indices
 from handmap_qp.options import number, text
-from handmap_qp.se3 import inverse_pose, lengths, transform_points
+from handmap_qp.se3 import inverse_pose, lengths, smoothstep, transform_points
 
 # Thumb-finger gaps [m] at which a pinch row begins, and over which its weight rises to full.
 _PINCH_FROM = 0.070
@@ -44,8 +44,6 @@ _PINCH_OVER = 0.050
 _SQUEEZE = 0.003
 # Least margin between thumb and finger [m].
 _CONTACT_MARGIN = 0.0005
-# Margin between all other links [m].
-LINK_MARGIN = 0.001
 
 
 class Teleoperation(AlignedOptions, frozen=True):
@@ -426,9 +424,3 @@ class TeleoperationMap(Compiled, PalmMap):
             + pair.finger_ratio * (shift - estimate.centroid_before)
             + self.gain * (now[pair.partners] - shift)
         )
-
-
-def smoothstep(x: npt.ArrayLike) -> np.ndarray:
-    """Go smoothly from 0 at 0 to 1 at 1."""
-    x = np.clip(x, 0.0, 1.0)
-    return x * x * (3.0 - 2.0 * x)
