@@ -7,6 +7,7 @@ from itertools import combinations, compress, product
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import pinocchio as pin
 
 from handmap_qp.hands.collision_shapes import read_collision_shapes
@@ -44,13 +45,26 @@ class ShapePairs(NamedTuple):
     def links(self) -> tuple[tuple[str, str], ...]:
         """Links of both shapes of each pair."""
         names = _links(self.geometry)
-        pairs = self.geometry.collisionPairs
-        return tuple((names[pair.first], names[pair.second]) for pair in pairs)
+        return tuple((names[i], names[j]) for i, j in _ends(self.geometry))
 
 
 def _links(geometry: pin.GeometryModel) -> list[str]:
     """Return the link of each shape, which Pinocchio names `LINK_0`, `LINK_1`, and so on."""
     return [shape.name.rpartition("_")[0] for shape in geometry.geometryObjects]
+
+
+def _ends(geometry: pin.GeometryModel) -> list[tuple[int, int]]:
+    """Return the indices of both shapes of each pair."""
+    return [(pair.first, pair.second) for pair in geometry.collisionPairs]
+
+
+def _paired(geometry: pin.GeometryModel, ends: npt.ArrayLike) -> pin.GeometryModel:
+    """Return the shapes with k pairs of their indices alone, shape (k, 2)."""
+    paired = geometry.copy()
+    paired.removeAllCollisionPairs()
+    for pair in np.array(ends).tolist():
+        paired.addCollisionPair(pin.CollisionPair(*pair))
+    return paired
 
 
 def named_pairs(hand: Hand, pairs: Sequence[tuple[str, str]]) -> ShapePairs:
@@ -76,8 +90,8 @@ def named_pairs(hand: Hand, pairs: Sequence[tuple[str, str]]) -> ShapePairs:
                 raise hand.spec.error(
                     f"{link!r} {what}", key=f"collision.pairs[{i}]", value=link
                 )
-        for ends in product(shapes[pair[0]], shapes[pair[1]]):
-            geometry.addCollisionPair(pin.CollisionPair(*ends))
+    ends = [end for a, b in pairs for end in product(shapes[a], shapes[b])]
+    geometry = _paired(geometry, ends)
     return ShapePairs(geometry, ("",) * len(geometry.collisionPairs))
 
 
@@ -96,15 +110,29 @@ def all_pairs(hand: Hand, chains: dict[str, Finger]) -> ShapePairs:
     Raises:
         HandError: If a shape cannot be read.
     """
-    geometry = read_collision_shapes(hand)
+    shapes = read_collision_shapes(hand)
     parents = hand.model.parents
-    joints = [shape.parentJoint for shape in geometry.geometryObjects]
+    joints = [shape.parentJoint for shape in shapes.geometryObjects]
     owner = {joint: name for name, chain in chains.items() for joint in chain.joints}
-    for (i, a), (j, b) in combinations(enumerate(joints), 2):
-        is_far = parents[a] != b and parents[b] != a
-        if is_far and owner.get(a, a) != owner.get(b, b):
-            geometry.addCollisionPair(pin.CollisionPair(i, j))
-    joined = _leave_out(hand, geometry)
+    ends = np.array(
+        [
+            (i, j)
+            for (i, a), (j, b) in combinations(enumerate(joints), 2)
+            if b != parents[a] and a != parents[b]
+            if owner.get(a, a) != owner.get(b, b)
+        ]
+    )
+    postures = np.array([hand.rest, zero_posture(hand)])
+    distances = pair_distances(hand, _paired(shapes, ends), postures)
+    is_apart = np.all(distances > 0.0, axis=0)
+    is_near = is_apart & np.all(distances < _COARSE, axis=0)
+    near = _paired(shapes, ends[is_near])
+    distances = pair_distances(hand, near, random_postures(hand, _POSTURES))
+    is_often = np.mean(distances <= 0.0, axis=0) > _OVERLAPPING
+    never = distances.max(axis=0) < np.where(is_often, _COARSE, _PARTED)
+    is_apart[is_near] = ~never
+    geometry = _paired(shapes, ends[is_apart])
+    joined = tuple(compress(ShapePairs(near, ()).links, never))
     return ShapePairs(geometry, _pinching_fingers(geometry, chains), joined)
 
 
@@ -119,24 +147,18 @@ def common_pairs(
     Returns:
         The pairs, and of each hand's pairs that pinch their indices there and among its own.
     """
-    ends = [
-        [(pair.first, pair.second) for pair in pairs.geometry.collisionPairs]
-        for pairs in of
+    owns = [
+        dict(zip(_ends(pairs.geometry), pairs.fingers, strict=True)) for pairs in of
     ]
-    common = sorted(set.intersection(*map(set, ends)))
-    geometry = of[0].geometry.copy()
-    geometry.removeAllCollisionPairs()
-    for end in common:
-        geometry.addCollisionPair(pin.CollisionPair(*end))
-    fingers = [""] * len(common)
+    common = sorted(set.intersection(*map(set, owns)))
+    # Each finger is of one hand, so the others' names are empty.
+    fingers = tuple(max(own[end] for own in owns) for end in common)
     pinching = []
-    for own, pairs in zip(ends, of, strict=True):
-        closing = [k for k, f in enumerate(pairs.fingers) if f and own[k] in common]
-        rows = [common.index(own[k]) for k in closing]
-        for row, k in zip(rows, closing, strict=True):
-            fingers[row] = pairs.fingers[k]
-        pinching.append((np.array(rows, dtype=int), np.array(closing, dtype=int)))
-    return ShapePairs(geometry, tuple(fingers)), pinching
+    for own in owns:
+        rows = [k for k, end in enumerate(common) if own[end]]
+        places = [[*own].index(common[k]) for k in rows]
+        pinching.append((np.array(rows, dtype=int), np.array(places, dtype=int)))
+    return ShapePairs(_paired(of[0].geometry, common), fingers), pinching
 
 
 def _pinching_fingers(
@@ -148,11 +170,10 @@ def _pinching_fingers(
         for finger, chain in chains.items()
         for shape in distal_shapes(chain, geometry)
     }
-    found = []
-    for pair in geometry.collisionPairs:
-        names = {owners.get(pair.first, ""), owners.get(pair.second, "")}
-        found.append(max(names - {THUMB}, default="") if THUMB in names else "")
-    return tuple(found)
+    names = [{owners.get(i, ""), owners.get(j, "")} for i, j in _ends(geometry)]
+    return tuple(
+        max(two - {THUMB}, default="") if THUMB in two else "" for two in names
+    )
 
 
 def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
@@ -171,25 +192,6 @@ def distal_shapes(chain: Finger, geometry: pin.GeometryModel) -> list[int]:
         for joint in reversed(chain.joints)
     )
     return next(filter(None, found), [])
-
-
-def _leave_out(hand: Hand, geometry: pin.GeometryModel) -> tuple[tuple[str, str], ...]:
-    """Remove pairs that overlap at rest or stretched, or never part; return links of the latter."""
-    postures = np.array([hand.rest, zero_posture(hand)])
-    distances = pair_distances(hand, geometry, postures)
-    overlaps = np.any(distances <= 0.0, axis=0)
-    pairs = [pin.CollisionPair(p.first, p.second) for p in geometry.collisionPairs]
-    near = np.flatnonzero(~overlaps & np.all(distances < _COARSE, axis=0))
-    few = geometry.copy()
-    few.removeAllCollisionPairs()
-    for k in near:
-        few.addCollisionPair(pairs[k])
-    distances = pair_distances(hand, few, random_postures(hand, _POSTURES))
-    is_often = np.mean(distances <= 0.0, axis=0) > _OVERLAPPING
-    never = distances.max(axis=0) < np.where(is_often, _COARSE, _PARTED)
-    for k in (*np.flatnonzero(overlaps), *near[never]):
-        geometry.removeCollisionPair(pairs[k])
-    return tuple(compress(ShapePairs(few, ()).links, never))
 
 
 def random_postures(hand: Hand, count: int) -> np.ndarray:
