@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from functools import reduce
-from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -45,9 +44,8 @@ from handmap_qp.hands.urdf import (
     rename,
     root_links,
     set_mesh_paths,
-    set_origin,
+    set_numbers,
 )
-from handmap_qp.se3 import affine, rotation_from_rpy
 
 _BASE = "robot_base"
 """Link that all hands stand on."""
@@ -68,19 +66,17 @@ class RobotHandSpec(Document, frozen=True):
 
 
 class RobotSpec(Document, frozen=True):
-    """A robot: the hands that follow a person's left and right one.
+    """What a `robot.yaml` says: the hands that follow a person's left and right one.
 
     Attributes:
         name: Short name of the robot.
         hands: Its hands by their side.
-        directory: Folder at which relative paths start; that of `robot.yaml`.
-        file: The file that the description was read from, for messages.
+        directory: Folder of the file, at which relative paths start.
     """
 
     name: str
     hands: Annotated[dict[Side, RobotHandSpec], Meta(min_length=1)]
-    directory: Path | None = None
-    file: Path | None = None
+    directory: Path
 
 
 class Robot(NamedTuple):
@@ -118,83 +114,69 @@ def is_robot(name: str) -> bool:
     return name in robot_files() or Path(name).name == "robot.yaml"
 
 
-def read_robot_spec(file: Path) -> RobotSpec:
-    """Read and check a `robot.yaml`; its folder becomes the spec's `directory`.
-
-    Raises:
-        HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
-            key.
-    """
-    return typed(read_document(file) | {"file": str(file)}, RobotSpec, file)
-
-
-def load_robot(robot: str | Path | RobotSpec) -> Robot:
+def load_robot(robot: str | Path) -> Robot:
     """Load a robot with its hands.
 
     Args:
-        robot: Name of a robot (`robot_files()`), path of a `robot.yaml`, or a `RobotSpec` built in
-            code.
+        robot: Name of a robot (`robot_files()`), or path of a `robot.yaml`.
 
     Raises:
         HandError: If there is no such robot, or its description or that of a hand cannot be used.
         MissingExtraError: If a URDF lies in a package that is not installed.
     """
-    if not isinstance(robot, RobotSpec):
-        robot = read_robot_spec(find_file(robot, robot_files(), "robot"))
-    specs = {side: _read_hand(robot, side) for side in robot.hands}
-    trees: dict[Any, list[Side]] = {}
-    for side, spec in specs.items():
-        place = robot.hands[side].xyz, robot.hands[side].rpy
+    file = find_file(robot, robot_files(), "robot")
+    described = typed(read_document(file), RobotSpec, file)
+    trees: dict[Any, list[HandSpec]] = {}
+    for side, hand in sorted(described.hands.items()):
+        spec = read_hand_spec(find_file(hand.hand, folder=described.directory))
+        if spec.side != side:
+            problem = f"{spec.name} is a {spec.side} hand"
+            raise HandError(problem, file=file, key=f"hands.{side}", value=spec.name)
         # Hands on arms of their own share nothing.
         tree = (source_file(spec), spec.root) if spec.arm is None else side
-        trees.setdefault((tree, place), []).append(side)
-    whole = Element("robot", name=robot.name)
+        trees.setdefault((tree, hand.xyz, hand.rpy), []).append(spec)
+    whole = Element("robot", name=described.name)
     SubElement(whole, "link", name=_BASE)
-    prefixes: dict[Side, str] = {}
+    parts: list[tuple[str, HandSpec]] = []
     rest: dict[str, float] = {}
-    for (_, place), sides in trees.items():
-        prefix = "" if len(trees) == 1 else f"{sides[0]}_"
-        spec = _merged([specs[side] for side in sides])
-        _stand(whole, spec, prefix, *place)
+    for (_, xyz, rpy), specs in trees.items():
+        prefix = "" if len(trees) == 1 else f"{specs[0].side}_"
+        parts += [(prefix, spec) for spec in specs]
+        spec = reduce(_merged, specs)
+        _stand(whole, spec, prefix, xyz, rpy)
         arm = {} if spec.arm is None else spec.arm.rest
         rest |= {f"{prefix}{joint}": at for joint, at in (arm | spec.rest).items()}
-        prefixes |= dict.fromkeys(sides, prefix)
     text = tostring(whole, encoding="unicode")
     hands = {
-        side: Hand(_on_robot(specs[side], robot.name, prefix, rest), urdf_text=text)
-        for side, prefix in sorted(prefixes.items())
+        spec.side: Hand(
+            _on_robot(spec, described.name, prefix, rest),
+            mount="fixed",
+            urdf_text=text,
+        )
+        for prefix, spec in parts
     }
-    return Robot(robot.name, hands)
+    return Robot(described.name, hands)
 
 
-def _read_hand(robot: RobotSpec, side: Side) -> HandSpec:
-    folder = robot.directory or Path()
-    spec = read_hand_spec(find_file(robot.hands[side].hand, folder=folder))
-    if spec.side != side:
-        problem = f"{spec.name} is a {spec.side} hand"
-        raise HandError(problem, file=robot.file, key=f"hands.{side}", value=spec.name)
-    return spec
-
-
-def _merged(specs: Sequence[HandSpec]) -> HandSpec:
-    """Return the description of all joints that hands of one URDF move."""
-    rest = reduce(or_, (spec.rest for spec in specs))
-    locked = reduce(or_, (spec.locked for spec in specs))
+def _merged(one: HandSpec, other: HandSpec) -> HandSpec:
+    """Return the description of all joints that two hands of one URDF move."""
+    rest = one.rest | other.rest
+    locked = one.locked | other.locked
     return replace(
-        specs[0],
+        one,
         joints=(*rest,),
         rest=rest,
         matched=None,
         locked={joint: at for joint, at in locked.items() if joint not in rest},
-        limits=reduce(or_, (spec.limits for spec in specs)),
-        mimic=reduce(or_, (spec.mimic for spec in specs)),
+        limits=one.limits | other.limits,
+        mimic=one.mimic | other.mimic,
     )
 
 
 def _stand(
     robot: Element, spec: HandSpec, prefix: str, xyz: Vector, rpy: Vector
 ) -> None:
-    """Add what a description composes to the URDF of a robot."""
+    """Add what a description composes to a robot's URDF, somewhere on its base."""
     text, *_ = compose_urdf(spec, read_urdf(spec))
     tree = parse_urdf(text)
     # The whole lies in no folder.
@@ -203,7 +185,7 @@ def _stand(
     mount = SubElement(robot, "joint", name=f"{prefix}{_BASE}", type="fixed")
     SubElement(mount, "parent", link=_BASE)
     SubElement(mount, "child", link=root_links(tree)[0])
-    set_origin(mount, affine(rotation_from_rpy(rpy), xyz))
+    set_numbers(SubElement(mount, "origin"), xyz=xyz, rpy=rpy)
     robot.extend(list(tree))
 
 
@@ -229,7 +211,7 @@ def _on_robot(
         rest=rest,
         matched=matched,
         palm=renamed(spec.palm),
-        wrist=replace(renamed(spec.wrist), mount="fixed"),
+        wrist=renamed(spec.wrist),
         points=tuple(map(renamed, spec.points)),
         collision=collision,
         mirror=False,

@@ -6,6 +6,7 @@ picture) sees the same robot.
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import chain
@@ -418,20 +419,16 @@ def _lock(joint: Element, position: float) -> None:
             key=f"locked.{name}",
             value=position,
         )
-    axis = np.array(get_numbers(child_of(joint, "axis"), "xyz", 3, _DEFAULT_AXIS))
-    length = np.linalg.norm(axis)
+    axis = get_numbers(child_of(joint, "axis"), "xyz", 3, _DEFAULT_AXIS)
+    length = math.hypot(*axis)
     if not length > 1e-9:
         raise HandError(
-            f"expected an axis longer than zero, got {axis.tolist()}",
-            key=name,
-            value=axis.tolist(),
+            f"expected an axis longer than zero, got {axis}", key=name, value=axis
         )
-    step = position / length * axis
-    is_slide = kind == "prismatic"
-    motion = (
-        affine(np.eye(3), step) if is_slide else affine(pin.exp3(step), np.zeros(3))
-    )
-    set_origin(joint, origin_of(joint) @ motion)
+    # Linear and angular part of the motion.
+    twist = np.zeros((2, 3))
+    twist[0 if kind == "prismatic" else 1] = np.array(axis) * position / length
+    set_origin(joint, origin_of(joint) @ pin.exp6(twist.ravel()).homogeneous)
     _fix(joint)
 
 
@@ -516,7 +513,7 @@ def mount_on_arm(arm: Element, hand: Element, spec: ArmSpec) -> None:
     _check_link(arm, spec.tip, "arm.tip")
     mount = SubElement(arm, "joint", name="hand_mount", type="fixed")
     SubElement(mount, "parent", link=spec.tip)
-    set_origin(mount, affine(rotation_from_rpy(spec.rpy), spec.xyz))
+    set_numbers(SubElement(mount, "origin"), xyz=spec.xyz, rpy=spec.rpy)
     taken = {
         (kind, each.get(key, ""))
         for tag, (kind, key) in _NAMES.items()
