@@ -339,14 +339,12 @@ class MappingArguments:
 
     def changed(self) -> list[str]:
         """Return the options that were given, as `--ridge` or `--ik.damping`."""
-        usual = MappingArguments()
-        names = []
-        for prefix, flags in (("--", self.method), ("--ik.", self.ik)):
-            names += [prefix + name.replace("_", "-") for name in _given(flags)]
+        usual = vars(MappingArguments())
+        names = [*_given(self.method), *(f"ik.{name}" for name in _given(self.ik))]
         for name in ("preset", "human_points", "robot_points", "options", "smooth"):
-            if getattr(self, name) != getattr(usual, name):
-                names.append("--" + name.replace("_", "-"))
-        return names
+            if vars(self)[name] != usual[name]:
+                names.append(name)
+        return [f"--{name.replace('_', '-')}" for name in names]
 
 
 MappingFlags = Annotated[MappingArguments, tyro.conf.arg(name="")]

@@ -148,11 +148,9 @@ class TargetMap(Protocol):
     @property
     def rest(self) -> np.ndarray:
         """Joint positions that the QP's rest term pulls to [rad or m], shape (n,)."""
-        ...
 
     def targets(self, sample: HumanPose) -> Targets:
         """Return the targets of one sample; a failure changes nothing."""
-        ...
 
 
 class BoundMethod(Protocol):
@@ -161,31 +159,25 @@ class BoundMethod(Protocol):
     @property
     def robot(self) -> Hand:
         """The hand that follows, with the reference points that the method moves."""
-        ...
 
     @property
     def contacts(self) -> ShapePairs | None:
         """Collision shapes kept apart; None for the choice of `IkOptions.avoids_self_collision`."""
-        ...
 
     @property
     def needs_wrist(self) -> str:
         """Use of every sample's wrist pose, for error messages; empty if it is not needed."""
-        ...
 
     @property
     def reference_needs_wrist(self) -> str:
         """Use of the reference sample's wrist pose, for error messages; empty if not needed."""
-        ...
 
     @property
     def renews_reference(self) -> bool:
         """True if every sample becomes the reference of the next one (Fig. 3)."""
-        ...
 
     def start_palm(self, sample: HumanPose) -> np.ndarray:
         """Return where a floating robot's palm is put at the first sample, shape (4, 4)."""
-        ...
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> TargetMap:
         """Take both hands as they are for the reference.
@@ -193,7 +185,6 @@ class BoundMethod(Protocol):
         Raises:
             DegeneratePointsError: If the sample's points do not determine a motion.
         """
-        ...
 
 
 @runtime_checkable
@@ -206,7 +197,6 @@ class Method(Protocol):
         Raises:
             InvalidOptionsError: If the choices contradict the hands.
         """
-        ...
 
 
 FOLLOWING = IkOptions(wrist_position_weight=10.0, wrist_orientation_weight=10.0)

@@ -81,19 +81,17 @@ def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
     It is the default one if that has them, else the first that has.
     """
     first = default_preset(human, robot)
-    wanted = set(names)
     able = (
         name
         for name in (first, *PRESETS)
-        if wanted <= PRESETS[name].method.values.keys()
+        if PRESETS[name].method.values.keys() >= set(names)
     )
     return next(able, first)
 
 
 def default_preset(human: Hand, robot: Hand) -> str:
     """Return the preset of two hands for which none is named: the first that suits them."""
-    suitable = (name for name in PRESETS if PRESETS[name].suits(human, robot))
-    return next(suitable)
+    return next(name for name, each in PRESETS.items() if each.suits(human, robot))
 
 
 def possible_presets(human: Hand, robot: Hand) -> tuple[str, ...]:
@@ -147,16 +145,10 @@ class Choice(NamedTuple):
 
     def changes_to(self, other: Choice) -> dict[str, Any]:
         """Return the changes that turn this choice into another one."""
-        start = self
-        changes = {}
         if self.preset != other.preset:
             start = preset_choice(other.preset)
-            changes = {"preset": other.preset}
-        return (
-            changes
-            | start.method.changes_to(other.method)
-            | start.ik.changes_to(other.ik)
-        )
+            return {"preset": other.preset} | start.changes_to(other)
+        return self.method.changes_to(other.method) | self.ik.changes_to(other.ik)
 
 
 IK_NAMES = frozenset(option.name for option in options_of(IkOptions))
