@@ -28,7 +28,6 @@ from handmap_qp.hands.model import (
     choose_mount,
     compose_urdf,
     expansion_matrix,
-    link_frame,
     palm_in_link,
     tighten_model,
 )
@@ -39,7 +38,7 @@ from handmap_qp.hands.spec import (
     Mount,
     PointSpec,
     check_point,
-    check_unique,
+    twice,
 )
 from handmap_qp.se3 import PoseLike, affine, as_floats, check_pose, frozen
 
@@ -175,13 +174,11 @@ class Hand:
         """Pinocchio frames of the reference points, which the model does not have."""
         # Pinocchio does not add a frame of a name that another one has, so they have their number.
         return tuple(
-            link_frame(
-                self.model,
-                self.spec,
+            self._frame(
                 f"/{i}/{point.name}",
                 point.link,
-                affine(np.eye(3), np.array(point.xyz)),
                 f"points[{i}].link",
+                affine(np.eye(3), point.xyz),
             )
             for i, point in enumerate(self.reference_points)
         )
@@ -466,10 +463,10 @@ class Hand:
         self.all_joint_names = (*moving, *locked)
         others = ("follower",) * len(rules) + ("locked",) * len(locked)
         self.all_joint_roles = ("active",) * count + others
-        joints = [model.getJointId(name) for name in moving]
+        joints = [*map(model.getJointId, moving)]
         self._size = model.nq
-        self._moving_q = np.array([model.idx_qs[joint] for joint in joints])
-        at_v = np.array([model.idx_vs[joint] for joint in joints])
+        self._moving_q = np.array(model.idx_qs)[joints]
+        at_v = np.array(model.idx_vs)[joints]
         self.q_indices = frozen(self._moving_q[:count])
         self.v_indices = frozen(at_v[:count])
         self.active_columns = frozen(np.setdiff1d(np.arange(model.nv), at_v[count:]))
@@ -490,17 +487,30 @@ class Hand:
         model = self.model
         spec = self.spec
         # A slash before the name keeps them apart from links.
-        palm = link_frame(
-            model, spec, "/palm", spec.palm.link, palm_in_link(spec), "palm.link"
-        )
-        wrist = link_frame(
-            model, spec, "/wrist", spec.wrist.link, np.eye(4), "wrist.link"
-        )
+        palm = self._frame("/palm", spec.palm.link, "palm.link", palm_in_link(spec))
+        wrist = self._frame("/wrist", spec.wrist.link, "wrist.link", np.eye(4))
         self.palm_frame_id = model.addFrame(palm)
         self.wrist_frame_id = model.addFrame(wrist)
         check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
         self._wrist_to_root = wrist.placement.inverse()
         self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
+
+    def _frame(self, name: str, link: str, key: str, pose: np.ndarray) -> pin.Frame:
+        """Return a frame with a name of its own and a pose (4, 4) on a link; it is not added.
+
+        Raises:
+            HandError: If there is no such link, with the key of the spec that names it.
+        """
+        model = self.model
+        # By kind as well as by name: in many URDFs a joint has the name of its link.
+        if not model.existBodyName(link):
+            raise self.spec.error(f"the URDF has no link {link!r}", key=key, value=link)
+        at = model.getBodyId(link)
+        parent = model.frames[at]
+        placement = parent.placement * pin.SE3(pose)
+        return pin.Frame(
+            name, parent.parentJoint, at, placement, pin.FrameType.OP_FRAME
+        )
 
     def use_points(self, points: tuple[PointSpec, ...]) -> None:
         """Use other reference points, while nobody else has this hand."""
@@ -553,7 +563,7 @@ def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ..
     )
     if not chosen:
         raise spec.error("expected at least one reference point", key="points")
-    check_unique(spec, [point.name for point in chosen], "points")
+    spec.reject(twice([point.name for point in chosen], "points"))
     return chosen
 
 

@@ -116,10 +116,7 @@ def load_hand(
         )
     if hand_length is not None:
         lengths = HumanLengths.from_hand_length(hand_length)
-    if not isinstance(lengths, HumanLengths):
-        raise InvalidInputError(
-            argument="lengths", expected="HumanLengths", value=lengths
-        )
+    expect(isinstance(lengths, HumanLengths), "lengths", "HumanLengths", value=lengths)
     is_standard = hand in HUMAN_HANDS and isinstance(points, str | None)
     load = _standard_human if is_standard else _load_human
     return _scaled(*load(hand, mount, points), lengths)

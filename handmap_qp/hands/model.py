@@ -144,34 +144,11 @@ def build_model(
     return model
 
 
-def link_frame(
-    model: pin.Model,
-    spec: HandSpec,
-    name: str,
-    link: str,
-    placement: np.ndarray,
-    key: str,
-) -> pin.Frame:
-    """Return a frame with a name of its own and a placement (4, 4) on a link; it is not added.
-
-    Raises:
-        HandError: If there is no such link, with the key of the spec that names it.
-    """
-    # By kind as well as by name: in many URDFs a joint has the name of its link.
-    if not model.existBodyName(link):
-        raise spec.error(f"the URDF has no link {link!r}", key=key, value=link)
-    parent_id = model.getBodyId(link)
-    parent = model.frames[parent_id]
-    pose = parent.placement * pin.SE3(placement)
-    return pin.Frame(name, parent.parentJoint, parent_id, pose, pin.FrameType.OP_FRAME)
-
-
 def palm_in_link(spec: HandSpec) -> np.ndarray:
     """Return the pose of the palm frame in its link, shape (4, 4)."""
-    distal = np.array(spec.palm.distal)
-    dorsal = np.array(spec.palm.dorsal)
-    axes = np.column_stack([np.cross(distal, dorsal), distal, dorsal])
-    return affine(axes, np.array(spec.palm.xyz))
+    palm = spec.palm
+    side = np.cross(palm.distal, palm.dorsal)
+    return affine(np.column_stack([side, palm.distal, palm.dorsal]), palm.xyz)
 
 
 def check_limits(

@@ -8,10 +8,10 @@ Making a `Hand` checks it against its URDF.
 from __future__ import annotations
 
 import math
-import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -27,6 +27,8 @@ Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Meta(gt=0.0)]
 _Spec = TypeVar("_Spec")
+Problem = tuple[str, str, Any]
+"""What is wrong with a spec: the message, the key, and the value there."""
 
 PACKAGE_SCHEME = "package://"
 DESCRIPTION_SCHEME = "robot_descriptions:"
@@ -257,20 +259,27 @@ class HandSpec(_HandFields, frozen=True):
         Raises:
             HandError: With the key and the value at fault.
         """
-        values = {name: getattr(self, name) for name in self.__struct_fields__}
-        checked = typed(values, _HandFields, self.file)
-        for name in self.__struct_fields__:
-            msgspec.structs.force_setattr(self, name, getattr(checked, name))
-        for i, point in enumerate(self.points):
-            _check_pad(point, self.file, f"points[{i}].")
-        _check_joints(self)
-        _check_sets(self)
-        _check_axes(self)
-        _check_pairs(self)
+        checked = typed(self, _HandFields, self.file)
+        for name, value in msgspec.structs.asdict(checked).items():
+            msgspec.structs.force_setattr(self, name, value)
+        self.reject(
+            chain(
+                _pad_problems(self.points),
+                _joint_problems(self),
+                _set_problems(self),
+                _axis_problems(self.palm),
+                _pair_problems(self.collision),
+            )
+        )
 
     def error(self, message: str, *, key: str, value: Any = None) -> HandError:
         """Return an error about one key of this spec, with its file."""
         return HandError(message, file=self.file, key=key, value=value)
+
+    def reject(self, problems: Iterable[Problem]) -> None:
+        """Raise an error about the first of some problems, if there are any."""
+        for message, key, value in problems:
+            raise self.error(message, key=key, value=value)
 
 
 def read_hand_spec(path: Path) -> HandSpec:
@@ -297,7 +306,8 @@ def check_point(point: PointSpec) -> PointSpec:
         HandError: With the key and the value at fault.
     """
     checked = typed(point, PointSpec, None)
-    _check_pad(checked, None, "")
+    for message, _, value in _pad_problems([checked]):
+        raise HandError(message, key="pad", value=value)
     return checked
 
 
@@ -313,10 +323,13 @@ def typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
         raise HandError(
             f"holds a value that a description cannot have: {error}", file=file
         ) from error
-    for key, numbers in _not_finite(document):
-        raise HandError(
-            f"expected finite numbers, got {numbers}", file=file, key=key, value=numbers
-        )
+    values = dict(_values(document))
+    for key, found in values.items():
+        numbers = found if isinstance(found, list | tuple) else [found]
+        if any(isinstance(each, float) and not math.isfinite(each) for each in numbers):
+            raise HandError(
+                f"expected finite numbers, got {found}", file=file, key=key, value=found
+            )
     try:
         return msgspec.convert(
             document, kind, dec_hook=lambda wanted, text: wanted(text)
@@ -325,7 +338,8 @@ def typed(value: Any, kind: type[_Spec], file: Path | None) -> _Spec:
         # msgspec names the place in its message only.
         message, _, place = str(error).partition(" - at `$")
         key = place.rstrip("`").lstrip(".") or None
-        at = _value_at(document, key)
+        # A value of any key of a mapping is at `[...]`.
+        at = key and values.get(key.removesuffix("[...]"))
         got = "" if at is None else f" (value {at!r})"
         raise HandError(f"{message}{got}", file=file, key=key, value=at) from error
 
@@ -339,27 +353,15 @@ def _plain(value: Any) -> Any:
     raise NotImplementedError(f"{type(value).__name__} {value!r:.60}")
 
 
-def _not_finite(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
-    """Find numbers, and lists of numbers, that are not finite, with their keys."""
-    numbers = value if isinstance(value, list | tuple) else [value]
-    if any(isinstance(each, float) and not math.isfinite(each) for each in numbers):
-        yield key.lstrip("."), value
-    elif isinstance(value, dict):
+def _values(value: Any, key: str = "") -> Iterator[tuple[str, Any]]:
+    """Iterate over a value and all that is in it, with keys such as `points[2].weight`."""
+    yield key.lstrip("."), value
+    if isinstance(value, dict):
         for name, each in value.items():
-            yield from _not_finite(each, f"{key}.{name}")
+            yield from _values(each, f"{key}.{name}")
     elif isinstance(value, list | tuple):
         for i, each in enumerate(value):
-            yield from _not_finite(each, f"{key}[{i}]")
-
-
-def _value_at(document: Any, key: str | None) -> Any:
-    """Return the value at a path such as `points[2].weight`; None where there is none."""
-    for part in re.findall(r"[^.\[\]]+", key or ""):
-        try:
-            document = document[int(part) if isinstance(document, list) else part]
-        except (KeyError, IndexError, TypeError, ValueError):
-            return None
-    return document if key else None
+            yield from _values(each, f"{key}[{i}]")
 
 
 # The hands of each recording are read again.
@@ -431,96 +433,74 @@ def repeated(names: Sequence[str]) -> list[str]:
     return [name for name, count in Counter(names).items() if count > 1]
 
 
-def check_unique(spec: HandSpec, names: Sequence[str], key: str) -> None:
-    """Reject names that are given twice under one key of a spec."""
+def twice(names: Sequence[str], key: str) -> Iterator[Problem]:
+    """Find names that are given more than once under one key of a spec."""
     for name in repeated(names):
-        raise spec.error(f"{name!r} is given twice", key=key, value=name)
+        yield f"{name!r} is given twice", key, name
 
 
-def _check_joints(spec: HandSpec) -> None:
+def _pad_problems(points: Sequence[PointSpec]) -> Iterator[Problem]:
+    """Find pads of points that are on no finger."""
+    for i, point in enumerate(points):
+        if point.pad is not None and point.finger is None:
+            yield "expected a point with `finger`, got None", f"points[{i}].pad", None
+
+
+def _joint_problems(spec: HandSpec) -> Iterator[Problem]:
     """Check names of joints: unique, each with a rest position, none of them locked."""
-    check_unique(spec, spec.all_joints, "joints")
+    yield from twice(spec.all_joints, "joints")
     arm = () if spec.arm is None else (("arm.", spec.arm),)
     for prefix, part in (("", spec), *arm):
         for joint in sorted({*part.joints} & part.locked.keys()):
-            raise spec.error(
-                f"{joint!r} is one of `joints`, and cannot be locked",
-                key=f"{prefix}locked",
-                value=joint,
-            )
-        _check_posture(spec, part.joints, part.rest, f"{prefix}rest")
+            message = f"{joint!r} is one of `joints`, and cannot be locked"
+            yield message, f"{prefix}locked", joint
+        yield from _posture_problems(part.joints, part.rest, f"{prefix}rest")
     matched = spec.rest if spec.matched is None else spec.matched
-    _check_posture(spec, spec.joints, matched, "matched")
+    yield from _posture_problems(spec.joints, matched, "matched")
 
 
-def _check_posture(
-    spec: HandSpec,
-    joints: Sequence[str],
-    positions: dict[str, float],
-    key: str,
-) -> None:
+def _posture_problems(
+    joints: Sequence[str], positions: dict[str, float], key: str
+) -> Iterator[Problem]:
     """Check that a posture has a position for each joint, and for no other."""
     for joint in sorted({*joints} ^ positions.keys()):
         lacks = f"has no {key.removeprefix('arm.')} position"
         what = "is not one of `joints`" if joint in positions else lacks
-        raise spec.error(f"{joint!r} {what}", key=key, value=joint)
+        yield f"{joint!r} {what}", key, joint
 
 
-def _check_sets(spec: HandSpec) -> None:
+def _set_problems(spec: HandSpec) -> Iterator[Problem]:
     """Check that points have unique names and sets name points."""
     names = [point.name for point in spec.points]
-    check_unique(spec, names, "points")
+    yield from twice(names, "points")
     for set_name, members in spec.sets.items():
+        key = f"sets.{set_name}"
         for member in members:
             if member not in names:
-                raise spec.error(
-                    f"{member!r} is not one of `points`",
-                    key=f"sets.{set_name}",
-                    value=member,
-                )
-        check_unique(spec, members, f"sets.{set_name}")
+                yield f"{member!r} is not one of `points`", key, member
+        yield from twice(members, key)
     if spec.reference not in spec.sets:
         expected = ", ".join(spec.sets) or "(none)"
-        raise spec.error(
-            f"expected one of the sets {expected}, got {spec.reference!r}",
-            key="reference",
-            value=spec.reference,
-        )
+        message = f"expected one of the sets {expected}, got {spec.reference!r}"
+        yield message, "reference", spec.reference
 
 
-def _check_pad(point: PointSpec, file: Path | None, prefix: str) -> None:
-    if point.pad is not None and point.finger is None:
-        raise HandError(
-            "expected a point with `finger`, got None",
-            file=file,
-            key=f"{prefix}pad",
-            value=point.finger,
-        )
-
-
-def _check_axes(spec: HandSpec) -> None:
+def _axis_problems(palm: PalmSpec) -> Iterator[Problem]:
     """Check that the palm's axes are orthonormal."""
-    distal = spec.palm.distal
-    dorsal = spec.palm.dorsal
-    for key, axis in (("palm.distal", distal), ("palm.dorsal", dorsal)):
+    for key, axis in (("palm.distal", palm.distal), ("palm.dorsal", palm.dorsal)):
         if abs(math.hypot(*axis) - 1.0) >= 1e-6:
-            raise spec.error(f"expected a unit vector, got {axis}", key=key, value=axis)
-    if abs(np.dot(distal, dorsal)) >= 1e-6:
-        raise spec.error(
-            f"expected a direction at right angles to distal, got {dorsal}",
-            key="palm.dorsal",
-            value=dorsal,
-        )
+            yield f"expected a unit vector, got {axis}", key, axis
+    if abs(np.dot(palm.distal, palm.dorsal)) >= 1e-6:
+        message = f"expected a direction at right angles to distal, got {palm.dorsal}"
+        yield message, "palm.dorsal", palm.dorsal
 
 
-def _check_pairs(spec: HandSpec) -> None:
+def _pair_problems(collision: CollisionSpec | None) -> Iterator[Problem]:
     """Check that pairs of links to keep apart are two links each, and given once."""
     seen: set[frozenset[str]] = set()
-    for i, pair in enumerate(spec.collision.pairs if spec.collision else ()):
+    for i, pair in enumerate(collision.pairs if collision else ()):
         links = frozenset(pair)
         if len(links) < 2 or links in seen:
             what = "is given twice" if links in seen else "is one link; expected two"
-            raise spec.error(
-                f"{list(pair)} {what}", key=f"collision.pairs[{i}]", value=pair
-            )
+            yield f"{list(pair)} {what}", f"collision.pairs[{i}]", pair
         seen.add(links)

@@ -56,7 +56,6 @@ def parse_urdf(text: str | bytes) -> Element:
     """
     builder = TreeBuilder()
     parser = expat.ParserCreate()
-    parser.buffer_text = True
     parser.StartElementHandler = builder.start
     parser.EndElementHandler = builder.end
     parser.CharacterDataHandler = builder.data
