@@ -1,7 +1,6 @@
 """A hand in one posture: the workspace of everything that runs sample by sample.
 
-It holds Pinocchio's data, the reference points and their Jacobian, and offers what `mink.build_ik`
-reads from a configuration (`model.nv`, `nv`, `q`).
+It offers what `mink.build_ik` reads from a configuration, too (`model.nv`, `nv`, `q`).
 """
 
 from __future__ import annotations
@@ -48,8 +47,7 @@ class Configuration:
         model: The model.
         data: Its Pinocchio data. Read the joint Jacobian from `joint_jacobian`, not from here.
         q: Configuration last placed, shape (nq,); a read-only view that follows every placement.
-        points: Reference points in the world [m], shape (m, 3); a read-only view that follows
-            every placement.
+        points: Reference points in the world [m], shape (m, 3), likewise.
         wrists: Wrist frame of each hand, a `pinocchio.SE3` view that follows every placement.
         parts: Where the points of each hand are among all.
     """
@@ -136,8 +134,7 @@ class Configuration:
         """Spatial velocity at the world's origin per velocity of the model.
 
         Returns:
-            Jacobian, linear rows first, shape (6, model.nv); Pinocchio's own array: do not write
-            to it.
+            Jacobian, linear rows first, shape (6, model.nv); Pinocchio's own: do not write to it.
         """
         return self.data.J
 

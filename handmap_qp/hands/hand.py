@@ -1,8 +1,7 @@
 """`Hand`: any hand, human or robot, as a Pinocchio model with named reference points.
 
-The model holds the wrist too: a floating hand hangs from a free-flyer, a fixed one from the world.
-`joint_names` owns the order of every `q` that crosses the API. Pinocchio sorts sibling joints by
-name, and only this file knows both orders.
+A floating hand hangs from a free-flyer, a fixed one from the world. Pinocchio sorts sibling joints
+by name; `joint_names` is the order of every `q` of the API, and only this file knows both.
 """
 
 from __future__ import annotations
@@ -61,8 +60,8 @@ class Hand:
 
     Args:
         spec: The description.
-        points: Reference points to use: the name of one of the spec's sets, names of its points, or
-            points of your own (link and offset). The spec's own choice if omitted.
+        points: Reference points: name of a set, names of points, or points of your own (link and
+            offset). The spec's own choice if omitted.
         mount: `floating` or `fixed`, in place of the spec's.
         urdf_text: URDF to use in place of the spec's file (a scaled one, say).
 
@@ -72,25 +71,19 @@ class Hand:
         side: `right` or `left`.
         mount: `floating` or `fixed`.
         is_floating: Whether the wrist is free to move.
-        joint_names: Joints that are set, in the order of every `q`, those of an arm first; n of
-            them. Joints that follow others (mimic) are not among them.
+        joint_names: The n joints of every `q` in its order, an arm's first, without followers.
         q_indices: Indices of the joints in a Pinocchio configuration, shape (n,).
         v_indices: Indices of the joints in the model's tangent space, shape (n,).
-        lower_limits: Lower position limits [rad, or m of a prismatic joint], tightened so that
-            followers keep theirs, shape (n,).
+        lower_limits: Lower position limits [rad or m], such that followers keep theirs, shape (n,).
         upper_limits: Upper position limits [rad or m], shape (n,).
         velocity_limits: Speed limits [rad/s or m/s], shape (n,).
         rest: Rest posture [rad or m], shape (n,).
-        matched: The description's posture for the resting human hand [rad or m], shape (n,); None
-            if it gives none.
-        expansion: From the active tangent coordinates (wrist and `joint_names`, in the model's
-            order; k of them) to all of the model's: S, shape (nv, k), and the followers' offsets,
-            shape (nv,). None without followers: all coordinates are active.
+        matched: The spec's posture for the resting human hand [rad or m], shape (n,), or None.
+        expansion: From the k active tangent coordinates (wrist and `joint_names`, in the model's
+            order) to the model's: S, shape (nv, k), and offsets, (nv,). None without followers.
         active_columns: Indices of the active coordinates in the model's tangent space, shape (k,).
-        joint_columns: Indices of the joints in the active coordinates, in the order of
-            `joint_names`, shape (n,).
-        all_joint_names: Every movable joint of the URDF: `joint_names`, then followers, then locked
-            joints.
+        joint_columns: Indices of `joint_names` in the active coordinates, shape (n,).
+        all_joint_names: All movable joints: `joint_names`, then followers, then locked joints.
         all_joint_roles: What each is: `active`, `follower` or `locked`.
         notes: Oddities found while building the hand, a sentence each.
         reference_points: The points in use; m of them.
@@ -100,10 +93,8 @@ class Hand:
         wrist_to_palm: Pose of the palm frame in the wrist frame, shape (4, 4).
         contact_gap: Of a human hand, `HumanLengths.contact_gap` [m].
         unscaled: Of a hand scaled to a person, the one that was scaled; else None.
-        moves: Of a hand scaled to a person, how its joints move from the other's: see
-            `with_joints`.
-        stretches: Factors from its shapes to this hand's along the axes of their joint, shape (3,),
-            by the joint; for those of the fingers.
+        moves: Of a hand scaled to a person, how its joints move: see `with_joints`.
+        stretches: Likewise, factors on the shapes of fingers by joint, along its axes, shape (3,).
         parts: The hands of a robot that is moved as one (`hands.robot.joined`); else empty.
 
     Raises:
@@ -159,10 +150,7 @@ class Hand:
 
     @cached_property
     def model(self) -> pin.Model:
-        """Pinocchio model: the wrist's six coordinates first where it floats, then the joints.
-
-        In Pinocchio's order; do not change it. A scaled hand makes it when asked.
-        """
+        """Pinocchio model, not to be changed: a floating wrist's six coordinates, then joints."""
         standard: Any = self.unscaled
         model = build_model(self.spec, self.urdf_text, self.mount, {})
         for frame in (standard.palm_frame_id, standard.wrist_frame_id):
@@ -219,7 +207,7 @@ class Hand:
     def stop_distances(self) -> np.ndarray:
         """How far each joint moves at most while it stops [rad or m], shape (n,).
 
-        From its speed limit and `LONGEST_STOP`; no more than its range.
+        From its speed limit and `LONGEST_STOP`, within its range.
         """
         ranges = self.upper_limits - self.lower_limits
         return np.minimum(0.5 * LONGEST_STOP * self.velocity_limits, ranges)
@@ -247,10 +235,7 @@ class Hand:
                 value.setflags(write=False)
 
     def with_points(self, points: Points | None) -> Hand:
-        """Return the same hand, scaled as it is, with other reference points.
-
-        Args:
-            points: As of `Hand`.
+        """Return the same hand, scaled as it is, with other reference points, as of `Hand`.
 
         Raises:
             HandError: If there is no such set or point.
@@ -279,8 +264,8 @@ class Hand:
         """Return the same hand with joints in other places, without reading a URDF.
 
         Args:
-            moves: By joint name, fixed ones too, its position on its parent link [m], shape (3,),
-                and a turn about its own x axis [rad]. None may lie between wrist and palm.
+            moves: Of joints by name, fixed ones too, but none between wrist and palm: position on
+                the parent link [m], shape (3,), and a turn about the joint's x axis [rad].
             stretches: By joint name, factors on the shapes that it carries, along its axes, (3,).
             compose: Composes the URDF of that hand; called when `urdf_text` is first read.
         """
@@ -312,14 +297,12 @@ class Hand:
         """Compose Pinocchio's configuration vector, shape (model.nq,).
 
         Args:
-            q: Joint angles in the order of `joint_names` [rad or m], shape (n,); limits are not
-                checked.
+            q: Joint angles of `joint_names` [rad or m], shape (n,); limits are not checked.
             wrist_pose: Pose of the wrist frame in the world, shape (4, 4) or a `pinocchio.SE3`; the
                 identity if omitted. A fixed hand rejects it.
 
         Raises:
-            InvalidInputError: On a wrong shape, anything but finite numbers, something else than a
-                pose, or a wrist pose for a fixed hand.
+            InvalidInputError: On a wrong shape, numbers that are not finite, or a wrong wrist pose.
         """
         angles = as_floats(q, "q", shape=(len(self.joint_names),), is_finite=True)
         pose = np.eye(4)
@@ -344,8 +327,8 @@ class Hand:
         Args:
             vector: Where to write, shape (..., model.nq).
             q: Joint angles [rad or m], shape (..., n); values are not checked.
-            wrist_pose: Wrist in the world of one configuration, shape (4, 4), not checked; ignored
-                by a fixed hand. The wrist stays as the array has it if omitted.
+            wrist_pose: Wrist in the world, shape (4, 4), not checked, ignored by a fixed hand; left
+                as the array has it if omitted.
 
         Raises:
             InvalidInputError: On a wrong shape or type; the array may be written in part.
@@ -362,11 +345,10 @@ class Hand:
             ) from error
 
     def all_joints(self, q: npt.ArrayLike) -> np.ndarray:
-        """Compute the positions of every movable joint of the URDF, for a driver that needs them.
+        """Compute the positions of every movable joint, for a driver that needs them.
 
         Args:
-            q: Joint angles in the order of `joint_names` [rad or m], shape (n,), or one row a
-                sample, shape (T, n).
+            q: Joint angles of `joint_names` [rad or m], shape (n,), or a row a sample, (T, n).
 
         Returns:
             Positions in the order of `all_joint_names` [rad or m], shape (n_all,) or (T, n_all).
@@ -399,8 +381,7 @@ class Hand:
         Args and errors are those of `configuration_vector`.
 
         Returns:
-            Jacobian [m/rad, or without unit], rows x, y, z of each point in turn, columns in the
-            order of `joint_names`, shape (3 m, n).
+            Jacobian [m/rad, or 1], rows x, y, z of each point, columns of `joint_names`, (3 m, n).
         """
         return self._placed(q, wrist_pose).point_jacobian()[:, self.joint_columns]
 
@@ -431,8 +412,7 @@ class Hand:
     ) -> np.ndarray:
         """Compute the poses of k links of the URDF in the world, shape (k, 4, 4).
 
-        Only links are searched, where `frame_pose` finds a palm, wrist or reference point of the
-        same name first. The other arguments are those of `configuration_vector`.
+        Only links are searched. The other arguments are those of `configuration_vector`.
 
         Raises:
             InvalidInputError: If there is no such link, or as `configuration_vector`.
@@ -496,10 +476,10 @@ class Hand:
         self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
 
     def _frame(self, name: str, link: str, key: str, pose: np.ndarray) -> pin.Frame:
-        """Return a frame with a name of its own and a pose (4, 4) on a link; it is not added.
+        """Return a frame of a new name at a pose (4, 4) on a link, which a key of the spec names.
 
         Raises:
-            HandError: If there is no such link, with the key of the spec that names it.
+            HandError: If there is no such link.
         """
         model = self.model
         # By kind as well as by name: in many URDFs a joint has the name of its link.

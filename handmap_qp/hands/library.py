@@ -1,8 +1,7 @@
 """Hands by name or by file: `load_hand`.
 
-`hand_files` is the one list of names. The hands of the package lie in `urdf/<name>/hand.yaml`. The
-human hand is one of them, and the only one that can be scaled to a person.
-`urdf/described/<name>.yaml` describe hands whose models other packages ship.
+`hand_files` is the one list of names: hands of the package (`urdf/<name>/hand.yaml`), and hands
+whose models other packages ship (`urdf/described/<name>.yaml`). Only the human's can be scaled.
 """
 
 from __future__ import annotations
@@ -81,10 +80,8 @@ def load_hand(
     """Load a hand, human or robot.
 
     Args:
-        hand: Name of a hand (`hand_names()`), path of a `hand.yaml`, or a `HandSpec` built in
-            code.
-        points: Reference points: the name of a set of the hand, names of its points, or points of
-            your own. Its default set if omitted.
+        hand: Name of a hand (`hand_names()`), path of a `hand.yaml`, or a `HandSpec`.
+        points: Reference points, as of `Hand`; its default set if omitted.
         mount: `floating` or `fixed`, in place of the hand's own.
         lengths: For the human hand: measured segment lengths.
         hand_length: For the human hand: length from wrist crease to middle fingertip [m]; the
@@ -95,8 +92,7 @@ def load_hand(
 
     Raises:
         HandError: If there is no such hand, or its description cannot be used.
-        InvalidInputError: If an argument is of another type than expected, lengths are given for a
-            robot, or both kinds of lengths.
+        InvalidInputError: On another type, lengths for a robot, or both kinds of lengths.
         MissingExtraError: If its URDF lies in a package of an extra that is not installed.
         MissingPackageError: If its URDF lies in another package that is not installed.
     """

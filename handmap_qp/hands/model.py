@@ -1,14 +1,11 @@
 """From the description of a hand and its URDF to a checked Pinocchio model.
 
-Mimic joints are followers that copy a leader, `q_follower = multiplier * q_leader + offset`. The
-model stays plain, every movable joint a variable of its own, and the rules become one linear map on
-top of it,
+Mimic joints follow a leader, `q_follower = multiplier * q_leader + offset`. All movable joints are
+variables of the model, and the rules one linear map on top of it,
 
-    q_all = S q_active + offset,        v_all = S v_active,
+    q_all = S q_active + offset,        v_all = S v_active,        J_active = J_all S,
 
-so followers are not variables of the QP, and their motion is in the Jacobian: `J_active = J_all S`.
-Rules are resolved to joints that follow no other joint, in whatever order the URDF has them; a
-leader may follow another joint itself.
+so followers are not variables of the QP. A leader may follow another joint itself.
 """
 
 from __future__ import annotations
@@ -74,12 +71,11 @@ def compose_urdf(
 ) -> tuple[str, dict[str, float], dict[str, MimicSpec]]:
     """Compose the URDF that a hand's model is built from.
 
-    The steps: keep only the part from `root` outwards; write `mimic`, `locked` and `limits` into
-    it; mount it on the arm, if the spec has one; mirror all of it.
+    Keep the part from `root` outwards; write `mimic`, `locked` and `limits` into it; mount it on
+    the arm, if there is one; mirror all of it.
 
     Returns:
-        The URDF, the position of every joint that was made a fixed one [rad or m] (those that the
-        spec locks, and the joints that mimic them), and the mimic rules that are left.
+        The URDF, positions of locked joints and those that mimic them [rad or m], and other rules.
 
     Raises:
         HandError: If a URDF is not a tree, or the spec names links or joints that do not exist.
@@ -112,11 +108,8 @@ def build_model(
 ) -> pin.Model:
     """Build the Pinocchio model of a composed URDF: every movable joint is a variable.
 
-    A floating hand gets a free-flyer above its root link.
-
     Raises:
-        HandError: If Pinocchio cannot read the URDF, or its joints are not those of the spec and
-            their followers.
+        HandError: If Pinocchio cannot read the URDF, or it has other joints than the spec.
     """
     root = (pin.JointModelFreeFlyer(), FLOATING_JOINT) if mount == "floating" else ()
     try:
@@ -158,8 +151,8 @@ def check_limits(
 
     Args:
         spec: The hand.
-        limits: Lower and upper position limits [rad or m] and speed limits [rad/s or m/s], in the
-            order of `spec.all_joints`, shape (n,) each.
+        limits: Position limits, lower and upper [rad or m], and speed limits [rad/s or m/s], of
+            `spec.all_joints`, shape (n,) each.
         postures: Rest posture and others by key [rad or m]; None where there is none.
 
     Raises:
@@ -201,8 +194,7 @@ def check_wrist(
 ) -> None:
     """Reject a wrist or palm that moves with the fingers.
 
-    Only the free-flyer or the joints of an arm may move them, and both together. Joints of the
-    robot beside them carry no point.
+    Only the free-flyer or the joints of an arm may move them, and both together.
 
     Raises:
         HandError: With the key of the link at fault.
@@ -250,8 +242,7 @@ def read_mimic_rules(robot: Element) -> dict[str, MimicSpec]:
         Rules by follower, in the order of the file, without those of fixed joints.
 
     Raises:
-        HandError: If a leader is missing or fixed, a joint follows itself through others, or a rule
-            does not hold finite numbers.
+        HandError: If a leader is missing or fixed, or rules are a circle or not finite.
     """
     movable = joints_by_name(robot, MOVABLE)
     direct = {n: rule for n, rule in mimics_of(robot).items() if n in movable}
@@ -309,8 +300,8 @@ def expansion_matrix(
 def tighten_model(model: pin.Model, rules: Mapping[str, MimicSpec]) -> tuple[str, ...]:
     """Tighten the limits of leaders in a model so that their followers stay inside theirs.
 
-    If a follower's limits would leave its leader almost no range, they contradict its own rule (a
-    wrong sign, say). They are then dropped. A follower without a speed limit passes none on.
+    Limits that would leave a leader almost no range contradict the rule, and are dropped. A
+    follower without a speed limit passes none on.
 
     Returns:
         A sentence for each follower whose limits were dropped.

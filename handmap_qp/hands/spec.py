@@ -1,8 +1,7 @@
 """The description of a hand as a typed value: `HandSpec`, and the `hand.yaml` it is read from.
 
-A spec says what the URDF does not: which joints in which order, where palm and wrist are, the
-reference points, the rest posture. It can be read from a file (`read_hand_spec`) or built in code.
-Making a `Hand` checks it against its URDF.
+A spec says what the URDF does not. It is read from a file (`read_hand_spec`) or built in code;
+making a `Hand` checks it against its URDF.
 """
 
 from __future__ import annotations
@@ -286,8 +285,7 @@ def read_hand_spec(path: Path) -> HandSpec:
     """Read and check a `hand.yaml`; its folder becomes the spec's `directory`.
 
     Raises:
-        HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
-            key.
+        HandError: If the file cannot be read, is not YAML, or has a wrong or missing key.
     """
     file = Path(path)
     fields = typed(read_document(file) | {"file": str(file)}, _HandFields, file)

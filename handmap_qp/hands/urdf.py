@@ -1,7 +1,6 @@
 """The URDF of a hand as a document: read, check, cut, edit, mount and mirror it.
 
-All changes are made to the document, so that every reader of `Hand.urdf_text` (Pinocchio, MuJoCo, a
-picture) sees the same robot.
+All readers of `Hand.urdf_text` (Pinocchio, MuJoCo, a picture) see the same robot.
 """
 
 from __future__ import annotations
@@ -45,8 +44,7 @@ _OF_FIXED_JOINTS = ("origin", "parent", "child")
 def parse_urdf(text: str | bytes) -> Element:
     """Parse a URDF, and return the `<robot>` element.
 
-    Robot software writes `<sensor:camera>` or `<controller:gazebo>` without declaring the prefix,
-    so namespaces are not resolved; the element becomes `<sensor_camera>`.
+    Many files do not declare their prefixes, so `<sensor:camera>` becomes `<sensor_camera>`.
 
     Args:
         text: A string, or bytes in any encoding that a byte-order mark or a declaration tells.
@@ -90,8 +88,7 @@ def get_numbers(
     """Read `count` numbers in an attribute.
 
     Raises:
-        HandError: If it is missing without a default, or does not hold `count` finite numbers; an
-            infinite limit means that there is none.
+        HandError: If it does not hold `count` finite numbers; limits may be infinite.
     """
     text = element.get(key, default)
     try:
@@ -113,11 +110,7 @@ def get_numbers(
 
 
 def set_numbers(element: Element, **numbers: npt.ArrayLike) -> Element:
-    """Write numbers into attributes with all their digits, and minus zero as zero.
-
-    Returns:
-        The element.
-    """
+    """Write numbers into attributes, minus zero as zero, and return the element."""
     for key, values in numbers.items():
         words = (repr(float(number) + 0.0) for number in np.ravel(values))
         element.set(key, " ".join(words))
@@ -266,9 +259,8 @@ def check_tree(robot: Element) -> None:
     """Reject a URDF whose links and joints are not a tree, or in which no joint moves.
 
     Raises:
-        HandError: On duplicate names, missing links, loops, several roots, a chain that overflows
-            the stack of URDF readers, attributes that are not numbers, unknown joint types, or a
-            URDF without a movable joint.
+        HandError: On duplicate names, missing links, loops, several roots, too long a chain, other
+            attributes than numbers, unknown joint types, or no joint that moves.
     """
     links = link_names(robot)
     joints = [*robot.iterfind("joint")]
@@ -366,7 +358,7 @@ def prepare_urdf(
 def _complete_limits(joint: Element, limits: LimitSpec) -> None:
     """Write limits, and give a movable joint all that URDF readers require.
 
-    A continuous joint becomes a revolute one. Without position limits, a joint gets `NO_LIMIT`.
+    A continuous joint becomes a revolute one, without limits one with `NO_LIMIT`.
     """
     element = child_of(joint, "limit")
     if joint.get("type") == "continuous":
@@ -388,7 +380,7 @@ def lock_joints(robot: Element, positions: Mapping[str, float]) -> dict[str, flo
         Positions of all joints that were made fixed, in the order of the file [rad or m].
 
     Raises:
-        HandError: If there is no such joint, or it has more than one coordinate.
+        HandError: If there is no such joint, or it has several coordinates.
     """
     joints = joints_by_name(robot)
     rules = mimics_of(robot)
@@ -432,10 +424,7 @@ def _lock(joint: Element, position: float) -> None:
 
 
 def fix_free_joints(robot: Element) -> list[str]:
-    """Make floating and planar joints fixed ones, where their origins are; return their names.
-
-    No single number moves them; an object or a whole robot hangs from them, not a finger.
-    """
+    """Make floating and planar joints, from which no finger hangs, fixed; return their names."""
     free = joints_by_name(robot, _FREE)
     for joint in free.values():
         _fix(joint)
@@ -536,14 +525,12 @@ _MIRRORED = {
 def mirror(robot: Element) -> None:
     """Mirror a URDF in the plane x = 0 of its root link: a right hand becomes a left one.
 
-    The coordinates of every link are mirrored as well: a point `(x, y, z)` of a link becomes `(-x,
-    y, z)`. Names, limits and the meaning of q stay, and the same q gives the mirrored posture:
-    with `M = diag(-1, 1, 1)`, the axis `a` of a prismatic joint becomes `M a`, and that of a
-    turning joint, a pseudovector, `-M a`.
+    A point `(x, y, z)` of a link becomes `(-x, y, z)`. Names and limits stay, and the same q gives
+    the mirrored posture: with `M = diag(-1, 1, 1)`, the axis `a` of a prismatic joint becomes
+    `M a`, and that of a turning joint, a pseudovector, `-M a`.
 
     Raises:
-        HandError: If it holds a mesh (its file cannot be mirrored here) or a joint that is neither
-            fixed nor has one coordinate.
+        HandError: If it holds a mesh, or a joint with more than one coordinate.
     """
     for shape in robot.iterfind(".//geometry/*"):
         if shape.tag not in ("box", "cylinder", "sphere", "capsule"):

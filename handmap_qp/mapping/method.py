@@ -9,9 +9,8 @@ A method says how a human sample becomes targets of the robot. It goes through t
 
 `MapStep` has these targets, what the QP made of them, and the command of the robot.
 
-`handmap_qp.mapping.methods` has the methods of the package; `Homogeneous` is the paper's. A method
-of another package is one file: its options (a subclass of `MethodOptions` with `bind`), and presets
-that its entry points of the group `handmap_qp.presets` name (`handmap_qp.mapping.presets`).
+`handmap_qp.mapping.methods` has the methods of the package. One of another package is a file with
+its options (a subclass of `MethodOptions` with `bind`) and presets (`handmap_qp.mapping.presets`).
 """
 
 from __future__ import annotations
@@ -125,8 +124,7 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
         wrist: Target pose of its wrist, shape (4, 4); ignored if the wrist is fixed.
         diagnostics: Intermediate results of the method, by name; `MapStep.diagnostics` has them.
         tasks: Further terms of the QP's cost, for this sample.
-        margins: Distance that each pair of collision shapes keeps in this sample [m], shape (k,);
-            the hand's own margin if omitted.
+        margins: Distance that each pair of shapes keeps [m], shape (k,); the hand's if omitted.
         flags: What a user should know of this sample, a word each, such as `stretch_clamped`.
     """
 
@@ -141,8 +139,7 @@ class Targets(msgspec.Struct, frozen=True, eq=False):
 class TargetMap(Protocol):
     """Turns samples into targets, counted from one reference of both hands.
 
-    A map that the compiled core has too (`Compiled`) makes targets of the core's numbers by its
-    method `asked`.
+    One that the core has too (`Compiled`) makes targets of its numbers by a method `asked`.
     """
 
     @property
@@ -228,8 +225,7 @@ class Preset(NamedTuple):
         purpose: Intended use, in words.
         weakness: Known weaknesses, in words.
         rank: Place in lists of presets: those with a lower one come first.
-        suits: Whether two hands, human and robot, may take it if no preset is named. The first one
-            in the list that suits them is their default.
+        suits: Whether it may be the default of two hands, human and robot; the first one is.
     """
 
     method: MethodOptions
@@ -268,8 +264,8 @@ class RobotCommand(msgspec.Struct, frozen=True, eq=False):
     """Command for a robot driver.
 
     Attributes:
-        joint_names: Names of the joints, in the order of `q`.
-        q: Joint angles [rad], shape (n,), inside their limits.
+        joint_names: Names of the n joints.
+        q: Their angles [rad], shape (n,), inside their limits.
         wrist: Pose of the wrist frame in the robot's world, shape (4, 4).
     """
 
@@ -295,9 +291,7 @@ class StepSummary(NamedTuple):
 
 
 class Stages(msgspec.Struct, frozen=True, eq=False):
-    """The stages of a step: the human's pose, the targets, the motion towards them, the command.
-
-    The compiled core has its own, which makes them when they are asked for.
+    """The stages of a step, which the compiled core makes when they are asked for.
 
     Attributes:
         pose: The human hand.
@@ -331,16 +325,13 @@ class Stages(msgspec.Struct, frozen=True, eq=False):
 class MapStep(msgspec.Struct, frozen=True, eq=False):
     """One step of the mapping, stage by stage.
 
-    Derived values are computed on access. Those of T raise InvalidOptionsError if the method has no
-    T; `diagnostics` has the results of every method, by name.
+    Values of T raise InvalidOptionsError if the method has no T.
 
     Attributes:
         stages: The stages, which the properties below name one by one.
-        out_of_range: Names of human joints that were outside their limits, within the tolerance,
-            and were used.
+        out_of_range: Human joints used though beyond their limits, within the tolerance.
         duration: Wall time of the step [s].
-        verdict: What the guard said about the sample; None for steps of joint angles or points,
-            which no guard sees.
+        verdict: What the guard said about the sample; None where no guard saw it.
         confidence: The tracker's own confidence, from 0 to 1.
         is_gliding: Whether the robot is still on its way back to the human after a hold.
     """

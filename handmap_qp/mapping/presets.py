@@ -1,8 +1,7 @@
 """Presets: a mapping method, its options and QP weights that go together, by name.
 
-Every module in `handmap_qp.mapping.methods` is a method with one or more presets (`PRESETS`); to be
-there is all that it takes. Other packages add theirs by entry points of the group
-`handmap_qp.presets`, each of which names a `Preset`.
+Every module in `handmap_qp.mapping.methods` is a method with presets (`PRESETS`). Other packages
+add theirs by entry points of the group `handmap_qp.presets`, each of which names a `Preset`.
 """
 
 from __future__ import annotations
@@ -64,8 +63,7 @@ def known_options() -> dict[str, list[tuple[str, Option]]]:
     """Return the options of all methods and of the QP by name, each with its presets' names.
 
     Returns:
-        For every name the presets that have such an option (`ik` for one of the QP), and what it
-        is there.
+        For every name the presets that have it (`ik` for the QP), and what it is there.
     """
     kinds = [(name, type(preset.method)) for name, preset in PRESETS.items()]
     found: dict[str, list[tuple[str, Option]]] = {}
@@ -78,7 +76,7 @@ def known_options() -> dict[str, list[tuple[str, Option]]]:
 def preset_with(names: Iterable[str], human: Hand, robot: Hand) -> str:
     """Choose the preset for two hands that has options of these names.
 
-    It is the default one if that has them, else the first that has.
+    That is the default one if it has them, else the first that has.
     """
     first = default_preset(human, robot)
     able = (
@@ -124,13 +122,11 @@ class Choice(NamedTuple):
         """Return a copy with other values for some options.
 
         Args:
-            changes: Values by the names of options of the method and of the QP. If `preset` is
-                among them, options that are not named are those of that preset, but for those of
-                the setup (`kept_options`).
+            changes: Values of options of the method and of the QP by name. After a `preset`, other
+                options are that preset's, but for those of the setup (`kept_options`).
 
         Raises:
-            InvalidOptionsError: If there is no such preset or option, or options contradict each
-                other.
+            InvalidOptionsError: If there is no such preset or option, or options contradict.
         """
         rest = dict(changes)
         start = self
@@ -162,11 +158,7 @@ def kept_options(options: Mapping[str, Any], preset: str) -> dict[str, Any]:
 
 
 def preset_choice(name: str, human: Hand | None = None) -> Choice:
-    """Return a preset with its own options.
-
-    Args:
-        name: Name of the preset.
-        human: The hand that leads, for options that a measured person decides.
+    """Return a preset with its own options, or those that a measured person decides.
 
     Raises:
         InvalidOptionsError: If there is no such preset.
