@@ -1,0 +1,353 @@
+"""Robots with two hands: one QP for all, and each hand as if alone where nothing is shared."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Mapping
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from handmap_qp import HandMapper, load_hand
+from handmap_qp.errors import InvalidInputError, InvalidOptionsError
+from handmap_qp.hands.robot import Robot, joined, load_robot
+from handmap_qp.hands.spec import Side
+from handmap_qp.human.sample import HumanSample, human_name
+from handmap_qp.ik import core as core_module
+from handmap_qp.ik.qp import PointIk
+from handmap_qp.ik.tasks import PointDistances, PointOffset
+from handmap_qp.mapping.presets import get_preset
+from handmap_qp.mapping.robot_mapper import RobotMapper, RobotStep
+from handmap_qp.stream.robot_follower import RobotFollower
+
+SIDES: tuple[Side, ...] = ("left", "right")
+HUMANS = {side: load_hand(human_name(side), points="landmarks") for side in SIDES}
+DT = 1.0 / 60.0
+FORMULATIONS = ("direct",) if core_module.core is None else ("compiled", "direct")
+PRESET = get_preset("teleoperation")
+
+Samples = tuple[dict[Side, np.ndarray], dict[Side, np.ndarray]]
+
+
+@pytest.fixture(scope="module")
+def g1() -> Robot:
+    return load_robot("g1")
+
+
+@pytest.fixture(scope="module")
+def pair() -> Robot:
+    return load_robot("ur5_pair")
+
+
+def motion(i: int, apart: float = 0.5, nearing: float = 0.0) -> Samples:
+    """Both hands open and close; their wrists are apart [m], and nearer by so much at the end."""
+    q, wrists = {}, {}
+    for k, (side, human) in enumerate(HUMANS.items()):
+        share = 0.5 - 0.5 * np.cos(0.05 * i + k)
+        angles = human.rest + share * (0.6 * human.upper_limits - human.rest)
+        q[side] = np.clip(angles, human.lower_limits, human.upper_limits)
+        sign = 1.0 if side == "left" else -1.0
+        y = 0.5 * apart - 0.5 * nearing * min(i / 100.0, 1.0)
+        wrists[side] = np.eye(4)
+        wrists[side][:3, 3] = 0.05 * share, sign * y, 0.03 * share
+    return q, wrists
+
+
+def palms(step: RobotStep, robot: Robot) -> np.ndarray:
+    """The robot's palms, shape (2, 4, 4)."""
+    q = step.command.q
+    return np.array([hand.frame_pose("palm", q) for hand in robot.hands.values()])
+
+
+def knuckle_distance(mapper: RobotMapper, step: RobotStep) -> float:
+    """Distance of the points of both palms that correspond to the person's knuckles [m]."""
+    ends = []
+    for side, leader in mapper.leaders.items():
+        palm = step.hands[side].command.wrist @ leader.robot.wrist_to_palm
+        assert leader.asked.palm is not None
+        anchor = leader.asked.palm[0].robot_anchor
+        ends.append(palm[:3, :3] @ anchor + palm[:3, 3])
+    return float(np.linalg.norm(ends[1] - ends[0]))
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_hands_on_arms_of_their_own_move_as_if_alone(
+    pair: Robot, formulation: str
+) -> None:
+    ik = PRESET.ik.replaced(formulation=formulation)
+    mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik)
+    names = mapper.robot.joint_names
+    alone = {
+        side: HandMapper(HUMANS[side], pair.hands[side], "teleoperation", ik=ik)
+        for side in SIDES
+    }
+    apart = []
+    for i in range(60):
+        q, wrists = motion(i, apart=1.0)
+        step = mapper.map_step(q, wrists, dt=DT)
+        for side, other in alone.items():
+            single = other.map_step(q[side], wrists[side], dt=DT)
+            own = [k for k, name in enumerate(names) if name.startswith(side)]
+            apart.append(np.abs(step.command.q[own] - single.command.q[own]).max())
+    # Both hands together may take more iterations than one alone.
+    assert max(apart) < 2e-3
+    assert len(names) == 44
+
+
+def test_a_robot_with_one_hand_is_a_hand_on_an_arm(g1: Robot) -> None:
+    hand = g1.hands["left"]
+    mapper = RobotMapper(Robot("one", {"left": hand}), HUMANS, "teleoperation")
+    single = HandMapper(HUMANS["left"], hand, "teleoperation")
+    # A hand of its own is put where it is at rest, too.
+    for i in range(40):
+        q, wrists = motion(i)
+        step = mapper.map_step({"left": q["left"]}, {"left": wrists["left"]}, dt=DT)
+        other = single.map_step(q["left"], wrists["left"], dt=DT)
+        np.testing.assert_allclose(step.command.q, other.command.q, atol=1e-9)
+        assert step.status == other.status
+
+
+def test_all_ways_to_solve_agree(g1: Robot) -> None:
+    kinds = ("direct", "mink", *FORMULATIONS[:-1])
+    mappers = [
+        RobotMapper(
+            g1, HUMANS, "teleoperation", ik=PRESET.ik.replaced(formulation=kind)
+        )
+        for kind in kinds
+    ]
+    for i in range(0, 120, 3):
+        q, wrists = motion(i, nearing=0.4)
+        steps = [mapper.map_step(q, wrists, dt=DT) for mapper in mappers]
+        for step in steps[1:]:
+            np.testing.assert_allclose(step.command.q, steps[0].command.q, atol=1e-7)
+            assert step.status == steps[0].status
+            for side in SIDES:
+                ours, other = step.hands[side], steps[0].hands[side]
+                np.testing.assert_allclose(ours.targets, other.targets, atol=1e-7)
+
+
+def test_near_palms_are_as_far_apart_as_the_persons(g1: Robot) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    step = mapper.map_step(*motion(0, apart=0.7), dt=DT)
+    far = knuckle_distance(mapper, step)
+    for i in range(200):
+        step = mapper.map_step(*motion(i, apart=0.7, nearing=0.55), dt=DT)
+    here = [leader.asked.palm for leader in mapper.leaders.values()]
+    assert here[0] is not None
+    assert here[1] is not None
+    wanted = np.linalg.norm(here[0][1] - here[1][1])
+    assert wanted < 0.2
+    # By displacements alone, they would have come nearer by 0.55 m.
+    assert abs(far - 0.55 - wanted) > 0.05
+    assert abs(knuckle_distance(mapper, step) - wanted) < 2e-3
+
+
+def test_crossing_hands_do_not_overlap(g1: Robot) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    limit = mapper.point_ik.gate.collisions
+    assert limit is not None
+    nearest = np.inf
+    placed = mapper.robot.configuration()
+    for i in range(220):
+        # The right hand ends to the left of the left one.
+        step = mapper.map_step(*motion(i, apart=0.4, nearing=0.6), dt=DT)
+        placed.place(mapper.robot.configuration_vector(step.command.q))
+        nearest = min(nearest, limit.distances(placed).min())
+    assert nearest > -1e-6
+    assert nearest < 0.01
+
+
+def test_a_shared_waist_moves_both_palms(g1: Robot) -> None:
+    whole = joined(tuple(g1.hands.values()))
+    q = whole.rest.copy()
+    q[whole.joint_names.index("waist_yaw_joint")] = 0.3
+    for hand in g1.hands.values():
+        moved = hand.frame_pose("palm", q) - hand.frame_pose("palm", hand.rest)
+        assert np.abs(moved[:3, 3]).max() > 0.05
+    moving = whole.moves_wrist
+    assert moving.sum() == 3 + 7 + 7
+    np.testing.assert_array_equal(
+        moving, np.logical_or(*(hand.moves_wrist for hand in g1.hands.values()))
+    )
+
+
+def test_offsets_are_derivatives(g1: Robot) -> None:
+    whole = joined(tuple(g1.hands.values()))
+    places = [
+        (whole.model.frames[hand.wrist_frame_id].parentJoint, np.array([0.1, 0.0, 0.1]))
+        for hand in whole.hands
+    ]
+    task = PointOffset(whole, places, np.array([0.1, 0.2, 0.3]), 5.0)
+    placed = whole.configuration()
+    rng = np.random.default_rng(0)
+    q = whole.configuration_vector(rng.uniform(whole.lower_limits, whole.upper_limits))
+    placed.place(q)
+    residual, jacobian, _ = task.linearise(placed)
+    assert residual.shape == (3,)
+    for column in range(placed.nv):
+        ends = []
+        for sign in (1.0, -1.0):
+            step = np.zeros(placed.nv)
+            step[column] = sign * 1e-6
+            placed.displace(q, step)
+            ends.append(task.linearise(placed).residual)
+        slope = (ends[0] - ends[1]) / 2e-6
+        np.testing.assert_allclose(slope, jacobian[:, column], atol=1e-4)
+
+
+def samples_of(i: int, lost: Side | None = None) -> dict[Side, HumanSample]:
+    q, wrists = motion(i)
+    found: dict[Side, HumanSample] = {}
+    for side, human in HUMANS.items():
+        landmarks = human.points(q[side], wrists[side])
+        found[side] = HumanSample(i * DT, side, landmarks, None, side != lost, 1.0)
+    return found
+
+
+@pytest.mark.parametrize("is_silent", [False, True])
+def test_a_hand_that_is_lost_holds_its_side_only(pair: Robot, is_silent: bool) -> None:
+    follower = RobotFollower(RobotMapper(pair, HUMANS, "teleoperation"), smoothing=None)
+    for i in range(60):
+        step = follower.map_samples(samples_of(i))
+    steps = []
+    for i in range(60, 150):
+        samples = samples_of(i, "right")
+        if is_silent:
+            del samples["right"]
+        steps.append(follower.map_samples(samples))
+    step = steps[-1]
+    assert step.hands["right"].status == "held"
+    assert step.hands["right"].rule == "missing"
+    assert step.hands["left"].status != "held"
+    assert step.status != "held"
+    later = np.array([palms(each, pair) for each in steps[30:]])
+    moved = np.ptp(later[:, :, :3, 3], axis=0).max(axis=1)
+    assert moved[0] > 0.01
+    assert moved[1] < 1e-4
+    names = step.command.joint_names
+    q = np.array([each.command.q for each in steps[30:]])
+    right = [name.startswith("right") for name in names]
+    assert np.ptp(q[:, right], axis=0).max() < 1e-3
+    back = follower.map_samples(samples_of(150))
+    assert back.hands["right"].status in (
+        "gliding",
+        "limited",
+        "unsettled",
+        "converged",
+    )
+
+
+def test_an_error_leaves_both_hands_as_they_were(g1: Robot) -> None:
+    follower = RobotFollower(RobotMapper(g1, HUMANS, "teleoperation"))
+    for i in range(20):
+        follower.map_samples(samples_of(i))
+    twin = copy.deepcopy(follower)
+    good = samples_of(20)
+    bad: dict[Side, HumanSample] = {"left": good["left"], "right": good["left"]}
+    with pytest.raises(InvalidInputError):
+        follower.map_samples(bad)
+    for i in range(20, 40):
+        ours = follower.map_samples(samples_of(i))
+        other = twin.map_samples(samples_of(i))
+        np.testing.assert_array_equal(ours.command.q, other.command.q)
+
+
+def test_a_release_stops_all_joints(g1: Robot) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    for i in range(30):
+        mapper.map_step(*motion(i), dt=DT)
+    mapper.release()
+    for i in range(30, 80):
+        step = mapper.map_step(*motion(i), dt=DT)
+        assert step.status == "released"
+    before = step.command.q
+    step = mapper.map_step(*motion(90), dt=DT)
+    np.testing.assert_array_equal(step.command.q, before)
+    mapper.clutch()
+    step = mapper.map_step(*motion(91), dt=DT)
+    # Counted from here: the palms stay where they are.
+    assert max(each.wrist_error[0] for each in step.hands.values()) < 5e-3
+    mapper.reset()
+    step = mapper.map_step(*motion(0), dt=DT)
+    assert np.abs(step.command.q - mapper.robot.rest).max() < 0.3
+
+
+def test_copies_continue_alike(g1: Robot) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    for i in range(10):
+        mapper.map_step(*motion(i), dt=DT)
+    twins = [copy.copy(mapper), pickle.loads(pickle.dumps(mapper))]
+    for i in range(10, 20):
+        q = mapper.map_step(*motion(i), dt=DT).command.q
+        for twin in twins:
+            np.testing.assert_array_equal(twin.map_step(*motion(i), dt=DT).command.q, q)
+
+
+def test_options_change_between_samples(g1: Robot) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    for i in range(30):
+        before = mapper.map_step(*motion(i), dt=DT)
+    mapper.configure(PRESET.method.replaced(pinch_weight=0.0))
+    after = mapper.map_step(*motion(30), dt=DT)
+    limits = mapper.robot.velocity_limits * DT + 1e-9
+    assert (np.abs(after.command.q - before.command.q) <= limits).all()
+    (task,) = mapper.leaders["left"].asked.targets.tasks
+    assert isinstance(task, PointDistances)
+    assert task.weights[-1] == 0.0
+    with pytest.raises(InvalidOptionsError):
+        mapper.configure("no-such-preset")
+    mapper.map_step(*motion(31), dt=DT)
+
+
+@pytest.mark.parametrize("preset", ["paper", "object", "finger-vectors"])
+def test_every_method_moves_both_hands(g1: Robot, preset: str) -> None:
+    mapper = RobotMapper(g1, HUMANS, preset)
+    first = mapper.map_step(*motion(0), dt=DT).command.q
+    for i in range(40):
+        step = mapper.map_step(*motion(i), dt=DT)
+    moved = np.abs(step.command.q - first)
+    for hand in g1.hands.values():
+        fingers = hand.moves_points.any(axis=0) & ~mapper.robot.moves_wrist
+        assert moved[fingers].max() > 0.05
+
+
+def test_one_error_for_what_cannot_be_used(g1: Robot) -> None:
+    mapper = RobotMapper(g1, HUMANS, "teleoperation")
+    q, wrists = motion(0)
+    cases: list[tuple[Mapping, Mapping]] = [
+        ({}, {}),
+        ({"left": q["left"]}, {}),
+        ({"middle": q["left"]}, {"middle": wrists["left"]}),
+        (q | {"right": np.full(20, np.nan)}, wrists),
+    ]
+    for angles, poses in cases:
+        with pytest.raises(InvalidInputError):
+            mapper.map_step(angles, poses, dt=DT)
+    with pytest.raises(InvalidInputError):
+        RobotMapper(g1, {"left": HUMANS["left"]})
+    with pytest.raises(InvalidInputError):
+        mapper.reset(mapper.robot.upper_limits + 1.0)
+    np.testing.assert_array_equal(
+        mapper.motion.q[mapper.robot.q_indices], mapper.robot.rest
+    )
+
+
+def test_the_points_of_a_hand_go_with_its_own_wrist(g1: Robot) -> None:
+    whole = joined(tuple(g1.hands.values()))
+    ik = PointIk(whole, PRESET.ik)
+    ik.place(whole.configuration_vector(whole.rest))
+    placed = ik.configuration
+    points = placed.points.copy()
+    wrists = np.array([wrist.homogeneous for wrist in placed.wrists])
+    # The right wrist is asked to be far away: its points stay on the hand.
+    moved = wrists.copy()
+    moved[1] = (
+        pin.SE3(wrists[1]) * pin.exp6(np.array([0, 0, 2.0, 0, 0, 0]))
+    ).homogeneous
+    points[3:] += (moved[1] - wrists[1])[:3, 3]
+    result = ik.solve(points, moved, DT)
+    assert np.linalg.norm(result.errors, axis=1).max() < 0.01
+    assert result.status != "converged"
+    assert result.wrists.shape == (2, 4, 4)
