@@ -76,7 +76,8 @@ def knuckle_distance(mapper: RobotMapper, step: RobotStep) -> float:
 def test_hands_on_arms_of_their_own_move_as_if_alone(
     pair: Robot, formulation: str
 ) -> None:
-    ik = PRESET.ik.replaced(formulation=formulation)
+    # With more iterations, both hands would take those that one of them needs.
+    ik = PRESET.ik.replaced(formulation=formulation, max_iterations=1)
     mapper = RobotMapper(pair, HUMANS, "teleoperation", ik=ik)
     names = mapper.robot.joint_names
     alone = {
@@ -91,8 +92,7 @@ def test_hands_on_arms_of_their_own_move_as_if_alone(
             single = other.map_step(q[side], wrists[side], dt=DT)
             own = [k for k, name in enumerate(names) if name.startswith(side)]
             apart.append(np.abs(step.command.q[own] - single.command.q[own]).max())
-    # Both hands together may take more iterations than one alone.
-    assert max(apart) < 2e-3
+    assert max(apart) < 1e-6
     assert len(names) == 44
 
 
