@@ -52,89 +52,67 @@ class _Place(NamedTuple):
 
 
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
-COMMANDS: dict[str, _Place] = {
-    "demo": _Place(
-        "offline.demo",
-        "Map a human hand's motion to a robot hand; needs no data of your own.",
-    ),
-    "map": _Place("offline.cli", "Map a recording of a human hand to a robot hand."),
-    "calibrate": _Place(
-        "offline.cli",
-        "Measure a person's hand in recordings, and keep it in a file.",
-    ),
-    "convert": _Place(
-        "datasets.cli",
-        "Convert recordings of human hands between file formats.",
-    ),
-    "batch": _Place(
-        "datasets.cli", "Map whole data sets of human hands to robot hands."
-    ),
-    "report": _Place(
-        "datasets.cli",
-        "Report the quality of the episodes of a batch, and write a filter.",
-    ),
-    "compare": _Place(
-        "offline.compare",
-        "Compare mapping methods on recordings of a human hand, by what the robot's hand shows.",
-    ),
-    "view": _Place(
-        "viewer.cli",
-        "Show a mapping in the browser, and change its preset and options while it plays.",
-    ),
-    "hands list": _Place("onboarding.cli", "List the hands of the package."),
-    "hands show": _Place(
-        "onboarding.cli",
-        "Describe a hand: joints, limits and reference points.",
-    ),
-    "hands init": _Place(
-        "onboarding.cli",
-        "Find a hand in a URDF or MJCF file and write its description, hand.yaml.",
-    ),
-    "hands migrate": _Place(
-        "onboarding.cli",
-        "Turn a configuration of dex-retargeting into a hand.yaml.",
-    ),
-    "hands check": _Place(
-        "onboarding.cli",
-        "Check a hand.yaml against its URDF, and draw the hand with its labels.",
-    ),
-    "hands match": _Place(
-        "onboarding.cli",
-        "Find the robot posture that corresponds to the resting human hand.",
-    ),
-    "layouts": _Place(
-        "offline.layouts_cli",
-        "List the layouts of trackers, or show one: order, frame and units.",
-    ),
-    "simulate": _Place(
-        "simulation.cli",
-        "Simulate a mapped hand that holds an object, with contacts, friction and gravity.",
-    ),
-    "serve": _Place(
-        "service.cli",
-        "Serve the mapper to trackers and robots over ZeroMQ and WebSocket.",
-    ),
-    "keys": _Place(
-        "service.cli",
-        "Make the keys that `handmap serve --keys` needs; existing keys stay.",
-    ),
-    "track replay": _Place("live.cli", "Play a recording as if it were live."),
-    "track mediapipe": _Place(
-        "live.cli",
-        "Track a hand in a camera's picture or a video file with MediaPipe.",
-    ),
-    "track record": _Place(
-        "live.cli",
-        "Record the human samples that lead a session of the service.",
-    ),
-    "doctor": _Place(
-        "doctor",
-        "Report versions, extras, solvers, recordings and rendering.",
-    ),
+_MODULES = {
+    "offline.demo": {
+        "demo": "Map a human hand's motion to a robot hand; needs no data of your own.",
+    },
+    "offline.cli": {
+        "map": "Map a recording of a human hand to a robot hand.",
+        "calibrate": "Measure a person's hand in recordings, and keep it in a file.",
+    },
+    "datasets.cli": {
+        "convert": "Convert recordings of human hands between file formats.",
+        "batch": "Map whole data sets of human hands to robot hands.",
+        "report": "Report the quality of the episodes of a batch, and write a filter.",
+    },
+    "offline.compare": {
+        "compare": "Compare mapping methods on recordings of a human hand, by what the "
+        "robot's hand shows.",
+    },
+    "viewer.cli": {
+        "view": "Show a mapping in the browser, and change its preset and options while it plays.",
+    },
+    "onboarding.cli": {
+        "hands list": "List the hands of the package.",
+        "hands show": "Describe a hand: joints, limits and reference points.",
+        "hands init": "Find a hand, or both of a robot, in a URDF or MJCF file: write a hand.yaml.",
+        "hands migrate": "Turn a configuration of dex-retargeting into a hand.yaml.",
+        "hands check": "Check a hand.yaml against its URDF, and draw the hand with its labels.",
+        "hands match": "Find the robot posture that corresponds to the resting human hand.",
+        "robots list": "List the robots of the package: a left and a right hand in one model.",
+        "robots show": "Describe a robot: its hands, and its joints with their limits, by part.",
+        "robots check": "Check a robot.yaml and both of its hands, and draw the robot.",
+    },
+    "offline.layouts_cli": {
+        "layouts": "List the layouts of trackers, or show one: order, frame and units.",
+    },
+    "simulation.cli": {
+        "simulate": "Simulate a mapped hand that holds an object, with contacts, friction and "
+        "gravity.",
+    },
+    "service.cli": {
+        "serve": "Serve the mapper to trackers and robots over ZeroMQ and WebSocket.",
+        "keys": "Make the keys that `handmap serve --keys` needs; existing keys stay.",
+    },
+    "live.cli": {
+        "track replay": "Play a recording as if it were live.",
+        "track mediapipe": "Track a hand in a camera's picture or a video file with MediaPipe.",
+        "track record": "Record the human samples that lead a session of the service.",
+    },
+    "doctor": {
+        "doctor": "Report versions, extras, solvers, recordings and rendering.",
+    },
+}
+"""Commands and one line about each, by the module of their classes."""
+COMMANDS = {
+    name: _Place(module, about)
+    for module, commands in _MODULES.items()
+    for name, about in commands.items()
 }
 """All commands by name, in the order of the list that `handmap --help` prints."""
 _GROUPS = {
     "hands": "List, describe, write and check descriptions of robot hands.",
+    "robots": "List, describe and check robots with two hands; `hands init` describes one.",
     "track": "Lead live samples of a human hand to the mapping service, or into a file.",
 }
 """First words of commands of two words, and what these commands are for."""
@@ -185,12 +163,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 1 if isinstance(error, DiskFullError) else 2
     except ImportError as error:
-        if not (library := _missing_library(error)):
+        if not (problem := _missing_library(error)):
             raise
-        print(
-            f"handmap: the system library {library} is missing{_advice(library)}",
-            file=sys.stderr,
-        )
+        print(f"handmap: {problem}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         # The reader closed stdout (`| head`): end quietly, also when Python flushes stdout at exit.
@@ -219,17 +194,12 @@ def in_words_of_the_command_line(
 
 
 def _missing_library(error: ImportError) -> str:
-    """Return the system library that a compiled package did not find; empty for other errors."""
+    """Name the system library that a compiled package did not find; empty for other errors."""
     # The dynamic linker gives its name in the message only.
-    name, found, _ = str(error).partition(": cannot open shared object file")
-    return name if found else ""
-
-
-def _advice(library: str) -> str:
-    for name, package in _SYSTEM_PACKAGES.items():
-        if library.startswith(name):
-            return f": apt-get install {package}"
-    return ""
+    library, found, _ = str(error).partition(": cannot open shared object file")
+    packages = (p for name, p in _SYSTEM_PACKAGES.items() if library.startswith(name))
+    advice = "".join(f": apt-get install {package}" for package in packages)
+    return f"the system library {library} is missing{advice}" if found else ""
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -308,8 +278,8 @@ def _answer_without_command(words: list[str]) -> NoReturn:
             raise InvalidInputError(problem="expected a command (see handmap --help)")
         case [group, word, *_] if group in _GROUPS:
             hint = did_you_mean(word, _members(group))
-            if not hint and group == "hands":
-                hint = f"describe a hand: handmap hands show {word}"
+            if not hint and group != "track":
+                hint = f"to describe one: handmap {group} show {word}"
             hint = hint or f"see handmap {group} --help"
             raise InvalidInputError(problem=f"no command '{group} {word}': {hint}")
         case [word, *_]:
@@ -374,25 +344,21 @@ def _any_command() -> Any:
     """Return a type whose values are all commands."""
     import tyro
 
-    def union(places: dict[str, _Place], group: str = "") -> Any:
-        kinds: list[Any] = []
-        for word, place in places.items():
-            command = place.load(f"{group} {word}")
-            about = tyro.conf.subcommand(
-                word,
-                description=place.about,
-                prefix_name=False,
-            )
-            kinds.append(Annotated[command, about])  # ty: ignore[invalid-type-form]
-        return reduce(or_, kinds)
+    def named(word: str, kind: Any, about: str | None = None) -> Any:
+        command = tyro.conf.subcommand(word, description=about, prefix_name=False)
+        return Annotated[kind, command]
 
-    single = {name: place for name, place in COMMANDS.items() if " " not in name}
-    groups: list[Any] = []
+    def commands(places: dict[str, _Place], prefix: str = "") -> list[Any]:
+        return [
+            named(word, place.load(f"{prefix}{word}"), place.about)
+            for word, place in places.items()
+        ]
+
+    kinds = commands({name: COMMANDS[name] for name in COMMANDS if " " not in name})
     for group in _GROUPS:
-        members = union(_members(group), group)
-        named = tyro.conf.subcommand(group, prefix_name=False)
-        groups.append(Annotated[members, named])  # ty: ignore[invalid-type-form]
-    return reduce(or_, groups, union(single))
+        members = commands(_members(group), f"{group} ")
+        kinds.append(named(group, reduce(or_, members)))
+    return reduce(or_, kinds)
 
 
 def _cause(end: BaseException) -> HandmapError | None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import contextlib
 import csv
 import io
+import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from typing import Any
 
 _PAIR = ("what", "value")
@@ -38,9 +40,31 @@ def progress(what: str, total: int | None = None) -> Iterator[Any]:
         )
 
 
+def print_result(
+    document: Any, tables: Mapping[str, list[dict[str, Any]]], *, as_json: bool
+) -> None:
+    """Print a result as JSON, or its tables: rows by title."""
+    if as_json:
+        print(json.dumps(document, allow_nan=False))
+        return
+    for title, rows in tables.items():
+        print_rows(title, rows)
+
+
+def rows_of(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Return the rows of a table by its columns; short columns end with empty cells."""
+    rows = zip_longest(*columns.values(), fillvalue="")
+    return [dict(zip(columns, row, strict=True)) for row in rows]
+
+
+def table_rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return labels and values as rows of a table without a header."""
+    return [dict(zip(_PAIR, pair, strict=True)) for pair in values.items()]
+
+
 def print_table(title: str, values: dict[str, Any]) -> None:
     """Print labels and values as rows under a title."""
-    print_rows(title, [dict(zip(_PAIR, pair, strict=True)) for pair in values.items()])
+    print_rows(title, table_rows(values))
 
 
 def print_rows(title: str, rows: list[dict[str, Any]]) -> None:

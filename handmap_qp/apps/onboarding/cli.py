@@ -1,36 +1,87 @@
-"""The commands `handmap hands`: list, show, init, migrate, check and match."""
+"""The commands `handmap hands`, and of `handmap robots` list, show and check."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
+import numpy as np
 import tyro
 
 from handmap_qp.apps.arguments import HandName, InputArguments, hinted
-from handmap_qp.apps.onboarding.check import Rows, check_hand
+from handmap_qp.apps.onboarding.check import (
+    Report,
+    Rows,
+    check_hand,
+    check_robot,
+    palm_rows,
+)
 from handmap_qp.apps.onboarding.collision_pairs import with_collision_pairs
-from handmap_qp.apps.onboarding.detect import Detection, detect
+from handmap_qp.apps.onboarding.detect import Detection, detect_hands
 from handmap_qp.apps.onboarding.match import match_hand
 from handmap_qp.apps.onboarding.migrate import migrate, read_dex_configuration
-from handmap_qp.apps.onboarding.picture import draw_hand, draw_match, picture_path
-from handmap_qp.apps.onboarding.write import check_free, open_source, write_hand
-from handmap_qp.apps.tables import print_rows, print_table, progress
+from handmap_qp.apps.onboarding.picture import (
+    draw_hand,
+    draw_match,
+    draw_robot,
+    picture_path,
+)
+from handmap_qp.apps.onboarding.write import (
+    RobotSource,
+    check_free,
+    open_source,
+    write_hand,
+    write_robot,
+)
+from handmap_qp.apps.tables import (
+    print_result,
+    print_rows,
+    progress,
+    rows_of,
+    table_rows,
+)
 from handmap_qp.errors import expect
+from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import LONGEST_STOP, Hand
-from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
+from handmap_qp.hands.library import (
+    HUMAN_HANDS,
+    hand_files,
+    load_hand,
+    missing_hands,
+    why_missing,
+)
+from handmap_qp.hands.robot import (
+    BASE,
+    Robot,
+    load_robot,
+    read_hands,
+    read_robot_spec,
+    robot_files,
+)
 from handmap_qp.hands.sources import urdf_path
 from handmap_qp.hands.spec import Side, read_hand_spec
+from handmap_qp.hands.urdf import parse_urdf
 from handmap_qp.output_files import check_output
 
-RobotName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
+OwnName = Annotated[str | None, hinted("NAME", "(default: the robot's name)")]
 """Name of the hand that is written."""
+RobotName = Annotated[str, tyro.conf.arg(metavar="ROBOT")]
+"""Name of a robot of the package, or path of a robot.yaml."""
+PictureFile = Annotated[
+    Path | None,
+    hinted("FILE", "(default: beside the description; none for one of the package)"),
+]
+"""Picture of what is checked."""
 OutFile = Annotated[Path, tyro.conf.arg(metavar="FILE.yaml")]
 """The hand.yaml to write."""
-_WROTE = "wrote {0}; check it with: handmap hands check {0}"
+# Links that stand on the base of a composed robot.
+_BASES = f"joint/parent[@link='{BASE}']/../child"
+_TITLES = {"points": "Reference points"}
+_WROTE = "wrote {0}; check it with: handmap {1} check {0}"
 
 
 def _print_found(
@@ -75,14 +126,6 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
     Args and errors are those of `load_hand`.
     """
     found = load_hand(hand)
-    columns = {
-        "joint": found.joint_names,
-        "lower rad": found.lower_limits.tolist(),
-        "upper rad": found.upper_limits.tolist(),
-        "speed rad/s": found.velocity_limits.tolist(),
-        "stop": found.stop_distances.tolist(),
-        "rest rad": found.rest.tolist(),
-    }
     return {
         "name": found.name,
         "side": found.side,
@@ -90,10 +133,7 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
         "wrist": f"{found.mount}, link {found.spec.wrist.link}",
         "palm": f"link {found.spec.palm.link}",
         "stops within": f"{LONGEST_STOP:g} s",
-        "joints": [
-            dict(zip(columns, row, strict=True))
-            for row in zip(*columns.values(), strict=True)
-        ],
+        "joints": _joint_rows(found),
         "points": [
             {
                 "point": point.name,
@@ -105,6 +145,92 @@ def describe_hand(hand: str | Path) -> dict[str, Any]:
             for point in found.spec.points
         ],
     }
+
+
+def list_robots() -> Rows:
+    """List the robots of the package.
+
+    Returns:
+        Name and hands of each, and whether all are installed, or what installs the missing one.
+    """
+    rows = []
+    for name, file in robot_files().items():
+        hands = read_hands(read_robot_spec(file)).values()
+        missing = [*filter(None, map(why_missing, hands))]
+        rows.append(
+            {
+                "name": name,
+                "hands": ", ".join(hand.name for hand in hands),
+                "available": f"no: {missing[0]}" if missing else "yes",
+            }
+        )
+    return rows
+
+
+def describe_robot(robot: str | Path) -> dict[str, Any]:
+    """Describe a robot in plain values for JSON: its hands, and its joints by part.
+
+    Args and errors are those of `load_robot`.
+    """
+    found = load_robot(robot)
+    first = next(iter(found.hands.values()))
+    bases = parse_urdf(first.urdf_text).iterfind(_BASES)
+    return {
+        "name": found.name,
+        "base": ", ".join(child.get("link", "") for child in bases),
+        "hands": palm_rows(found),
+        "joints": _joint_rows(first, part=_parts(found)),
+    }
+
+
+def _parts(robot: Robot) -> list[str]:
+    """Return what each joint is part of: `left arm`, `left hand`, ..., or `shared` by both."""
+    hands = robot.hands.values()
+    arms = np.array([hand.moves_wrist for hand in hands])
+    parts = np.full(arms.shape[1], "other", dtype=object)
+    for hand, arm in zip(hands, arms, strict=True):
+        for finger in find_fingers(hand).values():
+            parts[finger.columns] = f"{hand.side} hand"
+        parts[arm] = f"{hand.side} arm"
+    parts[arms.sum(axis=0) > 1] = "shared"
+    return parts.tolist()
+
+
+def _joint_rows(hand: Hand, **more: Sequence[str]) -> Rows:
+    """Return a row for each joint with its limits; `more` are further columns."""
+    columns = {
+        "joint": hand.joint_names,
+        **more,
+        "lower rad": hand.lower_limits.tolist(),
+        "upper rad": hand.upper_limits.tolist(),
+        "speed rad/s": hand.velocity_limits.tolist(),
+        "stop": hand.stop_distances.tolist(),
+        "rest rad": hand.rest.tolist(),
+    }
+    return rows_of(columns)
+
+
+def print_description(said: dict[str, Any], *, as_json: bool) -> None:
+    """Print a description: its single values as a table, and each list of rows as another."""
+    tables = {
+        _TITLES.get(key, key.capitalize()): rows
+        for key, rows in said.items()
+        if isinstance(rows, list)
+    }
+    facts = {key: fact for key, fact in said.items() if not isinstance(fact, list)}
+    print_result(said, {said["name"]: table_rows(facts)} | tables, as_json=as_json)
+
+
+def print_report(report: Report, picture: Path | None, *, as_json: bool) -> None:
+    """Print the findings of a check.
+
+    Raises:
+        HandError: If there is an error among them.
+    """
+    print_result(report.document(picture), report.tables(), as_json=as_json)
+    if picture is not None and not as_json:
+        print(f"wrote {picture}")
+    report.raise_if_unusable()
 
 
 @dataclass(frozen=True)
@@ -123,10 +249,7 @@ class HandsList:
     def run(self) -> None:
         """Print the list."""
         rows = list_hands()
-        if self.json:
-            print(json.dumps(rows))
-        else:
-            print_rows("Hands", rows)
+        print_result(rows, {"Hands": rows}, as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -149,21 +272,12 @@ class HandsShow:
 
     def run(self) -> None:
         """Print the description."""
-        rows = describe_hand(self.hand)
-        if self.json:
-            print(json.dumps(rows))
-            return
-        print_table(
-            rows["name"],
-            {key: value for key, value in rows.items() if not isinstance(value, list)},
-        )
-        print_rows("Joints", rows["joints"])
-        print_rows("Reference points", rows["points"])
+        print_description(describe_hand(self.hand), as_json=self.json)
 
 
 @dataclass(frozen=True)
 class HandsInit:
-    """Find a hand in a URDF or MJCF file and write its description, hand.yaml.
+    """Find a hand, or both of a robot, in a URDF or MJCF file: write a hand.yaml.
 
     Finds palm, fingers, thumb, fingertips, side and a rest posture from the kinematics, and prints
     how each was found and how certain it is. Check the result with `handmap hands check`.
@@ -172,23 +286,28 @@ class HandsInit:
     hand.yaml. `robot_descriptions:NAME` is a robot of the package robot_descriptions, which clones
     it at first use.
 
+    A robot with two hands gets left.yaml and right.yaml, each with its arm and with the torso that
+    both share, and a robot.yaml that names them. Legs, head and all other joints are locked.
+
     Examples:
         handmap hands init my_hand.urdf
         handmap hands init scene.xml --out my_hand/hand.yaml
+        handmap hands init humanoid.urdf --out humanoid/robot.yaml
         handmap hands init robot_descriptions:leap_hand_v1_description
         handmap hands init humanoid.urdf --root left_wrist_link --out left/hand.yaml
         handmap hands init humanoid.urdf --root left_wrist_link --base torso_link
 
     Attributes:
         urdf: URDF or MJCF file of the hand or of a robot with a hand, or its name.
-        root: Link at which the hand begins, in the URDF of a whole robot.
-        base: Fixed link of the arm; the joints between it and the hand then move the wrist.
+        root: Link at which the hand begins, for one hand of a whole robot.
+        base: Fixed link of the arm; the joints between it and the hand then move the wrist. For two
+            hands it is the root of the robot unless given.
         side: Side of the hand.
         thumb: Name of a link or joint of the thumb.
-        name: Name of the hand.
-        out: File to write.
-        overwrite: Replace the file if it exists.
-        json: Print one JSON object instead of a table.
+        name: Name of the hand or robot.
+        out: File to write; for two hands, left.yaml, right.yaml and robot.yaml in its folder.
+        overwrite: Replace the files if they exist.
+        json: Print one JSON object instead of tables.
     """
 
     urdf: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="ROBOT")]]
@@ -198,16 +317,16 @@ class HandsInit:
     base: Annotated[str | None, hinted("LINK", "(default: the wrist floats)")] = None
     side: Annotated[Side | None, hinted("{right,left}", "(default: found)")] = None
     thumb: Annotated[str | None, hinted("LINK", "(default: found)")] = None
-    name: RobotName = None
+    name: OwnName = None
     out: OutFile = Path("hand.yaml")
     overwrite: bool = False
     json: bool = False
 
     def run(self) -> None:
-        """Find the hand, write its description, load it, and print how each part was found."""
+        """Find the hands, write and load their descriptions, and print how each part was found."""
         check_free(self.out, overwrite=self.overwrite)
         source = open_source(self.urdf, self.out.parent, overwrite=self.overwrite)
-        found = detect(
+        hands = detect_hands(
             source.urdf,
             root=self.root,
             base=self.base,
@@ -215,24 +334,55 @@ class HandsInit:
             thumb=self.thumb,
             name=self.name,
         )
-        spec = msgspec.structs.replace(found.spec, urdf=source.reference)
+        if len(hands) == 1:
+            result = self._write(source, hands[0], self.out, hands[0].spec.name)
+        else:
+            result = self._write_robot(source, hands)
+        if self.json:
+            print(json.dumps(result))
+            return
+        for path in source.written:
+            print(f"wrote {path}, with the kinematics of {self.urdf}")
+        for hand in result.get("hands", ()):
+            print(f"wrote {hand['out']}")
+        kind = "robots" if "hands" in result else "hands"
+        print(_WROTE.format(result["out"], kind))
+
+    def _write_robot(
+        self, source: RobotSource, hands: list[Detection]
+    ) -> dict[str, Any]:
+        """Write the left and the right hand of a robot, and its `robot.yaml`."""
+        out = self.out.with_name("robot.yaml")
+        files = [out.with_name(f"{hand.spec.side}.yaml") for hand in hands]
+        for file in (out, *files):
+            check_free(file, overwrite=self.overwrite)
+        name = self.name or hands[0].spec.name.removesuffix("_left")
+        said = [
+            self._write(source, hand, file, f"{name}_{hand.spec.side}")
+            for hand, file in zip(hands, files, strict=True)
+        ]
+        write_robot(name, out)
+        load_robot(out)
+        return {"name": name, "out": str(out), "hands": said}
+
+    def _write(
+        self, source: RobotSource, found: Detection, out: Path, name: str
+    ) -> dict[str, Any]:
+        """Write a hand, and print what was found unless JSON is to be printed; return that."""
+        spec = msgspec.structs.replace(found.spec, urdf=source.reference, name=name)
         found = found._replace(spec=spec, notes=(*source.notes, *found.notes))
-        write_hand(found, self.out, overwrite=self.overwrite)
-        hand = load_hand(self.out)
+        write_hand(found, out, overwrite=self.overwrite)
+        hand = load_hand(out)
         found = with_collision_pairs(found, hand)
-        write_hand(found, self.out, overwrite=True)
+        write_hand(found, out, overwrite=True)
         rows = [
             {"what": c.what, "found": c.answer, "certainty": c.certainty, "how": c.how}
             for c in found.clues
         ]
-        if self.json:
-            said = {"name": hand.name, "out": str(self.out)}
-            print(json.dumps(said | {"found": rows, "notes": found.notes}))
-            return
-        _print_found(hand, found, rows)
-        for path in source.written:
-            print(f"wrote {path}, with the kinematics of {self.urdf}")
-        print(_WROTE.format(self.out))
+        if not self.json:
+            _print_found(hand, found, rows)
+        said = {"name": hand.name, "out": str(out)}
+        return said | {"found": rows, "notes": found.notes}
 
 
 @dataclass(frozen=True)
@@ -259,7 +409,7 @@ class HandsMigrate:
         Path | None,
         hinted("ROBOT.urdf", "(default: as the configuration says, from its folder)"),
     ] = None
-    name: RobotName = None
+    name: OwnName = None
     out: OutFile = Path("hand.yaml")
     overwrite: bool = False
 
@@ -276,7 +426,7 @@ class HandsMigrate:
             for point in hand.spec.points
         ]
         _print_found(hand, found, rows)
-        print(_WROTE.format(self.out))
+        print(_WROTE.format(self.out, "hands"))
 
 
 @dataclass(frozen=True)
@@ -299,12 +449,7 @@ class HandsCheck:
     """
 
     hand: tyro.conf.Positional[HandName]
-    picture: Annotated[
-        Path | None,
-        hinted(
-            "FILE", "(default: beside the hand.yaml; none for a hand of the package)"
-        ),
-    ] = None
+    picture: PictureFile = None
     motion: bool = True
     json: bool = False
 
@@ -318,14 +463,7 @@ class HandsCheck:
         picture = self.picture or picture_path(self.hand)
         if picture is not None and report.hand is not None:
             draw_hand(report.hand, picture)
-        if self.json:
-            print(json.dumps(report.document(picture), allow_nan=False))
-        else:
-            for title, rows in report.tables().items():
-                print_rows(title, rows)
-            if picture is not None:
-                print(f"wrote {picture}")
-        report.raise_if_unusable()
+        print_report(report, picture, as_json=self.json)
 
 
 @dataclass(frozen=True)
@@ -370,16 +508,95 @@ class HandsMatch:
         if self.picture is not None:
             draw_match(match, self.picture)
         written = [] if self.picture is None else [str(self.picture)]
+        said = {"name": robot.name, "joints": match.rows, "written": written}
+        title = f"{robot.name}: the posture that matches the resting human's"
+        print_result(said, {title: match.rows}, as_json=self.json)
         if self.json:
-            said = {"name": robot.name, "joints": match.rows, "written": written}
-            print(json.dumps(said))
             return
-        print_rows(
-            f"{robot.name}: the posture that matches the resting human's", match.rows
-        )
         print(
             f"to use this posture for everyone, paste into hand.yaml:\n{match.text}",
             end="",
         )
         for path in written:
             print(f"wrote {path}")
+
+
+@dataclass(frozen=True)
+class RobotsList:
+    """List the robots of the package: a left and a right hand in one model.
+
+    Examples:
+        handmap robots list
+
+    Attributes:
+        json: Print JSON instead of a table.
+    """
+
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the list."""
+        rows = list_robots()
+        print_result(rows, {"Robots": rows}, as_json=self.json)
+
+
+@dataclass(frozen=True)
+class RobotsShow:
+    """Describe a robot: its hands, and its joints with their limits, by part.
+
+    Shows where each palm is at rest, how far the wrist moves from there, and which joints move both
+    palms. Positions are in the robot's base.
+
+    Examples:
+        handmap robots show g1
+        handmap robots show humanoid/robot.yaml
+
+    Attributes:
+        robot: Robot: a name of `handmap robots list`, or the path of its robot.yaml.
+        json: Print JSON instead of tables.
+    """
+
+    robot: tyro.conf.Positional[RobotName]
+    json: bool = False
+
+    def run(self) -> None:
+        """Print the description."""
+        print_description(describe_robot(self.robot), as_json=self.json)
+
+
+@dataclass(frozen=True)
+class RobotsCheck:
+    """Check a robot.yaml and both of its hands, and draw the robot.
+
+    Checks each hand as `handmap hands check` does, and looks for links of arms, hands and body that
+    overlap at rest. Every finding says what to change. The exit code is 1 after a warning: the
+    description contradicts names, limits, shapes or gestures.
+
+    Examples:
+        handmap robots check humanoid/robot.yaml
+        handmap robots check g1 --picture g1.png
+
+    Attributes:
+        robot: Path of a robot.yaml, or name of a robot of the package.
+        picture: Picture to draw, PNG, SVG or PDF.
+        motion: Map motions of a human hand to each hand (takes seconds).
+        json: Print one JSON object instead of tables.
+    """
+
+    robot: tyro.conf.Positional[RobotName]
+    picture: PictureFile = None
+    motion: bool = True
+    json: bool = False
+
+    def run(self) -> None:
+        """Check the robot, draw it, and print the findings."""
+        with progress("checking"):
+            robot = load_robot(self.robot)
+            report = check_robot(robot, has_motion=self.motion)
+        picture = self.picture or picture_path(self.robot, "robot")
+        if picture is not None:
+            draw_robot(robot, picture)
+        print_report(report, picture, as_json=self.json)
+        # The worst is first; an error is raised.
+        if report.findings[0].level == "warning":
+            raise SystemExit(1)

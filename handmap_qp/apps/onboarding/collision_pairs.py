@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations, compress, pairwise
 
 import msgspec
@@ -114,12 +115,14 @@ def _owner(
     joint = carrier_of(hand, link)
     palm = model.frames[hand.palm_frame_id].parentJoint
     owners = [name for name, finger in fingers.items() if joint in finger.joints]
-    if not owners and joint != palm and palm in [*model.supports[joint]]:
+    if not owners and joint != palm:
         return "bar"
     return owners[0] if len(owners) == 1 else "palm"
 
 
-def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
+def colliding_links(
+    hand: Hand, q: np.ndarray, wrists: Sequence[int] = ()
+) -> list[tuple[str, str]]:
     """Return the pairs of links whose collision shapes overlap in one posture.
 
     Pairs that meet in a joint, or that overlap in most postures, are left out.
@@ -127,6 +130,7 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     Args:
         hand: The hand.
         q: Joint angles [rad], shape (n,).
+        wrists: Joints of a robot's wrists; pairs of links that one of them carries are left out.
 
     Raises:
         HandError: If a shape cannot be read.
@@ -134,8 +138,10 @@ def colliding_links(hand: Hand, q: np.ndarray) -> list[tuple[str, str]]:
     geometry = read_collision_shapes(hand)
     joints = [shape.parentJoint for shape in geometry.geometryObjects]
     near = {joint: _neighbours(hand.model, joint, joints) for joint in joints}
+    carried = [{*hand.model.subtrees[wrist]} for wrist in wrists]
     for (i, one), (j, other) in combinations(enumerate(joints), 2):
-        if one not in near[other] and other not in near[one]:
+        is_within = any({one, other} <= part for part in carried)
+        if one not in near[other] and other not in near[one] and not is_within:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
     postures = np.vstack([q, random_postures(hand, _FEW)])
     overlaps = pair_distances(hand, geometry, postures) <= 0.0

@@ -12,13 +12,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from handmap_qp.apps.onboarding.anatomy import Clue, find_anatomy
 from handmap_qp.apps.onboarding.flexion import HandFlexion
 from handmap_qp.apps.onboarding.robot import Robot
-from handmap_qp.apps.onboarding.structure import RobotFinger, find_structure
+from handmap_qp.apps.onboarding.structure import (
+    RobotFinger,
+    find_palms,
+    find_structure,
+)
 from handmap_qp.errors import HandError, reason_of
 from handmap_qp.hands.fingers import PalmKinematics
 from handmap_qp.hands.human import FINGERS, THUMB
@@ -71,11 +75,45 @@ def detect(urdf: Path, **given: Any) -> Detection:
     Raises:
         HandError: If the URDF cannot be used, or contains no hand or more than one.
     """
+    return detect_text(_read(urdf), urdf, **given)
+
+
+def detect_hands(
+    urdf: Path, *, base: str | None, name: str | None, **choice: Any
+) -> list[Detection]:
+    """Find the hand in a URDF file, or the left and the right hand of a robot with their arms.
+
+    Args:
+        urdf: The file.
+        base: As in `detect_text`; that of two hands is the robot's root if omitted.
+        name: Name of a single hand; that of the robot if omitted.
+        choice: `root`, `side` and `thumb`; if any is given, one hand is looked for.
+
+    Raises:
+        HandError: If the URDF cannot be used, or contains no hand, or others than these.
+    """
+    text = _read(urdf)
+    if not any(choice.values()):
+        robot = Robot(text, urdf)
+        palms = find_palms(robot)
+        root = base or robot.root
+        if len(palms) == 2:
+            found = [detect_text(text, urdf, root=palm, base=root) for palm in palms]
+            found.sort(key=lambda one: one.spec.side)
+            side = found[0].spec.side
+            if side == found[1].spec.side:
+                both = f"{' and '.join(palms)} both look like {side} hands"
+                advice = "describe each with --root and --side"
+                raise HandError(f"{both}; {advice}", file=urdf, value=palms)
+            return found
+    return [detect_text(text, urdf, base=base, name=name, **choice)]
+
+
+def _read(urdf: Path) -> bytes:
     try:
-        text = urdf.read_bytes()
+        return urdf.read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a null character in the path
         raise HandError(f"cannot be read: {reason_of(error)}", file=urdf) from error
-    return detect_text(text, urdf, **given)
 
 
 def detect_text(
@@ -344,13 +382,11 @@ def _on_arm(
     if not arm:
         problem = f"no joint moves between {base!r} and the hand {hand!r}"
         raise HandError(problem, file=urdf, value=base)
-    # A straight arm is singular; at mid-range it seldom is.
-    middle = 0.5 * (robot.lower_limits + robot.upper_limits)
-    rest = _positions(robot, middle.round(4) + 0.0)
-    joints = (*arm, *spec.joints)
+    rest = _positions(robot, _arm_rest(robot, spec.palm.link))
     zero = _positions(robot, robot.zero)
+    joints = (*arm, *spec.joints)
     still = {joint: q for joint, q in zero.items() if joint not in joints}
-    changed = msgspec.structs.replace(
+    changed = replace(
         spec,
         root=None if robot.is_whole else base,
         wrist=WristSpec(hand, "fixed"),
@@ -364,6 +400,20 @@ def _on_arm(
         f"{len(still)} other joints are locked",
     ]
     return changed, notes
+
+
+def _arm_rest(robot: Robot, palm: str) -> np.ndarray:
+    """Return a posture for the arm of a palm: at mid-range, where it is seldom singular.
+
+    Joints that carry another palm too, such as a waist, are upright, unless zero is a limit.
+    """
+    names = robot.model.names
+    others = [robot.body(link) for link in find_palms(robot) if link != palm]
+    shared = [names[joint] for other in others for joint in robot.path(other, 0)]
+    lower = robot.lower_limits
+    upper = robot.upper_limits
+    is_upright = np.isin(robot.active, shared) & (lower * upper < 0.0)
+    return np.where(is_upright, 0.0, 0.5 * (lower + upper)).round(4) + 0.0
 
 
 def _positions(robot: Robot, q: np.ndarray) -> dict[str, float]:

@@ -30,6 +30,7 @@ from handmap_qp.apps.drawing.raster import Camera, Colour, Triangles, merged
 from handmap_qp.apps.onboarding.match import Match
 from handmap_qp.hands.fingers import PalmKinematics, place_of
 from handmap_qp.hands.hand import Hand
+from handmap_qp.hands.robot import Robot
 from handmap_qp.mapping.hand_pair import resting_posture
 from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
 
@@ -44,6 +45,9 @@ _VIEWS = {
     "left": {"back of the hand": 90.0, "palm, from the thumb's side": -35.0},
 }
 _ELEVATION = 12.0
+_ROBOT_VIEWS = {"from +x": 20.0, "from +y": 80.0}
+# Length of the axes of a robot's palms [m].
+_ROBOT_AXES = 0.12
 # Distal (y) points up, dorsal (z) towards +y: a camera at +y sees the back of the hand.
 _BOX = {
     "facecolor": "white",
@@ -53,12 +57,17 @@ _BOX = {
 }
 
 
-def picture_path(hand: str) -> Path | None:
-    """Return the path of a `hand.yaml`'s picture, beside it; None for a hand given by name."""
-    path = Path(hand)
+def picture_path(given: str, kind: str = "hand") -> Path | None:
+    """Return the path of a description's picture, beside it; None for one that is given by name.
+
+    Args:
+        given: Name, file or folder.
+        kind: `hand` or `robot`.
+    """
+    path = Path(given)
     if path.suffix in (".yaml", ".yml"):
         return path.with_suffix(".png")
-    return path / "hand.png" if (path / "hand.yaml").is_file() else None
+    return path / f"{kind}.png" if (path / f"{kind}.yaml").is_file() else None
 
 
 def draw_hand(hand: Hand, path: Path) -> None:
@@ -80,6 +89,39 @@ def draw_hand(hand: Hand, path: Path) -> None:
     }
     title = f"{hand.name}: a {hand.side} hand, {len(hand.joint_names)} joints; at rest"
     save_panels(path, title, _PANEL, panels)
+
+
+def draw_robot(robot: Robot, path: Path) -> None:
+    """Draw a robot at rest with the axes of its palms, from two sides.
+
+    Args:
+        robot: The robot.
+        path: Picture to write; its suffix sets the format.
+
+    Raises:
+        InvalidInputError: If the file cannot be written.
+        MissingExtraError: If matplotlib is not installed.
+    """
+    hands = robot.hands.values()
+    first = next(iter(hands))
+    triangles = load_shape(first).triangles(first.rest)
+    poses = [hand.frame_pose("palm", hand.rest) for hand in hands]
+    marks = merged([_axes(pose, _ROBOT_AXES) for pose in poses])
+    corners = np.vstack([triangles.vertices, marks.vertices]).reshape(-1, 3)
+
+    def draw(axes: Any, azimuth: float) -> None:
+        camera = Camera.framing(corners, _PANEL, azimuth=azimuth, elevation=_ELEVATION)
+        draw_hands(axes, triangles, camera, marks=marks)
+
+    panels = {name: partial(draw, azimuth=a) for name, a in _ROBOT_VIEWS.items()}
+    title = f"{robot.name} at rest; palms: red across, green distal, blue dorsal"
+    save_panels(path, title, _PANEL, panels)
+
+
+def _axes(pose: np.ndarray, size: float) -> Triangles:
+    """Return the axes of a pose as tubes of a length [m]."""
+    ends = zip(transform_points(pose, size * np.eye(3)), AXIS_COLOURS, strict=True)
+    return merged([tube([pose[:3, 3], end], 0.03 * size, c) for end, c in ends])
 
 
 def draw_match(match: Match, path: Path) -> None:
@@ -186,9 +228,8 @@ class _Scene:
             for i, point in enumerate(self.points)
         ]
         for tip, colour in zip(self.axes, AXIS_COLOURS, strict=True):
-            axis = tube([np.zeros(3), tip], 0.008 * self.size, colour)
-            parts += [axis, spheres(tip, 0.016 * self.size, colour)]
-        return merged(parts)
+            parts.append(spheres(tip, 0.016 * self.size, colour))
+        return merged([*parts, _axes(UPRIGHT, 0.28 * self.size)])
 
     def _sticks(self) -> Triangles:
         """Return sticks between the joints beyond the wrist, and from joints to points.

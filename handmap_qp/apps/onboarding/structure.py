@@ -118,28 +118,45 @@ def find_structure(robot: Robot) -> Structure:
     Raises:
         HandError: If there is no hand or more than one; the message names candidates for `root`.
     """
+    palms = _branching(robot)
+    if len(palms) > 1:
+        links = ", ".join(map(_palm_link, palms[:8]))
+        raise HandError(
+            f"there are {len(palms)} possible palms: {links}; choose one with --root",
+            file=robot.file,
+            value=links,
+        )
+    structure = _hand(robot, *palms) if palms else _one_finger(robot)
+    robot.palm_frame_id = robot.model.getBodyId(structure.palm)
+    return structure
+
+
+def find_palms(robot: Robot) -> list[str]:
+    """Return the links of all palms of a robot from which at least two fingers branch."""
+    return [*map(_palm_link, _branching(robot))]
+
+
+def _branching(robot: Robot) -> list[list[RobotFinger]]:
+    """Return the finger-like chains of each palm."""
     found = {
         body: fingers
         for body in range(robot.model.njoints)
         if (fingers := _fingerlike(robot, body))
     }
-    # Bodies inside the fingers of another palm are none.
+    subtrees = robot.model.subtrees
+    # Bodies inside the fingers of another palm are none, and neither is a base with wheels.
     inside = {
         part
         for finger in chain.from_iterable(found.values())
-        for part in robot.model.subtrees[finger.joints[0]]
+        for part in subtrees[finger.joints[0]]
     }
-    palms = [body for body in found if body not in inside]
-    if len(palms) > 1:
-        links = ", ".join(_palm_link(found[body]) for body in palms[:8])
-        raise HandError(
-            f"there are {len(palms)} possible palms: {links}; choose one with --root",
-            file=robot.file,
-            value=palms,
-        )
-    structure = _hand(robot, found[palms[0]]) if palms else _one_finger(robot)
-    robot.palm_frame_id = robot.model.getBodyId(structure.palm)
-    return structure
+    palms = found.keys() - inside
+    # Pinocchio leaves the root out of its own subtree.
+    return [
+        found[body]
+        for body in sorted(palms)
+        if palms.isdisjoint({*subtrees[body]} - {body})
+    ]
 
 
 def _hand(robot: Robot, fingers: list[RobotFinger]) -> Structure:

@@ -35,6 +35,12 @@ _KEYS = (
     *("limits", "mimic", "points", "sets", "reference", "collision"),
 )
 _BLOCKS = {*_KEYS[4:-2], "collision", "collision.pairs"}
+_ROBOT = """# {0}: written by `handmap hands init`; look at it with `handmap robots check`.
+name: {0}
+hands:
+  left: {{hand: left.yaml}}
+  right: {{hand: right.yaml}}
+"""
 # Comments above keys: fixed ones, and evidence by the name of its clue and what it is of.
 _ABOVE = {
     "root": "The hand starts at this link; the rest of the robot is ignored.",
@@ -135,6 +141,16 @@ def write_hand(
     make_folder(path.parent, "--out")
     with writing(path, "--out"):
         path.write_text(hand_text(detection, path.parent), encoding="utf-8")
+
+
+def write_robot(name: str, path: Path) -> None:
+    """Write a `robot.yaml` of the hands in `left.yaml` and `right.yaml` beside it.
+
+    Raises:
+        InvalidInputError: If it cannot be written.
+    """
+    with writing(path, "--out"):
+        path.write_text(_ROBOT.format(_flow(name)), encoding="utf-8")
 
 
 def check_free(path: Path, *, overwrite: bool) -> None:
