@@ -95,14 +95,15 @@ class Robot(NamedTuple):
     hands: dict[Side, Hand]
 
 
-def joined(hands: Sequence[Hand]) -> Hand:
-    """Return the hands of one robot as one, which a QP moves; `Hand.parts` has them.
+def joined(name: str, *hands: Hand) -> Hand:
+    """Return the hands of a robot as one, which a QP moves; `Hand.parts` has them.
 
     Its palm and wrist are those of the first one, its reference points those of all, one hand after
     the other.
     """
     whole = copy(hands[0])
-    whole.parts = tuple(hands)
+    whole.name = name
+    whole.parts = hands
     whole.use_points(tuple(p for hand in hands for p in hand.reference_points))
     return whole
 

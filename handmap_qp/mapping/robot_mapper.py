@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
-from functools import partial
+from functools import lru_cache, partial
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -50,6 +50,10 @@ _NEAR = 0.4
 _TOGETHER = 0.2
 # Weight of that over the weight of a wrist's position.
 _TOGETHER_SHARE = 5.0
+
+
+# The core takes long to take over pairs that are new.
+_common_pairs = lru_cache(maxsize=16)(common_pairs)
 
 
 class Asked(NamedTuple):
@@ -93,6 +97,17 @@ class Leader(HandMapper):
     def contacts(self) -> ShapePairs | None:
         """Collision shapes that the method keeps apart."""
         return self._plan.bound.contacts
+
+    def clutch(self) -> None:
+        """Make the next sample the reference; see `HandMapper.clutch`."""
+        super().clutch()
+        self.is_staying = False
+
+    def stay_here(self) -> None:
+        """Let a hand that stays do so where something else has moved the robot."""
+        if self.is_staying:
+            self.is_staying = False
+            self.hold(self.dt)
 
     def _core_at(self, reference: Any) -> Any:
         """Return None: the robot moves, not this hand."""
@@ -191,6 +206,7 @@ class RobotMapper:
             names = {side: human_name(side) for side in robot.hands}
             humans = {s: load_hand(n, points="landmarks") for s, n in names.items()}
         _expect_sides(robot.hands, humans, "humans")
+        self._name = robot.name
         self.leaders = {
             side: Leader(humans[side], hand, method, ik=ik, **options)
             for side, hand in robot.hands.items()
@@ -200,6 +216,11 @@ class RobotMapper:
 
     # A shallow copy would move the same robot.
     __copy__ = deepcopy
+
+    @property
+    def human(self) -> Hand:
+        """The first hand that leads; joints and points of the others have the same names."""
+        return next(iter(self.leaders.values())).human
 
     @property
     def robot(self) -> Hand:
@@ -224,6 +245,8 @@ class RobotMapper:
     @motion.setter
     def motion(self, motion: Motion) -> None:
         self._ik.gate.motion = motion
+        for leader in self.leaders.values():
+            leader.stay_here()
 
     def map_landmarks(
         self,
@@ -400,9 +423,9 @@ class RobotMapper:
     def _join(self, options: IkOptions, motion: Motion | None = None) -> None:
         """Make one solver of what the leaders are bound to, and let them know it."""
         leaders = self.leaders.values()
-        whole = joined([leader.robot for leader in leaders])
-        contacts = [leader.contacts for leader in leaders if leader.contacts]
-        pairs, self._pinching = common_pairs(contacts) if contacts else (None, [])
+        whole = joined(self._name, *(leader.robot for leader in leaders))
+        contacts = tuple(leader.contacts for leader in leaders if leader.contacts)
+        pairs, self._pinching = _common_pairs(contacts) if contacts else (None, [])
         self._ik = PointIk(whole, options, motion, contacts=pairs)
         moves = [leader.robot.moves_points.any(axis=0) for leader in leaders]
         self._own = [moved & ~whole.moves_wrist for moved in moves]

@@ -81,7 +81,8 @@ class RobotFollower:
         newest = max(sample.time for sample in samples.values())
         self._seen |= dict.fromkeys(samples, newest)
         for side, time in self._seen.items():
-            if newest - time > _SILENCE:
+            # The tracker's clock may also have been set back.
+            if abs(newest - time) > _SILENCE:
                 self.mapper.stay(side, Verdict("missing", True, False, 0.0, math.nan))
         return step
 
