@@ -26,6 +26,8 @@ from handmap_qp.client.messages import (
     AnyReply,
     AnyRequest,
     Detail,
+    HandSample,
+    HandState,
     Lengths,
     Pose,
     Request,
@@ -107,7 +109,7 @@ def schema_text() -> str:
         "Replies may get further fields.",
         *(_table(kind) for kind in get_args(AnyReply)),
         "## Values",
-        *(_table(kind) for kind in (Pose, Lengths, About, Detail)),
+        *map(_table, (Pose, Lengths, HandSample, HandState, About, Detail)),
         "### Presets",
         "\n".join(map(_preset_line, PRESETS)),
         *map(

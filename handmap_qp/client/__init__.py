@@ -114,10 +114,15 @@ _ENGAGING = ("clutch", "release", "reset", "stop", "clear")
 
 
 def _request(kind: str, message: type[messages.Request], given: Request) -> Request:
-    """Return a request with the fields that are not None, with poses in any form as `Pose`.
+    """Return a request; arguments and errors as of `_fields`."""
+    return {"type": kind} | _fields(kind, message, given)
+
+
+def _fields(kind: str, message: type[msgspec.Struct], given: Request) -> Request:
+    """Return the fields of a request that are not None, with poses in any form as `Pose`.
 
     Args:
-        kind: Kind of the request.
+        kind: Kind of the request, or one of its hands.
         message: Its type, or a base that has its fields.
         given: Values by field.
 
@@ -127,11 +132,20 @@ def _request(kind: str, message: type[messages.Request], given: Request) -> Requ
     """
     if unknown := given.keys() - message.__annotations__.keys():
         raise TypeError(f"{kind}() has no argument {sorted(unknown)[0]!r}")
-    request: Request = {"type": kind}
-    for name, value in given.items():
-        if value is not None:
-            request[name] = Pose.of(value, name) if name.endswith("wrist") else value
-    return request
+    return {
+        name: _field(name, value) for name, value in given.items() if value is not None
+    }
+
+
+def _field(name: str, value: Any) -> Any:
+    if name == "hands":
+        return {
+            side: _fields(side, messages.HandSample, hand)
+            for side, hand in value.items()
+        }
+    if name == "values":
+        return np.ravel(value)
+    return Pose.of(value, name) if name.endswith("wrist") else value
 
 
 class _Core:
@@ -172,10 +186,7 @@ class _Core:
         self._released_at = 0  # number of the last request that changed `is_released`
 
     def _sample(self, kind: str, human: Request) -> Request:
-        request = {"time": clock.monotonic()} | _request(kind, messages.Step, human)
-        if "values" in request:
-            request["values"] = np.ravel(request["values"])
-        return request
+        return {"time": clock.monotonic()} | _request(kind, messages.Step, human)
 
     def _do(self, request: Request) -> Steps[None]:
         yield from self._call(request, Done)
@@ -466,12 +477,12 @@ class Client(_Core):
         self.close()
 
     def open(self, robot: str, **choices: Any) -> Opened:
-        """Open a session: one human hand that leads one robot hand.
+        """Open a session: one human hand leads a robot hand, or both hands a robot.
 
         A session that was open before stays open if the server refuses.
 
         Args:
-            robot: Name of a robot hand on the server.
+            robot: Name of a robot hand on the server, or of a robot with two hands.
             **choices: Fields of `messages.Open`. Arrays may be of numpy, and a pose is (4, 4),
                 seven numbers x y z qx qy qz qw, or a `Pose`. `lengths` has `bases` (5, 3) and
                 `segments` (5, 3) [m], and `rolls` (5,) [rad]; with `contact_gap`, they are the
@@ -489,7 +500,9 @@ class Client(_Core):
 
         Args:
             **human: Fields of `messages.Step`: `q`, `landmarks`, `points` or `values`, as `open`
-                chose, and `wrist`, a pose as in `open`. `time` is the monotonic clock of this
+                chose, and `wrist`, a pose as in `open`. Of a robot with two hands, `hands` has
+                these fields of one or both by side, as in
+                `step(hands={"left": {"landmarks": points}})`. `time` is the monotonic clock of this
                 machine if omitted [s].
 
         Raises:

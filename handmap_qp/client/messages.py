@@ -41,6 +41,8 @@ Points = tuple[Vector, ...]
 Preset = Annotated[str, Meta(max_length=64)]
 Length = Annotated[float, Meta(gt=0, le=1)]
 Gap = Annotated[float, Meta(ge=0, le=0.04)]
+Confidence = Annotated[float, Meta(ge=0, le=1)]
+Side = Literal["right", "left"]
 Duration = Annotated[float, Meta(ge=0, le=3600)]
 Matrix = tuple[tuple[float, ...], ...]
 Options = dict[str, Any]
@@ -188,17 +190,19 @@ def _rename_options(request: Open | Configure) -> None:
 
 
 class Open(Request, frozen=True):
-    """Open a session: one human hand that leads one robot hand. The answer is `opened`.
+    """Open a session: one human hand leads a robot hand, or both a robot. The answer is `opened`.
 
     Attributes:
-        robot: Name of a robot hand on the server.
+        robot: Name of a robot hand on the server, or of a robot with two hands; this one needs
+            input=landmarks, and its samples have `hands`.
         name: Public name of the session and its stream; the server makes one if omitted.
         input: What samples hold.
         layout: Layout of the numbers in `values`, such as webxr25 (`handmap layouts` lists them);
             only with input=landmarks, whose 21 landmarks it replaces.
-        side: The human hand.
+        side: The human hand that leads a robot hand.
         hand_length: From wrist crease to middle fingertip [m].
-        lengths: The measured hand. With neither, the first landmarks measure it.
+        lengths: The measured hand, or both. With neither, the first landmarks measure it: each hand
+            by its own, and a hand that was not seen enough is taken to be as large as the other.
         contact_gap: Distance of thumb and finger landmarks where the skin touches [m]. Without it,
             and without the option of teleoperation, touches measure it during the session.
         human_points: Set of reference points on the human hand.
@@ -230,7 +234,7 @@ class Open(Request, frozen=True):
     name: Name | None = None
     input: Literal["q", "landmarks", "points"] = "q"
     layout: Name | None = None
-    side: Literal["right", "left"] = "right"
+    side: Side = "right"
     hand_length: Length | None = None
     lengths: Lengths | None = None
     contact_gap: Gap | None = None
@@ -260,8 +264,26 @@ class Open(Request, frozen=True):
         _rename_options(self)
 
 
+class HandSample(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One hand of a sample of both; its fields are as those of `step`.
+
+    Attributes:
+        landmarks: 21 landmarks [m]; may be omitted if `valid` is false.
+        values: Numbers of the session's `layout`, in place of landmarks.
+        wrist: The human's wrist; the landmarks of the palm give it if omitted.
+        valid: Whether the tracker saw the hand. If not, this side of the robot holds.
+        confidence: The tracker's own confidence; 0 counts as not seen.
+    """
+
+    landmarks: Places | None = None
+    values: Values | None = None
+    wrist: Pose | None = None
+    valid: bool = True
+    confidence: Confidence = 1.0
+
+
 class Step(Request, frozen=True):
-    """One sample of the human hand: `q`, `landmarks` or `points`, as `open` chose.
+    """One sample of the human hand: `q`, `landmarks` or `points`, as `open` chose; or of both.
 
     The answer is `command`.
 
@@ -276,6 +298,9 @@ class Step(Request, frozen=True):
             in the axes and unit of the layout.
         valid: Whether the tracker saw the hand; only with `landmarks`. If not, it holds.
         confidence: The tracker's own confidence; 0 counts as not seen.
+        hands: One or both hands by side, in place of all fields above but `time`; for a robot with
+            two hands. Without one of them, its side of the robot goes on to what it was asked for
+            last, and holds after 0.25 s.
     """
 
     time: Stamp
@@ -285,7 +310,8 @@ class Step(Request, frozen=True):
     values: Values | None = None
     wrist: Pose | None = None
     valid: bool = True
-    confidence: Annotated[float, Meta(ge=0, le=1)] = 1.0
+    confidence: Confidence = 1.0
+    hands: dict[Side, HandSample] | None = None
 
 
 class Sample(Step, frozen=True):
@@ -419,7 +445,7 @@ class Opened(Reply, frozen=True):
         upper: Their upper limits [rad].
         speed: Their speed limits [rad/s].
         q: Assumed posture of the robot [rad]; compare it with the real one before you engage.
-        human_joint_names: Order of a sample's `q`.
+        human_joint_names: Order of a sample's `q`; of a robot with two hands, both have these.
         human_point_names: Order of a sample's `points`.
         is_floating: Whether the robot's wrist is free to move.
         stream_port: Port of the stream of commands (ZeroMQ PUB); 0 on WebSocket.
@@ -474,6 +500,24 @@ class Detail(msgspec.Struct, frozen=True, kw_only=True):
     held_by: Names = ()
 
 
+class HandState(msgspec.Struct, frozen=True):
+    """One hand of a robot with two hands, as the mapping has it.
+
+    Attributes:
+        status: As of `command`, for this hand; `released` if the whole robot brakes.
+        rule: What is wrong with its sample; empty if nothing.
+        wrist: Its wrist frame in the robot's world [m].
+        wrist_error: How far that is from its target [m, rad].
+        arm_held_by: What keeps it off its target: speed, limit or reach; empty if nothing.
+    """
+
+    status: str
+    rule: str
+    wrist: Pose
+    wrist_error: Numbers
+    arm_held_by: str
+
+
 class Command(Reply, frozen=True):
     """A command for the robot's driver.
 
@@ -483,7 +527,8 @@ class Command(Reply, frozen=True):
         server_time: Time of the command on the server's monotonic clock [s].
         joint_names: As the URDF names them, in the order of `q`.
         q: Joint angles [rad].
-        wrist: The wrist frame in the robot's world; null before it is known.
+        wrist: The wrist frame in the robot's world; null before it is known. That of the first hand
+            of a robot with two.
         status: converged, limited, unreachable, unsettled, failed, released, held, gliding, hold,
             returning, stopped or calibrating.
         flags: Conditions that a driver should know; see the list.
@@ -499,6 +544,12 @@ class Command(Reply, frozen=True):
         rule: What is wrong with the sample: one of the rules in the list; empty if nothing.
         consistency: RMS difference of bones and palm from the person's [m]; null if not measured.
         confidence: Confidence of the sample, as the client sent it.
+        wrist_error: How far the wrist is from its target [m, rad]; empty if no sample was
+            mapped.
+        arm_held_by: What keeps the wrist of an arm off its target: speed, limit or reach; empty if
+            nothing.
+        hands: Each hand of a robot with two, by side. A hand whose sample makes no sense is `held`
+            by itself; the robot is `held` if all are.
     """
 
     name: str
@@ -520,17 +571,20 @@ class Command(Reply, frozen=True):
     rule: str = ""
     consistency: float | None = None
     confidence: float = 1.0
+    wrist_error: Numbers = ()
+    arm_held_by: str = ""
+    hands: dict[str, HandState] = {}
 
 
 class About(msgspec.Struct, frozen=True, kw_only=True):
     """The hands and options of a session, for clients that watch it.
 
     Attributes:
-        robot: Name of the robot hand.
-        side: The human hand.
+        robot: Name of the robot hand, or of a robot with two hands.
+        side: The human hand; a robot with two hands follows both.
         input: Kind of the samples.
         layout: Layout of the samples' values; null for none.
-        lengths: The measured human hand; null for the model's own.
+        lengths: The measured human hand, of two one of them; null for the model's own.
         human_points: Set of reference points on the human hand; null for the default one.
         robot_points: Set of reference points on the robot hand; null for the default one.
         mount: Mount of the robot's wrist; null for the hand's own.
@@ -577,6 +631,7 @@ class State(Reply, frozen=True):
         counts: Numbers of samples answered, replaced by newer ones, refused, and so on.
         robots: Robot hands that clients may open; only of the server.
         missing: Robot hands that are not installed, and what installs each; only of the server.
+        two_handed: Robots with two hands that clients may open; only of the server.
         is_released: Whether the robot is released, also while the watchdog holds it.
         stop: Number of the emergency stop in force, which `clear` takes; 0 for none.
         protocols: Versions of the messages that the server answers.
@@ -592,6 +647,7 @@ class State(Reply, frozen=True):
     counts: dict[str, int] = {}
     robots: Names = ()
     missing: dict[str, str] = {}
+    two_handed: Names = ()
     is_released: bool = False
     stop: int = 0
     protocols: tuple[int, ...] = PROTOCOLS

@@ -119,8 +119,9 @@ class World:
         shared: list[Any] = [self._loop, CACHE, self.dispatcher.metrics]
         shared += there._executor, there._works, there.settings
         if session is not None:
-            hands, mapper = session._hands, session._hands.mapper
-            shared += hands.robot, hands.pair, hands.follower, hands.choice
+            hands: Any = session._hands
+            mapper = hands.mapper
+            shared += hands.robot, hands.pairs, hands.follower, hands.choice
             shared += mapper.human, mapper.robot, mapper._plan.bound, mapper._joints
             shared += mapper.method, session._commanded._placed, session.request
         return deepcopy(self, {id(thing): thing for thing in shared})

@@ -42,7 +42,6 @@ from handmap_qp.client.messages import (
     Error,
     Named,
     Open,
-    Pose,
     Release,
     Request,
     Reset,
@@ -158,8 +157,10 @@ def _explain(error: msgspec.ValidationError) -> tuple[str, str]:
 
 def _wrong_poses(request: AnyRequest) -> Iterator[tuple[str, str]]:
     """Yield field and message of poses that cannot be used; infinity and NaN cannot either."""
-    for name in ("wrist", "robot_wrist"):
-        pose: Pose | None = getattr(request, name, None)
+    poses = {name: getattr(request, name, None) for name in ("wrist", "robot_wrist")}
+    hands = getattr(request, "hands", None) or {}
+    poses |= {f"hands.{side}.wrist": hand.wrist for side, hand in hands.items()}
+    for name, pose in poses.items():
         if pose is None:
             continue
         norm = math.hypot(*pose.quat_xyzw)
@@ -399,6 +400,7 @@ class Dispatcher:
                 counts=dict(self.metrics.counts),
                 robots=self.cache.robots,
                 missing=self.cache.missing,
+                two_handed=self.cache.two_handed,
                 stream_port=self.stream_port,
             )
         self.audit.note("stop", self._who(), **_changes(request))

@@ -6,13 +6,13 @@ refusals that name a field of the request.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -30,11 +30,12 @@ from handmap_qp.errors import (
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import HUMAN_HANDS, hand_files, load_hand, missing_hands
-from handmap_qp.hands.spec import Mount, Side, read_hand_spec
+from handmap_qp.hands.robot import Robot, load_robot, read_robot_spec, robot_files
+from handmap_qp.hands.spec import Mount, Side, read_document, read_hand_spec
 from handmap_qp.human.contact_gap import TOUCH_GAP, clipped_gap, smallest_gap
 from handmap_qp.human.measure import check_length, measure_hand
 from handmap_qp.human.recording import Recording
-from handmap_qp.human.sample import HumanSample, PalmShape, Rule, human_name
+from handmap_qp.human.sample import HumanSample, Rule, human_name
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.mapper import HandMapper, LandmarkReader
@@ -46,9 +47,11 @@ from handmap_qp.mapping.presets import (
     preset_choice,
     preset_with,
 )
+from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.options import Options
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import StreamGuard
+from handmap_qp.stream.robot_follower import RobotFollower
 
 CALIBRATION_SAMPLES = 30
 """Number of landmark samples that the human hand is measured from."""
@@ -65,6 +68,9 @@ _FIELDS = {"human_q": "q", "wrist_pose": "wrist", "method": "preset"} | {
     name: name for name in (*Open.__struct_fields__, *Step.__struct_fields__)
 }
 """Fields of requests by the arguments and choices of the library that take them."""
+
+_OF_ROBOT = {"input": "landmarks", "mount": None, "robot_points": None}
+"""The only values of fields that a robot with two hands may be opened with."""
 
 T = TypeVar("T")
 Chosen = TypeVar("Chosen", bound=Options)
@@ -135,42 +141,58 @@ def with_option_errors(robot: Hand, choice: Choice, make: Callable[[], T]) -> T:
 
 
 class HandCache:
-    """The hands that clients may open, by name.
+    """The hands and robots that clients may open, by name.
 
     Sessions share a `Hand`, because it does not change. Threads may share the cache.
 
     Args:
-        files: Further robot hands: paths of `hand.yaml` files. Clients never name paths.
+        files: Further robot hands, and robots with two: paths of `hand.yaml` and `robot.yaml`
+            files. Clients never name paths.
 
     Raises:
-        HandError: If one cannot be read, or two hands have the same name.
+        HandError: If one cannot be read, or two have the same name.
 
     Attributes:
         missing: Why each hand that is not installed cannot be opened, by name.
+        two_handed: Names of the robots with two hands.
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
         self._files = hand_files()
+        self._robots = robot_files()
         for name in HUMAN_HANDS:
             del self._files[name]
         self.missing = missing_hands()
         for file in files:
-            spec = read_hand_spec(file)
-            if spec.name in self.robots:
-                raise HandError(
-                    f"there is already a hand {spec.name!r}",
-                    file=file,
-                    key="name",
-                    value=spec.name,
-                )
-            self._files[spec.name] = file
-            self.missing.pop(spec.name, None)
+            has_hands = "hands" in read_document(file)
+            name = (read_robot_spec if has_hands else read_hand_spec)(file).name
+            if name in {*self.robots, *self._robots}:
+                problem = f"there is already a hand {name!r}"
+                raise HandError(problem, file=file, key="name", value=name)
+            (self._robots if has_hands else self._files)[name] = file
+            self.missing.pop(name, None)
+        self.two_handed = tuple(self._robots)
         self._load = lru_cache(maxsize=_CACHED_HANDS)(load_hand)
+        self._load_robot = lru_cache(maxsize=_CACHED_HANDS)(load_robot)
 
     @property
     def robots(self) -> tuple[str, ...]:
         """Names of the robot hands that are installed."""
         return tuple(name for name in self._files if name not in self.missing)
+
+    def robot_of(self, request: Open) -> Robot:
+        """Return the robot of a request; a hand of its own is one without a name.
+
+        Raises:
+            RefusedError: As of `robot`, or if a field is not for a robot.
+        """
+        if (file := self._robots.get(request.robot)) is None:
+            hand = self.robot(request.robot, request.robot_points, request.mount)
+            return Robot("", {request.side: hand})
+        for field, only in _OF_ROBOT.items():
+            message = f"expected {only or 'none'} for a robot with two hands"
+            refuse_if(getattr(request, field) != only, message, field)
+        return with_field_errors("robot", lambda: self._load_robot(file))
 
     def robot(self, name: str, points: str | None, mount: Mount | None) -> Hand:
         """Return a robot hand.
@@ -183,7 +205,7 @@ class HandCache:
         Raises:
             RefusedError: If no hand has this name, or it cannot be loaded so.
         """
-        known = ", ".join(self.robots)
+        known = ", ".join(self.robots + self.two_handed)
         message = f"no hand {name!r:.80}; there are {known}"
         refuse_if(name not in self._files, message, "robot")
         file = self._files[name]
@@ -204,39 +226,38 @@ class Hands:
     """The hands of a session and what maps between them.
 
     Attributes:
-        mapper: Maps the human hand to the robot hand.
+        mapper: Maps the human hand to the robot hand, or both to a robot.
         follower: Lets the mapper follow samples of landmarks.
-        robot: The robot hand with the reference points of the request.
+        robot: The robot hand with the reference points of the request; of two, the first.
         choice: Preset and options of the mapper.
-        palm: Recognises landmarks of another size; None if samples are joint angles or points.
-        lengths: The measured human hand; None for the model's own.
-        pair: Both hands, matched for teleoperation; kept so that `configure` finds it at once. None
-            if their fingers do not correspond.
+        lengths: The measured human hand, of two one of them; None for the model's own.
+        needs_measuring: Whether the first landmarks measure the human hand; until then it is the
+            model's own.
+        pairs: Human and robot hands, matched for teleoperation; kept so that `configure` finds them
+            at once. Those whose fingers do not correspond are missing.
     """
 
-    mapper: HandMapper
-    follower: Follower
+    mapper: HandMapper | RobotMapper
+    follower: Follower | RobotFollower
     robot: Hand
     choice: Choice
-    palm: PalmShape | None
     lengths: HumanLengths | None
-    pair: HandPair | None = None
-
-    @property
-    def needs_measuring(self) -> bool:
-        """Whether the first landmarks measure the human hand; until then it is the model's own."""
-        return self.palm is not None and self.lengths is None
+    needs_measuring: bool
+    pairs: Sequence[HandPair] = ()
 
 
 def prepare_hands(
-    request: Open, cache: HandCache, lengths: HumanLengths | None = None
+    request: Open,
+    cache: HandCache,
+    measured: Mapping[Side, HumanLengths] = {},
 ) -> Hands:
     """Make the mapper of a session.
 
     Args:
         request: The client's request.
         cache: The hands that clients may open.
-        lengths: The human hand as measured from landmarks; the request decides if omitted.
+        measured: The human hands as measured from landmarks, by side; one that is missing is as
+            large as the other. The request decides if empty.
 
     Returns:
         The mapper and the hands.
@@ -246,32 +267,42 @@ def prepare_hands(
     """
     has_both = request.hand_length is not None and request.lengths is not None
     refuse_if(has_both, "give hand_length or lengths, not both", "lengths")
-    robot = cache.robot(request.robot, request.robot_points, request.mount)
+    robot = cache.robot_of(request)
+    first, hand = next(iter(robot.hands.items()))
+    lengths = next(iter(measured.values()), None)
     if lengths is None:
         lengths = with_field_errors("lengths", lambda: _human_lengths(request))
-    side = request.side
     points = request.human_points
-    palm = None
-    human = with_field_errors(
-        "human_points", lambda: cache.human(side, points, lengths)
+
+    def load(side: Side) -> Hand:
+        human = cache.human(side, points, measured.get(side, lengths))
+        gap = request.contact_gap
+        return human if gap is None else human.with_contact_gap(gap)
+
+    humans = with_field_errors(
+        "human_points", lambda: {side: load(side) for side in robot.hands}
     )
-    if request.contact_gap is not None:
-        human = human.with_contact_gap(request.contact_gap)
-    if request.input == "landmarks":
-        palm = PalmShape(human)
+    human = humans[first]
+    has_landmarks = request.input == "landmarks"
+    if has_landmarks:
         # Reject reference points that are no landmarks now, not at the first sample.
         with_field_errors("human_points", lambda: LandmarkReader(human))
-    choice = read_choice(request, human, robot)
+    choice = read_choice(request, human, hand)
+    mapping: Any = partial(HandMapper, human, hand)
+    following: Any = Follower
+    if robot.name:
+        mapping, following = partial(RobotMapper, robot, humans), RobotFollower
     mapper = with_option_errors(
-        robot, choice, lambda: HandMapper(human, robot, choice.method, ik=choice.ik)
+        hand, choice, lambda: mapping(choice.method, ik=choice.ik)
     )
-    pair = None
+    pairs = []
     # `configure` may ask for it in the event loop; matching the hands takes some 100 ms.
     with suppress(HandmapError):
-        pair = hand_pair(human, robot)
+        pairs = [hand_pair(humans[side], robot.hands[side]) for side in humans]
     rejoins = request.resume == "clutch"
-    follower = Follower(mapper, rejoin="clutch" if rejoins else "glide")
-    return Hands(mapper, follower, robot, choice, palm, lengths, pair)
+    follower = following(mapper, rejoin="clutch" if rejoins else "glide")
+    is_new = has_landmarks and lengths is None
+    return Hands(mapper, follower, hand, choice, lengths, is_new, pairs)
 
 
 def _human_lengths(request: Open) -> HumanLengths | None:
@@ -346,7 +377,7 @@ def with_changes(request: Open, preset: str, changes: Configure) -> Open:
 
 @dataclass(eq=False)
 class Calibration:
-    """Measure the human hand from landmarks, and prepare the hands of the session with it.
+    """Measure the human hands from landmarks, and prepare the hands of the session with them.
 
     Attributes:
         request: The request that opened the session.
@@ -360,53 +391,68 @@ class Calibration:
 
     def __post_init__(self) -> None:
         """Begin without samples."""
-        self._guard = StreamGuard(self.cache.human(self.request.side, None))
-        self._landmarks: list[np.ndarray] = []
+        sides = get_args(Side)
+        self._guards = {s: StreamGuard(self.cache.human(s, None)) for s in sides}
+        self._landmarks: dict[Side, list[np.ndarray]] = {side: [] for side in sides}
         self._work: Future[Hands] | None = None
 
-    def add(self, sample: HumanSample) -> tuple[Rule, Hands | None]:
-        """Take one more sample, unless it makes no sense.
+    def add(self, sample: HumanSample) -> Rule:
+        """Take one more sample of a hand, unless it makes no sense.
 
         Args:
             sample: The sample.
 
         Returns:
-            What is wrong with the sample, which is then ignored, empty if nothing; and the hands,
-            once they are ready.
+            What is wrong with the sample, which is then ignored; empty if nothing.
 
         Raises:
-            RefusedError: If the landmarks are not a hand in metres; the sample is then ignored. Or
-                if the samples so far cannot be measured; then new ones are collected.
+            RefusedError: If the landmarks are not a hand in metres; the sample is then ignored.
         """
-        verdict = self._guard.check(sample)
+        verdict = self._guards[sample.side].check(sample)
         if verdict.rule in ("missing", "zero"):
-            return verdict.rule, None
+            return verdict.rule
         landmarks = sample.landmarks
         with_field_errors("landmarks", lambda: check_length(landmarks[None]))
         # The person may be much larger or smaller than the model.
         if verdict.is_held and verdict.rule != "size":
-            return verdict.rule, None
+            return verdict.rule
         if self._work is None:
-            self._landmarks.append(landmarks)
-            if len(self._landmarks) >= CALIBRATION_SAMPLES:
-                collected = np.array(self._landmarks)
-                self._landmarks = []
-                self._work = self.defer(lambda: self._prepare(collected))
+            self._landmarks[sample.side].append(landmarks)
+        return ""
+
+    def result(self) -> Hands | None:
+        """Return the hands, once they are ready.
+
+        Raises:
+            RefusedError: If the samples so far cannot be measured; then new ones are collected.
+        """
+        collected = self._landmarks
+        if max(map(len, collected.values())) >= CALIBRATION_SAMPLES:
+            self._landmarks = {side: [] for side in collected}
+            self._work = self.defer(lambda: self._prepare(collected))
         if self._work is None or not self._work.done():
-            return "", None
+            return None
         work = self._work
         self._work = None
-        return "", work.result()
+        return work.result()
 
-    def _prepare(self, landmarks: np.ndarray) -> Hands:
-        time = _PERIOD * np.arange(len(landmarks))
-        is_valid = np.ones(len(landmarks), dtype=bool)
-        recording = Recording(
-            "calibration", time, landmarks, is_valid, self.request.side
-        )
-        lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
-        # Without a touch, nothing was measured: the preset's own gap is the better guess.
-        smallest = smallest_gap(time, landmarks)
-        if smallest < TOUCH_GAP:
-            lengths = replace(lengths, contact_gap=clipped_gap(smallest))
-        return prepare_hands(self.request, self.cache, lengths)
+    def _prepare(self, collected: dict[Side, list[np.ndarray]]) -> Hands:
+        measured = {
+            side: _measured(side, np.array(landmarks))
+            for side, landmarks in collected.items()
+            if len(landmarks) > CALIBRATION_SAMPLES // 2
+        }
+        return prepare_hands(self.request, self.cache, measured)
+
+
+def _measured(side: Side, landmarks: np.ndarray) -> HumanLengths:
+    """Measure a hand from its landmarks [m], shape (n, 21, 3)."""
+    time = _PERIOD * np.arange(len(landmarks))
+    is_valid = np.ones(len(landmarks), dtype=bool)
+    recording = Recording("calibration", time, landmarks, is_valid, side)
+    lengths = with_field_errors("landmarks", lambda: measure_hand(recording))
+    # Without a touch, nothing was measured: the preset's own gap is the better guess.
+    smallest = smallest_gap(time, landmarks)
+    if smallest < TOUCH_GAP:
+        lengths = replace(lengths, contact_gap=clipped_gap(smallest))
+    return lengths

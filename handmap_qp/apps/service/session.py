@@ -1,4 +1,4 @@
-"""One session: a human hand that leads and a robot hand that follows.
+"""One session: a human hand that leads and a robot hand that follows, or two and a robot.
 
 A session has no sockets and no clock of its own; its caller passes messages and times. `safety` has
 its states, and what keeps its robot within its limits.
@@ -14,11 +14,13 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import astuple, replace
 from itertools import compress
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from handmap_qp.apps.service.opening import (
     Calibration,
@@ -46,6 +48,8 @@ from handmap_qp.client.messages import (
     Command,
     Configure,
     Detail,
+    HandSample,
+    HandState,
     Lengths,
     Open,
     Opened,
@@ -54,23 +58,28 @@ from handmap_qp.client.messages import (
     State,
     Step,
 )
-from handmap_qp.errors import HandmapError
-from handmap_qp.hands.hand import LONGEST_STOP
+from handmap_qp.errors import HandmapError, RefusedError
+from handmap_qp.hands.hand import LONGEST_STOP, Hand
 from handmap_qp.human.contact_gap import ContactGapMeter
-from handmap_qp.human.sample import UNSEEN, HumanSample
+from handmap_qp.human.sample import UNSEEN, HumanSample, PalmShape
 from handmap_qp.ik.limits import Motion
 from handmap_qp.mapping.mapper import check_joints
 from handmap_qp.mapping.method import MapStep
+from handmap_qp.stream.robot_follower import RobotFollower
 from handmap_qp.trackers.layouts import LAYOUTS
 from handmap_qp.trackers.layouts.tables import load_layout
 
 Fields = dict[str, Any]
 """Values of a message or sample by the names of its fields."""
-_FIELDS = ("q", "landmarks", "points", "values")
+Work = Callable[..., Any]
+"""What is done with the form of a hand and its part of a sample."""
+_FIELDS = ("hands", "q", "landmarks", "points", "values")
+_BARE = {"q": None, "points": None} | structs.asdict(HandSample())
+"""Fields of a hand in a sample that has `hands`."""
 
 
 class SampleForm:
-    """What the samples of a session hold.
+    """What the samples of a session hold, or those of one hand of a robot.
 
     Args:
         request: The request that opened the session.
@@ -83,15 +92,24 @@ class SampleForm:
         self._kind = request.input
         self._side = request.side
         name = request.layout
-        is_apart = name is not None and self._kind != "landmarks"
-        refuse_if(is_apart, "needs input=landmarks", "layout")
-        # Only layouts of the package: a name must not open files of the server.
-        is_unknown = name is not None and name not in LAYOUTS
-        message = f"no layout {name!r}; there are {', '.join(LAYOUTS)}"
-        refuse_if(is_unknown, message, "layout")
-        self._layout = None if name is None else load_layout(name)
-        self._field = self._kind if name is None else "values"
-        self._wanted = self._field if name is None else f"values of {name}"
+        self._layout = None
+        self._field = self._wanted = self._kind
+        if name is not None:
+            refuse_if(self._kind != "landmarks", "needs input=landmarks", "layout")
+            # Only layouts of the package: a name must not open files of the server.
+            message = f"no layout {name!r}; there are {', '.join(LAYOUTS)}"
+            refuse_if(name not in LAYOUTS, message, "layout")
+            self._layout = load_layout(name)
+            self._field, self._wanted = "values", f"values of {name}"
+
+    def each(self, sample: Step, work: Work) -> list[Any]:
+        """Return what `work` makes of each hand of a sample, in a form of its own.
+
+        Raises:
+            RefusedError: If the hands are not those of the robot.
+            HandmapError: As of `work`.
+        """
+        return [work(self, sample)]
 
     def check(self, sample: Step) -> None:
         """Reject a sample of another kind than the session was opened for.
@@ -146,23 +164,65 @@ class SampleForm:
             arrival: When it arrived, on a monotonic clock [s]; None for simulated time.
 
         Returns:
-            Every stage of the mapping, and the landmarks [m], shape (21, 3), if it had some.
+            Every stage of the mapping, and the landmarks [m], shape (21, 3), if it had some of a
+            robot hand's session.
 
         Raises:
             HandmapError: If the sample cannot be used; the mapper is then unchanged.
         """
-        if hands.palm is not None:
-            human = self.human_sample(sample)
+        if self._kind == "landmarks":
+            humans = self.each(sample, SampleForm.human_sample)
+            if isinstance(hands.follower, RobotFollower):
+                of = {human.side: human for human in humans}
+                return hands.follower.map_samples(of, dt=dt, arrival=arrival), None
+            (human,) = humans
             step = hands.follower.map_sample(human, dt=dt, arrival=arrival)
             if step.rule == "size":
                 # Other units than metres are a mistake of the client, which must know.
-                hands.palm.check(human.landmarks)
+                PalmShape(hands.mapper.human).check(human.landmarks)
             return step, human.landmarks
+        mapper: Any = hands.mapper
         wrist = to_matrix(sample.wrist)
         if sample.points is not None:
-            return hands.mapper.map_points(sample.points, wrist, dt=dt), None
-        assert wrist is not None, "`check` requires a wrist with q"
-        return hands.mapper.map_step(np.array(sample.q), wrist, dt=dt), None
+            return mapper.map_points(sample.points, wrist, dt=dt), None
+        return mapper.map_step(np.array(sample.q), wrist, dt=dt), None
+
+
+class RobotForm(SampleForm):
+    """What the samples of a robot with two hands hold.
+
+    Args:
+        request: The request that opened the session.
+        robot: The robot.
+
+    Raises:
+        RefusedError: As of `SampleForm`.
+    """
+
+    def __init__(self, request: Open, robot: Hand) -> None:
+        super().__init__(request)
+        self._forms = {
+            hand.side: SampleForm(structs.replace(request, side=hand.side))
+            for hand in robot.parts
+        }
+
+    def each(self, sample: Step, work: Work) -> list[Any]:
+        """Return what `work` makes of each hand; errors as of `SampleForm.each`."""
+        hands = sample.hands or {}
+        is_bare = sample == structs.replace(sample, **_BARE)
+        is_right = is_bare and hands and hands.keys() <= self._forms.keys()
+        message = f"expected {' or '.join(self._forms)}, and nothing of a hand beside"
+        refuse_if(not is_right, message, "hands")
+        done = []
+        for side, hand in hands.items():
+            part = structs.replace(sample, hands=None, **structs.asdict(hand))
+            try:
+                done.append(work(self._forms[side], part))
+            except HandmapError as error:
+                wrong = refused(error)
+                place = f"hands.{side}.{wrong.field}"
+                raise RefusedError(wrong.code, str(wrong), field=place) from error
+        return done
 
 
 class Session:
@@ -208,7 +268,8 @@ class Session:
         self.robot = hands.mapper.robot
         self.counts: Counter[str] = Counter()
         self.last_request = self._opened_at = now
-        self._form = SampleForm(request)
+        robot = self.robot
+        self._form = RobotForm(request, robot) if robot.parts else SampleForm(request)
         # The request with all changes since.
         self._wanted = request
         self._calibration = calibration if hands.needs_measuring else None
@@ -292,12 +353,7 @@ class Session:
         about: Fields = wanted | {
             "robot": self.robot.name,
             "lengths": measured
-            and Lengths(
-                *(
-                    getattr(measured, name).tolist()
-                    for name in Lengths.__struct_fields__
-                )
-            ),
+            and Lengths(*(part.tolist() for part in astuple(measured)[:3])),
             "preset": choice.preset,
             "options": choice.method.values,
             "ik": choice.ik.values,
@@ -330,7 +386,7 @@ class Session:
             RefusedError: If the sample cannot be used. The robot and the watchdog then ignore it.
         """
         try:
-            self._form.check(sample)
+            self._form.each(sample, SampleForm.check)
             if self._calibration is not None:
                 return self._calibrate(self._calibration, sample, now)
             self._prepare_mapper()
@@ -513,7 +569,11 @@ class Session:
 
     def _calibrate(self, calibration: Calibration, sample: Step, now: float) -> Command:
         """Collect landmarks until the human hand is measured; the robot holds meanwhile."""
-        rule, hands = calibration.add(self._form.human_sample(sample))
+        rules = self._form.each(
+            sample, lambda form, part: calibration.add(form.human_sample(part))
+        )
+        rule = rules[0] if all(rules) else ""
+        hands = calibration.result()
         self._dt, _ = self._clock.grant(sample.time, now)
         self.counts["held"] += bool(rule)
         flags = [rule] if rule else self._accept(now)
@@ -610,10 +670,9 @@ class Session:
             self._mapper_state = MapperState.ALIGNED
             return
         angles = self._commanded.q if q is None else q
-        mapper.reset(
-            robot_q=np.clip(angles, robot.lower_limits, robot.upper_limits),
-            robot_wrist=self._commanded.wrist if robot.is_floating else None,
-        )
+        wrist = {"robot_wrist": self._commanded.wrist} if robot.is_floating else {}
+        inside = np.clip(angles, robot.lower_limits, robot.upper_limits)
+        mapper.reset(robot_q=inside, **wrist)
         self._mapper_state = MapperState.SLEWING
 
     def _diagnostics(
@@ -624,13 +683,10 @@ class Session:
         detail = None
         if self._wanted.has_detail and "motion" in step.diagnostics:
             # Every stage of a step whose method has a T.
-            names = ("motion", "motion_rigid", "motion_deformation", "stretches")
-            arrays = {name: step.diagnostics[name] for name in names} | {
-                "pivot": step.diagnostics["pivot_image"],
-                "human_points": step.human_points,
-                "targets": step.targets,
-                "points": step.points,
-            }
+            names = "motion", "motion_rigid", "motion_deformation", "stretches"
+            names += "human_points", "targets", "points"
+            arrays = {name: getattr(step, name) for name in names}
+            arrays["pivot"] = step.diagnostics["pivot_image"]
             detail = Detail(
                 held_by=step.held_by,
                 human_q=sample.q,
@@ -645,6 +701,8 @@ class Session:
             "out_of_range": step.out_of_range,
             "solve_time": step.duration,
             "detail": detail,
+            "wrist_error": to_row(step.wrist_error),
+            "arm_held_by": step.arm_held_by,
             **_trust(step),
         }
 
@@ -681,10 +739,21 @@ class Session:
 def _trust(step: MapStep) -> Fields:
     """Return the fields of a command that say how much a sample is to be trusted."""
     consistency = step.consistency
+    hands: dict[str, MapStep] = getattr(step, "hands", {})
     return {
         "rule": step.rule,
         "consistency": None if math.isnan(consistency) else consistency,
         "confidence": step.confidence,
+        "hands": {
+            side: HandState(
+                each.status,
+                each.rule,
+                Pose.from_matrix(each.command.wrist),
+                to_row(each.wrist_error),
+                each.arm_held_by,
+            )
+            for side, each in hands.items()
+        },
     }
 
 

@@ -43,7 +43,8 @@ class Settings:
             restart.
         audit: File of the audit log: one JSON line for each session that a client opens, engages,
             releases, changes, stops or closes, with the client's name and address.
-        hand: Further robot hands that clients may open: paths of hand.yaml files.
+        hand: Further robot hands that clients may open, and robots with two: paths of hand.yaml and
+            robot.yaml files.
         sessions: Open sessions, at most 128.
         rate: Messages per second from one connection.
         idle: Time without a request after which a session is closed [s].
