@@ -17,7 +17,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
+from operator import attrgetter
 from typing import (
     TYPE_CHECKING,
     Literal,
@@ -244,6 +245,10 @@ StepStatus = Status | Literal["held", "gliding"]
 _ARRIVED = IkOptions().point_tolerance
 
 
+# It takes longer than all the rest of what is said about a sample.
+_moves_wrist = lru_cache(maxsize=64)(attrgetter("moves_wrist"))
+
+
 def arm_held_by(
     hand: Hand, at_speed_limit: np.ndarray, at_limit: np.ndarray
 ) -> np.ndarray:
@@ -256,7 +261,8 @@ def arm_held_by(
         at_speed_limit: Whether each joint is at its speed limit only, shape (T, n).
         at_limit: Whether it is at a position limit, shape (T, n).
     """
-    held = [of[..., hand.moves_wrist].any(axis=-1) for of in (at_speed_limit, at_limit)]
+    arm = _moves_wrist(hand)
+    held = [of[..., arm].any(axis=-1) for of in (at_speed_limit, at_limit)]
     return np.select(held, ["speed", "limit"], "reach")
 
 
@@ -450,10 +456,10 @@ class MapStep(msgspec.Struct, frozen=True, eq=False):
     def arm_held_by(self) -> str:
         """What keeps the arm's wrist off its target (`arm_held_by`); empty if nothing does."""
         hand = self.ik.hand
-        if self.ik.status in ("released", "failed"):
+        is_led = self.stages.status not in ("released", "failed")
+        if not is_led or not _moves_wrist(hand).any():
             return ""
-        is_there = (self.wrist_error * WRIST_LEVERS).max() <= _ARRIVED
-        if is_there or not hand.moves_wrist.any():
+        if (self.wrist_error * WRIST_LEVERS).max() <= _ARRIVED:
             return ""
         at_limit = hand.at_position_limit(self.command.q)
         return str(arm_held_by(hand, self.at_bound & ~at_limit, at_limit))
