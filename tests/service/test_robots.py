@@ -31,14 +31,12 @@ from handmap_qp.mapping.robot_mapper import RobotMapper
 from handmap_qp.stream.robot_follower import RobotFollower
 
 SIDES: tuple[Side, Side] = ("left", "right")
+OPEN: dict[str, Any] = {"preset": None, "input": "landmarks", "hand_length": LENGTH}
 
 
 def opened_with(**choices: Any) -> dict[str, Any]:
     """Return choices of a session of landmarks."""
     return OPEN | choices
-
-
-OPEN: dict[str, Any] = {"preset": None, "input": "landmarks", "hand_length": LENGTH}
 
 
 @pytest.fixture(scope="module")
