@@ -128,14 +128,14 @@ def find_anatomy(
     radial = hand.find_radial(np.cross(distal.direction, dorsal.direction))
     named = named_side(chain(hints, *names))
     turned, clue = _find_side(distal, dorsal, radial, hand.thumb_clue, side, named)
+    found: Side = "right" if clue.answer == "right" else "left"
     # The thumb's side orders the fingers; only without it the side does.
     if radial.confidence == 0.0:
-        across = np.cross(distal.direction, turned.direction)
-        across = -across if clue.answer == "right" else across
+        right = np.cross(turned.direction, distal.direction)
+        across = right if found == "right" else -right
         radial = radial._replace(direction=across, confidence=0.2)
     fingers, order = hand.name_fingers(radial)
     clues = (hand.thumb_clue, distal.clue("distal"), turned.clue("dorsal"), clue, order)
-    found: Side = "right" if clue.answer == "right" else "left"
     return Anatomy(distal.direction, turned.direction, found, fingers, clues)
 
 
@@ -294,13 +294,24 @@ class _Evidence:
         Returns:
             The direction across the palm towards the thumb; confidence 0 if the thumb is central.
         """
-        place, is_outside = self._thumb_place(across)
-        bases = {self.labels[i]: self.flexion.bases[i] @ across for i in self.rest}
+        flexion = self.flexion
+        rest = self.rest
+        bases = {self.labels[i]: flexion.bases[i] @ across for i in rest}
         steps = -np.diff([bases[label] for label in FINGERS if label in bases])
         # Names count if all steps are to one side, and none is too small to tell.
         named = np.sign(steps.sum())
         if not (named * steps > 0.5 * _NARROW).all():
             named = 0.0
+        # Where the thumb's base and tip are on one side, in half widths of the palm.
+        ends = np.zeros(2)
+        if len(rest) > 1:
+            row = flexion.bases[rest] @ across
+            width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[rest].mean())
+            points = flexion.roots[self.thumb], flexion.tips_open[self.thumb]
+            ends = (np.array(points) @ across - row.mean()) / width
+        place = ends.mean()
+        is_outside = abs(place) > 2.0 * _CLEAR and (ends * place > 0.0).all()
+        place *= abs(place) > _VISIBLE
         how = "the thumb's place"
         is_clear = abs(place) > _CLEAR
         confidence = (
@@ -314,24 +325,6 @@ class _Evidence:
             confidence = _DISPUTED if is_clear else _LIKELY
         # Names count as much as a clear place.
         return _Found(np.sign(place + _CLEAR * named) * across, how, confidence)
-
-    def _thumb_place(self, across: np.ndarray) -> tuple[float, bool]:
-        """Return how far the thumb is to one side, in half widths of the palm; 0 if hardly.
-
-        Also return whether its base and its tip are both far on that side.
-        """
-        flexion = self.flexion
-        thumb = self.thumb
-        rest = self.rest
-        if len(rest) < 2:
-            return 0.0, False
-        row = flexion.bases[rest] @ across
-        width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[rest].mean())
-        ends = np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
-        ends = (ends - row.mean()) / width
-        place = ends.mean()
-        is_outside = abs(place) > 2.0 * _CLEAR and (ends * place > 0.0).all()
-        return place if abs(place) > _VISIBLE else 0.0, is_outside
 
     def name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""

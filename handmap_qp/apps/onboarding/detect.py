@@ -8,7 +8,7 @@ answer has its evidence and its confidence.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.spec import (
     HandSpec,
+    LimitSpec,
     PadSpec,
     PalmSpec,
     PointSpec,
@@ -118,10 +119,10 @@ def detect_text(
     if base is not None:
         spec, more = _on_arm(text, urdf, spec, base)
         notes += more
-    chains = {}
-    for finger in hand.fingers:
-        leaders = map(robot.driver, finger.joint_names)
-        chains[finger.name] = (*dict.fromkeys([*leaders, *finger.joint_names]),)
+    chains = {
+        finger.name: (*map(robot.driver, finger.joint_names), *finger.joint_names)
+        for finger in hand.fingers
+    }
     return Detection(spec, tuple(hand.clues), tuple(notes), chains)
 
 
@@ -176,11 +177,10 @@ class _FoundHand:
         joints = (*dict.fromkeys(map(robot.driver, names)),)
         origin = self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
-        points, sets = point_sets(tips, self._middles())
-        rest = _positions(robot, self._rest())
-        zero = _positions(robot, robot.zero)
+        points, sets = point_sets([*tips, *self._middles()])
+        still = [joint for joint in robot.active if joint not in joints]
         locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
-        locked |= {joint: q for joint, q in zero.items() if joint not in joints}
+        locked |= _positions(robot, robot.zero, still)
         return HandSpec(
             name=name or self._name(),
             urdf=str(robot.file),
@@ -193,13 +193,13 @@ class _FoundHand:
             ),
             wrist=WristSpec(robot.root, "floating"),
             joints=joints,
-            rest=_picked(rest, joints),
+            rest=_positions(robot, self._rest(), joints),
             points=points,
             sets=sets,
             reference="fingertips",
             root=None if robot.is_whole else robot.root,
             locked=locked,
-            limits=_picked(robot.assumed, joints),
+            limits=_assumed(robot, joints),
             mimic=robot.dropped_rules,
         )
 
@@ -307,12 +307,14 @@ class _FoundHand:
 
 
 def point_sets(
-    tips: Sequence[PointSpec], others: Sequence[PointSpec]
+    points: Iterable[PointSpec],
 ) -> tuple[tuple[PointSpec, ...], dict[str, tuple[str, ...]]]:
-    """Return all points of a hand, and the sets of their names."""
-    points = (*tips, *others)
-    sets = {"fingertips": tips} | ({"fingertips_middle": points} if others else {})
-    return points, {key: tuple(p.name for p in sets[key]) for key in sets}
+    """Return all points of a hand, the fingertips first, and the sets of their names."""
+    every = sorted(points, key=lambda point: not point.name.endswith("_tip"))
+    names = tuple(point.name for point in every)
+    tips = tuple(name for name in names if name.endswith("_tip"))
+    more = {"fingertips_middle": names} if names != tips else {}
+    return tuple(every), {"fingertips": tips} | more
 
 
 def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
@@ -346,18 +348,17 @@ def _on_arm(
         raise HandError(problem, file=urdf, value=base)
     # A straight arm is singular; at mid-range it seldom is.
     middle = 0.5 * (robot.lower_limits + robot.upper_limits)
-    rest = _positions(robot, middle.round(4) + 0.0)
+    rest = _positions(robot, middle.round(4) + 0.0, arm)
     joints = (*arm, *spec.joints)
-    zero = _positions(robot, robot.zero)
-    still = {joint: q for joint, q in zero.items() if joint not in joints}
+    still = [joint for joint in robot.active if joint not in joints]
     changed = msgspec.structs.replace(
         spec,
         root=None if robot.is_whole else base,
         wrist=WristSpec(hand, "fixed"),
         joints=joints,
-        rest=_picked(rest, arm) | spec.rest,
-        locked=spec.locked | still,
-        limits=_picked(robot.assumed, arm) | spec.limits,
+        rest=rest | spec.rest,
+        locked=spec.locked | _positions(robot, robot.zero, still),
+        limits=_assumed(robot, arm) | spec.limits,
     )
     notes = [
         f"the arm from {base} to {hand} moves the wrist: {', '.join(arm)}",
@@ -366,14 +367,15 @@ def _on_arm(
     return changed, notes
 
 
-def _positions(robot: Robot, q: np.ndarray) -> dict[str, float]:
-    """Return positions of the active joints by name [rad or m]."""
-    return dict(zip(robot.active, q.tolist(), strict=True))
+def _positions(robot: Robot, q: np.ndarray, joints: Iterable[str]) -> dict[str, float]:
+    """Return positions of some active joints by name [rad or m]."""
+    positions = dict(zip(robot.active, q.tolist(), strict=True))
+    return {joint: positions[joint] for joint in joints}
 
 
-def _picked(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """Return the values of those names that have one."""
-    return {name: values[name] for name in names if name in values}
+def _assumed(robot: Robot, joints: Iterable[str]) -> dict[str, LimitSpec]:
+    """Return the limits that are assumed of some joints."""
+    return {joint: robot.assumed[joint] for joint in joints if joint in robot.assumed}
 
 
 def _point(

@@ -160,8 +160,8 @@ class HandFlexion:
         speeds = np.linalg.norm(self._motions, axis=1)
         along = np.einsum("fkn,fk->fn", self._motions, self.ways)
         mine = (speeds > 1e-4) & (self.certainty[:, None] > 0.0)
-        ratios = along / np.maximum(speeds, 1e-9)
-        cosines = np.ma.array(ratios, mask=~mine).mean(axis=0).filled(0.0)
+        ratios = np.ma.array(along, mask=~mine) / speeds
+        cosines = ratios.mean(axis=0).filled(0.0)
         flexes = (self.sign == 0.0) & (np.abs(cosines) > _FLEXING)
         self.sign[flexes] = np.sign(cosines[flexes])
 

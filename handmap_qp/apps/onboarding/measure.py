@@ -402,18 +402,13 @@ def _nearest(
         q[columns] = positions
         return np.subtract(*view.points(q, places))
 
-    def slope(positions: np.ndarray) -> np.ndarray:
-        q[columns] = positions
-        return np.subtract(*(view.motion(q, place) for place in places))[:3, columns]
-
     limits = np.array([hand.lower_limits, hand.upper_limits])
     first = [hand.rest, limits.mean(axis=0), zero_posture(hand)]
-    bounds = limits[:, columns]
     best = np.inf
     for start in np.vstack([first, random_postures(hand, _STARTS)])[:, columns]:
         if best >= near:
             found = least_squares(
-                gap, start, slope, bounds=bounds, ftol=1e-4, xtol=1e-4
+                gap, start, bounds=limits[:, columns], ftol=1e-4, xtol=1e-4
             )
             best = min(best, float(lengths(found.fun)))
     return best
