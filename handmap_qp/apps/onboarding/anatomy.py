@@ -125,15 +125,15 @@ def find_anatomy(
     hand = _Evidence(flexion, names, thumb)
     distal = hand.find_distal()
     dorsal = hand.find_dorsal(distal)
-    radial = hand.find_radial(np.cross(distal.direction, dorsal.direction))
+    across = np.cross(distal.direction, dorsal.direction)
+    radial = hand.find_radial(across)
     named = named_side(chain(hints, *names))
-    turned, clue = _find_side(distal, dorsal, radial, hand.thumb_clue, side, named)
+    turned, clue = _find_side(across, dorsal, radial, hand.thumb_clue, side, named)
     found: Side = "right" if clue.answer == "right" else "left"
     # The thumb's side orders the fingers; only without it the side does.
     if radial.confidence == 0.0:
-        right = np.cross(turned.direction, distal.direction)
-        across = right if found == "right" else -right
-        radial = radial._replace(direction=across, confidence=0.2)
+        outwards = -across if found == "right" else across
+        radial = radial._replace(direction=outwards, confidence=0.2)
     fingers, order = hand.name_fingers(radial)
     clues = (hand.thumb_clue, distal.clue("distal"), turned.clue("dorsal"), clue, order)
     return Anatomy(distal.direction, turned.direction, found, fingers, clues)
@@ -164,7 +164,7 @@ class _Evidence:
         values, vectors = np.linalg.eigh(axes.T @ axes)
         # Jaws and hands with fingers all around have no common axis.
         has_axis = axes.any() and values[-1] >= 0.8 * values.sum()
-        self.axis = vectors[:, -1] if has_axis else np.zeros(3)
+        self.axis = has_axis * vectors[:, -1]
 
     def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:
         """Find the finger that differs from the others, or that the names call a thumb."""
@@ -209,15 +209,15 @@ class _Evidence:
         agreement = lengths(mean)
         if agreement < 0.2:
             mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
-        if lengths(_beside(mean, axis)) > 0.2:
-            mean = _beside(mean, axis)
-        mean = _snapped(unit(mean), knuckles.mean(axis=0), axis)
+        beside = _beside(mean, axis)
+        middle = knuckles.mean(axis=0)
+        mean = _snapped(unit(beside if lengths(beside) > 0.2 else mean), middle, axis)
         how = f"the mean direction of the straight fingers (agreement {agreement:.2f} of 1)"
         confidence = 0.4
         if agreement > _AGREED:
             confidence = _CERTAIN
             row = _widest(knuckles) if len(knuckles) > 2 and axis.any() else mean
-            if angle_between(mean, knuckles.mean(axis=0)) < _AGREEING:
+            if angle_between(mean, middle) < _AGREEING:
                 how += "; the knuckles lie in this direction from the palm's origin"
             elif abs(mean @ row) < np.sin(np.radians(_AGREEING)):
                 how += "; at right angles to the row of the knuckles"
@@ -386,7 +386,7 @@ def _stands_out(differences: np.ndarray) -> np.ndarray:
 
 
 def _find_side(
-    distal: _Found,
+    across: np.ndarray,
     dorsal: _Found,
     radial: _Found,
     thumb: Clue,
@@ -410,7 +410,7 @@ def _find_side(
             how = "undetermined; right by convention"
             sure = 0.2
         return dorsal, Clue("side", declared or "right", how, sure)
-    is_right = radial.direction @ np.cross(distal.direction, dorsal.direction) < 0.0
+    is_right = radial.direction @ across < 0.0
     found, place = ("right", "left") if is_right else ("left", "right")
     how = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
     least = min(radial.confidence, thumb.confidence)

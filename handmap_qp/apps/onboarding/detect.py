@@ -237,9 +237,8 @@ class _FoundHand:
         width = flexion.moves.any(axis=0) * (upper - lower)
         near = _AT_LIMIT * width
         spread = _SPREAD * width
-        flexes = flexion.sign != 0.0
         q = np.select(
-            [flexes, one_sided, upper - zero < near, zero - lower < near],
+            [flexion.sign != 0.0, one_sided, upper - zero < near, zero - lower < near],
             [
                 flexion.q_open + step,
                 0.5 * (lower + upper),
@@ -249,9 +248,9 @@ class _FoundHand:
             zero,
         )
         q = np.clip(q.round(4) + 0.0, lower, upper)
-        tips = [finger.tip for finger in self.fingers]
-        points = PalmKinematics(robot).points(np.array([q, flexion.q_open]), tips)
-        heights = (points[0] - points[1]) @ self.anatomy.dorsal
+        places = [finger.tip for finger in self.structure.fingers]
+        tips = PalmKinematics(robot).points(q, places)
+        heights = (tips - flexion.tips_open) @ self.anatomy.dorsal
         sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
         how = (
             f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "

@@ -91,8 +91,7 @@ class HandFlexion:
         self.certainty = np.abs(senses)
         self.sign = np.sign(senses @ self._curls)
         # A joint that moves several fingers takes the mean of their straight positions.
-        mean = straight.mean(axis=0)
-        self.q_open = mean.filled(zero)
+        self.q_open = straight.mean(axis=0).filled(zero)
         motions = np.array([self._view.motion(self.q_open, tip) for tip in self._tips])
         self._motions = motions[:, :3]
         self.slides = ~motions[:, 3:].any(axis=(0, 1))
@@ -103,7 +102,7 @@ class HandFlexion:
         self._sign_base_joints()
         start, self.q_closed = self._ends(self.sign)
         # A jaw is open at one end of its range, which need not be zero.
-        jaws = (self.sign != 0.0) & np.ma.getmaskarray(mean) & self.slides
+        jaws = (self.sign != 0.0) & self.slides
         self.q_open = np.where(jaws, start, self.q_open)
         postures = np.array([self.q_open, self.q_closed])
         self.tips_open, self.tips_closed = self._view.points(postures, self._tips)
@@ -127,7 +126,14 @@ class HandFlexion:
         known = self._ways()[self.certainty > 0.0].sum(axis=0)
         slopes = np.einsum("fkn,fn->fk", self._motions, self._curls)
         even = self._curls.any(axis=1) & (self.certainty == 0.0)
-        for alike in _alike(slopes, np.flatnonzero(even)):
+        # Fingers that move in parallel close to the same side.
+        units = unit(slopes)
+        is_parallel = np.abs(units @ units.T) > PARALLEL
+        groups: dict[int, list[int]] = {}
+        for i in np.flatnonzero(even).tolist():
+            first = next((k for k in groups if is_parallel[i, k]), i)
+            groups.setdefault(first, []).append(i)
+        for alike in sorted(groups.values(), key=len, reverse=True):
             senses = np.where(slopes[alike] @ slopes[alike[0]] < 0.0, -1.0, 1.0)
             signs = senses[:, None] * self._curls[alike]
             slope = senses @ slopes[alike]
@@ -200,14 +206,3 @@ class HandFlexion:
         """Return postures of the joints with a sign at both ends of their ranges, shape (2, n)."""
         columns = np.flatnonzero(signs)
         return ends_of(self._view.hand, self.q_open, columns, signs[columns])
-
-
-def _alike(slopes: np.ndarray, chosen: np.ndarray) -> list[list[int]]:
-    """Return the fingers that move in parallel together: they close to the same side."""
-    units = unit(slopes)
-    is_parallel = np.abs(units @ units.T) > PARALLEL
-    found: dict[int, list[int]] = {}
-    for i in chosen.tolist():
-        first = next((k for k in found if is_parallel[i, k]), i)
-        found.setdefault(first, []).append(i)
-    return sorted(found.values(), key=len, reverse=True)

@@ -218,7 +218,10 @@ def measure_size(hand: Hand) -> Size:
         lengths(hand.points(q) - hand.frame_pose("palm", q)[:3, 3]).max()
         for q in (hand.rest, zero_posture(hand))
     ]
-    return Size(max(sizes), _spread(hand), _spread(human))
+    clouds = [
+        float(np.sqrt(one.points(one.rest).var(axis=0).sum())) for one in (hand, human)
+    ]
+    return Size(max(sizes), *clouds)
 
 
 def try_motion(hand: Hand) -> list[MotionPart]:
@@ -322,10 +325,6 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
         "pointing": posture(thumb=0.7, **{**fist, "index": 0.05}),
         "pinch": posture(thumb=0.6, index=0.9),
     }
-
-
-def _spread(hand: Hand) -> float:
-    return float(np.sqrt(hand.points(hand.rest).var(axis=0).sum()))
 
 
 def make_fist(hand: Hand) -> Fist | None:
