@@ -30,17 +30,16 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
-from handmap_qp.mapping.palm import point_indices, require_points
+from handmap_qp.mapping.palm import chain_landmarks, point_indices, require_points
 from handmap_qp.se3 import frozen, lengths, transform_points
 
-KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
-"""Landmark at the base of each finger, by the finger's name."""
-MIDDLES = {f: f"{f}_{'ip' if f == THUMB else 'pip'}" for f in FINGERS}
+KNUCKLES, _SECONDS, LASTS, TIPS = (
+    dict(zip(FINGERS, names, strict=True))
+    for names in zip(*map(chain_landmarks, FINGERS), strict=True)
+)
+"""Landmarks at the base, of the last joint and at the tip of each finger, by the finger's name."""
+MIDDLES = _SECONDS | {THUMB: LASTS[THUMB]}
 """Landmark of the joint in the middle of each finger."""
-LASTS = {f: f"{f}_{'ip' if f == THUMB else 'dip'}" for f in FINGERS}
-"""Landmark of the last joint of each finger."""
-TIPS = {f: f"{f}_tip" for f in FINGERS}
-"""Landmark of each fingertip."""
 
 _TABLES = TIPS, LASTS, MIDDLES, KNUCKLES
 # Weight of a jaw's position errors. The gap to the thumb is all that a jaw can show.
@@ -179,10 +178,9 @@ class HandPair:
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
         self.robot_rest = frozen(points_in_palm(self.robot, self.matched))
-        chains = [self.chains[finger] for finger in self.fingers]
         places = [
             place
-            for chain in chains
+            for chain in map(self.chains.__getitem__, self.fingers)
             for place in (chain.knuckle, chain.tip, chain.middle)
         ]
         points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
@@ -393,11 +391,8 @@ def points_in_palm(
 
 def resting_posture(human: Hand) -> np.ndarray:
     """Return the human's rest posture with the thumb where recorded thumbs are at rest, (n,)."""
-    q = human.rest.copy()
-    for joint, angle in _RESTING_THUMB.items():
-        if joint in human.joint_names:
-            q[human.joint_names.index(joint)] = angle
-    return q
+    own = zip(human.joint_names, human.rest, strict=True)
+    return np.array([_RESTING_THUMB.get(joint, angle) for joint, angle in own])
 
 
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:

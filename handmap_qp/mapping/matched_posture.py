@@ -135,10 +135,9 @@ class _Distance:
         turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
         curvature = placed.joint_jacobian()[3:].T.dot(turning) * self._is_ancestor
         full = rows.T.dot(np.repeat(self._costs, 3, axis=0) * rows)
-        full += curvature + curvature.T
-        full.reshape(-1)[:: len(full) + 1] -= curvature.diagonal()
+        full += curvature + np.triu(curvature, 1).T
         hessian = self._spread.T.dot(full).dot(self._spread)
-        hessian.reshape(-1)[:: len(hessian) + 1] += self._rest_cost
+        hessian += self._rest_cost * np.eye(len(x))
         gradient = (
             forces.reshape(-1).dot(rows).dot(self._spread) + self._rest_cost * away
         )
