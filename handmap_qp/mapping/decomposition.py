@@ -170,9 +170,9 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
     # QR leaves the signs open: take the rotation proper and, where the motion mirrors, give all
     # three scales the sign.
     signs = np.sign(scales) * np.linalg.slogdet(matrix[:3, :3]).sign
-    rotation = rotation * signs
-    upper = upper * signs[:, None]
-    scales = scales * signs
+    rotation *= signs
+    upper *= signs[:, None]
+    scales *= signs
     isotropic = float(np.cbrt(np.prod(scales)))
     shear_matrix = upper / scales
     zero = np.zeros(3)

@@ -300,7 +300,7 @@ class HomogeneousMap(Compiled):
         image = estimate.image(pivot)
         factors = polar(linear)
         stretches = np.clip(factors.stretches, options.stretch_min, options.stretch_max)
-        is_clamped = stretches.tolist() != factors.stretches.tolist()
+        is_clamped = not np.array_equal(stretches, factors.stretches)
         if is_clamped or options.deformation_gain != 1.0:
             linear = factors.stretch(stretches**options.deformation_gain).dot(
                 factors.rotation

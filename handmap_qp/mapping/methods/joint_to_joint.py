@@ -130,12 +130,7 @@ class FingerAngles:
             in_palm: The human's reference points in palm axes [m], shape (n_h, 3).
         """
         bones = np.diff(in_palm[self._points], axis=1)
-        return np.array(
-            [
-                frames.angles(each)
-                for frames, each in zip(self._fingers, bones, strict=True)
-            ]
-        )
+        return np.array([*map(_FingerFrames.angles, self._fingers, bones)])
 
 
 class _FingerFrames:
@@ -265,12 +260,12 @@ class BoundJointToJoint(PalmMethod):
     def positions(self, angles: np.ndarray) -> np.ndarray:
         """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share."""
         of_finger = dict(zip(self.fingers, angles, strict=True))
+        asked = [link.position(of_finger[link.finger]) for link in self.links]
+        columns = [link.column for link in self.links]
         q = self.robot.rest.copy()
-        count = np.zeros(len(self.robot.rest))
-        for link in self.links:
-            count[link.column] += 1.0
-            by = link.position(of_finger[link.finger]) - q[link.column]
-            q[link.column] += by / count[link.column]
+        q[columns] = (
+            np.bincount(columns, asked)[columns] / np.bincount(columns)[columns]
+        )
         return q
 
     def _links(self, finger: Finger, leading: np.ndarray) -> list[JointLink]:
