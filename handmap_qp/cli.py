@@ -58,6 +58,10 @@ COMMANDS: dict[str, _Place] = {
         "Map a human hand's motion to a robot hand; needs no data of your own.",
     ),
     "map": _Place("offline.cli", "Map a recording of a human hand to a robot hand."),
+    "align": _Place(
+        "offline.cli",
+        "Find how a tracker's world and a robot's are aligned, from three reaches in a recording.",
+    ),
     "calibrate": _Place(
         "offline.cli",
         "Measure a person's hand in recordings, and keep it in a file.",

@@ -26,6 +26,9 @@ Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Meta(gt=0.0)]
+UPRIGHT = r"^[+-]([xyz]) up, [+-](?!\1)[xyz] forward\Z"
+Upright = Annotated[str, Meta(pattern=UPRIGHT)]
+"""Axes of a world that are up and forward, such as `+y up, -z forward`."""
 _Spec = TypeVar("_Spec")
 
 PACKAGE_SCHEME = "package://"
@@ -206,6 +209,7 @@ class _HandFields(Document, frozen=True):
     mimic: dict[str, MimicSpec | None] = {}
     arm: ArmSpec | None = None
     matched: dict[str, float] | None = None
+    upright: Upright = "+z up, +x forward"
     directory: Path | None = None
     file: Path | None = None
 
@@ -241,6 +245,8 @@ class HandSpec(_HandFields, frozen=True):
         matched: Position of every joint in the posture that corresponds to the resting human hand
             [rad or m], inside its limits. Teleoperation starts there. If omitted, it is solved for
             each pair of hands; `handmap hands match` prints it.
+        upright: Which axes of the world of a hand on an arm are up and forward, of its root link
+            without `arm`; those of REP 103 if omitted.
         directory: Folder at which relative paths start; that of `hand.yaml` if it was read from
             one.
         file: The file that the description was read from, for messages; None if built in code.
@@ -473,11 +479,8 @@ def _check_sets(spec: HandSpec) -> None:
     for set_name, members in spec.sets.items():
         for member in members:
             if member not in names:
-                raise spec.error(
-                    f"{member!r} is not one of `points`",
-                    key=f"sets.{set_name}",
-                    value=member,
-                )
+                message = f"{member!r} is not one of `points`"
+                raise spec.error(message, key=f"sets.{set_name}", value=member)
         check_unique(spec, members, f"sets.{set_name}")
     if spec.reference not in spec.sets:
         expected = ", ".join(spec.sets) or "(none)"
@@ -490,12 +493,8 @@ def _check_sets(spec: HandSpec) -> None:
 
 def _check_pad(point: PointSpec, file: Path | None, prefix: str) -> None:
     if point.pad is not None and point.finger is None:
-        raise HandError(
-            "expected a point with `finger`, got None",
-            file=file,
-            key=f"{prefix}pad",
-            value=point.finger,
-        )
+        message = "expected a point with `finger`, got None"
+        raise HandError(message, file=file, key=f"{prefix}pad", value=None)
 
 
 def _check_axes(spec: HandSpec) -> None:
@@ -506,11 +505,8 @@ def _check_axes(spec: HandSpec) -> None:
         if abs(math.hypot(*axis) - 1.0) >= 1e-6:
             raise spec.error(f"expected a unit vector, got {axis}", key=key, value=axis)
     if abs(np.dot(distal, dorsal)) >= 1e-6:
-        raise spec.error(
-            f"expected a direction at right angles to distal, got {dorsal}",
-            key="palm.dorsal",
-            value=dorsal,
-        )
+        message = f"expected a direction at right angles to distal, got {dorsal}"
+        raise spec.error(message, key="palm.dorsal", value=dorsal)
 
 
 def _check_pairs(spec: HandSpec) -> None:

@@ -32,6 +32,7 @@ from handmap_qp.apps.offline.comparison import (
     Take,
     check_names,
     compare_methods,
+    in_world_of,
     outside_methods,
     own_method,
     own_methods,
@@ -263,7 +264,11 @@ def _takes(
 ) -> list[Take]:
     """Read all recordings before any is prepared."""
     side = robot.spec.side
-    recordings = [request.inputs.read(file, side) for file in request.recordings]
+    # All methods, of others too, are given the robot's world, and are measured there.
+    recordings = [
+        in_world_of(robot, request.inputs.read(file, side))
+        for file in request.recordings
+    ]
     check_names(
         "RECORDING", [one.name for one in recordings], "files of different names"
     )

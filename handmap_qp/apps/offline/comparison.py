@@ -54,8 +54,9 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.human.recording import Recording, mirrored, turned
 from handmap_qp.human.sample import human_name
+from handmap_qp.mapping.alignment import rotation_onto
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.se3 import as_floats, inverse_pose
@@ -261,6 +262,14 @@ def prepare_take(
         wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
         q=fit_recording(recording, lengths=lengths).q,
     )
+
+
+def in_world_of(robot: Hand, recording: Recording) -> Recording:
+    """Return a recording in the world of a robot on an arm, as far as both are known."""
+    turn = rotation_onto(robot, recording.upright)
+    if turn is None:
+        return recording
+    return turned(recording, turn, np.eye(4), upright=robot.spec.upright)
 
 
 def compare_methods(

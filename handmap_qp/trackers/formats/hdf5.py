@@ -32,6 +32,7 @@ from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     SIDES,
+    WORDS,
     Entry,
     RecordingFormat,
     build_recording,
@@ -162,7 +163,7 @@ class RobomimicFormat(_Hdf5Format):
 
     `obs` of each demonstration has `landmarks (N, 63)` [m], `time (N,)` [s], `valid (N,)`, and
     where they are known `confidence (N,)` and `wrist (N, 12)`, the upper three rows of its pose.
-    Name, side and source are attributes.
+    Name, side, source and the axes that are up and forward are attributes.
     """
 
     name = "robomimic"
@@ -194,7 +195,7 @@ class RobomimicFormat(_Hdf5Format):
                 for name in COLUMNS
                 if name in obs or name == "time"
             }
-            for key in ("name", "source"):
+            for key in ("name", *WORDS):
                 columns[key] = str(demo.attrs.get(key, ""))
         return build_recording(path, entry, **columns, prefix=f"data/{entry.name}/obs/")
 
@@ -218,7 +219,7 @@ class RobomimicFormat(_Hdf5Format):
             for i, recording in enumerate(recordings):
                 demo = data.create_group(f"demo_{i}")
                 demo.attrs["num_samples"] = len(recording)
-                for key in ("name", "side", "source"):
+                for key in ("name", "side", *WORDS):
                     demo.attrs[key] = getattr(recording, key)
                 obs = demo.create_group("obs")
                 for name in known_columns(recording):
@@ -244,7 +245,7 @@ class EgoDexFormat(_Hdf5Format):
     name = "egodex"
     group = "transforms"
     about = "EgoDex's HDF5, poses of ARKit's joints; one recording of each hand"
-    lacks = ("source", "no wrist", "wrist position", "no confidence")
+    lacks = ("source", "upright", "no wrist", "wrist position", "no confidence")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands whose wrist the file has."""

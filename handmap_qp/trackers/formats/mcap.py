@@ -58,7 +58,7 @@ class McapFormat(RecordingFormat):
     about = (
         "a ROS 2 bag: sensor_msgs/JointState, and landmarks as geometry_msgs/PoseArray"
     )
-    lacks = ("digits of time", "source", "unseen", "digits of wrist")
+    lacks = ("digits of time", "source", "upright", "unseen", "digits of wrist")
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a file, or the folder of a bag."""
