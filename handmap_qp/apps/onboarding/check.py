@@ -24,6 +24,7 @@ from handmap_qp.apps.onboarding.measure import (
     fingertip_pads,
     make_fist,
     measure_arm,
+    measure_directions,
     measure_pinches,
     measure_reach,
     measure_size,
@@ -47,6 +48,7 @@ from handmap_qp.hands.shape_pairs import all_pairs, named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.se3 import lengths
+from handmap_qp.trackers.formats.base import first_of
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME = 0.5
@@ -160,7 +162,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
 
     Args:
         hand: Path of a `hand.yaml` or name of a hand.
-        has_motion: Whether to map a standard motion to it.
+        has_motion: Whether to map a standard motion to it, and an arm's six directions.
 
     Returns:
         All findings; the only one is an error if the hand cannot be built.
@@ -337,7 +339,7 @@ def _check_meshes(hand: Hand) -> Findings:
         meshes = (mesh for shape in robot.iter(tag) for mesh in shape.iter("mesh"))
         files = {Path(mesh.get("filename", "")): None for mesh in meshes}
         if missing := [file for file in files if not file.is_file()]:
-            shown = _listed([file.name for file in missing])
+            shown = first_of([file.name for file in missing], _MOST_NAMES)
             what = f"{len(missing)} of {len(files)} {tag} meshes are missing: {shown}; "
             change = f"put them where the URDF looks for them: {missing[0].parent}"
             yield warning("urdf", f"{what}{use} do without them", change)
@@ -486,7 +488,7 @@ def _check_collisions(hand: Hand) -> Findings:
             yield warning(error.key or "collision", error.problem, "correct the pair")
     if pairs := [*map(" and ".join, colliding_links(hand, hand.rest))]:
         change = "open the hand or spread its fingers more"
-        yield warning("rest", f"at rest {_listed(pairs)} overlap", change)
+        yield warning("rest", f"at rest {first_of(pairs, _MOST_NAMES)} overlap", change)
     else:
         yield fine("rest", "no links overlap at rest, except neighbours at a joint")
 
@@ -552,13 +554,11 @@ def _check_motion(hand: Hand) -> Measures:
         if part.error_mm > _OUT_OF_REACH:
             far = f"{part.worst_point} stays {part.error_mm:.0f} mm from its target"
             if stops := part.joints_at_a_position_limit:
-                far += f", {_listed(stops.split(', '))} at a position limit"
+                far += (
+                    f", {first_of(stops.split(', '), _MOST_NAMES)} at a position limit"
+                )
             yield advice("reach", f"{part.posture}: {far}")
-
-
-def _listed(names: list[str]) -> str:
-    """Return the first few of some names as text."""
-    return ", ".join(names[:_MOST_NAMES]) + ", ..." * (len(names) > _MOST_NAMES)
+    yield "Directions", measure_directions(hand)
 
 
 _CHECKS = (
