@@ -52,89 +52,61 @@ class _Place(NamedTuple):
 
 
 # Modules are imported when their command is called, so that `handmap --help` is immediate.
+_MODULES = {
+    "offline.demo": {
+        "demo": "Map a human hand's motion to a robot hand; needs no data of your own.",
+    },
+    "offline.cli": {
+        "map": "Map a recording of a human hand to a robot hand.",
+        "align": "Find how a tracker's world and a robot's are aligned, "
+        "from three reaches in a recording.",
+        "calibrate": "Measure a person's hand in recordings, and keep it in a file.",
+    },
+    "datasets.cli": {
+        "convert": "Convert recordings of human hands between file formats.",
+        "batch": "Map whole data sets of human hands to robot hands.",
+        "report": "Report the quality of the episodes of a batch, and write a filter.",
+    },
+    "offline.compare": {
+        "compare": "Compare mapping methods on recordings of a human hand, "
+        "by what the robot's hand shows.",
+    },
+    "viewer.cli": {
+        "view": "Show a mapping in the browser, and change its preset and options while it plays.",
+    },
+    "onboarding.cli": {
+        "hands list": "List the hands of the package.",
+        "hands show": "Describe a hand: joints, limits and reference points.",
+        "hands init": "Find a hand in a URDF or MJCF file and write its description, hand.yaml.",
+        "hands migrate": "Turn a configuration of dex-retargeting into a hand.yaml.",
+        "hands check": "Check a hand.yaml against its URDF, and draw the hand with its labels.",
+        "hands match": "Find the robot posture that corresponds to the resting human hand.",
+    },
+    "offline.layouts_cli": {
+        "layouts": "List the layouts of trackers, or show one: order, frame and units.",
+    },
+    "simulation.cli": {
+        "simulate": "Simulate a mapped hand that holds an object, "
+        "with contacts, friction and gravity.",
+    },
+    "service.cli": {
+        "serve": "Serve the mapper to trackers and robots over ZeroMQ and WebSocket.",
+        "keys": "Make the keys that `handmap serve --keys` needs; existing keys stay.",
+    },
+    "live.cli": {
+        "track replay": "Play a recording as if it were live.",
+        "track mediapipe": "Track a hand in a camera's picture or a video file with MediaPipe.",
+        "track record": "Record the human samples that lead a session of the service.",
+    },
+    "doctor": {
+        "doctor": "Report versions, extras, solvers, recordings and rendering.",
+    },
+}
+"""Commands and a line about each, by their module below `handmap_qp.apps`."""
 COMMANDS: dict[str, _Place] = {
-    "demo": _Place(
-        "offline.demo",
-        "Map a human hand's motion to a robot hand; needs no data of your own.",
-    ),
-    "map": _Place("offline.cli", "Map a recording of a human hand to a robot hand."),
-    "align": _Place(
-        "offline.cli",
-        "Find how a tracker's world and a robot's are aligned, from three reaches in a recording.",
-    ),
-    "calibrate": _Place(
-        "offline.cli",
-        "Measure a person's hand in recordings, and keep it in a file.",
-    ),
-    "convert": _Place(
-        "datasets.cli",
-        "Convert recordings of human hands between file formats.",
-    ),
-    "batch": _Place(
-        "datasets.cli", "Map whole data sets of human hands to robot hands."
-    ),
-    "report": _Place(
-        "datasets.cli",
-        "Report the quality of the episodes of a batch, and write a filter.",
-    ),
-    "compare": _Place(
-        "offline.compare",
-        "Compare mapping methods on recordings of a human hand, by what the robot's hand shows.",
-    ),
-    "view": _Place(
-        "viewer.cli",
-        "Show a mapping in the browser, and change its preset and options while it plays.",
-    ),
-    "hands list": _Place("onboarding.cli", "List the hands of the package."),
-    "hands show": _Place(
-        "onboarding.cli",
-        "Describe a hand: joints, limits and reference points.",
-    ),
-    "hands init": _Place(
-        "onboarding.cli",
-        "Find a hand in a URDF or MJCF file and write its description, hand.yaml.",
-    ),
-    "hands migrate": _Place(
-        "onboarding.cli",
-        "Turn a configuration of dex-retargeting into a hand.yaml.",
-    ),
-    "hands check": _Place(
-        "onboarding.cli",
-        "Check a hand.yaml against its URDF, and draw the hand with its labels.",
-    ),
-    "hands match": _Place(
-        "onboarding.cli",
-        "Find the robot posture that corresponds to the resting human hand.",
-    ),
-    "layouts": _Place(
-        "offline.layouts_cli",
-        "List the layouts of trackers, or show one: order, frame and units.",
-    ),
-    "simulate": _Place(
-        "simulation.cli",
-        "Simulate a mapped hand that holds an object, with contacts, friction and gravity.",
-    ),
-    "serve": _Place(
-        "service.cli",
-        "Serve the mapper to trackers and robots over ZeroMQ and WebSocket.",
-    ),
-    "keys": _Place(
-        "service.cli",
-        "Make the keys that `handmap serve --keys` needs; existing keys stay.",
-    ),
-    "track replay": _Place("live.cli", "Play a recording as if it were live."),
-    "track mediapipe": _Place(
-        "live.cli",
-        "Track a hand in a camera's picture or a video file with MediaPipe.",
-    ),
-    "track record": _Place(
-        "live.cli",
-        "Record the human samples that lead a session of the service.",
-    ),
-    "doctor": _Place(
-        "doctor",
-        "Report versions, extras, solvers, recordings and rendering.",
-    ),
+    name: _Place(module, about)
+    for module, lines in _MODULES.items()
+    for name, about in lines.items()
 }
 """All commands by name, in the order of the list that `handmap --help` prints."""
 _GROUPS = {
@@ -189,12 +161,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"handmap: {' '.join(str(error).split())}", file=sys.stderr)
         return 1 if isinstance(error, DiskFullError) else 2
     except ImportError as error:
-        if not (library := _missing_library(error)):
+        if not (problem := _missing_library(error)):
             raise
-        print(
-            f"handmap: the system library {library} is missing{_advice(library)}",
-            file=sys.stderr,
-        )
+        print(f"handmap: {problem}", file=sys.stderr)
         return 2
     except BrokenPipeError:
         # The reader closed stdout (`| head`): end quietly, also when Python flushes stdout at exit.
@@ -223,17 +192,16 @@ def in_words_of_the_command_line(
 
 
 def _missing_library(error: ImportError) -> str:
-    """Return the system library that a compiled package did not find; empty for other errors."""
+    """Say which system library a compiled package did not find; empty for other errors."""
     # The dynamic linker gives its name in the message only.
-    name, found, _ = str(error).partition(": cannot open shared object file")
-    return name if found else ""
-
-
-def _advice(library: str) -> str:
-    for name, package in _SYSTEM_PACKAGES.items():
-        if library.startswith(name):
-            return f": apt-get install {package}"
-    return ""
+    library, found, _ = str(error).partition(": cannot open shared object file")
+    advice = [
+        f": apt-get install {package}"
+        for name, package in _SYSTEM_PACKAGES.items()
+        if library.startswith(name)
+    ]
+    parts = ["the system library ", library, " is missing", *advice]
+    return "".join(parts) if found else ""
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -252,7 +220,8 @@ def parse(arguments: Sequence[str]) -> Command:
             a mistake, which has the exit code 2.
     """
     words = list(arguments)
-    name = command_name(words)
+    firsts = (" ".join(words[:2]), *words[:1])
+    name = next(filter(COMMANDS.__contains__, firsts), None)
     if name is None:
         _answer_without_command(words)
     command = COMMANDS[name].load(name)
@@ -278,13 +247,6 @@ def parse(arguments: Sequence[str]) -> Command:
         else:
             _print_page(_wrapped(_without_types(page.getvalue())), sys.stdout)
         raise
-
-
-def command_name(words: Sequence[str]) -> str | None:
-    """Return the command that a line begins with; None if there is none."""
-    return next(
-        (key for key in (" ".join(words[:2]), *words[:1]) if key in COMMANDS), None
-    )
 
 
 def _answer_without_command(words: list[str]) -> NoReturn:
@@ -317,10 +279,9 @@ def _answer_without_command(words: list[str]) -> NoReturn:
             hint = hint or f"see handmap {group} --help"
             raise InvalidInputError(problem=f"no command '{group} {word}': {hint}")
         case [word, *_]:
-            known = {key.split()[0] for key in COMMANDS}
-            kind, known = (
-                ("option", _OPTIONS) if word.startswith("-") else ("command", known)
-            )
+            kind = "option" if word.startswith("-") else "command"
+            firsts = {key.split()[0] for key in COMMANDS}
+            known = _OPTIONS if kind == "option" else firsts
             hint = did_you_mean(word, known) or "see handmap --help"
             raise InvalidInputError(problem=f"no {kind} {word!r}: {hint}")
     raise SystemExit(0)
@@ -378,25 +339,20 @@ def _any_command() -> Any:
     """Return a type whose values are all commands."""
     import tyro
 
-    def union(places: dict[str, _Place], group: str = "") -> Any:
-        kinds: list[Any] = []
-        for word, place in places.items():
-            command = place.load(f"{group} {word}")
-            about = tyro.conf.subcommand(
-                word,
-                description=place.about,
-                prefix_name=False,
-            )
-            kinds.append(Annotated[command, about])  # ty: ignore[invalid-type-form]
-        return reduce(or_, kinds)
+    def named(word: str, kind: Any, about: str | None = None) -> Any:
+        settings = tyro.conf.subcommand(word, description=about, prefix_name=False)
+        return Annotated[kind, settings]
+
+    def union(places: dict[str, _Place], group: str = "", *more: Any) -> Any:
+        kinds = [
+            named(word, place.load(f"{group} {word}"), place.about)
+            for word, place in places.items()
+        ]
+        return reduce(or_, [*kinds, *more])
 
     single = {name: place for name, place in COMMANDS.items() if " " not in name}
-    groups: list[Any] = []
-    for group in _GROUPS:
-        members = union(_members(group), group)
-        named = tyro.conf.subcommand(group, prefix_name=False)
-        groups.append(Annotated[members, named])  # ty: ignore[invalid-type-form]
-    return reduce(or_, groups, union(single))
+    groups = [named(group, union(_members(group), group)) for group in _GROUPS]
+    return union(single, "", *groups)
 
 
 def _cause(end: BaseException) -> HandmapError | None:
@@ -439,16 +395,13 @@ def _without_types(page: str) -> str:
 def _wrapped(page: str) -> str:
     """Wrap the paragraphs of a help page that tyro leaves too long: the description."""
     width = max(40, shutil.get_terminal_size().columns)
-    blocks = []
-    for block in page.split("\n\n"):
-        is_prose = not any(
-            line.startswith((" ", "│", "╭", "╰")) for line in block.splitlines()
-        )
-        is_long = any(len(line) > width for line in block.splitlines())
-        if is_prose and is_long:
-            block = textwrap.fill(" ".join(block.split()), width)
-        blocks.append(block)
-    return "\n\n".join(blocks).rstrip("\n") + "\n"
+
+    def wrap(found: re.Match[str]) -> str:
+        is_long = max(map(len, found[0].splitlines())) > width
+        return textwrap.fill(found[0].strip(), width) if is_long else found[0]
+
+    prose = r"(?:(?<=\n\n)\n)?^[^\s│╭╰].*(?:\n[^\s│╭╰].*)*"
+    return re.sub(prose, wrap, page, flags=re.MULTILINE)
 
 
 if __name__ == "__main__":
