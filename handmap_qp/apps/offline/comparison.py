@@ -70,9 +70,6 @@ SMOOTH = "+smooth"
 """Ending of a name that asks for smoother motion, as `--smooth` of `handmap map`."""
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
-# fixed_wrist is for hands that cannot follow a palm.
-_LEFT_OUT = ("fixed_wrist",)
-
 
 Progress = Callable[[str, int, int], None]
 """Takes what is done next, how much is done, and how much there is in all."""
@@ -198,7 +195,7 @@ class Comparison(NamedTuple):
         still = {
             run.method: None
             for run in self.runs
-            if run.motion is not None and run.motion.wrist is None
+            if run.motion and run.motion.wrist is None
         }
         if still:
             lines.append(
@@ -336,7 +333,8 @@ def check_names(
 
 def own_methods() -> tuple[str, ...]:
     """Return the names of the package's own methods, without `+smooth`."""
-    return tuple(name for name in PRESETS if name not in _LEFT_OUT)
+    # `fixed_wrist` is for hands that cannot follow a palm.
+    return tuple(name for name in PRESETS if name != "fixed_wrist")
 
 
 def own_method(name: str) -> ComparedMethod:
