@@ -28,6 +28,7 @@ from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
+from handmap_qp.se3 import affine
 from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
@@ -86,28 +87,25 @@ def numbers(
     """
     h5py = require("h5py", "files")
     # The objects of h5py's upper layer take four times as long, and EgoDex has 43 arrays a hand.
-    # What it does not read is left to them.
+    item: Any = None
+    size: tuple[int, ...] = ()
     with suppress(KeyError, TypeError, OSError):
-        array = h5py.h5d.open(group.id, name.encode())
-        size = array.shape
-        if size[: len(shape)] == shape and 8 * math.prod(size) <= LARGEST_ARCHIVE:
-            found = np.empty(size)
-            everything = h5py.h5s.ALL
-            array.read(everything, everything, found, h5py.h5t.NATIVE_DOUBLE)
-            return found
-    item = group.get(name)
+        item = h5py.h5d.open(group.id, name.encode())
+        size = item.shape
     problem = ""
-    if not hasattr(item, "dtype"):
+    if item is None:
         problem = f"is missing; there are {first_of(sorted(group), 6) or 'none'}"
-    elif item.shape[: len(shape)] != shape or item.dtype.kind not in "biuf":
+    elif size[: len(shape)] != shape or item.dtype.kind not in "biuf":
         sizes = ", ".join(map(str, shape))
-        got = f"{item.dtype} of shape {item.shape}"
+        got = f"{item.dtype} of shape {size}"
         problem = f"expected numbers of shape ({sizes}), got {got}"
-    elif item.nbytes > LARGEST_ARCHIVE:
+    elif item.dtype.itemsize * math.prod(size) > LARGEST_ARCHIVE:
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
     if problem:
         raise InvalidInputError(problem, argument=f"{group.name.rstrip('/')}/{name}")
-    return item[()].astype(float, copy=False)
+    found = np.empty(size, item.dtype)
+    item.read(h5py.h5s.ALL, h5py.h5s.ALL, found)
+    return found.astype(float, copy=False)
 
 
 @contextmanager
@@ -312,14 +310,14 @@ class EgoDexFormat(_Hdf5Format):
             file["time"] = recordings[0].time
             for recording in recordings:
                 given = 1.0 if recording.confidence is None else recording.confidence
-                poses = np.tile(np.eye(4), (21, len(recording), 1, 1))
-                poses[:, :, :3, 3] = recording.landmarks.transpose(1, 0, 2)
+                turns = np.tile(np.eye(3), (21, len(recording), 1, 1))
                 if recording.wrist is None:
                     seen = recording.valid
                     sign = 1.0 if recording.side == "right" else -1.0
-                    poses[0, seen, :3, :3] = palm_axes(recording.landmarks[seen], sign)
+                    turns[0, seen] = palm_axes(recording.landmarks[seen], sign)
                 else:
-                    poses[0, :, :3, :3] = recording.wrist[:, :3, :3]
+                    turns[0] = recording.wrist[:, :3, :3]
+                poses = affine(turns, recording.landmarks.swapaxes(0, 1))
                 for name, pose in zip(joint_names(recording.side), poses, strict=True):
                     file[f"transforms/{name}"] = pose
                     file[f"confidences/{name}"] = np.where(recording.valid, given, 0.0)

@@ -288,7 +288,7 @@ class LeRobotWriter:
         """
         self._write_episodes()
         # With the index that pandas, and so LeRobot, reads the tasks by.
-        about = json.loads(_TASKS.read_text(encoding="utf-8"))
+        about = json.loads(_TASKS.read_bytes())
         about["creator"]["version"] = self._pa.__version__
         columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
         metadata = {"pandas": json.dumps(about)}
