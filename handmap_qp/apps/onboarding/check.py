@@ -78,6 +78,8 @@ _MOVES = 0.2
 _OUT_OF_REACH = 20.0
 # A person's hand moves this far to all sides in front of the body [m].
 _ARM_MOTION = 0.25
+# A direction of the hand that an arm misses by more is worth saying [deg].
+_ASTRAY = 30.0
 # An arm follows if it reaches that far in this share of the directions.
 _MOST_DIRECTIONS = 0.8
 
@@ -558,7 +560,12 @@ def _check_motion(hand: Hand) -> Measures:
                     f", {first_of(stops.split(', '), _MOST_NAMES)} at a position limit"
                 )
             yield advice("reach", f"{part.posture}: {far}")
-    yield "Directions", measure_directions(hand)
+    directions = measure_directions(hand)
+    yield "Directions", directions
+    for row in directions:
+        if row["degrees off"] > _ASTRAY:
+            far = f"{row['degrees off']:.0f} degrees off"
+            yield advice("reach", f"{row['direction']}, {far}: the arm cannot go there")
 
 
 _CHECKS = (
