@@ -207,9 +207,12 @@ def _in_words(bare: Any, meta: Meta) -> str:
     if get_origin(bare) is Literal:
         return f"one of {', '.join(get_args(bare))}"
     if parts := get_args(bare):  # a tuple
-        if row := get_args(_parts(parts[0])[0][0]):
+        ((each, inner),) = _parts(parts[0])
+        if row := get_args(each):
             return f"a matrix of shape ({len(parts)}, {len(row)})"
-        return f"{len(parts)} finite numbers"
+        return f"{len(parts)} finite numbers" + (
+            "" if inner.gt is None else f" > {inner.gt:g}"
+        )
     if bare not in (int, float):
         return {bool: "true or false", str: "a name"}.get(bare, "none")
     noun = "an integer" if bare is int else "a number"
