@@ -179,7 +179,7 @@ def main(words: Sequence[str] | None = None) -> int:
     }
     common.print_table("Steps of two hands", [plain], to_stderr=is_json)
     for name in ("worst", "statuses", "refused"):
-        common.print_table(name.capitalize(), [results[name]], to_stderr=is_json)
+        common.print_table(name.capitalize(), [getattr(tally, name)], to_stderr=is_json)
     if arguments.json:
         common.write_json(arguments.json, "exact_robots", results)
     return 0 if tally.is_exact else 1

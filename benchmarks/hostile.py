@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, get_args
+from typing import Any, Protocol, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -591,7 +591,18 @@ def drive(
         yield tally
 
 
-def take(run: IkRun | MapperRun, steps: int, tally: Tally) -> None:
+class Run(Protocol):
+    """Steps of one robot, with what judges them."""
+
+    name: str
+    checker: Checker
+
+    def advance(self, count: int, tally: Tally) -> None:
+        """Take steps into the tally."""
+        ...
+
+
+def take(run: Run, steps: int, tally: Tally) -> None:
     """Take steps of one run into a tally, with what its checker found."""
     run.advance(steps, tally)
     tally.steps += steps

@@ -58,6 +58,8 @@ _MODULES = {
     },
     "offline.cli": {
         "map": "Map a recording of a human hand to a robot hand.",
+        "align": "Find how a tracker's world and a robot's are aligned, "
+        "from three reaches in a recording.",
         "calibrate": "Measure a person's hand in recordings, and keep it in a file.",
     },
     "datasets.cli": {
@@ -66,8 +68,8 @@ _MODULES = {
         "report": "Report the quality of the episodes of a batch, and write a filter.",
     },
     "offline.compare": {
-        "compare": "Compare mapping methods on recordings of a human hand, by what the "
-        "robot's hand shows.",
+        "compare": "Compare mapping methods on recordings of a human hand, "
+        "by what the robot's hand shows.",
     },
     "viewer.cli": {
         "view": "Show a mapping in the browser, and change its preset and options while it plays.",
@@ -87,8 +89,8 @@ _MODULES = {
         "layouts": "List the layouts of trackers, or show one: order, frame and units.",
     },
     "simulation.cli": {
-        "simulate": "Simulate a mapped hand that holds an object, with contacts, friction and "
-        "gravity.",
+        "simulate": "Simulate a mapped hand that holds an object, "
+        "with contacts, friction and gravity.",
     },
     "service.cli": {
         "serve": "Serve the mapper to trackers and robots over ZeroMQ and WebSocket.",
@@ -103,11 +105,11 @@ _MODULES = {
         "doctor": "Report versions, extras, solvers, recordings and rendering.",
     },
 }
-"""Commands and one line about each, by the module of their classes."""
-COMMANDS = {
+"""Commands and a line about each, by their module below `handmap_qp.apps`."""
+COMMANDS: dict[str, _Place] = {
     name: _Place(module, about)
-    for module, commands in _MODULES.items()
-    for name, about in commands.items()
+    for module, lines in _MODULES.items()
+    for name, about in lines.items()
 }
 """All commands by name, in the order of the list that `handmap --help` prints."""
 _GROUPS = {
@@ -194,12 +196,16 @@ def in_words_of_the_command_line(
 
 
 def _missing_library(error: ImportError) -> str:
-    """Name the system library that a compiled package did not find; empty for other errors."""
+    """Say which system library a compiled package did not find; empty for other errors."""
     # The dynamic linker gives its name in the message only.
     library, found, _ = str(error).partition(": cannot open shared object file")
-    packages = (p for name, p in _SYSTEM_PACKAGES.items() if library.startswith(name))
-    advice = "".join(f": apt-get install {package}" for package in packages)
-    return f"the system library {library} is missing{advice}" if found else ""
+    advice = [
+        f": apt-get install {package}"
+        for name, package in _SYSTEM_PACKAGES.items()
+        if library.startswith(name)
+    ]
+    parts = ["the system library ", library, " is missing", *advice]
+    return "".join(parts) if found else ""
 
 
 def parse(arguments: Sequence[str]) -> Command:
@@ -218,7 +224,8 @@ def parse(arguments: Sequence[str]) -> Command:
             a mistake, which has the exit code 2.
     """
     words = list(arguments)
-    name = command_name(words)
+    firsts = (" ".join(words[:2]), *words[:1])
+    name = next(filter(COMMANDS.__contains__, firsts), None)
     if name is None:
         _answer_without_command(words)
     command = COMMANDS[name].load(name)
@@ -244,13 +251,6 @@ def parse(arguments: Sequence[str]) -> Command:
         else:
             _print_page(_wrapped(_without_types(page.getvalue())), sys.stdout)
         raise
-
-
-def command_name(words: Sequence[str]) -> str | None:
-    """Return the command that a line begins with; None if there is none."""
-    return next(
-        (key for key in (" ".join(words[:2]), *words[:1]) if key in COMMANDS), None
-    )
 
 
 def _answer_without_command(words: list[str]) -> NoReturn:
@@ -283,10 +283,9 @@ def _answer_without_command(words: list[str]) -> NoReturn:
             hint = hint or f"see handmap {group} --help"
             raise InvalidInputError(problem=f"no command '{group} {word}': {hint}")
         case [word, *_]:
-            known = {key.split()[0] for key in COMMANDS}
-            kind, known = (
-                ("option", _OPTIONS) if word.startswith("-") else ("command", known)
-            )
+            kind = "option" if word.startswith("-") else "command"
+            firsts = {key.split()[0] for key in COMMANDS}
+            known = _OPTIONS if kind == "option" else firsts
             hint = did_you_mean(word, known) or "see handmap --help"
             raise InvalidInputError(problem=f"no {kind} {word!r}: {hint}")
     raise SystemExit(0)
@@ -345,20 +344,19 @@ def _any_command() -> Any:
     import tyro
 
     def named(word: str, kind: Any, about: str | None = None) -> Any:
-        command = tyro.conf.subcommand(word, description=about, prefix_name=False)
-        return Annotated[kind, command]
+        settings = tyro.conf.subcommand(word, description=about, prefix_name=False)
+        return Annotated[kind, settings]
 
-    def commands(places: dict[str, _Place], prefix: str = "") -> list[Any]:
-        return [
-            named(word, place.load(f"{prefix}{word}"), place.about)
+    def union(places: dict[str, _Place], group: str = "", *more: Any) -> Any:
+        kinds = [
+            named(word, place.load(f"{group} {word}"), place.about)
             for word, place in places.items()
         ]
+        return reduce(or_, [*kinds, *more])
 
-    kinds = commands({name: COMMANDS[name] for name in COMMANDS if " " not in name})
-    for group in _GROUPS:
-        members = commands(_members(group), f"{group} ")
-        kinds.append(named(group, reduce(or_, members)))
-    return reduce(or_, kinds)
+    single = {name: place for name, place in COMMANDS.items() if " " not in name}
+    groups = [named(group, union(_members(group), group)) for group in _GROUPS]
+    return union(single, "", *groups)
 
 
 def _cause(end: BaseException) -> HandmapError | None:
@@ -401,16 +399,13 @@ def _without_types(page: str) -> str:
 def _wrapped(page: str) -> str:
     """Wrap the paragraphs of a help page that tyro leaves too long: the description."""
     width = max(40, shutil.get_terminal_size().columns)
-    blocks = []
-    for block in page.split("\n\n"):
-        is_prose = not any(
-            line.startswith((" ", "│", "╭", "╰")) for line in block.splitlines()
-        )
-        is_long = any(len(line) > width for line in block.splitlines())
-        if is_prose and is_long:
-            block = textwrap.fill(" ".join(block.split()), width)
-        blocks.append(block)
-    return "\n\n".join(blocks).rstrip("\n") + "\n"
+
+    def wrap(found: re.Match[str]) -> str:
+        is_long = max(map(len, found[0].splitlines())) > width
+        return textwrap.fill(found[0].strip(), width) if is_long else found[0]
+
+    prose = r"(?:(?<=\n\n)\n)?^[^\s│╭╰].*(?:\n[^\s│╭╰].*)*"
+    return re.sub(prose, wrap, page, flags=re.MULTILINE)
 
 
 if __name__ == "__main__":

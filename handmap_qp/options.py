@@ -10,7 +10,6 @@ the pages of reference read that line.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from functools import cache
 from itertools import starmap
 from types import UnionType
@@ -32,6 +31,7 @@ from msgspec import Meta
 
 from handmap_qp.errors import InvalidOptionsError
 
+_ANY = Meta()
 LARGEST = float(np.finfo(float).max)
 """Bound of numbers that need only be finite."""
 
@@ -77,13 +77,14 @@ class Option(NamedTuple):
     @property
     def about(self) -> str:
         """What it means."""
-        metas = (meta for _, meta in (_split(self.type), *_parts(self.type)))
-        return next((meta.description for meta in metas if meta.description), "")
+        texts = (meta.description for _, meta in _parts(self.type))
+        return next(filter(None, texts), "")
 
     @property
     def choices(self) -> tuple[str, ...]:
         """The words that it takes; empty if there are none."""
-        return tuple(word for bare, _ in _parts(self.type) for word in _words(bare))
+        kinds = [bare for bare, _ in _parts(self.type) if get_origin(bare) is Literal]
+        return tuple(word for kind in kinds for word in get_args(kind))
 
     @property
     def range(self) -> tuple[float, float] | None:
@@ -152,7 +153,12 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         Raises:
             InvalidOptionsError: If there is no such option, or a value has no meaning.
         """
-        check_names(type(self), changes)
+        if unknown := sorted(changes.keys() - self.values.keys()):
+            raise InvalidOptionsError(
+                option=unknown[0],
+                problem=f"{type(self).__name__} has no such option",
+                advice=f"there are {', '.join(self.values)}",
+            )
         return msgspec.structs.replace(self, **changes)
 
     @property
@@ -172,32 +178,11 @@ class Options(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 @cache
 def options_of(kind: type[Options]) -> tuple[Option, ...]:
     """Return the options of a kind, in their order."""
-    hints = get_type_hints(kind, include_extras=True)
     plain = get_type_hints(kind)
     return tuple(
-        Option(
-            field.name,
-            hints[field.name],
-            plain[field.name],
-            field.default,
-        )
+        Option(field.name, field.type, plain[field.name], field.default)
         for field in msgspec.structs.fields(kind)
     )
-
-
-def check_names(kind: type[Options], names: Iterable[str]) -> None:
-    """Reject names that are no options of a kind.
-
-    Raises:
-        InvalidOptionsError: With the first one by name.
-    """
-    known = [option.name for option in options_of(kind)]
-    if unknown := sorted(set(names) - set(known)):
-        raise InvalidOptionsError(
-            option=unknown[0],
-            problem=f"{kind.__name__} has no such option",
-            advice=f"there are {', '.join(known)}",
-        )
 
 
 def _plain(value: Any) -> Any:
@@ -207,38 +192,33 @@ def _plain(value: Any) -> Any:
     return tuple(map(_plain, value)) if isinstance(value, list | tuple) else value
 
 
-def _split(kind: Any) -> tuple[Any, Meta]:
-    """Return a type without its description, and the description."""
-    if get_origin(kind) is not Annotated:
-        return kind, Meta()
-    bare, *notes = get_args(kind)
-    return bare, next((note for note in notes if isinstance(note, Meta)), Meta())
-
-
-def _parts(kind: Any) -> list[tuple[Any, Meta]]:
-    """Return the types of a union, or the type itself, each split from its description."""
-    whole = _split(kind)
-    is_union = get_origin(whole[0]) in (Union, UnionType)
-    return [*map(_split, get_args(whole[0]))] if is_union else [whole]
-
-
-def _words(bare: Any) -> tuple[str, ...]:
-    return get_args(bare) if get_origin(bare) is Literal else ()
+def _parts(kind: Any, about: Meta = _ANY) -> list[tuple[Any, Meta]]:
+    """Return the types of a union, or the type itself, each with its description."""
+    if get_origin(kind) is Annotated:
+        kind, *notes = get_args(kind)
+        return _parts(kind, next((n for n in notes if isinstance(n, Meta)), about))
+    if get_origin(kind) in (Union, UnionType):
+        return [part for each in get_args(kind) for part in _parts(each, about)]
+    return [(kind, about)]
 
 
 def _in_words(bare: Any, meta: Meta) -> str:
     """Return what the values of a type that is no union are."""
-    if words := _words(bare):
-        return f"one of {', '.join(words)}"
+    if get_origin(bare) is Literal:
+        return f"one of {', '.join(get_args(bare))}"
     if parts := get_args(bare):  # a tuple
-        if row := get_args(_split(parts[0])[0]):
+        ((each, inner),) = _parts(parts[0])
+        if row := get_args(each):
             return f"a matrix of shape ({len(parts)}, {len(row)})"
-        return f"{len(parts)} finite numbers"
+        return f"{len(parts)} finite numbers" + (
+            "" if inner.gt is None else f" > {inner.gt:g}"
+        )
     if bare not in (int, float):
         return {bool: "true or false", str: "a name"}.get(bare, "none")
     noun = "an integer" if bare is int else "a number"
-    ends = ("(", ">", meta.gt) if meta.ge is None else ("[", ">=", meta.ge)
-    bracket, sign, low = ends
+    bracket, sign, low = "[", ">=", meta.ge
+    if low is None:
+        bracket, sign, low = "(", ">", meta.gt
     if meta.le is not None and meta.le < LARGEST:
         return f"{noun} in {bracket}{low:g}, {meta.le:g}]"
     noun = "a finite number" if meta.le == LARGEST else noun

@@ -222,7 +222,7 @@ def output_folder(out: Path) -> Iterator[Path]:
     make_folder(out.parent, "out")
     with writing(out, "out"):
         expect(
-            not (out.exists() and not (out.is_dir() and os.access(out, os.W_OK))),
+            not out.exists() or (out.is_dir() and os.access(out, os.W_OK)),
             "out",
             "a folder that can be written, or a new name",
             got=str(out),

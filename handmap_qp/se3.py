@@ -115,13 +115,12 @@ def rigid_fit(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     Returns:
         Pose that takes `points` to `onto`, shape (..., 4, 4).
     """
-    centre = points.mean(axis=-2)
-    centre_onto = onto.mean(axis=-2)
-    offsets = onto - centre_onto[..., None, :]
-    rotation = nearest_rotation(
-        offsets.swapaxes(-1, -2) @ (points - centre[..., None, :])
-    )
-    return affine(rotation, centre_onto - (rotation @ centre[..., None])[..., 0])
+    centre = points.mean(axis=-2, keepdims=True)
+    centre_onto = onto.mean(axis=-2, keepdims=True)
+    covariance = (onto - centre_onto).swapaxes(-1, -2) @ (points - centre)
+    rotation = nearest_rotation(covariance)
+    shift = centre_onto - centre @ rotation.swapaxes(-1, -2)
+    return affine(rotation, shift[..., 0, :])
 
 
 def rotation_from_rpy(rpy: npt.ArrayLike) -> np.ndarray:
@@ -135,13 +134,11 @@ def rpy_from_rotation(rotation: np.ndarray) -> np.ndarray:
     Where the pitch is a right angle, only yaw minus roll (or their sum) is determined, and both are
     some that fit. Pinocchio's `matrixToRpy` loses digits near there.
     """
-    (_, xy, xz), (_, yy, yz), (zx, zy, zz) = rotation
-    roll = math.atan2(zy, zz)
-    cos = math.cos(roll)
-    sin = math.sin(roll)
+    roll = math.atan2(*rotation[2, 1:])
     # Of the rotation that is left without the roll, so that an uncertain roll does no harm.
-    yaw = math.atan2(sin * xz - cos * xy, cos * yy - sin * yz)
-    return np.array([roll, math.atan2(-zx, sin * zy + cos * zz), yaw])
+    left = rotation @ rotation_from_rpy((-roll, 0.0, 0.0))
+    yaw = math.atan2(-left[0, 1], left[1, 1])
+    return np.array([roll, math.atan2(-left[2, 0], left[2, 2]), yaw])
 
 
 def rotation_from_quat_wxyz(
@@ -164,7 +161,7 @@ def rotation_from_quat_wxyz(
     expect(quats.shape[-1:] == (4,), name, expected, got=f"shape {quats.shape}")
     # Divided first, so that squares of large numbers do not overflow.
     largest = np.abs(quats).max(axis=-1, keepdims=True)
-    is_turn = np.isfinite(largest) & (largest > 1e-6)
+    is_turn = (largest > 1e-6) & (largest < np.inf)
     if not is_turn.all():
         row = np.argmin(is_turn)
         got = f"{quats.reshape(-1, 4)[row].tolist()} in row {row}"
@@ -183,8 +180,8 @@ def quat_wxyz_from_rotation(rotation: npt.ArrayLike) -> np.ndarray:
         InvalidInputError: On a wrong shape, or numbers that are not finite.
     """
     matrix = as_floats(rotation, "rotation", shape=(3, 3), is_finite=True)
-    x, y, z, w = pin.Quaternion(np.array(matrix)).normalized().coeffs()
-    return math.copysign(1.0, w) * np.array([w, x, y, z])
+    quat = np.roll(pin.Quaternion(np.array(matrix)).normalized().coeffs(), 1)
+    return math.copysign(1.0, quat[0]) * quat
 
 
 def pose_from_xyz_quat(
@@ -234,30 +231,26 @@ def check_pose(
     pose = as_floats(value.homogeneous if isinstance(value, pin.SE3) else value, name)
     if pose.shape == (7,) and quat_order is not None:
         return pose_from_xyz_quat(pose, quat_order, name)
-    if pose.shape != (4, 4):
-        advice = {(7,): "7 numbers need quat_order='wxyz' or 'xyzw'"}
-        raise InvalidInputError(
-            argument=name,
-            expected="shape (4, 4), a pinocchio.SE3 or 7 numbers",
-            value=value,
-            got=f"shape {pose.shape}",
-            advice=advice.get(pose.shape, ""),
-        )
+    advice = "7 numbers need quat_order='wxyz' or 'xyzw'" if pose.shape == (7,) else ""
+    expect(
+        pose.shape == (4, 4),
+        name,
+        "shape (4, 4), a pinocchio.SE3 or 7 numbers",
+        value=value,
+        got=f"shape {pose.shape}",
+        advice=advice,
+    )
     is_placed, defect, volume = _measure(pose)
-    expected = got = ""
-    if not is_placed:
-        expected = (
-            f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
-        )
-        got = str(pose.tolist())
-    elif defect > _ROTATION_TOLERANCE or volume < 0.0:
+    if is_placed & (defect <= _ROTATION_TOLERANCE) & (volume > 0.0):
+        if defect <= _ROTATION_EXACT:
+            return pose
+        return affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
+    expected = f"finite coordinates within {FARTHEST:g} m and a last row of 0, 0, 0, 1"
+    got = str(pose.tolist())
+    if is_placed:
         expected = "a rotation as its 3x3 part"
         got = f"a matrix off a rotation by {defect:.3g}, with determinant {volume:.3g}"
-    if got:
-        raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
-    if defect > _ROTATION_EXACT:
-        pose = affine(nearest_rotation(pose[:3, :3]), pose[:3, 3])
-    return pose
+    raise InvalidInputError(argument=name, expected=expected, value=value, got=got)
 
 
 def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
@@ -277,9 +270,9 @@ def check_poses(values: Any, name: str, is_used: np.ndarray) -> np.ndarray:
     poses = as_floats(values, name, shape=(len(is_used), 4, 4))
     is_placed, defects, volumes = _measure(poses)
     is_pose = is_placed & (defects <= _ROTATION_TOLERANCE) & (volumes > 0.0)
-    is_wrong = is_used & ~is_pose
-    if is_wrong.any():
-        got = f"another matrix in sample {np.argmax(is_wrong)}"
+    wrong = np.flatnonzero(is_used & ~is_pose)
+    if len(wrong):
+        got = f"another matrix in sample {wrong[0]}"
         raise InvalidInputError(argument=name, expected="poses", value=poses, got=got)
     return poses
 
@@ -329,8 +322,8 @@ def as_floats(
     elif shape is not None and not _has_shape(array, shape):
         got = f"shape {array.shape}"
     elif is_finite and not np.isfinite(array).all():
-        place = tuple(map(int, np.argwhere(~np.isfinite(array))[0]))
-        got = f"{array[place]}" + (f" at {list(place)}" if place else "")
+        place = np.argwhere(~np.isfinite(array))[0].tolist()
+        got = f"{array[*place]}" + (f" at {place}" if place else "")
     else:
         return array
     noun = "finite number" if is_finite else "number"
@@ -342,8 +335,6 @@ def as_floats(
 
 def _as_array(value: Any) -> np.ndarray | None:
     """Return real numbers as an array of floats; None if they are something else."""
-    if type(value) is np.ndarray and value.dtype == np.float64:
-        return value
     try:
         array = np.asarray(value)
         # An array of objects may hold fractions or long integers.

@@ -21,6 +21,7 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import Person, read_person
 from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.options_file import read_options
 from handmap_qp.mapping.presets import (
     PRESETS,
@@ -312,12 +313,13 @@ class MappingArguments:
             if not any(option.takes(value) for _, option in others):
                 last.read(value)
 
-    def preset_for(self, human: Hand, robot: Hand) -> Choice:
+    def preset_for(self, human: Hand, robot: Hand, upright: str = "") -> Choice:
         """Return the chosen preset, method and QP weights for two hands.
 
         Args:
             human: The hand that leads.
             robot: The hand that follows.
+            upright: That of the recording, for the alignment with an arm where none is given.
 
         Raises:
             InvalidOptionsError: If an option is given that the preset does not have.
@@ -327,6 +329,7 @@ class MappingArguments:
         calm = SMOOTH_IK if self.smooth else {}
         name = saved.pop("preset", None) if self.preset is None else self.preset
         chosen = preset_choice(name or preset_with(own, human, robot), human)
+        saved = found_alignment(chosen.method, robot, upright) | saved
         return chosen.with_changes(saved | own | calm | _given(self.ik))
 
     def load_robot(self, name: str) -> Hand:

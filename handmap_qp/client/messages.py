@@ -53,6 +53,13 @@ SETUP = ("alignment",)
 """Options that describe the setup: another preset leaves them as they are."""
 NAME = "1 to 64 of A-Z a-z 0-9 _ . -"
 Name = Annotated[str, Meta(title=NAME, pattern=r"^[A-Za-z0-9_.-]{1,64}\Z")]
+Upright = Annotated[
+    str,
+    Meta(
+        title="such as +y up, -z forward",
+        pattern=r"^[+-]([xyz]) up, [+-](?!\1)[xyz] forward\Z",
+    ),
+]
 
 
 class Pose(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -199,6 +206,8 @@ class Open(Request, frozen=True):
         input: What samples hold.
         layout: Layout of the numbers in `values`, such as webxr25 (`handmap layouts` lists them);
             only with input=landmarks, whose 21 landmarks it replaces.
+        upright: Axes of the samples' world that are up and forward; the layout's if omitted, else
+            not known. For an arm, they set the option `alignment`.
         side: The human hand that leads a robot hand.
         hand_length: From wrist crease to middle fingertip [m].
         lengths: The measured hand, or both. With neither, the first landmarks measure it: each hand
@@ -234,6 +243,7 @@ class Open(Request, frozen=True):
     name: Name | None = None
     input: Literal["q", "landmarks", "points"] = "q"
     layout: Name | None = None
+    upright: Upright | None = None
     side: Side = "right"
     hand_length: Length | None = None
     lengths: Lengths | None = None
@@ -584,6 +594,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
         side: The human hand; a robot with two hands follows both.
         input: Kind of the samples.
         layout: Layout of the samples' values; null for none.
+        upright: Axes of the samples' world that are up and forward; empty if not known.
         lengths: The measured human hand, of two one of them; null for the model's own.
         human_points: Set of reference points on the human hand; null for the default one.
         robot_points: Set of reference points on the robot hand; null for the default one.
@@ -601,6 +612,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     side: str
     input: str
     layout: str | None = None
+    upright: str = ""
     lengths: Lengths | None
     human_points: str | None
     robot_points: str | None

@@ -57,9 +57,11 @@ def _read(hand: Hand) -> pin.GeometryModel:
     robot = parse_with_meshes(hand)
     try:
         meshes = _take_meshes(robot)
-        text = tostring(robot, encoding="unicode")
-        kind = pin.GeometryType.COLLISION
-        geometry = pin.buildGeomFromUrdfString(hand.model, text, kind)
+        geometry = pin.buildGeomFromUrdfString(
+            hand.model,
+            tostring(robot, "unicode"),
+            pin.GeometryType.COLLISION,
+        )
         for part in geometry.geometryObjects:
             if part.name in meshes:
                 part.meshPath, scale = meshes.pop(part.name)
@@ -124,10 +126,9 @@ def _hull_of(
     return _convex_hull(corners * scale)
 
 
-_TRIANGLE: np.dtype[np.void] = np.dtype(
-    [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")]
-)  # ty: ignore[invalid-assignment]
 _HEADER = 84
+_TRIANGLE = 50
+"""Bytes of a triangle: normal, three corners and an attribute."""
 
 
 def _stl_vertices(file: str) -> np.ndarray | None:
@@ -148,10 +149,10 @@ def _stl_vertices(file: str) -> np.ndarray | None:
     except OSError:
         return None
     count = int.from_bytes(content[_HEADER - 4 : _HEADER], "little")
-    if count == 0 or len(content) != _HEADER + count * _TRIANGLE.itemsize:
+    if count == 0 or len(content) != _HEADER + count * _TRIANGLE:
         return None
-    triangles = np.frombuffer(content, _TRIANGLE, count, _HEADER)
-    return triangles["corners"].reshape(-1, 3).astype(float)
+    triangles = np.frombuffer(content, np.uint8, offset=_HEADER).reshape(count, -1)
+    return triangles[:, 12:48].copy().view("<f4").reshape(-1, 3).astype(float)
 
 
 # Sides of a prism in the place of a cylinder, and its least radius and half length [m].
@@ -188,7 +189,7 @@ def _convex_hull(points: np.ndarray) -> coal.Convex | None:
         hull = ConvexHull(points)
     except QhullError:
         return None
-    corners = hull.points[hull.vertices]
+    corners = points[hull.vertices]
     # The indices of its corners are in order.
     triangles = np.searchsorted(hull.vertices, hull.simplices)
     is_inward = np.linalg.det(corners[triangles] - corners.mean(axis=0)) < 0.0

@@ -198,8 +198,6 @@ class Finger:
         tip: The fingertip.
         name: Anatomical name.
         own: Those joints that move no other fingertip; all if omitted.
-        knuckle: The knuckle, if it is known.
-        middle: The middle joint, if it is known.
     """
 
     def __init__(
@@ -210,16 +208,12 @@ class Finger:
         *,
         name: str = "",
         own: Sequence[int] = (),
-        knuckle: Place | None = None,
-        middle: Place | None = None,
     ) -> None:
         self.hand = hand
         self.joints = tuple(joints)
         self.tip = tip
         self.name = name
         self._own = tuple(own) or self.joints
-        self._knuckle = knuckle
-        self._middle = middle
 
     @property
     def is_jaw(self) -> bool:
@@ -245,21 +239,21 @@ class Finger:
 
     @cached_property
     def knuckle(self) -> Place:
-        """The given one; else the point of the first bending axis nearest to the tip.
+        """The point of the first bending axis nearest to the tip, unless it is set.
 
         A thumb's is the origin of its first joint.
         """
-        if self._knuckle is not None or not self.joints:
-            return self._knuckle or self.tip
+        if not self.joints:
+            return self.tip
         if self.name == THUMB:
             return self._own[0], np.zeros(3)
         return self._on_axis(self.bending[0])
 
     @cached_property
     def middle(self) -> Place:
-        """The given one; else the found one of a finger, else the origin of the last joint."""
-        if self._middle is not None or not self.joints:
-            return self._middle or self.tip
+        """The found one of a finger, else the origin of the last joint, unless it is set."""
+        if not self.joints:
+            return self.tip
         found = self.find_middle() if self.name != THUMB else None
         return found or (self._own[-1], np.zeros(3))
 
@@ -513,22 +507,22 @@ def find_fingers(hand: Hand) -> dict[str, Finger]:
     named = _points_by_finger(hand)
     supports = hand.model.supports
     tips = {f: place_of(hand, _tip(hand, f, points)) for f, points in named.items()}
-    in_palm = supports[hand.model.frames[hand.palm_frame_id].parentJoint].tolist()
-    chains = {f: [*supports[joint]] for f, (joint, _) in tips.items()}
+    in_palm = {*supports[hand.model.frames[hand.palm_frame_id].parentJoint]}
+    chains = {f: sorted({*supports[joint]} - in_palm) for f, (joint, _) in tips.items()}
     shared = Counter(chain(*chains.values()))
     fingers = {}
     for finger, points in named.items():
         first, last = ("cmc", "ip") if finger == THUMB else ("mcp", "pip")
-        joints = [joint for joint in chains[finger] if joint not in in_palm]
-        fingers[finger] = Finger(
-            hand,
-            joints,
-            tips[finger],
-            name=finger,
-            own=[joint for joint in joints if shared[joint] == 1],
-            knuckle=_named(hand, f"{finger}_{first}", points),
-            middle=_named(hand, f"{finger}_{last}", points),
-        )
+        own = [joint for joint in chains[finger] if shared[joint] == 1]
+        found = Finger(hand, chains[finger], tips[finger], name=finger, own=own)
+        fingers[finger] = found
+        # Of several points that stand for a landmark, the first one counts.
+        for point in reversed(points):
+            names = point.partner, point.name
+            if f"{finger}_{first}" in names:
+                found.knuckle = place_of(hand, point)
+            if f"{finger}_{last}" in names:
+                found.middle = place_of(hand, point)
     return fingers
 
 
@@ -578,11 +572,6 @@ def _tip(hand: Hand, finger: str, points: list[PointSpec]) -> PointSpec:
     places = [place_of(hand, point) for point in points]
     in_palm = PalmKinematics(hand).points(zero_posture(hand), places)
     return points[lengths(in_palm).argmax()]
-
-
-def _named(hand: Hand, landmark: str, points: list[PointSpec]) -> Place | None:
-    found = (point for point in points if landmark in (point.partner, point.name))
-    return next((place_of(hand, point) for point in found), None)
 
 
 def carrier_of(hand: Hand, link: str) -> int:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import importlib.metadata
-import itertools
 import math
 import os
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,7 +20,6 @@ from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 import pinocchio as pin
 import trimesh
 from trimesh.exchange.stl import export_stl
@@ -34,7 +33,7 @@ from handmap_qp.se3 import affine, inverse_pose, rotation_from_quat_wxyz
 _FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 _BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 _SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-_GEOM = mujoco.mjtGeom
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 # Last group of geoms that MuJoCo's viewer shows unless it is asked for more.
 _LAST_SHOWN_GROUP = 2
 # Effort [N or N m] of a joint whose actuators have no limit.
@@ -98,8 +97,8 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
         model = spec.compile()
         notes = []
         is_hinge = model.jnt_type == int(mujoco.mjtJoint.mjJNT_HINGE)
-        low, high = model.jnt_range[is_hinge & (model.jnt_limited != 0)].T
-        widest = (high - low).max(initial=0.0)
+        ranges = model.jnt_range[is_hinge & (model.jnt_limited != 0)]
+        widest = np.ptp(ranges, axis=1).max(initial=0.0)
         if spec.compiler.degree and 0.0 < widest < _SMALL_RANGE:
             notes.append(
                 f"ranges of at most {math.degrees(widest):.2g} deg make no sense: angles are "
@@ -116,8 +115,8 @@ def _compile(file: Path) -> tuple[mujoco.MjModel, str, list[str]]:
     except (ValueError, RuntimeError) as error:
         problem = f"MuJoCo cannot compile the MJCF: {reason_of(error)}"
         raise HandError(problem, file=file) from error
-    is_named = spec.modelname and spec.modelname != "MuJoCo Model"
-    return model, spec.modelname if is_named else file.stem, notes
+    is_unnamed = spec.modelname in ("", "MuJoCo Model")
+    return model, file.stem if is_unnamed else spec.modelname, notes
 
 
 def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
@@ -126,10 +125,9 @@ def write_converted(converted: ConvertedMjcf, urdf: Path) -> None:
     Raises:
         OSError: If a file cannot be written.
     """
-    files = {
-        urdf.parent / name: export_stl(mesh) for name, mesh in converted.meshes.items()
-    }
-    for file, content in (files | {urdf: converted.text.encode()}).items():
+    files = {name: export_stl(mesh) for name, mesh in converted.meshes.items()}
+    for name, content in (files | {urdf.name: converted.text.encode()}).items():
+        file = urdf.parent / name
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content)
 
@@ -149,11 +147,10 @@ def kinematics_difference(converted: ConvertedMjcf, postures: int = 20) -> float
     worst = 0.0
     for _ in range(postures):
         turns = np.zeros(robot.nv)
-        data.qpos[:] = model.qpos0
         for joint, name in converted.joints.items():
-            turn = random.uniform(-1.0, 1.0)
-            data.qpos[model.jnt_qposadr[joint]] = turn
-            turns[robot.idx_vs[robot.getJointId(name)]] = turn
+            column = robot.idx_vs[robot.getJointId(name)]
+            turns[column] = random.uniform(-1.0, 1.0)
+            data.qpos[model.jnt_qposadr[joint]] = turns[column]
         mujoco.mj_kinematics(model, data)
         q = pin.integrate(robot, pin.neutral(robot), turns)
         pin.framesForwardKinematics(robot, robot_data, q)
@@ -176,11 +173,10 @@ def cached_urdf(file: Path) -> Path:
     home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     cache = Path(home) / "handmap_qp/mjcf"
     versions = [importlib.metadata.version(name) for name in ("handmap-qp", "mujoco")]
-    parts = [str(file.resolve()), *versions, str(_CONVERSION)]
-    for other in sorted(file.parent.glob("*.xml")):
-        stat = other.stat()
-        parts.append(f"{other.name} {stat.st_size} {stat.st_mtime_ns}")
-    digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+    stats = {other.name: other.stat() for other in sorted(file.parent.glob("*.xml"))}
+    files = [(name, stat.st_size, stat.st_mtime_ns) for name, stat in stats.items()]
+    key = repr((file.resolve(), versions, _CONVERSION, files))
+    digest = hashlib.sha256(key.encode()).hexdigest()[:16]
     folder = cache / f"{file.stem}-{digest}"
     urdf = folder / f"{file.stem}.urdf"
     if urdf.is_file():
@@ -211,10 +207,13 @@ class _Converter:
         self.notes = notes
         self.meshes: dict[str, trimesh.Trimesh] = {}
         self._folder = folder
-        self._files: dict[int, str] = {}
         # Kinds of geoms that have no counterpart in URDF.
         self._omitted = set[str]()
-        self._mesh_names = set[str]()
+        taken = set[str]()
+        self._mesh_names = [
+            _unique(_file_name(model.mesh(i).name or f"mesh{i}"), taken)
+            for i in range(model.nmesh)
+        ]
         self._link_names = set[str]()
         self._joint_names = set[str]()
         self.links = {
@@ -222,7 +221,9 @@ class _Converter:
             for body in self._kept()
         }
         self.joints = {
-            joint: _unique(self._joint_name(joint), self._joint_names)
+            joint: _unique(
+                model.joint(joint).name or f"joint{joint}", self._joint_names
+            )
             for joint in range(model.njnt)
             if model.jnt_type[joint] not in (_FREE, _BALL)
             and model.jnt_bodyid[joint] in self.links
@@ -256,9 +257,6 @@ class _Converter:
             self.joints,
         )
 
-    def _joint_name(self, joint: int) -> str:
-        return self.model.joint(joint).name or f"joint{joint}"
-
     def _kept(self) -> list[int]:
         """Return the world and the bodies of all trees with a hinge, a slide or a ball."""
         model = self.model
@@ -279,64 +277,55 @@ class _Converter:
         parent = self.links[above]
         placed = _body_pose(self.data, above)
         steps = [*self._steps(body)]
-        for number, step in enumerate(steps):
-            is_last = number == len(steps) - 1
-            child = name if is_last else _unique(f"{name}_{number}", self._link_names)
-            joint = SubElement(robot, "joint")
+        last = len(steps) - 1
+        for number, (joint, title, direction) in enumerate(steps):
+            element = SubElement(robot, "joint", name=title, type="fixed")
             frame = pose
-            if step is None:
-                joint.set("name", _unique(f"{name}_fixed", self._joint_names))
-                joint.set("type", "fixed")
-            else:
-                self._describe(joint, *step)
-                if not self._slides(step[0]):
-                    frame = affine(pose[:3, :3], self.data.xanchor[step[0]])
-            set_origin(joint, inverse_pose(placed) @ frame)
-            SubElement(joint, "parent", link=parent)
-            SubElement(joint, "child", link=child)
-            link = SubElement(robot, "link", name=child)
-            if is_last:
+            if joint is not None:
+                self._describe(element, joint, direction)
+                if self.model.jnt_type[joint] != _SLIDE:
+                    frame = affine(pose[:3, :3], self.data.xanchor[joint])
+            set_origin(element, inverse_pose(placed) @ frame)
+            placed = frame
+            SubElement(element, "parent", link=parent)
+            parent = name
+            if number < last:
+                parent = _unique(f"{name}_{number}", self._link_names)
+            SubElement(element, "child", link=parent)
+            link = SubElement(robot, "link", name=parent)
+            if number == last:
                 self._add_inertial(link, body)
                 self._add_shapes(link, body)
-            parent = child
-            placed = frame
 
-    def _steps(self, body: int) -> Iterator[tuple[int, str, np.ndarray] | None]:
+    def _steps(self, body: int) -> Iterator[tuple[int | None, str, np.ndarray]]:
         """Iterate over the axes that move a body: joint, name, unit vector in the body's frame.
 
-        A ball joint is three hinges, `q = q_x q_y q_z`. None is a last step, to a frame beside that
-        of the last axis.
+        A ball joint is three hinges, `q = q_x q_y q_z`. Without a joint, a last step leads to a
+        frame beside that of the last axis.
         """
         model = self.model
         to_body = self.data.xmat[body].reshape(3, 3).T
         is_own = (model.jnt_bodyid == body) & (model.jnt_type != _FREE)
         is_there = False
         for joint in np.flatnonzero(is_own).tolist():
-            is_there = self._slides(joint) or not model.jnt_pos[joint].any()
+            is_there = model.jnt_type[joint] == _SLIDE or not model.jnt_pos[joint].any()
             if joint in self.joints:
                 yield joint, self.joints[joint], to_body @ self.data.xaxis[joint]
                 continue
-            name = self._joint_name(joint)
+            name = model.joint(joint).name or f"joint{joint}"
             names = [_unique(f"{name}_{letter}", self._joint_names) for letter in "xyz"]
             hinges = ", ".join(names)
             self.notes.append(f"the ball joint {name} is three hinges: {hinges}")
             for axis in zip(names, np.eye(3), strict=True):
                 yield joint, *axis
         if not is_there:
-            yield None
+            name = _unique(f"{self.links[body]}_fixed", self._joint_names)
+            yield None, name, np.zeros(3)
 
-    def _slides(self, joint: int) -> bool:
-        return bool(self.model.jnt_type[joint] == _SLIDE)
-
-    def _describe(
-        self,
-        element: Element,
-        joint: int,
-        name: str,
-        direction: np.ndarray,
-    ) -> None:
+    def _describe(self, element: Element, joint: int, direction: np.ndarray) -> None:
         """Write an axis of a joint, its limits, dynamics and mimic rule."""
         model = self.model
+        kind = model.jnt_type[joint]
         rule = self.rules.get(joint)
         low, high = model.jnt_range[joint]
         ends: dict[str, float] = {}
@@ -344,16 +333,18 @@ class _Converter:
             ends = {"lower": rule.offset, "upper": rule.offset}
         elif model.jnt_limited[joint]:
             # MuJoCo's range of a ball is [0, largest angle].
-            is_ball = model.jnt_type[joint] == _BALL
-            ends = {"lower": -high if is_ball else low, "upper": high}
-        kind = "revolute" if ends else "continuous"
-        element.set("name", name)
-        element.set("type", "prismatic" if self._slides(joint) else kind)
-        _add(element, "axis", xyz=np.round(direction, 14))
-        _add(element, "limit", **ends, effort=self._effort(joint))
+            ends = {"lower": -high if kind == _BALL else low, "upper": high}
+        turning = "revolute" if ends else "continuous"
+        element.set("type", "prismatic" if kind == _SLIDE else turning)
+        set_numbers(SubElement(element, "axis"), xyz=np.round(direction, 14))
+        set_numbers(SubElement(element, "limit"), **ends, effort=self._effort(joint))
         dof = model.jnt_dofadr[joint]
         damping = np.ravel(model.dof_damping[dof])[:1]
-        _add(element, "dynamics", damping=damping, friction=model.dof_frictionloss[dof])
+        set_numbers(
+            SubElement(element, "dynamics"),
+            damping=damping,
+            friction=model.dof_frictionloss[dof],
+        )
         if rule is not None and rule.leader is not None:
             mimic = SubElement(element, "mimic", joint=self.joints[rule.leader])
             set_numbers(mimic, multiplier=rule.multiplier, offset=rule.offset)
@@ -376,10 +367,23 @@ class _Converter:
             return
         element = SubElement(link, "inertial")
         # Along the principal axes, in which the inertia is diagonal.
-        set_origin(element, _pose_of(model.body_ipos[body], model.body_iquat[body]))
-        _add(element, "mass", value=model.body_mass[body])
+        set_origin(
+            element,
+            affine(
+                rotation_from_quat_wxyz(model.body_iquat[body]), model.body_ipos[body]
+            ),
+        )
+        set_numbers(SubElement(element, "mass"), value=model.body_mass[body])
         xx, yy, zz = model.body_inertia[body]
-        _add(element, "inertia", ixx=xx, ixy=0.0, ixz=0.0, iyy=yy, iyz=0.0, izz=zz)
+        set_numbers(
+            SubElement(element, "inertia"),
+            ixx=xx,
+            ixy=0.0,
+            ixz=0.0,
+            iyy=yy,
+            iyz=0.0,
+            izz=zz,
+        )
 
     def _add_shapes(self, link: Element, body: int) -> None:
         """Add the geoms of a body to its `<link>`, whose frame is the body's.
@@ -391,7 +395,7 @@ class _Converter:
         model = self.model
         geoms = np.flatnonzero(model.geom_bodyid == body)
         collides = (model.geom_contype | model.geom_conaffinity)[geoms] != 0
-        is_mesh = model.geom_type[geoms] == int(_GEOM.mjGEOM_MESH)
+        is_mesh = model.geom_type[geoms] == _MESH
         is_seen = ~collides | (is_mesh & (model.geom_group[geoms] <= _LAST_SHOWN_GROUP))
         shown = geoms[is_seen] if not collides.all() else geoms
         for tag, chosen in (("visual", shown), ("collision", geoms[collides])):
@@ -405,39 +409,38 @@ class _Converter:
         """Iterate over the URDF geometries of a geom, with their poses in the link."""
         model = self.model
         size = model.geom_size[geom]
-        pose = _pose_of(model.geom_pos[geom], model.geom_quat[geom])
-        match _GEOM(int(model.geom_type[geom])):
-            case _GEOM.mjGEOM_MESH | _GEOM.mjGEOM_SDF:
+        pose = affine(
+            rotation_from_quat_wxyz(model.geom_quat[geom]), model.geom_pos[geom]
+        )
+        kind = mujoco.mjtGeom(int(model.geom_type[geom])).name
+        match kind := kind.removeprefix("mjGEOM_").lower():
+            case "mesh" | "sdf":
                 yield pose, self._mesh(int(model.geom_dataid[geom]))
-            case _GEOM.mjGEOM_BOX:
+            case "box":
                 yield pose, set_numbers(Element("box"), size=2.0 * size)
-            case _GEOM.mjGEOM_SPHERE:
+            case "sphere":
                 yield pose, set_numbers(Element("sphere"), radius=size[0])
-            case _GEOM.mjGEOM_CYLINDER | _GEOM.mjGEOM_CAPSULE as kind:
+            case "cylinder" | "capsule":
                 cylinder = Element("cylinder")
                 yield pose, set_numbers(cylinder, radius=size[0], length=2.0 * size[1])
                 # URDF has no capsules.
-                for sign in (-1.0, 1.0) if kind == _GEOM.mjGEOM_CAPSULE else ():
+                for sign in (-1.0, 1.0) if kind == "capsule" else ():
                     end = affine(np.eye(3), np.array([0.0, 0.0, sign * size[1]]))
                     yield pose @ end, set_numbers(Element("sphere"), radius=size[0])
-            case _GEOM.mjGEOM_ELLIPSOID:
+            case "ellipsoid":
                 file = f"{self._folder}/unit_sphere.stl"
                 self.meshes.setdefault(file, trimesh.creation.icosphere())
                 yield pose, set_numbers(Element("mesh", filename=file), scale=size)
-            case kind:
-                self._omitted.add(kind.name.removeprefix("mjGEOM_").lower())
+            case _:
+                self._omitted.add(kind)
 
     def _mesh(self, mesh: int) -> Element:
-        model = self.model
-        if mesh not in self._files:
-            own = model.mesh(mesh)
-            name = _file_name(own.name or f"mesh{mesh}")
-            file = f"{self._folder}/{_unique(name, self._mesh_names)}.stl"
-            vertices = model.mesh_vert[own.vertadr[0] :][: own.vertnum[0]]
-            faces = model.mesh_face[own.faceadr[0] :][: own.facenum[0]]
-            self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
-            self._files[mesh] = file
-        return Element("mesh", filename=self._files[mesh])
+        own = self.model.mesh(mesh)
+        vertices = self.model.mesh_vert[own.vertadr[0] :][: own.vertnum[0]]
+        faces = self.model.mesh_face[own.faceadr[0] :][: own.facenum[0]]
+        file = f"{self._folder}/{self._mesh_names[mesh]}.stl"
+        self.meshes[file] = trimesh.Trimesh(vertices, faces, process=False)
+        return Element("mesh", filename=file)
 
 
 def _body_pose(data: mujoco.MjData, body: int) -> np.ndarray:
@@ -445,24 +448,17 @@ def _body_pose(data: mujoco.MjData, body: int) -> np.ndarray:
     return affine(data.xmat[body].reshape(3, 3), data.xpos[body])
 
 
-def _add(parent: Element, tag: str, **numbers: npt.ArrayLike) -> None:
-    set_numbers(SubElement(parent, tag), **numbers)
-
-
-def _pose_of(position: np.ndarray, quat_wxyz: np.ndarray) -> np.ndarray:
-    """Return a pose of MuJoCo as a matrix, shape (4, 4)."""
-    return affine(rotation_from_quat_wxyz(quat_wxyz), np.array(position))
-
-
 def _unique(name: str, taken: set[str]) -> str:
     """Return a name that is not taken yet, whatever its case, and count it as taken."""
-    candidates = itertools.chain([name], (f"{name}_{i}" for i in itertools.count(2)))
-    found = next(each for each in candidates if each.lower() not in taken)
+    found = name
+    number = 1
+    while found.lower() in taken:
+        number += 1
+        found = f"{name}_{number}"
     taken.add(found.lower())
     return found
 
 
 def _file_name(name: str) -> str:
     """Return a name as that of a file, without unusual characters."""
-    plain = "".join(c if c.isalnum() or c in "_-." else "_" for c in name)
-    return plain.lstrip(".") or "mesh"
+    return re.sub(r"[^\w.-]", "_", name).lstrip(".") or "mesh"

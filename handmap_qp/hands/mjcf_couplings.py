@@ -11,13 +11,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from copy import copy
 from functools import partial
+from itertools import starmap
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
-_EQUALITY = mujoco.mjtEq
 _DISABLE = mujoco.mjtDisableBit
 # Postures at which a curve is solved, Newton iterations of each, and the residual of a solution
 # [rad or m].
@@ -65,15 +65,16 @@ def read_couplings(model: mujoco.MjModel, names: Mapping[int, str]) -> _Solution
     """
     constraints = _Constraints(model, names)
     omitted = Counter[str]()
-    solutions: list[_Solution | None] = [None]
-    while None in solutions:
-        groups = constraints.groups()
-        solutions = [constraints.solve(*group) for group in groups]
-        for (_, rows), solution in zip(groups, solutions, strict=True):
-            if solution is None:
-                omitted.update(constraints.drop(rows))
+    while unsolved := [
+        rows
+        for joints, rows in constraints.groups()
+        if not constraints.solve(joints, rows)
+    ]:
+        for rows in unsolved:
+            omitted.update(constraints.drop(rows))
     rules: dict[int, Coupling] = {}
     notes: list[str] = []
+    solutions = starmap(constraints.solve, constraints.groups())
     for found, more in filter(None, solutions):
         rules |= found
         notes += more
@@ -135,11 +136,9 @@ class _Constraints:
             | _DISABLE.mjDSBL_FRICTIONLOSS
         )
         self._data = mujoco.MjData(model)
-
-    def kind(self, constraint: int) -> str:
-        """Return the kind of a constraint, as MJCF names it."""
-        kind = _EQUALITY(int(self._model.eq_type[constraint]))
-        return kind.name.removeprefix("mjEQ_").lower()
+        # As MJCF names them.
+        kinds = [mujoco.mjtEq(kind).name for kind in model.eq_type.tolist()]
+        self._kinds = [kind.removeprefix("mjEQ_").lower() for kind in kinds]
 
     def groups(self) -> list[tuple[set[int], list[int]]]:
         """Return the joints that constraints couple to each other, and these constraints.
@@ -165,9 +164,9 @@ class _Constraints:
 
     def drop(self, constraints: list[int]) -> list[str]:
         """Leave out those of a group that are no joint equalities, else all; return their kinds."""
-        others = [i for i in constraints if self.kind(i) != "joint"] or constraints
+        others = [i for i in constraints if self._kinds[i] != "joint"] or constraints
         self._data.eq_active[others] = False
-        return [self.kind(i) for i in others]
+        return [self._kinds[i] for i in others]
 
     def solve(self, coupled: set[int], constraints: list[int]) -> _Solution | None:
         """Solve a group.
@@ -212,7 +211,7 @@ class _Constraints:
         """Return the joint that leads in joint equalities, else one of a motor, else the first."""
         model = self._model
         motors = model.actuator_trntype
-        equal = [i for i in constraints if self.kind(i) == "joint"]
+        equal = [i for i in constraints if self._kinds[i] == "joint"]
         leading = set(model.eq_obj2id[equal].tolist()) - {*model.eq_obj1id[equal]}
         targets = model.actuator_trnid[:, 0]
         driven = set(targets[motors == int(mujoco.mjtTrn.mjTRN_JOINT)].tolist())
@@ -224,11 +223,10 @@ class _Constraints:
         self, residual: _Residual, leader: int, start: np.ndarray
     ) -> list[np.ndarray]:
         """Follow closed postures over the range of the leader, the first of the joints."""
-        low, high = self._model.jnt_range[leader]
+        ends = self._model.jnt_range[leader]
         if not self._model.jnt_limited[leader]:
-            low = start[0] - 1.0
-            high = start[0] + 1.0
-        grid = np.linspace(low, high, _SAMPLES)
+            ends = start[0] + (-1.0, 1.0)
+        grid = np.linspace(*ends, _SAMPLES)
         nearest = np.abs(grid - start[0]).argmin()
         found = []
         for way in (grid[nearest:], grid[:nearest][::-1]):

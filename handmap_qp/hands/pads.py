@@ -19,7 +19,7 @@ from handmap_qp.hands.collision_shapes import read_collision_shapes
 from handmap_qp.hands.fingers import Finger, place_of
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.spec import PointSpec
-from handmap_qp.se3 import unit
+from handmap_qp.se3 import transform_points, unit
 
 # A fingertip that lies deeper under its surface than this is the middle of a round tip [m].
 _DEEP = 0.004
@@ -72,7 +72,7 @@ def _surfaces(hand: Hand) -> dict[int, list[tuple[np.ndarray, float]]]:
     surfaces = defaultdict(list)
     for shape in read_collision_shapes(hand).geometryObjects:
         points, radius = _corners(shape.geometry)
-        placed = points @ shape.placement.rotation.T + shape.placement.translation
+        placed = transform_points(shape.placement.homogeneous, points)
         surfaces[shape.parentJoint].append((placed, radius))
     return surfaces
 

@@ -25,6 +25,9 @@ Side = Literal["right", "left"]
 Mount = Literal["floating", "fixed"]
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Meta(gt=0.0)]
+UPRIGHT = r"^[+-]([xyz]) up, [+-](?!\1)[xyz] forward\Z"
+Upright = Annotated[str, Meta(pattern=UPRIGHT)]
+"""Axes of a world that are up and forward, such as `+y up, -z forward`."""
 _Spec = TypeVar("_Spec")
 Problem = tuple[str, str, Any]
 """What is wrong with a spec: the message, the key, and the value there."""
@@ -207,6 +210,7 @@ class _HandFields(Document, frozen=True):
     mimic: dict[str, MimicSpec | None] = {}
     arm: ArmSpec | None = None
     matched: dict[str, float] | None = None
+    upright: Upright = "+z up, +x forward"
     directory: Path | None = None
     file: Path | None = None
 
@@ -242,6 +246,8 @@ class HandSpec(_HandFields, frozen=True):
         matched: Position of every joint in the posture that corresponds to the resting human hand
             [rad or m], inside its limits. Teleoperation starts there. If omitted, it is solved for
             each pair of hands; `handmap hands match` prints it.
+        upright: Which axes of the world of a hand on an arm are up and forward, of its root link
+            without `arm`; those of REP 103 if omitted.
         directory: Folder at which relative paths start; that of `hand.yaml` if it was read from
             one.
         file: The file that the description was read from, for messages; None if built in code.

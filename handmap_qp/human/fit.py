@@ -158,6 +158,7 @@ class LandmarkFitter:
         Returns:
             Joint angles [rad], shape (5, 4), and the cost of each finger, shape (5,).
         """
+        q = q.copy()
         damping = np.full(len(FINGERS), _DAMPING)
         is_better = np.ones(len(FINGERS), dtype=bool)
         residual, cost = self._cost(q, targets)
@@ -169,9 +170,9 @@ class LandmarkFitter:
             largest = np.abs(tried - q).max()
             tried_residual, tried_cost = self._cost(tried, targets)
             is_better = tried_cost <= cost
-            q = np.where(is_better[:, None], tried, q)
-            residual = np.where(is_better[:, None], tried_residual, residual)
-            cost = np.where(is_better, tried_cost, cost)
+            q[is_better] = tried[is_better]
+            residual[is_better] = tried_residual[is_better]
+            cost[is_better] = tried_cost[is_better]
             if largest <= TOLERANCE:
                 break
             damping *= np.where(is_better, _BETTER, _WORSE)
@@ -194,7 +195,7 @@ class LandmarkFitter:
         errors = _beyond_base(self._configuration.points) - targets
         residual = errors.reshape(len(FINGERS), -1) * self._weights
         pull = _REST_WEIGHT * (q - self._rest)
-        return residual, _squares(residual) + _squares(pull)
+        return residual, np.square(np.hstack([residual, pull])).sum(axis=1)
 
     def _step(
         self,
@@ -224,8 +225,7 @@ class LandmarkFitter:
         bend *= is_newton[:, None, None]
         H += np.where(_UPPER, bend, bend.transpose(0, 2, 1))
         g = (residual[:, None] @ jacobian)[:, 0] + _REST_WEIGHT**2 * (q - self._rest)
-        is_held = ((q <= self._lower) & (g > 0.0)) | ((q >= self._upper) & (g < 0.0))
-        free = ~is_held
+        free = ((q > self._lower) | (g <= 0.0)) & ((q < self._upper) | (g >= 0.0))
         H *= 1.0 + damping[:, None, None] * _EYE
         system = np.where(free[:, :, None] & free[:, None, :], H, _EYE)
         return -np.linalg.solve(system, np.where(free, g, 0.0)[:, :, None])[:, :, 0]
@@ -263,12 +263,9 @@ def fit_recording(
     last = np.maximum(np.cumsum(valid) - 1, 0)
     q, wrist, error = (np.array(column)[last] for column in fits)
     error[~valid] = np.nan
-    steps = recording.steps
-    return HumanMotion(fitter.human, recording.time, steps, q, wrist, valid, error)
-
-
-def _squares(rows: np.ndarray) -> np.ndarray:
-    return np.einsum("ij,ij->i", rows, rows)
+    return HumanMotion(
+        fitter.human, recording.time, recording.steps, q, wrist, valid, error
+    )
 
 
 def _beyond_base(landmarks: np.ndarray) -> np.ndarray:

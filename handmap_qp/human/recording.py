@@ -6,6 +6,7 @@ little MCP, PIP, DIP, tip. `handmap_qp.trackers.formats` has the files that reco
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, fields, replace
 from typing import Any, NamedTuple
 
@@ -13,9 +14,9 @@ import numpy as np
 
 from handmap_qp.errors import expect
 from handmap_qp.hands.hand import Hand
-from handmap_qp.hands.spec import Side
+from handmap_qp.hands.spec import UPRIGHT, Side
 from handmap_qp.human.sample import LANDMARK_COUNT, HumanSample, check_side
-from handmap_qp.se3 import as_floats, check_poses, frozen
+from handmap_qp.se3 import affine, as_floats, check_poses, frozen
 
 _MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 _COLUMNS = ("time", "landmarks", "valid", "wrist", "confidence")
@@ -37,6 +38,8 @@ class Recording:
             none. Their axes are the tracker's own. Arbitrary where a sample is not valid.
         confidence: The tracker's own confidence, from 0 to 1, shape (T,); None if it gave none.
             Arbitrary where a sample is not valid.
+        upright: Axes of the tracker's world that are up and forward, such as `+y up, -z forward`;
+            empty if not known.
 
     Raises:
         InvalidInputError: If an array has another shape or type than expected, time does not
@@ -51,6 +54,7 @@ class Recording:
     source: str = ""
     wrist: np.ndarray | None = None
     confidence: np.ndarray | None = None
+    upright: str = ""
 
     def __post_init__(self) -> None:
         """Check the arrays, and replace them by read-only copies."""
@@ -64,12 +68,9 @@ class Recording:
         landmarks = as_floats(self.landmarks, "landmarks", shape=shape)
         valid = as_flags(self.valid, "valid", count)
         check_side(self.side)
-        expect(
-            valid.any(),
-            "valid",
-            "at least one valid sample",
-            got="none",
-        )
+        if self.upright:
+            upright_axes(self.upright)
+        expect(valid.any(), "valid", "at least one valid sample", got="none")
         is_right = ~valid | finite_samples(landmarks)
         finite = "finite numbers in every valid sample"
         _expect_each(is_right, "landmarks", finite, landmarks, "others in sample {1}")
@@ -142,15 +143,53 @@ class HumanMotion:
     fit_error: np.ndarray
 
 
-def mirrored(recording: Recording) -> Recording:
-    """Return the recording of the other hand: x becomes -x."""
+def axis_direction(axis: str) -> np.ndarray:
+    """Return the unit vector of an axis such as `-z`, shape (3,)."""
+    sign, name = axis
+    return float(f"{sign}1") * np.eye(3)["xyz".index(name)]
+
+
+def upright_axes(upright: str) -> np.ndarray:
+    """Return the rotation that takes a world's forward to x and up to z (REP 103), shape (3, 3).
+
+    Raises:
+        InvalidInputError: If it is not as of `Upright`.
+    """
+    expected = "axes at right angles, such as '+y up, -z forward'"
+    expect(re.match(UPRIGHT, upright), "upright", expected, value=upright)
+    z, x = map(axis_direction, upright.split()[::2])
+    return np.array([x, np.cross(z, x), z])
+
+
+def turned(
+    recording: Recording, turn: np.ndarray, own: np.ndarray, **changes: Any
+) -> Recording:
+    """Return a recording in other axes.
+
+    Args:
+        recording: The recording.
+        turn: Takes the tracker's world to the other one, shape (3, 3).
+        own: Takes other axes of the wrist to the tracker's own, shape (4, 4).
+        changes: Further fields that change.
+    """
     wrist = recording.wrist
     return replace(
         recording,
-        landmarks=recording.landmarks * (-1.0, 1.0, 1.0),
-        wrist=None if wrist is None else _MIRROR @ wrist @ _MIRROR,
-        side="left" if recording.side == "right" else "right",
+        landmarks=recording.landmarks @ turn.T,
+        wrist=None if wrist is None else affine(turn, np.zeros(3)) @ wrist @ own,
+        **changes,
     )
+
+
+def mirrored(recording: Recording) -> Recording:
+    """Return the recording of the other hand, mirrored from side to side.
+
+    The axis that is neither up nor forward is negated, and x where they are not known.
+    """
+    kept = recording.upright or "yz"
+    mirror = np.diag([1.0 if axis in kept else -1.0 for axis in "xyz"])
+    side = "left" if recording.side == "right" else "right"
+    return turned(recording, mirror, _MIRROR, side=side)
 
 
 class SampleColumns(NamedTuple):

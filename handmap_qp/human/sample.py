@@ -36,9 +36,9 @@ LANDMARK_NAMES: tuple[str, ...] = (
 """Their names, in their order; the set `landmarks` of the human hand has the same ones."""
 PALM = np.array([0, 5, 9, 13, 17])
 """Landmarks of the palm, taken as rigid: the wrist and the MCP joints of the four fingers."""
-FIRST_JOINTS = np.array([1, 5, 9, 13, 17])
+FIRST_JOINTS = np.arange(1, LANDMARK_COUNT, 4)
 """First joint of every finger: thumb CMC and the four MCPs."""
-TIPS = np.array([4, 8, 12, 16, 20])
+TIPS = FIRST_JOINTS + 3
 """The fingertips."""
 HAND_LENGTHS = (0.12, 0.25)
 """Lengths that a hand may have [m], from wrist to middle fingertip: from a child's of five years to

@@ -53,7 +53,7 @@ whichever was seen to arrive. Every step passes the gate.
 
 from __future__ import annotations
 
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -66,7 +66,7 @@ from handmap_qp.hands.shape_pairs import ShapePairs, named_pairs
 from handmap_qp.ik.core import Compiled
 from handmap_qp.ik.limits import Rows
 from handmap_qp.ik.tasks import Goal
-from handmap_qp.se3 import lengths
+from handmap_qp.se3 import inverse_pose, lengths, transform_points
 
 if TYPE_CHECKING:
     from handmap_qp.ik.qp import IkResult, PointIk
@@ -136,8 +136,8 @@ class PairBounds(Compiled):
         geometry: As given.
         first: Index of the first shape of each pair, shape (k,).
         second: Index of the second one.
-        centres: Centres of the shapes' bounding balls in their axes [m].
-        radii: Radii of the balls [m], shape (s,).
+        centres: Centres of the shapes' bounding balls in their axes [m], shape (s, 3).
+        radii: Sum of both balls' radii of each pair [m], shape (k,).
         levers: Bound of the change of each pair's distance per change of each velocity coordinate
             [m/rad, or 1 for sliding joints], shape (k, nv); 0 for coordinates that move both shapes
             of a pair or neither.
@@ -151,22 +151,25 @@ class PairBounds(Compiled):
         self.geometry = geometry
         self.links = (*ShapePairs(geometry, ()).links, ())
         pairs = geometry.collisionPairs
-        self.first = np.array([pair.first for pair in pairs], dtype=int)
-        self.second = np.array([pair.second for pair in pairs], dtype=int)
+        sides = np.array([(pair.first, pair.second) for pair in pairs], dtype=int)
+        self.first, self.second = sides.reshape(-1, 2).T
         shapes = geometry.geometryObjects
-        levers = np.array([_levers(model, shape) for shape in shapes])
-        levers = levers.reshape(-1, model.nv)
+        levers = [_levers(model, shape) for shape in shapes]
+        levers = np.reshape(levers, (-1, model.nv))
         # Known from here on, because levers are bounded by boxes and balls around the shapes.
-        self.centres = [shape.geometry.aabb_center for shape in shapes]
-        self.radii = np.array([shape.geometry.aabb_radius for shape in shapes])
+        centres = [shape.geometry.aabb_center for shape in shapes]
+        self.centres = np.reshape(centres, (-1, 3))
+        radii = np.array([shape.geometry.aabb_radius for shape in shapes])
+        self.radii = radii[self.first] + radii[self.second]
         moved = moved_by(model, [shape.parentJoint for shape in shapes])
         self.signs = moved[self.first] - moved[self.second]
         is_between = self.signs != 0.0
         # A coordinate that moves both shapes carries them together.
         self.levers = (levers[self.first] + levers[self.second]) * is_between
-        turning = np.concatenate(
-            [_motions(joint)[3:].any(axis=0) for joint in list(model.joints)[1:]]
+        jacobian = pin.computeJointJacobians(
+            model, model.createData(), pin.neutral(model)
         )
+        turning = jacobian[3:].any(axis=0)
         has_sliding = (is_between & ~turning).any(axis=1)
         # Sliding between the shapes doubles the acceleration that turns give their points.
         relative = is_between * turning * (1.0 + has_sliding)[:, None]
@@ -191,22 +194,15 @@ class ShapeDistances:
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel) -> None:
         self._model = model
+        self._data = model.createData()
+        self._shapes = geometry.createData()
+        for request in self._shapes.distanceRequests:
+            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
         self.bounds = pair_bounds(model, geometry)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Build copies with data of their own."""
         return ShapeDistances, (self._model, self.bounds.geometry)
-
-    @cached_property
-    def _data(self) -> pin.Data:
-        return self._model.createData()
-
-    @cached_property
-    def _shapes(self) -> pin.GeometryData:
-        shapes = self.bounds.geometry.createData()
-        for request in shapes.distanceRequests:
-            request.gjk_tolerance = request.epa_tolerance = _TOLERANCE
-        return shapes
 
     def measure(self, q: np.ndarray, horizon: np.ndarray | float = np.inf) -> NearPairs:
         """Measure the pairs within a horizon.
@@ -215,9 +211,13 @@ class ShapeDistances:
             q: Pinocchio configuration, shape (nq,).
             horizon: Largest distance [m], of each pair or one for all.
         """
-        self._place(q)
-        horizons = np.full(len(self.bounds.levers), horizon)
-        pairs = np.flatnonzero(self._ball_gaps() <= horizons)
+        bounds = self.bounds
+        horizons = np.full(len(bounds.levers), horizon)
+        poses = self._place(q)
+        centres = transform_points(poses, bounds.centres[:, None])[:, 0]
+        apart = lengths(centres[bounds.first] - centres[bounds.second])
+        # The distances of the bounding balls.
+        pairs = np.flatnonzero(apart - bounds.radii <= horizons)
         found = self._found_at(q, pairs)
         is_near = found[:, 0] <= horizons[pairs]
         return NearPairs(pairs[is_near], found[is_near])
@@ -233,17 +233,12 @@ class ShapeDistances:
             row[4:] = result.getNearestPoint1()
         return found
 
-    def _place(self, q: np.ndarray) -> None:
-        pin.updateGeometryPlacements(
-            self._model, self._data, self.bounds.geometry, self._shapes, q
-        )
-
-    def _ball_gaps(self) -> np.ndarray:
-        """Return the distances of the bounding balls of all placed pairs [m], shape (k,)."""
-        bounds = self.bounds
-        centres = np.array([*map(pin.SE3.act, self._shapes.oMg, bounds.centres)])
-        apart = centres[bounds.first] - centres[bounds.second]
-        return lengths(apart) - bounds.radii[bounds.first] - bounds.radii[bounds.second]
+    def _place(self, q: np.ndarray) -> np.ndarray:
+        """Place all shapes in a posture, and return their poses, shape (s, 4, 4)."""
+        geometry = self.bounds.geometry
+        pin.updateGeometryPlacements(self._model, self._data, geometry, self._shapes, q)
+        poses = [pose.homogeneous for pose in self._shapes.oMg]
+        return np.reshape(poses, (-1, 4, 4))
 
     def met_on(self, q: np.ndarray, step: np.ndarray) -> NearPairs | None:
         """Return what meets on a straight path; None if no pair of shapes does.
@@ -261,76 +256,60 @@ class ShapeDistances:
         """
         turns = np.abs(step)
         travel = self.bounds.levers.dot(turns)
+        bend = self.bounds.turns.dot(turns)
         pairs, before = self.measure(q, KEPT + travel)
-        end = pin.integrate(self._model, q, step)
-        after = self._found_at(end, pairs)
+        there = pin.integrate(self._model, q, step)
+        ends = np.array([before, self._found_at(there, pairs)])
         # On a path from a to b, the distance is never below (a + b - travel) / 2.
-        is_open = before[:, 0] + after[:, 0] - travel[pairs] < KEPT
+        is_open = ends[..., 0].sum(axis=0) - travel[pairs] < KEPT
         is_open &= before[:, 0] > 0.0
         pairs = pairs[is_open]
-        before = before[is_open]
-        after = after[is_open]
-        kept = np.minimum(before[:, 0], KEPT)
-        if (meets := after[:, 0] < kept).any():
-            return self._meetings(q, end, pairs[meets], after[meets])
-        travel = travel[pairs]
-        bend = self.bounds.turns[pairs].dot(turns)
-        # Parts of the path that are not shown to be clear: ends, pairs, and what was found there.
-        parts = [(0.0, 1.0, np.arange(len(pairs)), before, after)]
+        ends = ends[:, is_open]
+        kept = np.full_like(travel, KEPT)
+        kept[pairs] = np.minimum(ends[0, :, 0], KEPT)
+        if (meets := ends[1, :, 0] < kept[pairs]).any():
+            return self._meetings(q, there, pairs[meets], ends[1, meets])
+        # Parts of the path that are not shown to be clear: pairs, and what was found at both ends.
+        parts = [(0.0, 1.0, pairs, ends)]
         taken = 0
         while parts:
-            low, high, those, before, after = parts.pop(0)
-            nearest = np.minimum(before[:, 0], after[:, 0])
+            low, high, pairs, ends = parts.pop(0)
             length = high - low
-            turned = 2.0 * lengths(after[:, 1:4] - before[:, 1:4])
-            turned += length * bend[those]
-            is_open = (
-                nearest - 0.125 * turned * length * travel[those] < 0.5 * kept[those]
-            )
+            turned = 2.0 * lengths(ends[1, :, 1:4] - ends[0, :, 1:4])
+            turned += length * bend[pairs]
+            bent = 0.125 * turned * length * travel[pairs]
+            nearest = ends[..., 0].min(axis=0)
+            is_open = nearest - bent < 0.5 * kept[pairs]
             if not is_open.any():
                 continue
             if taken == _MOST_POINTS:
-                return NearPairs(pairs[:0], before[:0])
-            those = those[is_open]
-            before = before[is_open]
-            after = after[is_open]
+                return NearPairs(pairs[:0], ends[0, :0])
+            taken += 1
+            pairs = pairs[is_open]
+            first, last = ends[:, is_open]
             middle = 0.5 * (low + high)
-            taken = taken + 1
             there = pin.integrate(self._model, q, middle * step)
-            between = self._found_at(there, pairs[those])
-            if (meets := between[:, 0] < kept[those]).any():
-                return self._meetings(q, there, pairs[those[meets]], between[meets])
-            parts += (
-                (low, middle, those, before, between),
-                (middle, high, those, between, after),
-            )
+            between = self._found_at(there, pairs)
+            if (meets := between[:, 0] < kept[pairs]).any():
+                return self._meetings(q, there, pairs[meets], between[meets])
+            parts.append((low, middle, pairs, np.array([first, between])))
+            parts.append((middle, high, pairs, np.array([between, last])))
         return None
 
     def _meetings(
         self, q: np.ndarray, there: np.ndarray, pairs: np.ndarray, found: np.ndarray
     ) -> NearPairs:
         """Return what was found in one posture, `there`, of the same points in another one."""
-        first = self.bounds.first[pairs].tolist()
-        second = self.bounds.second[pairs].tolist()
-        self._place(there)
-        shapes = self._shapes.oMg
-        back = {shape: shapes[shape].inverse() for shape in (*first, *second)}
-        self._place(q)
-        rows = np.empty_like(found)
-        for row, known, a, b in zip(rows, found, first, second, strict=True):
-            normal = known[1:4]
-            point = known[4:]
-            moved_a = shapes[a] * back[a]
-            moved_b = shapes[b] * back[b]
-            row[1:4] = moved_a.rotation @ normal
-            row[4:] = moved_b * (point + known[0] * normal)
-            row[0] = row[1:4] @ (row[4:] - moved_a * point)
-        return NearPairs(pairs, rows)
-
-
-def _motions(joint: pin.JointModel) -> np.ndarray:
-    """Return the motion of each coordinate in the joint's own axes, linear first, shape (6, nv)."""
-    return np.reshape(joint.createData().S, (6, joint.nv))
+        moved = self._place(q) @ inverse_pose(self._place(there))
+        first = moved[self.bounds.first[pairs], :3]
+        second = moved[self.bounds.second[pairs], :3]
+        # As columns: distances along the normals, normals, and points of both shapes.
+        apart, normals, points = np.split(found[..., None], (1, 4), axis=1)
+        turned = first[..., :3] @ normals
+        begins = first[..., :3] @ points + first[..., 3:]
+        ends = second[..., :3] @ (points + apart * normals) + second[..., 3:]
+        gaps = turned.swapaxes(-1, -2) @ (ends - begins)
+        return NearPairs(pairs, np.hstack([gaps, turned, ends])[..., 0])
 
 
 def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
@@ -344,25 +323,25 @@ def _levers(model: pin.Model, shape: pin.GeometryObject) -> np.ndarray:
     longest = 0.0
     points, radius = _extent(shape)
     # Largest distance of a point of the shape from the joint's origin.
-    reach = float(lengths(points).max()) + radius
+    reach = lengths(points).max() + radius
     while joint > 0:
         found = model.joints[joint]
-        axes = _motions(found)[3:].T
-        is_sliding = not axes.any()
-        if is_sliding:
-            limits = model.lowerPositionLimit, model.upperPositionLimit
-            reach += max(abs(float(limit[found.idx_q])) for limit in limits)
-        elif found.nv == 1:
-            # The part of an offset along an axis does not move when the joint turns.
-            across = float(lengths(np.cross(points, axes)).max()) + radius
-            longest = max(longest, min(across, reach))
+        axes = np.reshape(found.createData().S, (6, found.nv))[3:].T
+        if axes.any():
+            across = reach
+            if found.nv == 1:
+                # The part of an offset along an axis does not move when the joint turns.
+                across = lengths(np.cross(points, axes)).max() + radius
+            lever = longest = max(longest, min(across, reach))
         else:
-            longest = max(longest, reach)
-        levers[found.idx_v : found.idx_v + found.nv] = 1.0 if is_sliding else longest
+            limits = model.lowerPositionLimit, model.upperPositionLimit
+            reach += np.abs(limits)[:, found.idx_q].max()
+            lever = 1.0
+        levers[found.idx_v :][: found.nv] = lever
         # From the parent's origin, the shape is within the joint's offset and that reach.
         points = model.jointPlacements[joint].translation[None]
         radius = reach
-        reach += float(lengths(points[0]))
+        reach += lengths(points[0])
         joint = model.parents[joint]
     return levers
 
@@ -373,17 +352,14 @@ def _extent(shape: pin.GeometryObject) -> tuple[np.ndarray, float]:
     The corners of its bounding box, or the centre of its bounding ball if that is smaller.
     """
     geometry = shape.geometry
-    place = shape.placement
     geometry.computeLocalAABB()
-    least = geometry.aabb_local.min_
-    most = geometry.aabb_local.max_
-    if lengths(most - least) / 2.0 > 1.001 * geometry.aabb_radius:
+    box = geometry.aabb_local
+    points = np.where(list(np.ndindex(2, 2, 2)), box.max_, box.min_)
+    radius = 0.0
+    if lengths(box.max_ - box.min_) / 2.0 > 1.001 * geometry.aabb_radius:
         points = geometry.aabb_center[None]
-        radius = float(geometry.aabb_radius)
-    else:
-        points = np.where(list(np.ndindex(2, 2, 2)), most, least)
-        radius = 0.0
-    return points @ place.rotation.T + place.translation, radius
+        radius = geometry.aabb_radius
+    return transform_points(shape.placement.homogeneous, points), radius
 
 
 class CollisionLimit:
@@ -421,12 +397,13 @@ class CollisionLimit:
             pairs = named_pairs(hand, spec.pairs)
         self.margin = spec.margin if spec else 0.0
         self.horizon = horizon
-        self._expansion = None if hand.expansion is None else hand.expansion.matrix
+        expansion = hand.expansion
+        self._expansion = (
+            np.eye(hand.model.nv) if expansion is None else expansion.matrix
+        )
         self.shape_distances = ShapeDistances(hand.model, pairs.geometry)
-        levers = self.shape_distances.bounds.levers
-        if self._expansion is not None:
-            levers = levers @ np.abs(self._expansion)
-        self.columns: np.ndarray = np.any(levers > 0.0, axis=0)
+        is_moving = (self.shape_distances.bounds.levers > 0.0).any(axis=0)
+        self.columns: np.ndarray = is_moving @ (self._expansion != 0.0)
 
     def distances(self, configuration: Configuration) -> np.ndarray:
         """Return signed distances of all pairs [m], negative where shapes overlap, shape (k,).
@@ -452,13 +429,13 @@ class CollisionLimit:
             last: Displacement of the sample before, shape (n,): the next one is expected to be as
                 long.
         """
-        reach = np.inf if self.horizon == np.inf else _NEAR + _APPROACH * dt
-        reach = max(min(reach, self.horizon), KEPT)
-        if last is not None and reach < np.inf:
-            travel = self.shape_distances.bounds.levers.dot(
-                np.abs(self._expanded(last))
-            )
-            reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
+        reach = self.horizon
+        if reach < np.inf:
+            reach = max(min(_NEAR + _APPROACH * dt, reach), KEPT)
+            if last is not None:
+                turns = np.abs(self._expansion.dot(last))
+                travel = self.shape_distances.bounds.levers.dot(turns)
+                reach = np.minimum(_NEAR + _EXPECTED * travel, reach)
         kept = self.margin if margins is None else margins
         return self.shape_distances.measure(q, kept + reach)
 
@@ -469,14 +446,7 @@ class CollisionLimit:
             q: Pinocchio configuration where it begins, shape (nq,).
             displacement: Displacement in the active coordinates [rad or m], shape (n,).
         """
-        return self.shape_distances.met_on(q, self._expanded(displacement))
-
-    def _expanded(self, displacement: np.ndarray) -> np.ndarray:
-        return (
-            displacement
-            if self._expansion is None
-            else self._expansion.dot(displacement)
-        )
+        return self.shape_distances.met_on(q, self._expansion.dot(displacement))
 
     def rows(
         self,

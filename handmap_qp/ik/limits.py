@@ -180,12 +180,9 @@ class BoxLimits:
             velocity: Displacement of the last sample divided by its time, shape (nv,). Matters only
                 to acceleration limits.
         """
-        here = q[self.coordinates]
         farthest = self.speeds * dt
-        down = self.lower - here
-        up = self.upper - here
-        lower = np.clip(down, -farthest, farthest)
-        upper = np.clip(up, -farthest, farthest)
+        ends = np.array([self.lower, self.upper]) - q[self.coordinates]
+        lower, upper = np.clip(ends, -farthest, farthest)
         if self.acceleration == math.inf:
             return Box(lower, upper, lower, upper)
         change = self.change(dt)
@@ -193,21 +190,18 @@ class BoxLimits:
         stretch = 1.0 + self.stopping(velocity, dt) * self.together
         # Faster than this, a stop would take too long.
         usable = self.acceleration * (LONGEST_STOP * dt)
-
-        def admissible(room: np.ndarray) -> np.ndarray:
-            # Past a limit there is no braking distance left; the box brings the joint back.
-            distance = np.clip(room, 0.0, _FAR)
-            most = np.minimum(braking_displacement(distance, change), usable)
-            return np.where(self.together, np.minimum(most, distance / stretch), most)
-
-        least = -admissible(-down)
-        most = admissible(up)
+        # Past a limit there is no braking distance left; the box brings the joint back.
+        room = np.clip([-ends[0], ends[1]], 0.0, _FAR)
+        reach = np.minimum(braking_displacement(room, change), usable)
+        # Alone, the braking displacement is never longer than the room.
+        down, most = np.minimum(reach, room / stretch)
+        least = -down
         lowest = middle - change
         highest = middle + change
         slack = _ROUNDING * dt
+        reached = np.clip([least, most], lowest, highest)
         return Box(
-            np.clip(np.clip(least, lowest, highest), lower, upper),
-            np.clip(np.clip(most, lowest, highest), lower, upper),
+            *np.clip(reached, lower, upper),
             np.maximum(least, lowest) - slack,
             np.minimum(most, highest) + slack,
         )
@@ -224,7 +218,7 @@ class BoxLimits:
         here = q[self.coordinates]
         least = np.minimum(self.lower - _ROUNDING - here, 0.0)
         most = np.maximum(self.upper + _ROUNDING - here, 0.0)
-        return (displacement >= least) & (displacement <= most)
+        return displacement == np.clip(displacement, least, most)
 
     def clipped(self, q: np.ndarray, before: np.ndarray) -> np.ndarray:
         """Return a configuration inside its position limits, or no farther outside than before.
@@ -248,8 +242,6 @@ class BoxLimits:
             displacement: Displacement, shape (nv,).
             dt: Time for it [s].
         """
-        if self.acceleration == math.inf:
-            return np.zeros(self.size)
         times = np.abs(displacement / dt) / self.acceleration
         longest = times.max(initial=0.0, where=self.together)
         return np.where(self.together, longest, times)
@@ -314,8 +306,6 @@ def feasible(
     excess = kept - h
     loose = np.maximum(h, kept)
     is_nearer = excess > _ROUGHLY
-    if not is_nearer.any():
-        return G, loose
     apart = G[is_nearer]
     gram = apart.dot(apart.T) + _LEVER**2 * np.eye(len(apart))
     parting = -_PARTED * np.linalg.solve(gram, excess[is_nearer]).dot(apart)
@@ -572,8 +562,8 @@ class Gate:
         """Return what meets in a displacement and the stop behind it; None if nothing does."""
         if self.collisions is None:
             return None
-        time = times.max(initial=0.0, where=self._together)
-        whole = np.where(self._together, (1.0 + 0.5 * time / dt) * displacement, 0.0)
+        whole = (1.0 + 0.5 * times / dt) * displacement
+        whole = np.where(self._together, whole, 0.0)
         return self.collisions.met_on(self.motion.q, whole)
 
     def _move(

@@ -2,24 +2,39 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from handmap_qp.errors import InvalidOptionsError
+from handmap_qp.errors import InvalidOptionsError, expect
+from handmap_qp.hands.hand import Hand
+from handmap_qp.human.recording import upright_axes
 from handmap_qp.mapping.method import MethodOptions
 from handmap_qp.options import number, text
-from handmap_qp.se3 import FARTHEST, affine, frozen
+from handmap_qp.se3 import (
+    FARTHEST,
+    affine,
+    as_floats,
+    frozen,
+    lengths,
+    nearest_rotation,
+    unit,
+)
 
 Coordinate = Annotated[float, number("Finite.", -FARTHEST, FARTHEST)]
 Row = tuple[Coordinate, Coordinate, Coordinate]
 Alignment = Literal["world", "palm", "y-up"] | tuple[Row, Row, Row]
 """Rotation from the human's world axes to the robot's."""
 
+# A reach is at least so long [m], and within 20 degrees of its axis; two reaches that are at 60
+# degrees are each 15 off.
+_SHORTEST_REACH = 0.05
+_LEAST_COSINE = 0.94
 _ROTATIONS = {
     "world": frozen(np.eye(3)),
-    # A tracker's right, up and back (+x, +y, +z) are a robot's -y, +z and -x (REP 103).
-    "y-up": frozen(np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])),
+    # A robot's x is forward and its z is up (REP 103).
+    "y-up": frozen(upright_axes("+y up, -z forward")),
 }
 
 
@@ -54,6 +69,64 @@ class AlignedOptions(MethodOptions, frozen=True, kw_only=True):
                 value=self.alignment,
                 advice="map a left hand with the URDF of a left hand",
             )
+
+
+def rotation_onto(robot: Hand, upright: str) -> np.ndarray | None:
+    """Return the rotation that takes a tracker's up and forward to those of a hand on an arm.
+
+    Args:
+        robot: The robot hand.
+        upright: The axes of the tracker's world; empty where they are not known.
+
+    Returns:
+        The rotation, shape (3, 3); None where the axes are not known or the hand is on no arm.
+    """
+    if upright and robot.has_moving_wrist and not robot.is_floating:
+        return upright_axes(robot.spec.upright).T @ upright_axes(upright)
+    return None
+
+
+def found_alignment(method: MethodOptions, robot: Hand, upright: str) -> dict[str, Any]:
+    """Return the change of options that lays a tracker's up and forward onto an arm's.
+
+    Args:
+        method: The options of a preset before the user's own choice, which counts more.
+        robot: The robot hand.
+        upright: As of `rotation_onto`.
+
+    Returns:
+        The option `alignment`; none where there is no such rotation or the method aligns otherwise.
+    """
+    rotation = rotation_onto(robot, upright)
+    if rotation is None or method.values.get("alignment") != "world":
+        return {}
+    known = (name for name, turn in _ROTATIONS.items() if (turn == rotation).all())
+    return {"alignment": next(known, rotation.tolist())}
+
+
+def alignment_from_gestures(reaches: npt.ArrayLike) -> np.ndarray:
+    """Return the rotation to a robot's x, y and z (REP 103) that fits three reaches best, (3, 3).
+
+    Args:
+        reaches: How far the palm moved forward, to the person's left, and up, each in the tracker's
+            world [m], shape (3, 3).
+
+    Raises:
+        InvalidInputError: If a reach is shorter than 5 cm, or they are farther than 20 degrees from
+            the axes of any right-handed world.
+    """
+    ways = as_floats(reaches, "reaches", shape=(3, 3), is_finite=True)
+    size = lengths(ways)
+    rotation = nearest_rotation(unit(ways))
+    cosines = (unit(ways) * rotation).sum(axis=1)
+    expect(
+        size.min() >= _SHORTEST_REACH and cosines.min() >= _LEAST_COSINE,
+        "reaches",
+        "5 cm or more, within 20 degrees of the axes of a right-handed world",
+        got=f"{size.round(3)} m, cosines to these axes {cosines.round(2)}",
+        advice="reach to your left; if you did, negate an axis (`mirror` of a layout)",
+    )
+    return rotation
 
 
 def rotation_of(

@@ -169,12 +169,10 @@ def primitives(motion: npt.ArrayLike) -> Primitives:
         )
     # QR leaves the signs open: take the rotation proper and, where the motion mirrors, give all
     # three scales the sign.
-    signs = np.sign(scales) * (
-        1.0 if np.prod(scales) * np.linalg.det(rotation) > 0.0 else -1.0
-    )
-    rotation = rotation * signs
-    upper = upper * signs[:, None]
-    scales = scales * signs
+    signs = np.sign(scales) * np.linalg.slogdet(matrix[:3, :3]).sign
+    rotation *= signs
+    upper *= signs[:, None]
+    scales *= signs
     isotropic = float(np.cbrt(np.prod(scales)))
     shear_matrix = upper / scales
     zero = np.zeros(3)

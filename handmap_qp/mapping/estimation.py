@@ -129,9 +129,7 @@ class MotionEstimator:
         # small the ridge.
         known = np.where(values > floor, values, 0.0)
         pull = ridge * (values @ values) / 3.0
-        gains = np.divide(
-            known, known * known + pull, out=np.zeros_like(known), where=known > 0.0
-        )
+        gains = known / np.where(known > 0.0, known * known + pull, 1.0)
         # (3, n) and (3, 3): A^T = gain y + prior_gain R0^T, of centred points y
         gain = right.T @ (roots[:, None] * left * gains).T
         self.prior_gain = np.eye(3) - (right.T * (known * gains)) @ right

@@ -30,17 +30,16 @@ from handmap_qp.ik.options import IkOptions
 from handmap_qp.ik.qp import PointIk
 from handmap_qp.ik.tasks import AttachedPoints, PointDistances
 from handmap_qp.mapping.matched_posture import nearest_posture
-from handmap_qp.mapping.palm import point_indices, require_points
-from handmap_qp.se3 import frozen, lengths, transform_points
+from handmap_qp.mapping.palm import chain_landmarks, point_indices, require_points
+from handmap_qp.se3 import frozen, lengths, transform_points, unit
 
-KNUCKLES = {f: f"{f}_{'cmc' if f == THUMB else 'mcp'}" for f in FINGERS}
-"""Landmark at the base of each finger, by the finger's name."""
-MIDDLES = {f: f"{f}_{'ip' if f == THUMB else 'pip'}" for f in FINGERS}
+KNUCKLES, _SECONDS, LASTS, TIPS = (
+    dict(zip(FINGERS, names, strict=True))
+    for names in zip(*map(chain_landmarks, FINGERS), strict=True)
+)
+"""Landmarks at the base, of the last joint and at the tip of each finger, by the finger's name."""
+MIDDLES = _SECONDS | {THUMB: LASTS[THUMB]}
 """Landmark of the joint in the middle of each finger."""
-LASTS = {f: f"{f}_{'ip' if f == THUMB else 'dip'}" for f in FINGERS}
-"""Landmark of the last joint of each finger."""
-TIPS = {f: f"{f}_tip" for f in FINGERS}
-"""Landmark of each fingertip."""
 
 _TABLES = TIPS, LASTS, MIDDLES, KNUCKLES
 # Weight of a jaw's position errors. The gap to the thumb is all that a jaw can show.
@@ -102,7 +101,7 @@ class HandPair:
         robot: The hand that follows. Its reference points are the fingertips, middle and last
             joints of the common fingers, in the order of `partners`.
         fingers: Names of the common fingers, the thumb first where there is one.
-        chains: The robot's fingers, by name.
+        chains: The robot's fingers that have joints, by name, in the order of `fingers`.
         pads: Their pads.
         contacts: All pairs of the robot's collision shapes that may collide.
         partners: Index of the human reference point that each robot reference point follows, (m,).
@@ -146,7 +145,7 @@ class HandPair:
         self.tips = points[:, 0]
         self.knuckles = points[:, 3]
         # Shapes are read only for hands that can be a pair: it takes longest.
-        self.chains = measured.chains
+        self.chains = measured.used
         self.pads = measured.pads
         self.contacts = measured.contacts
         self.robot = measured.with_points
@@ -166,9 +165,8 @@ class HandPair:
         )
         self.reach_ratios = self.robot_reach / self.human_reach
         # All fingers but the thumb; a thumb alone stands for them.
-        self._others = np.flatnonzero(np.array(self.fingers) != THUMB)
-        if not len(self._others):
-            self._others = np.array([0])
+        fingers = enumerate(self.fingers)
+        self._others = [i for i, finger in fingers if finger != THUMB] or [0]
         self.finger_ratio = float(self.reach_ratios[self._others].mean())
         knuckles = self.human_rest[self.knuckles[self._others]]
         self.human_knuckles = frozen(knuckles.mean(axis=0))
@@ -179,10 +177,9 @@ class HandPair:
     def _measure_robot(self) -> None:
         """Find the robot's points in the matched posture, their centres and the knuckles'."""
         self.robot_rest = frozen(points_in_palm(self.robot, self.matched))
-        chains = [self.chains[finger] for finger in self.fingers]
         places = [
             place
-            for chain in chains
+            for chain in self.chains.values()
             for place in (chain.knuckle, chain.tip, chain.middle)
         ]
         points = points_in_palm(self.robot, self.matched, places).reshape(-1, 3, 3)
@@ -195,7 +192,7 @@ class HandPair:
         elif THUMB in self.fingers and not self.has_jaws:
             resting = self.human_rest[self.tips[0]] - self.human_rest[self.knuckles[0]]
             robots = points[0, 1] - points[0, 0]
-            cosine = resting.dot(robots) / (lengths(resting) * lengths(robots))
+            cosine = unit(resting).dot(unit(robots))
             self.thumb_likeness = float(np.interp(cosine, _LIKE, (0.0, 1.0)))
         self.robot_centre = frozen(points[:, 1:].reshape(-1, 3).mean(axis=0))
         spans = lengths(points[:, 1] - points[:, 0])
@@ -209,8 +206,8 @@ class HandPair:
         if self.has_jaws:
             at_rest = self.human_rest[self.tips]
             gaps = lengths(at_rest[1:] - at_rest[0])
-            thumb, *pads = (self.pads[finger] for finger in self.fingers)
-            task = _gap_task(self.robot, thumb, pads, gaps)
+            pads = [self.pads[finger] for finger in self.fingers]
+            task = _gap_task(self.robot, pads, gaps)
             return approach(PointIk(self.robot, _OPENING), task)
         robot = self.robot
         places = [self.chains[finger].knuckle for finger in self.fingers]
@@ -254,9 +251,9 @@ class RobotFingers:
         self.hand = robot
         self.chains = find_fingers(robot)
         # In the order of FINGERS.
-        self._used = {f: chain for f, chain in self.chains.items() if chain.joints}
-        self.names = tuple(self._used)
-        are_jaws = all(chain.is_jaw for chain in self._used.values())
+        self.used = {f: chain for f, chain in self.chains.items() if chain.joints}
+        self.names = tuple(self.used)
+        are_jaws = all(chain.is_jaw for chain in self.used.values())
         self.has_jaws = are_jaws and len(self.names) > 1 and THUMB in self.names
 
     @cached_property
@@ -268,7 +265,7 @@ class RobotFingers:
     def with_points(self) -> Hand:
         """The robot with its fingers' points."""
         weight = _JAW_WEIGHT if self.has_jaws else 1.0
-        points = _finger_points(self.hand, self._used, weight)
+        points = _finger_points(self.hand, self.used, weight)
         return self.hand.with_points(points)
 
     @cached_property
@@ -360,7 +357,7 @@ def _point(
     robot: Hand,
     finger: str,
     name: str,
-    place: tuple[int, np.ndarray],
+    place: Place,
     weight: float,
 ) -> PointSpec:
     """Describe a point on a joint of the model as one on a link of the URDF."""
@@ -393,11 +390,8 @@ def points_in_palm(
 
 def resting_posture(human: Hand) -> np.ndarray:
     """Return the human's rest posture with the thumb where recorded thumbs are at rest, (n,)."""
-    q = human.rest.copy()
-    for joint, angle in _RESTING_THUMB.items():
-        if joint in human.joint_names:
-            q[human.joint_names.index(joint)] = angle
-    return q
+    own = zip(human.joint_names, human.rest, strict=True)
+    return np.array([_RESTING_THUMB.get(joint, angle) for joint, angle in own])
 
 
 def bone_lengths(human: Hand, fingers: Sequence[str]) -> np.ndarray:
@@ -426,7 +420,8 @@ def _pinching_thumb(
     hand: Hand, chains: Mapping[str, Finger], pads: Mapping[str, Pad]
 ) -> np.ndarray:
     """Return the mean thumb tip over pinches with each finger from rest, in palm axes [m], (3,)."""
-    used = [pads[THUMB], *(pads[finger] for finger in chains if finger != THUMB)]
+    # The thumb is the first finger.
+    used = [*pads.values()]
     tip = [chains[THUMB].tip]
     if (tree := core_tree(hand)) is not None:
         places = [(pad.joint, pad.offset) for pad in used]
@@ -435,7 +430,7 @@ def _pinching_thumb(
             _pinching_ik(hand.unscaled or hand), places, touching, tip
         )
     ik = PointIk(hand, _PINCHING)
-    task = _gap_task(hand, used[0], used[1:], 0.0)
+    task = _gap_task(hand, used, 0.0)
     tips = []
     for is_used in np.eye(len(used) - 1):
         own = task.aimed_at(task.distances, is_used * task.weights)
@@ -447,12 +442,12 @@ _pinching_ik = lru_cache(maxsize=16)(partial(PointIk, options=_PINCHING))
 
 
 def _gap_task(
-    hand: Hand, thumb: Pad, pads: Sequence[Pad], gaps: np.ndarray | float
+    hand: Hand, pads: Sequence[Pad], gaps: np.ndarray | float
 ) -> PointDistances:
-    """Return the task of giving the thumb's pad gaps to other pads [m], shape (p,)."""
-    points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in (thumb, *pads)])
+    """Return the task of giving the first pad, the thumb's, gaps to p others [m], shape (p,)."""
+    points = AttachedPoints(hand, [(pad.joint, pad.offset) for pad in pads])
     pairs = [(0, k) for k in range(1, len(points))]
-    touching = np.array([thumb.radius + pad.radius for pad in pads])
+    touching = np.array([pads[0].radius + pad.radius for pad in pads[1:]])
     return PointDistances(points, pairs, touching + gaps, _GAP_WEIGHT)
 
 

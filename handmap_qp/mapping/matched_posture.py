@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handmap_qp.hands.configuration import moved_by
+from handmap_qp.hands.fingers import joint_motion
 from handmap_qp.hands.hand import Hand
 from handmap_qp.ik.compiled import core_tree
 from handmap_qp.ik.qp import solve_by_daqp
@@ -109,8 +110,7 @@ class _Distance:
         self._placed = hand.configuration()
         self.free = np.flatnonzero(~hand.moves_wrist)
         # From the free joints to the model's tangent space.
-        active = self._placed.contracted(np.eye(hand.model.nv))
-        self._spread = active[:, hand.joint_columns[self.free]]
+        self._spread = joint_motion(hand)[:, self.free]
         self._rest = hand.rest[self.free]
         model = hand.model
         carriers = np.repeat(np.arange(model.njoints), model.nvs)
@@ -135,10 +135,9 @@ class _Distance:
         turning = np.cross(levers, forces[:, :, None], axis=1).sum(axis=0)
         curvature = placed.joint_jacobian()[3:].T.dot(turning) * self._is_ancestor
         full = rows.T.dot(np.repeat(self._costs, 3, axis=0) * rows)
-        full += curvature + curvature.T
-        full.reshape(-1)[:: len(full) + 1] -= curvature.diagonal()
+        full += curvature + np.triu(curvature, 1).T
         hessian = self._spread.T.dot(full).dot(self._spread)
-        hessian.reshape(-1)[:: len(hessian) + 1] += self._rest_cost
+        hessian += self._rest_cost * np.eye(len(x))
         gradient = (
             forces.reshape(-1).dot(rows).dot(self._spread) + self._rest_cost * away
         )
@@ -148,10 +147,8 @@ class _Distance:
 
 def _convex(hessian: np.ndarray) -> np.ndarray:
     """Return a matrix with positive eigenvalues, so that every step leads downhill."""
-    try:
-        np.linalg.cholesky(hessian)
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(hessian)
-        values = np.maximum(np.abs(values), _LEAST_CURVATURE * np.abs(values).max())
-        return (vectors * values).dot(vectors.T)
-    return hessian
+    values, vectors = np.linalg.eigh(hessian)
+    if values[0] > 0.0:
+        return hessian
+    sizes = np.abs(values)
+    return (vectors * sizes.clip(_LEAST_CURVATURE * sizes.max())).dot(vectors.T)

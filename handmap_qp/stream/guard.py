@@ -13,6 +13,7 @@ samples. `change_between` measures how a hand has moved in that time.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -153,10 +154,8 @@ class RateCheck:
         # known.
         if not elapsed < _RATE_WINDOW:
             drift = (self._lead - self._former) / elapsed
-            before = self._drift
-            is_off = (
-                drift * before > 0.0 and min(abs(drift), abs(before)) > _LARGEST_DRIFT
-            )
+            both = self._drift, drift
+            is_off = min(both) > _LARGEST_DRIFT or max(both) < -_LARGEST_DRIFT
             self._rate = 1.0 + drift if is_off else None
             self._start = arrival
             self._former = self._lead
@@ -188,6 +187,9 @@ ALONE = 3.0
 """A landmark that leaves its place alone is this many times as fast as the next one."""
 
 
+_STILL = np.zeros(3)
+
+
 class Track(NamedTuple):
     """A sample and the motion that led to it; velocities are zero for a first sample.
 
@@ -198,7 +200,8 @@ class Track(NamedTuple):
         lengths: The distances that cannot change [m], shape (23,).
         velocity: Of the centre [m/s], shape (3,).
         turning: Angular velocity of the palm [rad/s], shape (3,).
-        bending: Velocities of the landmarks in palm axes [m/s], shape (21, 3).
+        bending: Velocities of the landmarks in palm axes [m/s], shape (21, 3); of a first sample
+            one for all, shape (3,).
         dt: Time between this sample and the one before [s]; 0 for a first one.
     """
 
@@ -206,9 +209,9 @@ class Track(NamedTuple):
     points: np.ndarray
     centre: np.ndarray
     lengths: np.ndarray
-    velocity: np.ndarray
-    turning: np.ndarray
-    bending: np.ndarray
+    velocity: np.ndarray = _STILL
+    turning: np.ndarray = _STILL
+    bending: np.ndarray = _STILL
     dt: float = 0.0
 
 
@@ -245,10 +248,7 @@ def is_zero(landmarks: np.ndarray) -> bool:
 def first_track(now: float, landmarks: np.ndarray) -> Track:
     """Return landmarks (21, 3) [m] at a time [s] as a sample without motion."""
     centre = landmarks[PALM].mean(axis=0)
-    points = landmarks - centre
-    still = np.zeros(3)
-    fixed = fixed_lengths(landmarks)
-    return Track(now, points, centre, fixed, still, still, np.zeros_like(points))
+    return Track(now, landmarks - centre, centre, fixed_lengths(landmarks))
 
 
 def change_between(track: Track, sample: Track, dt: float) -> Change:
@@ -306,8 +306,9 @@ _LONG_SETTLING = 0.5  # the same after a flip or an outlier, which can last [s]
 _BRIEF = 0.12
 
 
-class GuardState(NamedTuple):
-    """What the guard remembers; replaced as a whole.
+@dataclass
+class GuardState:
+    """What the guard remembers.
 
     Attributes:
         clock: The clock of the stream.
@@ -319,7 +320,7 @@ class GuardState(NamedTuple):
         steady_since: Time since which samples make sense [s].
     """
 
-    clock: SampleClock = SampleClock()
+    clock: SampleClock
     now: float = 0.0
     good: Track | None = None
     last: Track | None = None
@@ -334,11 +335,47 @@ class GuardState(NamedTuple):
         is_brief = self.cause == "missing" and good and now - good.time <= _BRIEF
         return now - good.time if is_brief else math.inf
 
-    @property
-    def has_paused(self) -> bool:
-        """Whether the robot has stood still for longer than one sample accounts for."""
-        periods = self.lost / self.clock.period
-        return self.cause != "" and periods > LONGEST_STEP + _SHORTEST_STEP
+    def hold(self, rule: Rule) -> None:
+        """Begin a hold, or go on with it.
+
+        Samples must make sense from now on, but for brief losses.
+        """
+        last = self.last
+        if rule != "missing" or last is None or self.now - last.time > _BRIEF:
+            self.steady_since = self.now
+        self.cause = self.cause or rule
+
+    def move(self, last: Track, fresh: Track) -> Rule:
+        """Name what no hand does from one sample to the next, and learn the noise."""
+        since = max(self.now - last.time, self.clock.shortest)
+        change = change_between(last, fresh, since)
+        is_gap = since > GAP
+        if last.dt and not is_gap:
+            self.noise = learnt_noise(self.noise, change.noise)
+        rule = _named(change, self.noise)
+        usual = self.clock.period
+        if is_gap and _named(change_between(last, fresh, usual), self.noise):
+            rule = "settling" if self.cause else "gap"
+        self.last = fresh if rule else change.track
+        if rule:
+            self.hold(rule)
+        return rule
+
+    def has_returned(self, fresh: Track, rule: Rule, since_last: float) -> bool:
+        """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
+        good = self.good
+        # Nothing is known of the time of a gap.
+        if good is None or since_last > GAP:
+            return not rule
+        since_good = max(self.now - good.time, self.clock.shortest)
+        if since_good <= _BRIEF:
+            return not _named(change_between(good, fresh, since_good), self.noise)
+        settling = SETTLING
+        # The hand may still be turned, mirrored or of other lengths.
+        slow = self.cause in ("flip", "outlier")
+        if slow and _named(change_between(good, fresh, 1.0), self.noise):
+            settling = _LONG_SETTLING
+        return not rule and self.now - self.steady_since >= settling
 
 
 class StreamGuard(Compiled):
@@ -352,7 +389,7 @@ class StreamGuard(Compiled):
     """
 
     def __init__(self, human: Hand) -> None:
-        self._state = self._former = GuardState()
+        self._state = self._former = GuardState(SampleClock())
         self._side: Side = "left" if human.side == "left" else "right"
         self._input = InputCheck(self._side)
         self._rate = RateCheck()
@@ -380,19 +417,19 @@ class StreamGuard(Compiled):
         self.check_side(sample)
         if self.core is not None:
             return self.core.check(sample, arrival)
-        before = self._former = self._state
-        tick, clock = before.clock.advance(sample.time)
-        state = before._replace(clock=clock, now=before.now + tick.elapsed)
+        former = self._former = self._state
+        state = self._state = replace(former)
+        tick, state.clock = former.clock.advance(sample.time)
+        state.now += tick.elapsed
         held = Verdict(tick.rule, True, False, tick.dt, math.nan)
         if tick.rule in ("duplicate", "disorder"):
-            self._state = state
             return held
         rule, finding = self._input_fault(sample, arrival)
         if rule:
-            self._state = _holding(state, rule)
+            state.hold(rule)
             return held._replace(rule=rule, finding=finding)
-        verdict, self._state = self._follow(sample, state, tick)
-        if self._state.cause and not state.cause:
+        verdict = self._follow(sample.landmarks, held)
+        if state.cause and not former.cause:
             self._input.alert()
         if sample.wrist is None or self._input.is_wrist_proven or verdict.is_held:
             return verdict
@@ -427,54 +464,42 @@ class StreamGuard(Compiled):
             return finding.kind, finding
         return ("" if self._palm.fits(sample.landmarks) else "size"), None
 
-    def _follow(
-        self, sample: HumanSample, state: GuardState, tick: Tick
-    ) -> tuple[Verdict, GuardState]:
+    def _follow(self, landmarks: np.ndarray, held: Verdict) -> Verdict:
         """Judge landmarks that could be a hand's by how they follow the ones before."""
-        fresh = first_track(state.now, sample.landmarks)
+        state = self._state
         last = state.last
+        fresh = first_track(state.now, landmarks)
         consistency = math.sqrt(np.square(fresh.lengths - self._lengths).mean())
-        held = Verdict("", True, False, tick.dt, consistency)
+        judged = held._replace(rule="", consistency=consistency)
         if last is None:
-            first = state._replace(good=fresh, last=fresh, cause="")
-            return held._replace(is_held=False, is_return=state.cause != ""), first
+            first = judged._replace(is_held=False, is_return=state.cause != "")
+            state.good = state.last = fresh
+            state.cause = ""
+            return first
         since_last = state.now - last.time
         rule: Rule = ""
         # A tracker that is slower than its samples repeats landmarks exactly, which is no motion.
         if not all(map(np.array_equal, last[1:3], fresh[1:3])):
-            rule, state = _moved(state, last, fresh)
+            rule = state.move(last, fresh)
         elif since_last >= FROZEN_AFTER:
-            return held._replace(rule="frozen"), _holding(state, "frozen")
-        if state.cause and not _has_returned(fresh, rule, state, since_last):
-            return held._replace(rule=rule or "settling"), state
-        was_late = self._former.clock.late_count > 0
-        is_return = tick.rule == "gap" or was_late or state.has_paused
-        found = held._replace(
-            rule=tick.rule, is_held=False, is_return=is_return, lost=state.lost
+            state.hold("frozen")
+            return judged._replace(rule="frozen")
+        if state.cause and not state.has_returned(fresh, rule, since_last):
+            return judged._replace(rule=rule or "settling")
+        lost = state.lost
+        # Whether the robot has stood still for longer than one sample accounts for.
+        has_paused = lost / state.clock.period > LONGEST_STEP + _SHORTEST_STEP
+        followed = judged._replace(
+            rule=held.rule,
+            is_held=False,
+            is_return=held.rule == "gap"
+            or self._former.clock.late_count > 0
+            or (state.cause != "" and has_paused),
+            lost=lost,
         )
-        return found, state._replace(good=state.last, cause="")
-
-
-def _has_returned(
-    fresh: Track, rule: Rule, state: GuardState, since_last: float
-) -> bool:
-    """Tell whether a hold is over: the hand is near where it was, or steady where it is."""
-    good = state.good
-    now = state.now
-    # Nothing is known of the time of a gap.
-    if good is None or since_last > GAP:
-        return not rule
-    since_good = max(now - good.time, state.clock.shortest)
-    if since_good <= _BRIEF:
-        return not _named(change_between(good, fresh, since_good), state.noise)
-    if rule:
-        return False
-    settling = SETTLING
-    # The hand may still be turned, mirrored or of other lengths.
-    slow = state.cause in ("flip", "outlier")
-    if slow and _named(change_between(good, fresh, 1.0), state.noise):
-        settling = _LONG_SETTLING
-    return now - state.steady_since >= settling
+        state.good = state.last
+        state.cause = ""
+        return followed
 
 
 def _off_rate(rate: float) -> Finding:
@@ -483,31 +508,6 @@ def _off_rate(rate: float) -> Finding:
         f"time stamps run at {rate:.3g} times the speed at which samples arrive",
         "give the time of the tracker's clock in seconds",
     )
-
-
-def _moved(state: GuardState, last: Track, fresh: Track) -> tuple[Rule, GuardState]:
-    """Name what no hand does from one sample to the next, and learn the noise."""
-    since = max(state.now - last.time, state.clock.shortest)
-    change = change_between(last, fresh, since)
-    is_gap = since > GAP
-    if last.dt and not is_gap:
-        state = state._replace(noise=learnt_noise(state.noise, change.noise))
-    rule = _named(change, state.noise)
-    if is_gap:
-        usual_step = change_between(last, fresh, state.clock.period)
-        if _named(usual_step, state.noise):
-            rule = "settling" if state.cause else "gap"
-    if rule:
-        return rule, _holding(state._replace(last=fresh), rule)
-    return "", state._replace(last=change.track)
-
-
-def _holding(state: GuardState, rule: Rule) -> GuardState:
-    """Begin a hold, or go on with it; samples must make sense from now on, but for brief losses."""
-    last = state.last
-    is_brief = rule == "missing" and last and state.now - last.time <= _BRIEF
-    since = state.steady_since if is_brief else state.now
-    return state._replace(cause=state.cause or rule, steady_since=since)
 
 
 def _named(change: Change, noise: float) -> Rule:

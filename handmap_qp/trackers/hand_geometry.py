@@ -30,7 +30,7 @@ NEIGHBOURS = [(5, 9), (9, 13), (13, 17)]
 _PAIRS = np.array(BONES + NEIGHBOURS + [(1, 5), (1, 17), (5, 17)])
 # Centre and half width of log(distance / median distance) over the hands that were measured.
 _FILE = Path(__file__).with_name("proportions.json")
-_PROPORTIONS = json.loads(_FILE.read_text(encoding="utf-8"))
+_PROPORTIONS = json.loads(_FILE.read_bytes())
 _CENTRES = np.array(_PROPORTIONS["centres"])
 _WIDTHS = np.array(_PROPORTIONS["half_widths"])
 _LARGEST_DEVIATION = 5.0  # widths; one pair far off counts no more than this

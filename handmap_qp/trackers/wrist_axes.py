@@ -110,7 +110,8 @@ class WristCheck:
         start = self._start or (palm, mean)
         is_steady = min(steadiness, _cosine(mean, start[1])) > _STEADY
         does_not_follow = "the wrist's orientation does not follow the palm"
-        if not (is_steady and _is_known(mean)):
+        is_known = _cosine(CONVENTIONS, mean) > _FARTHEST
+        if not (is_steady and is_known.any()):
             name = _usual_mistake(palms, rotations)
             if name:
                 return Finding(
@@ -125,16 +126,15 @@ class WristCheck:
                 "check its quaternion's order, and that its world is that of the landmarks",
             )
         self._start = start
-        is_ours = _cosine(mean, CONVENTIONS[0]) > _FARTHEST
         turn, change = np.arccos([_cosine(palm, start[0]), _cosine(mean, start[1])])
-        has_turned = is_ours and turn > _TURNED and change < _KEPT * turn
+        has_turned = is_known[0] and turn > _TURNED and change < _KEPT * turn
         self.is_proven = was_proven or bool(has_turned)
         return None
 
 
 def _mean_relative(
     palms: np.ndarray, rotations: np.ndarray
-) -> tuple[np.ndarray, float]:
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean rotation from wrist to palm, and how steady it is.
 
     Steady means that the means of both halves of the samples agree: the cosine of the angle between
@@ -142,20 +142,15 @@ def _mean_relative(
     """
     relative = palms.swapaxes(1, 2) @ rotations
     half = len(palms) // 2
-    first = relative[:half].sum(axis=0)
-    second = relative[half:].sum(axis=0)
-    mean = nearest_rotation(first + second)
-    if half == 0:
-        return mean, 1.0
-    return mean, _cosine(nearest_rotation(first), nearest_rotation(second))
+    # Both halves of a single sample are that sample.
+    parts = relative, relative[: half or 1], relative[half:]
+    mean, first, second = (nearest_rotation(part.sum(axis=0)) for part in parts)
+    return mean, _cosine(first, second)
 
 
-def _cosine(a: np.ndarray, b: np.ndarray) -> float:
-    return np.clip((np.vdot(a, b) - 1.0) / 2.0, -1.0, 1.0)
-
-
-def _is_known(relative: np.ndarray) -> bool:
-    return any(_cosine(axes, relative) > _FARTHEST for axes in CONVENTIONS)
+def _cosine(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return cosines of the angles between rotations, shape (...)."""
+    return np.clip(((a * b).sum(axis=(-2, -1)) - 1.0) / 2.0, -1.0, 1.0)
 
 
 _ROLLS = {
@@ -179,6 +174,7 @@ def _usual_mistake(palms: np.ndarray, rotations: np.ndarray) -> str:
             tried.append((name, rolled.as_matrix()))
     for name, others in (*tried, ("its inverse", rotations.swapaxes(1, 2))):
         mean, steadiness = _mean_relative(palms, others)
-        if steadiness > _STEADY and _is_known(mean):
+        is_known = _cosine(CONVENTIONS, mean) > _FARTHEST
+        if steadiness > _STEADY and is_known.any():
             return name
     return ""

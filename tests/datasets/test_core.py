@@ -30,7 +30,7 @@ def test_an_episode_is_measured_as_in_python() -> None:
     person = measure_person(DEMO)
     arguments = MappingArguments()
     for recording in (DEMO, with_gaps(DEMO), DEMO.part(slice(0, 2))):
-        recording, trajectory = map_hand(recording, robot, person, arguments)
+        recording, trajectory, _ = map_hand(recording, robot, person, arguments)
         found = core.measure_episode(recording, trajectory)
         expected = measures._measured(recording, trajectory)
         assert found.keys() == expected.keys()

@@ -25,7 +25,7 @@ class Listed:
         self, samples: list[HumanSample], end: BaseException | None = None
     ) -> None:
         self._samples, self._end = samples, end
-        self.name, self.rate = "listed", 0.0
+        self.name, self.rate, self.upright = "listed", 0.0, ""
         self.side: Side = "right"
 
     def __iter__(self) -> Iterator[HumanSample]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -124,21 +125,28 @@ def test_a_session_is_recorded_from_the_service(
     server: Server, person: Person, tmp_path: Path
 ) -> None:
     recording = moving_hand(90)
-    sink = ServiceSink(
-        address_of(server), "three_finger", "right", session="recorded", person=person
-    )
+    choices: dict[str, Any] = {
+        "session": "recorded",
+        "person": person,
+        "upright": "+y up, -z forward",
+    }
+    sink = ServiceSink(address_of(server), "three_finger", "right", **choices)
     file = tmp_path / "session.npz"
     summaries = []
     source = ServiceSource(address_of(server))  # the only open session
     assert (source.name, source.side) == ("recorded", "right")
+    assert source.upright == "+y up, -z forward"
     thread = threading.Thread(
-        target=lambda: summaries.append(run(source, [Recorder(file)]))
+        target=lambda: summaries.append(
+            run(source, [Recorder(file, upright=source.upright)])
+        )
     )
     thread.start()
     run(Replay(recording), [sink])
     thread.join(PATIENCE)  # the source ends with the session
     assert not thread.is_alive()
     copy = read_recording(file)
+    assert copy.upright == "+y up, -z forward"
     assert len(copy) == summaries[0]["recorded"] >= 10
     # Each recorded sample is one of the replay, at its time.
     clean = recording.landmarks[recording.valid]

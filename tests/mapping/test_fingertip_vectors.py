@@ -54,6 +54,14 @@ def test_a_straight_finger_is_straight_on_the_robot() -> None:
     assert np.abs(shares["palm"] - 1.0).max() > 0.05
 
 
+def test_an_arm_does_not_count_to_the_size_of_its_hand() -> None:
+    alone, on_arm = (
+        FingertipVectors().bind(HUMAN, load_hand(name))
+        for name in ("allegro_right", "ur5_allegro")
+    )
+    np.testing.assert_allclose(on_arm.scales, alone.scales, rtol=1e-9)
+
+
 def test_vectors_begin_at_the_measured_knuckles() -> None:
     mapper = HandMapper(HUMAN, ALLEGRO, KNUCKLE)
     points = HUMAN.points(HUMAN.rest)

@@ -160,7 +160,7 @@ def test_crossing_hands_do_not_overlap(g1: Robot) -> None:
 
 
 def test_a_shared_waist_moves_both_palms(g1: Robot) -> None:
-    whole = joined(tuple(g1.hands.values()))
+    whole = joined("g1", *g1.hands.values())
     q = whole.rest.copy()
     q[whole.joint_names.index("waist_yaw_joint")] = 0.3
     for hand in g1.hands.values():
@@ -174,7 +174,7 @@ def test_a_shared_waist_moves_both_palms(g1: Robot) -> None:
 
 
 def test_offsets_are_derivatives(g1: Robot) -> None:
-    whole = joined(tuple(g1.hands.values()))
+    whole = joined("g1", *g1.hands.values())
     places = [
         (whole.model.frames[hand.wrist_frame_id].parentJoint, np.array([0.1, 0.0, 0.1]))
         for hand in whole.hands
@@ -335,7 +335,7 @@ def test_one_error_for_what_cannot_be_used(g1: Robot) -> None:
 
 
 def test_the_points_of_a_hand_go_with_its_own_wrist(g1: Robot) -> None:
-    whole = joined(tuple(g1.hands.values()))
+    whole = joined("g1", *g1.hands.values())
     ik = PointIk(whole, PRESET.ik)
     ik.place(whole.configuration_vector(whole.rest))
     placed = ik.configuration

@@ -122,9 +122,9 @@ def test_a_recording_that_is_used_as_a_whole_is_smoother_without_more_lag() -> N
     recording = Recording("wave", time, landmarks, np.ones(count), "right")
     robot = load_hand("allegro_right")
     person = measure_person(recording)
-    _, online = map_hand(recording, robot, person, MappingArguments())
-    _, filtered = map_hand(recording, robot, person, MappingArguments(smooth=True))
-    _, ahead = map_hand(
+    _, online, _ = map_hand(recording, robot, person, MappingArguments())
+    _, filtered, _ = map_hand(recording, robot, person, MappingArguments(smooth=True))
+    _, ahead, _ = map_hand(
         recording, robot, person, MappingArguments(), smoother=LookAhead()
     )
 

@@ -13,6 +13,7 @@ from service_tools import (
     PERIOD,
     SECRET,
     Sampler,
+    change,
     code_of,
     connected,
     human_q,
@@ -179,3 +180,41 @@ def test_the_client_sends_angles_markers_and_matrices_too() -> None:
                 with pytest.raises(ServiceError) as raised:
                     client.step(values=values.ravel()[:-1])
                 assert code_of(raised) == ("invalid", "values")
+
+
+def test_an_arm_goes_up_with_a_headset_and_clutching_keeps_it() -> None:
+    choices: dict[str, Any] = {"input": "landmarks", "hand_length": LENGTH}
+    session = make_session(
+        robot="ur5_allegro", preset="teleoperation", layout="webxr25", **choices
+    )
+    layout = load_layout("webxr25")
+    count = 0
+
+    def palm_after(height: float) -> np.ndarray:
+        """Rise to a height in half a second and settle; return where the palm is [m]."""
+        nonlocal count
+        for i in range(60):
+            place = np.array([0.0, height * min(1.0, i / 30), 0.0])
+            values = values_of(layout, landmarks_at(0.0) + place)
+            step = Step(
+                protocol=PROTOCOL, seq=count + 2, session=SECRET, time=count * PERIOD
+            )
+            step = msgspec.structs.replace(step, values=values)
+            session.step(step, count * PERIOD)
+            count += 1
+        return session.robot.frame_pose("palm", session.posture[0])[:3, 3]
+
+    for _ in range(2):
+        moved = palm_after(0.05) - palm_after(0.0)
+        assert moved[2] > 0.03
+        np.testing.assert_allclose(moved[:2], 0.0, atol=2e-3)
+        about = session.state(1, "", 0, count * PERIOD).about
+        assert about is not None
+        assert about.options["alignment"] == "y-up"
+        assert about.upright == "+y up, -z forward"
+        session.release()
+        session.clutch()
+    session.configure(change(options={"alignment": "world"}))
+    moved = palm_after(0.05) - palm_after(0.0)
+    assert moved[1] > 0.03
+    np.testing.assert_allclose(moved[[0, 2]], 0.0, atol=2e-3)

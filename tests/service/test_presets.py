@@ -353,7 +353,8 @@ def test_landmarks_are_mapped_as_they_come(
         )
         expected = to_pose(step.human_wrist)
         assert expected is not None
-        np.testing.assert_allclose(command.detail.targets, step.targets, atol=1e-9)
+        # They are on the robot's palm, which the session may bring there more slowly.
+        np.testing.assert_allclose(command.detail.targets, step.targets, atol=1e-7)
         assert command.detail.human_wrist is not None
         np.testing.assert_allclose(
             command.detail.human_wrist.position, expected.position, atol=1e-12

@@ -165,7 +165,7 @@ def _run(job: Job) -> dict[str, Any]:
     check_recording(recording)
     robot = _robot(options.robots[task.side], points=options.arguments.robot_points)
     person = measure_person(recording)
-    recording, trajectory = map_hand(
+    recording, trajectory, _ = map_hand(
         recording, robot, person, options.arguments, smoother=options.smoother
     )
     metrics = measure_episode(recording, trajectory, person.contact_gap, _meter(robot))

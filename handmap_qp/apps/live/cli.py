@@ -17,7 +17,7 @@ from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
 from handmap_qp.apps.live.mediapipe_source import MediapipeSource, install_environment
 from handmap_qp.apps.live.source import Recorder, Replay, Sink, Source, run
 from handmap_qp.apps.tables import print_table
-from handmap_qp.errors import InvalidInputError
+from handmap_qp.errors import InvalidInputError, expect
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import read_person
 from handmap_qp.trackers.formats import read_recording
@@ -68,11 +68,8 @@ class Target:
         Raises:
             InvalidInputError: With the option at fault.
         """
-        if self.to is None and self.record is None:
-            raise InvalidInputError(
-                "expected --to HOST, --record FILE.npz or both",
-                advice="samples need a place to go",
-            )
+        where = "--to HOST, --record FILE.npz or both"
+        expect(self.to or self.record, "", where, advice="samples need a place to go")
         if self.to is None:
             for name in ("robot", "session", "preset", "person", "keys"):
                 if getattr(self, name) is not None:
@@ -93,7 +90,7 @@ class Target:
         """
         sinks: list[Sink] = []
         if self.record is not None:
-            sinks.append(Recorder(self.record, "--record"))
+            sinks.append(Recorder(self.record, "--record", source.upright))
         if self.to is not None and self.robot is not None:
             sinks.append(
                 live.service.ServiceSink(
@@ -104,6 +101,7 @@ class Target:
                     preset=self.preset,
                     person=None if self.person is None else read_person(self.person),
                     keys=self.keys,
+                    upright=source.upright,
                 )
             )
         summary = _lead(source, sinks, is_json=self.json)
@@ -224,10 +222,10 @@ class TrackRecord:
 
     def run(self) -> None:
         """Record until the session ends or Ctrl-C."""
-        recorder = Recorder(self.out, "OUT")
         source = live.service.ServiceSource(
             self.source, session=self.session, keys=self.keys
         )
+        recorder = Recorder(self.out, "OUT", source.upright)
         _lead(source, [recorder], is_json=self.json)
 
 

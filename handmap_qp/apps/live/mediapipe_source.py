@@ -127,12 +127,14 @@ class MediapipeSource:
         name: The camera, or the name of the video.
         side: The hand that is tracked.
         rate: 0: the camera or the file decides.
+        upright: Empty: it is not known how the camera stands.
 
     Raises:
         InvalidInputError: If MediaPipe is not installed.
     """
 
     rate: float = 0.0
+    upright: str = ""
 
     def __init__(
         self,

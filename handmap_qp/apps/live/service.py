@@ -40,6 +40,7 @@ class ServiceSink:
         preset: What the mapping is for; the service decides if omitted.
         person: The measured person; the service measures the first samples if omitted.
         keys: Files `NAME.key_secret` and `server.key` of an encrypted service.
+        upright: Axes of the samples' world, as of `Recording`.
 
     Attributes:
         command: The newest command; None before the first.
@@ -58,6 +59,7 @@ class ServiceSink:
         preset: str | None = None,
         person: Person | None = None,
         keys: tuple[Path, Path] | None = None,
+        upright: str = "",
     ) -> None:
         measured = {} if person is None else person.session_fields()
         with connected("--to", host, keys, refused="--to") as (self._client, _):
@@ -68,6 +70,8 @@ class ServiceSink:
                 side=side,
                 preset=preset,
                 has_detail=True,
+                # Servers before this field refuse it.
+                upright=upright or None,
                 **measured,
             ).name
         self._robot = robot
@@ -175,6 +179,7 @@ class ServiceSource:
     Attributes:
         name: Public name of the session.
         side: The session's human hand.
+        upright: As of `Recording`.
         rate: 0: only its client knows.
 
     Raises:
@@ -218,6 +223,7 @@ class ServiceSource:
                 value=self.name,
             )
             self.side: Side = about["side"]
+            self.upright = about.get("upright", "")
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield the landmarks of each command that answers a mapped sample."""

@@ -37,11 +37,13 @@ class Source(Protocol):
         name: Name to show.
         side: The hand that all samples are of.
         rate: Samples per second that it gives if nothing fails [Hz]; 0 if not known.
+        upright: Axes of the samples' world, as of `Recording`.
     """
 
     name: str
     side: Side
     rate: float
+    upright: str
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield samples as they arrive, until the source ends or its reader leaves."""
@@ -123,6 +125,7 @@ class Replay:
         expect(low <= speed <= high, "speed", expected, value=speed)
         self.name = recording.name
         self.side = recording.side
+        self.upright = recording.upright
         self.rate = speed / float(np.median(recording.steps))
         self._recording = recording
         self._speed = speed
@@ -155,14 +158,16 @@ class Recorder:
         file: The file to write, `.npz` or `.csv`; one that exists is replaced at the end. `handmap
             convert` makes other formats of it.
         argument: Argument or option that names it, for errors.
+        upright: Axes of the samples' world, as of `Recording`.
 
     Raises:
         InvalidInputError: If the file cannot be written there.
     """
 
-    def __init__(self, file: Path, argument: str = "file") -> None:
+    def __init__(self, file: Path, argument: str = "file", upright: str = "") -> None:
         self.file = check_output(argument, file, SUFFIXES)
         self._argument = argument
+        self._upright = upright
         self._samples: list[HumanSample] = []
         self._disordered = 0
 
@@ -195,6 +200,7 @@ class Recorder:
             side=samples[0].side,
             source="handmap track",
             **columns,
+            upright=self._upright,
         )
         write_recordings([recording], self.file)
 

@@ -1,4 +1,4 @@
-"""The commands `handmap map` and `handmap calibrate`."""
+"""The commands `handmap map`, `handmap align` and `handmap calibrate`."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.robot import Robot, is_robot, load_robot
 from handmap_qp.human.person import read_person, write_person
 from handmap_qp.human.recording import Recording
+from handmap_qp.human.sample import PALM
+from handmap_qp.mapping.alignment import alignment_from_gestures
 from handmap_qp.output_files import check_new, check_output, make_folder
 from handmap_qp.stream.measurement import measure_person
 from handmap_qp.trackers.formats.archive import save_npz
@@ -106,19 +108,21 @@ class Map:
             return
         for summary in summaries:
             title = f"{summary['recording']} to {summary['robot']}"
-            print_table(title, table_rows(summary))
+            print_table(
+                title, table_rows(summary) | {"alignment": f"{summary['alignment']}"}
+            )
             for note in notes(summary):
                 print(note)
             print(f"wrote {summary['out']}")
 
     def _pairs(self) -> list[tuple[Recording, Hand]]:
         """Read each recording with its robot."""
-        if (self.robot is None) == (self.robots is None):
-            raise InvalidInputError(
-                "expected either --robot HAND or --robots LEFT RIGHT",
-                argument="--robot",
-                advice="name hands of `handmap hands list`",
-            )
+        expect(
+            (self.robot is None) != (self.robots is None),
+            "--robot",
+            "either --robot HAND or --robots LEFT RIGHT",
+            advice="name hands of `handmap hands list`",
+        )
         if self.robot is not None:
             expect(
                 len(self.recordings) == 1,
@@ -191,11 +195,50 @@ class Map:
         """Map one hand, write its trajectory, and return the summary."""
         person = person_of(recording, self.person)
         with progress(f"mapping to {robot.name}", len(recording)) as advance:
-            _, trajectory = map_hand(
+            _, trajectory, mapper = map_hand(
                 recording, robot, person, self.arguments, progress=advance
             )
         save_npz(out, trajectory.all_columns)
-        return {"recording": recording.name, **summarise(trajectory), "out": str(out)}
+        return {
+            "recording": recording.name,
+            **summarise(trajectory),
+            "alignment": getattr(mapper.method, "alignment", None),
+            "out": str(out),
+        }
+
+
+@dataclass(frozen=True)
+class Align:
+    """Find how a tracker's world and a robot's are aligned, from three reaches in a recording.
+
+    For trackers that do not say which axes are up and forward. Reach forward, from there to your
+    left, and from there up, each along a straight line of 5 cm or more. Give the instants at which
+    you began and ended. Prints the option `alignment` for a robot whose z is up and whose x is
+    forward (REP 103).
+
+    Examples:
+        handmap align reaches.npz --at 1 2 4 6
+
+    Attributes:
+        recording: Recording of a human hand, as for `handmap map`.
+        at: When you began, were forward, were left and were up, from the first sample on [s].
+        inputs: How the recording is to be read.
+    """
+
+    recording: tyro.conf.Positional[Annotated[Path, hinted("RECORDING", "(required)")]]
+    at: tuple[float, float, float, float]
+    inputs: InputFlags = field(default_factory=InputArguments)
+
+    def run(self) -> None:
+        """Read the recording, and print the option."""
+        recording = self.inputs.read(self.recording)
+        samples = np.searchsorted(recording.time - recording.time[0], self.at)
+        is_seen = np.append(recording.valid, False)[samples].all()
+        expect(is_seen, "--at", "instants at which the hand is seen", value=self.at)
+        places = recording.landmarks[samples][:, PALM].mean(axis=1)
+        rotation = alignment_from_gestures(np.diff(places, axis=0)).round(9)
+        print("--alignment", *rotation.ravel().tolist())
+        print(f"or, in a file for --options:\nalignment: {rotation.tolist()}")
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from handmap_qp.apps.offline.comparison import (
     Take,
     check_names,
     compare_methods,
+    in_world_of,
     outside_methods,
     own_method,
     own_methods,
@@ -263,7 +264,11 @@ def _takes(
 ) -> list[Take]:
     """Read all recordings before any is prepared."""
     side = robot.spec.side
-    recordings = [request.inputs.read(file, side) for file in request.recordings]
+    # All methods, of others too, are given the robot's world, and are measured there.
+    recordings = [
+        in_world_of(robot, request.inputs.read(file, side))
+        for file in request.recordings
+    ]
     check_names(
         "RECORDING", [one.name for one in recordings], "files of different names"
     )
@@ -286,8 +291,8 @@ def _print_tables(comparison: Comparison) -> None:
         table = Table(box=None, header_style="bold")
         table.add_column("method", no_wrap=True)
         for metric in metrics:
-            heading = [*metric.title.split(), metric.unit]
-            table.add_column("\n".join(filter(None, heading)), justify="right")
+            heading = f"{metric.title} {metric.unit}".split()
+            table.add_column("\n".join(heading), justify="right")
         for method in comparison.methods:
             overall = comparison.overall(method)
             table.add_row(method, *(m.text(overall[m.key]) for m in metrics))
@@ -302,8 +307,8 @@ def _write(
     say: Progress,
 ) -> list[Path]:
     """Write all files, and return those that were written."""
-    table, results, metrics, poses = (out / name for name in FILES)
-    written = [table, results, metrics]
+    files = [out / name for name in FILES]
+    table, results, metrics, poses = files
     with writing(out, "--out"):
         table.write_text(markdown(comparison), encoding="utf-8")
         text = msgspec.json.encode(results_of(comparison))
@@ -313,11 +318,11 @@ def _write(
         say("drawing poses", 1, 2)
         sheet, missing = comparison_pictures.draw_poses(poses, comparison)
     if sheet is not None:
-        return [*written, sheet]
+        return files
     poses.unlink(missing_ok=True)
     shown = f"handmap: no contact sheet; not shown: {', '.join(missing)}"
     print(shown, file=sys.stderr)
-    return written
+    return files[:-1]
 
 
 def _pinch_samples(comparison: Comparison) -> dict[str, int]:

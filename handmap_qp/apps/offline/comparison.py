@@ -54,8 +54,9 @@ from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.fit import fit_recording
 from handmap_qp.human.person import Person
-from handmap_qp.human.recording import Recording, mirrored
+from handmap_qp.human.recording import Recording, mirrored, turned
 from handmap_qp.human.sample import human_name
+from handmap_qp.mapping.alignment import rotation_onto
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.presets import PRESETS, preset_choice
 from handmap_qp.se3 import as_floats, inverse_pose
@@ -69,9 +70,6 @@ SMOOTH = "+smooth"
 """Ending of a name that asks for smoother motion, as `--smooth` of `handmap map`."""
 LOOK_AHEAD = "+look-ahead"
 """Ending of a name that asks for smoothing with the future too, as `--look-ahead` of a batch."""
-# fixed_wrist is for hands that cannot follow a palm.
-_LEFT_OUT = ("fixed_wrist",)
-
 
 Progress = Callable[[str, int, int], None]
 """Takes what is done next, how much is done, and how much there is in all."""
@@ -197,7 +195,7 @@ class Comparison(NamedTuple):
         still = {
             run.method: None
             for run in self.runs
-            if run.motion is not None and run.motion.wrist is None
+            if run.motion and run.motion.wrist is None
         }
         if still:
             lines.append(
@@ -261,6 +259,14 @@ def prepare_take(
         wrist=trace.palm @ inverse_pose(human.wrist_to_palm),
         q=fit_recording(recording, lengths=lengths).q,
     )
+
+
+def in_world_of(robot: Hand, recording: Recording) -> Recording:
+    """Return a recording in the world of a robot on an arm, as far as both are known."""
+    turn = rotation_onto(robot, recording.upright)
+    if turn is None:
+        return recording
+    return turned(recording, turn, np.eye(4), upright=robot.spec.upright)
 
 
 def compare_methods(
@@ -327,7 +333,8 @@ def check_names(
 
 def own_methods() -> tuple[str, ...]:
     """Return the names of the package's own methods, without `+smooth`."""
-    return tuple(name for name in PRESETS if name not in _LEFT_OUT)
+    # `fixed_wrist` is for hands that cannot follow a palm.
+    return tuple(name for name in PRESETS if name != "fixed_wrist")
 
 
 def own_method(name: str) -> ComparedMethod:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import ceil
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from handmap_qp.apps.drawing.contact_sheet import SheetRow, contact_sheet, sheet_rows
+from handmap_qp.apps.drawing.contact_sheet import contact_sheet, sheet_rows
 from handmap_qp.apps.drawing.hands import require_matplotlib
 from handmap_qp.apps.offline.comparison import (
     Comparison,
-    RobotMotion,
+    Take,
     base_name,
     own_methods,
 )
@@ -52,12 +53,9 @@ def draw_metrics(file: Path, comparison: Comparison) -> Path:
         rows = ceil(len(METRICS) / _COLUMNS)
         height = 0.75 + 0.165 * len(comparison.methods)
         figure = Figure(figsize=(18.5, rows * height + 0.8))
-        axes = figure.subplots(rows, _COLUMNS, squeeze=False)
-        for i, panel in enumerate(axes.flat):
-            if i < len(METRICS):
-                _draw_panel(panel, METRICS[i], comparison, has_names=i % _COLUMNS == 0)
-            else:
-                panel.set_axis_off()
+        for i, metric in enumerate(METRICS):
+            panel = figure.add_subplot(rows, _COLUMNS, i + 1)
+            _draw_panel(panel, metric, comparison, has_names=i % _COLUMNS == 0)
         figure.suptitle(
             f"{comparison.robot.name}: mean over {len(comparison.takes)} recordings (large dots) "
             "and each recording (small dots); filled: best. Arrows: beyond the panel.",
@@ -88,27 +86,32 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
         MissingExtraError: If matplotlib or trimesh is not installed.
     """
     shown = _clearest(comparison)
-    used = {k for k, _ in shown.values()}
-    motions = {}
-    for method in comparison.methods:
-        runs = comparison.of_method(method)
-        found = {k: motion for k in used if (motion := runs[k].motion)}
-        if len(found) == len(used):
-            motions[method] = found
+    q = {(run.method, run.take): run.motion.q for run in comparison.runs if run.motion}
+    drawn = [
+        method
+        for method in comparison.methods
+        if all((method, take) in q for take, _ in shown.values())
+    ]
     names = (*POSES, *comparison.methods)
-    missing = [name for name in names if name not in {*shown, *motions}]
-    if not shown or not motions:
+    missing = [name for name in names if name not in {*shown, *drawn}]
+    if not shown or not drawn:
         return None, missing
     matplotlib = require_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     footnote = f"Not shown: {', '.join(missing)}." if missing else ""
+    rows = []
+    for pose, (take, index) in shown.items():
+        recording = take.recording
+        (row,) = sheet_rows(recording, {pose: index}, [q[m, take] for m in drawn])
+        name = recording.name.replace("_", " ").removesuffix(f" {recording.side}")
+        rows.append(replace(row, note=f"{name}\n{row.note}"))
     bands = []
-    for first in range(0, len(motions), _BAND):
-        methods = [*motions][first : first + _BAND]
+    for first in range(0, len(drawn), _BAND):
+        side_by_side = slice(first, first + _BAND)
         figure = contact_sheet(
-            [(method, comparison.robot) for method in methods],
-            _rows(comparison, shown, [motions[method] for method in methods]),
+            [(method, comparison.robot) for method in drawn[side_by_side]],
+            [replace(row, q=row.q[side_by_side]) for row in rows],
             side=comparison.robot.spec.side,
             title=comparison.robot.name,
             footnote=footnote,
@@ -126,30 +129,15 @@ def draw_poses(file: Path, comparison: Comparison) -> tuple[Path | None, list[st
     return file, missing
 
 
-def _rows(
-    comparison: Comparison,
-    shown: dict[str, tuple[int, int]],
-    motions: list[dict[int, RobotMotion]],
-) -> list[SheetRow]:
-    """Return the rows of poses, each of which a sample of a take shows."""
-    rows = []
-    for pose, (k, index) in shown.items():
-        recording = comparison.takes[k].recording
-        (row,) = sheet_rows(recording, {pose: index}, [found[k].q for found in motions])
-        name = recording.name.replace("_", " ").removesuffix(f" {recording.side}")
-        rows.append(replace(row, note=f"{name}\n{row.note}"))
-    return rows
-
-
-def _clearest(comparison: Comparison) -> dict[str, tuple[int, int]]:
+def _clearest(comparison: Comparison) -> dict[str, tuple[Take, int]]:
     """Return the take and the sample that show each pose most clearly, of the poses shown."""
-    ranked = [rank_poses(take.recording) for take in comparison.takes]
+    ranked = [(take, rank_poses(take.recording)) for take in comparison.takes]
     places = {}
     for pose in POSES:
-        shown = {k: found for k, poses in enumerate(ranked) if (found := poses[pose])}
+        shown = [(*found, take) for take, poses in ranked if (found := poses[pose])]
         if shown:
-            k = max(shown, key=lambda take: shown[take][1])
-            places[pose] = (k, shown[k][0])
+            index, _, take = max(shown, key=itemgetter(1))
+            places[pose] = take, index
     return places
 
 

@@ -97,7 +97,7 @@ def run_demo(
     recording = read_recording(DEMO, robot.spec.side)
     person = measure_person(recording)
     with output_folder(directory) as folder:
-        _, trajectory = map_hand(
+        _, trajectory, _ = map_hand(
             recording, robot, person, MappingArguments(), progress=progress
         )
         save_npz(folder / "trajectory.npz", trajectory.all_columns)

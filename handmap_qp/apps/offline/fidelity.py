@@ -325,7 +325,14 @@ def latency(
         return np.nan
     a, b = (tips - tips.mean(axis=0)).swapaxes(0, 1)
     most = min(int(np.ceil(_MOST_LAG / step)), len(grid) // 2)
-    values = [_lagged_correlation(a, b, lag) for lag in range(-most, most + 1)]
+    # For every lag, a(t) and b(t + lag): ends that have no partner are cut off.
+    values = [
+        _cosines(
+            a[max(0, -lag) : len(a) - max(0, lag)].ravel(),
+            b[max(0, lag) : len(b) + min(0, lag)].ravel(),
+        )
+        for lag in range(-most, most + 1)
+    ]
     best = int(np.argmax(values))
     shift = 0.0
     if 0 < best < 2 * most:
@@ -418,18 +425,6 @@ def _laid_on(points: np.ndarray, onto: np.ndarray) -> np.ndarray:
     fit = (turned * (onto - centre)).sum(axis=(1, 2), keepdims=True)
     size = (turned**2).sum(axis=(1, 2), keepdims=True)
     return fit / np.maximum(size, _LEAST**2) * turned + centre
-
-
-def _lagged_correlation(
-    a: np.ndarray,
-    b: np.ndarray,
-    lag: int,
-) -> float:
-    """Correlation of centred a(t) with b(t + lag), all coordinates together; shape (T, k, 3)."""
-    count = len(a) - abs(lag)
-    one = a[max(0, -lag) :][:count]
-    other = b[max(0, lag) :][:count]
-    return float(_cosines(one.ravel(), other.ravel()))
 
 
 def _correlations(a: np.ndarray, b: np.ndarray) -> np.ndarray:

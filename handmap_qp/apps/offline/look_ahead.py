@@ -170,7 +170,7 @@ def map_hand(
     *,
     smoother: LookAhead | None = None,
     progress: Callable[[int], None] | None = None,
-) -> tuple[Recording, Trajectory]:
+) -> tuple[Recording, Trajectory, HandMapper]:
     """Map a recording of a person with the options of a command.
 
     Args:
@@ -183,7 +183,7 @@ def map_hand(
         progress: Called after each sample with the number of samples done.
 
     Returns:
-        The recording as it was mapped, and the trajectory.
+        The recording as it was mapped, the trajectory, and the mapper.
 
     Raises:
         HandmapError: If the recording cannot be mapped.
@@ -193,10 +193,10 @@ def map_hand(
     human = scaled_human(
         recording, points=arguments.human_points, lengths=person.lengths
     )
-    choice = arguments.preset_for(human, robot)
+    choice = arguments.preset_for(human, robot, recording.upright)
     ik = choice.ik if smoother is None else choice.ik.replaced(**SMOOTH_IK)
     mapper = HandMapper(human, robot, choice.method, ik=ik)
-    return recording, map_recording(mapper, recording, progress)
+    return recording, map_recording(mapper, recording, progress), mapper
 
 
 def map_hands(

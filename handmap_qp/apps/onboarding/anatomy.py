@@ -6,8 +6,8 @@ plane of the knuckles, or names. What is derived from an answer is never surer t
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,8 @@ _SNAP_AXIS = 8.0
 _AGREEING = 25.0
 # A thumb opposes the fingers' direction if the cosine between both is smaller.
 _OPPOSED = -0.5
+# A direction that is not known.
+_UNKNOWN = np.zeros(3)
 # Neighbouring fingers closer than this could be in either order [m].
 _NARROW = 0.004
 
@@ -123,17 +125,17 @@ def find_anatomy(
     hand = _Evidence(flexion, names, thumb)
     distal = hand.find_distal()
     dorsal = hand.find_dorsal(distal)
-    radial = hand.find_radial(np.cross(distal.direction, dorsal.direction))
-    named = named_side([*hints, *itertools.chain(*names)])
-    turned, clue = _find_side(distal, dorsal, radial, hand.thumb_clue, side, named)
+    across = np.cross(distal.direction, dorsal.direction)
+    radial = hand.find_radial(across)
+    named = named_side(chain(hints, *names))
+    turned, clue = _find_side(across, dorsal, radial, hand.thumb_clue, side, named)
+    found: Side = "right" if clue.answer == "right" else "left"
     # The thumb's side orders the fingers; only without it the side does.
     if radial.confidence == 0.0:
-        across = np.cross(distal.direction, turned.direction)
-        across = -across if clue.answer == "right" else across
-        radial = radial._replace(direction=across, confidence=0.2)
+        outwards = -across if found == "right" else across
+        radial = radial._replace(direction=outwards, confidence=0.2)
     fingers, order = hand.name_fingers(radial)
     clues = (hand.thumb_clue, distal.clue("distal"), turned.clue("dorsal"), clue, order)
-    found: Side = "right" if clue.answer == "right" else "left"
     return Anatomy(distal.direction, turned.direction, found, fingers, clues)
 
 
@@ -159,11 +161,10 @@ class _Evidence:
         self.thumb, self.thumb_clue = self._find_thumb(thumb)
         self.rest = [i for i in range(len(names)) if i != self.thumb]
         axes = flexion.axes[self.rest]
-        axes = axes[lengths(axes) > 0.5]
         values, vectors = np.linalg.eigh(axes.T @ axes)
         # Jaws and hands with fingers all around have no common axis.
-        has_axis = len(axes) and values[-1] >= 0.8 * len(axes)
-        self.axis = vectors[:, -1] if has_axis else np.zeros(3)
+        has_axis = axes.any() and values[-1] >= 0.8 * values.sum()
+        self.axis = has_axis * vectors[:, -1]
 
     def _find_thumb(self, given: int | None) -> tuple[int | None, Clue]:
         """Find the finger that differs from the others, or that the names call a thumb."""
@@ -173,17 +174,16 @@ class _Evidence:
             return given, Clue("thumb", names[given][-1], "as given", 1.0)
         if count < 2:
             return None, Clue("thumb", "none", "the hand has one finger only", 0.9)
-        parts = _differences(self.flexion)
+        peaks = [_stands_out(part) for part in _differences(self.flexion)]
         # A different number of joints counts, but less than any of the others; a name counts as
         # much as a clear margin.
         sizes = np.array([*map(len, names)])
         is_named = np.array(self.labels) == "thumb"
-        scores = _stands_out(0.5 * sum(parts) + 0.15 * (sizes[:, None] != sizes))
+        scores = 0.5 * sum(peaks) + 0.15 * _stands_out(sizes[:, None] != sizes)
         scores += _CLEAR * is_named
         best = int(np.argmax(scores))
         lead = np.diff(np.sort(scores))[-1]
         margin = lead if count > 2 else _CLEAR * is_named.sum()
-        peaks = [_stands_out(part) for part in parts]
         agreeing = is_named[best] + sum(
             np.argmax(peak) == best and max(peak) > _VISIBLE for peak in peaks
         )
@@ -209,33 +209,27 @@ class _Evidence:
         agreement = lengths(mean)
         if agreement < 0.2:
             mean = flexion.tips_closed.mean(axis=0) - flexion.bases.mean(axis=0)
-        if lengths(_beside(mean, axis)) > 0.2:
-            mean = _beside(mean, axis)
-        mean = _snapped(unit(mean), knuckles.mean(axis=0), axis)
+        beside = _beside(mean, axis)
+        middle = knuckles.mean(axis=0)
+        mean = _snapped(unit(beside if lengths(beside) > 0.2 else mean), middle, axis)
         how = f"the mean direction of the straight fingers (agreement {agreement:.2f} of 1)"
-        if agreement <= _AGREED:
-            return self._unless_opposed(_Found(mean, how, 0.4))
-        confidence = _LIKELY
-        row = _widest(knuckles) if len(knuckles) > 2 and axis.any() else mean
-        if angle_between(mean, knuckles.mean(axis=0)) < _AGREEING:
-            how += "; the knuckles lie in this direction from the palm's origin"
+        confidence = 0.4
+        if agreement > _AGREED:
             confidence = _CERTAIN
-        elif abs(mean @ row) < np.sin(np.radians(_AGREEING)):
-            how += "; at right angles to the row of the knuckles"
-            confidence = _CERTAIN
-        return self._unless_opposed(_Found(mean, how, confidence))
-
-    def _unless_opposed(self, distal: _Found) -> _Found:
-        """Doubt the distal direction of a hand whose thumb points the other way.
-
-        Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
-        """
-        if self.thumb is None or len(self.rest) < 2:
-            return distal
-        if self.flexion.directions[self.thumb] @ distal.direction >= _OPPOSED:
-            return distal
-        how = f"{distal.how}; the thumb points the other way: the palm's direction may be better"
-        return distal._replace(how=how, confidence=_DISPUTED)
+            row = _widest(knuckles) if len(knuckles) > 2 and axis.any() else mean
+            if angle_between(mean, middle) < _AGREEING:
+                how += "; the knuckles lie in this direction from the palm's origin"
+            elif abs(mean @ row) < np.sin(np.radians(_AGREEING)):
+                how += "; at right angles to the row of the knuckles"
+            else:
+                confidence = _LIKELY
+        # Fingers around a centre, as a Barrett hand's, have no straight posture of a person.
+        if len(self.rest) > 1 and flexion.directions[self.thumb] @ mean < _OPPOSED:
+            how += (
+                "; the thumb points the other way: the palm's direction may be better"
+            )
+            confidence = _DISPUTED
+        return _Found(mean, how, confidence)
 
     def find_dorsal(self, distal: _Found) -> _Found:
         """Find the back of the hand: opposite to the way in which the fingertips flex."""
@@ -300,18 +294,29 @@ class _Evidence:
         Returns:
             The direction across the palm towards the thumb; confidence 0 if the thumb is central.
         """
-        place, is_outside = self._thumb_place(across)
-        bases = {self.labels[i]: self.flexion.bases[i] @ across for i in self.rest}
+        flexion = self.flexion
+        rest = self.rest
+        bases = {self.labels[i]: flexion.bases[i] @ across for i in rest}
         steps = -np.diff([bases[label] for label in FINGERS if label in bases])
         # Names count if all steps are to one side, and none is too small to tell.
         named = np.sign(steps.sum())
         if not (named * steps > 0.5 * _NARROW).all():
             named = 0.0
-        if not place and not named:
-            return _Found(across, "", 0.0)
+        # Where the thumb's base and tip are on one side, in half widths of the palm.
+        ends = np.zeros(2)
+        if len(rest) > 1:
+            row = flexion.bases[rest] @ across
+            width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[rest].mean())
+            points = flexion.roots[self.thumb], flexion.tips_open[self.thumb]
+            ends = (np.array(points) @ across - row.mean()) / width
+        place = ends.mean()
+        is_outside = abs(place) > 2.0 * _CLEAR and (ends * place > 0.0).all()
+        place *= abs(place) > _VISIBLE
         how = "the thumb's place"
         is_clear = abs(place) > _CLEAR
-        confidence = _CERTAIN if is_outside else _LIKELY if is_clear else 0.65
+        confidence = (
+            _CERTAIN if is_outside else _LIKELY if is_clear else 0.65 if place else 0.0
+        )
         if named * place > 0.0:
             how = "the thumb's place and the fingers' names"
             confidence = _CERTAIN
@@ -320,24 +325,6 @@ class _Evidence:
             confidence = _DISPUTED if is_clear else _LIKELY
         # Names count as much as a clear place.
         return _Found(np.sign(place + _CLEAR * named) * across, how, confidence)
-
-    def _thumb_place(self, across: np.ndarray) -> tuple[float, bool]:
-        """Return how far the thumb is to one side, in half widths of the palm; 0 if hardly.
-
-        Also return whether its base and its tip are both far on that side.
-        """
-        flexion = self.flexion
-        thumb = self.thumb
-        rest = self.rest
-        if thumb is None or len(rest) < 2:
-            return 0.0, False
-        row = flexion.bases[rest] @ across
-        width = max(0.5 * np.ptp(row), 0.25 * flexion.reach[rest].mean())
-        ends = np.array([flexion.roots[thumb], flexion.tips_open[thumb]]) @ across
-        ends = (ends - row.mean()) / width
-        place = ends.mean()
-        is_outside = abs(place) > 2.0 * _CLEAR and (ends * place > 0.0).all()
-        return place if abs(place) > _VISIBLE else 0.0, is_outside
 
     def name_fingers(self, radial: _Found) -> tuple[dict[int, str], Clue]:
         """Name the fingers by their order across the palm, or by their own names."""
@@ -354,10 +341,11 @@ class _Evidence:
         if len(order) < 2:
             # Nothing is left to choose but the thumb.
             confidence = max(confidence, min(0.9, sure))
-        more = map("finger{}".format, itertools.count(6))
-        called = itertools.chain(FINGERS, more)
         own = {labels.index(label): label for label in FINGERS if label in labels}
-        named = dict(zip(order, called, strict=False))
+        named = {
+            i: FINGERS[k] if k < len(FINGERS) else f"finger{k + 2}"
+            for k, i in enumerate(order)
+        }
         if 0 < len(order) == len(own):
             if [*own] == order:
                 how += "; the names agree"
@@ -383,7 +371,7 @@ def _differences(flexion: HandFlexion) -> tuple[np.ndarray, np.ndarray, np.ndarr
     along = unit(directions[:, None] + directions)
     between = flexion.roots[:, None] - flexion.roots
     apart = np.abs((between * along).sum(axis=2))
-    longer = np.maximum(np.maximum(sizes[:, None], sizes), 1e-9)
+    longer = np.maximum.outer(sizes, sizes).clip(1e-9)
     ahead = np.minimum(1.0, 2.0 * apart / longer)
     return ahead, 1.0 - directions @ directions.T, 1.0 - flexion.ways @ flexion.ways.T
 
@@ -398,7 +386,7 @@ def _stands_out(differences: np.ndarray) -> np.ndarray:
 
 
 def _find_side(
-    distal: _Found,
+    across: np.ndarray,
     dorsal: _Found,
     radial: _Found,
     thumb: Clue,
@@ -422,28 +410,34 @@ def _find_side(
             how = "undetermined; right by convention"
             sure = 0.2
         return dorsal, Clue("side", declared or "right", how, sure)
-    is_right = radial.direction @ np.cross(distal.direction, dorsal.direction) < 0.0
+    is_right = radial.direction @ across < 0.0
     found, place = ("right", "left") if is_right else ("left", "right")
-    seen = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
+    how = f"seen from the back with the fingers up, the thumb is on the {place} ({radial.how})"
     least = min(radial.confidence, thumb.confidence)
+    sure = min(least, dorsal.confidence)
+    answer = found
     is_clear = dorsal.sign > 0.9
-    if declared is None:
-        return dorsal, Clue("side", found, seen, min(least, dorsal.confidence))
     if declared == found:
+        how = f"{source}, and {how}"
         sure = 1.0 if given else _CERTAIN if least >= _LIKELY else _LIKELY
-        return _confirmed(dorsal), Clue("side", found, f"{source}, and {seen}", sure)
-    # They disagree: names yield to clear flexion, an owner's word does not.
-    if is_clear and not given and radial.confidence >= _LIKELY:
-        how = f"{seen}; the names say {declared}"
-        return dorsal, Clue("side", found, how, _DISPUTED)
-    why = f"the ranges of the joints suggest {found}"
-    sure = (0.4, _DISPUTED)
-    if not is_clear:
-        why = "flexion is symmetric"
-        sure = (min(_LIKELY, radial.confidence), 0.9 if given else min(_LIKELY, least))
-    how = f"the back of a {declared} hand with its thumb there; {why}"
-    turned = _Found(-dorsal.direction + 0.0, how, sure[0], 0.0)
-    return turned, Clue("side", declared, f"{source}; {why}", sure[1])
+        dorsal = _confirmed(dorsal)
+    elif declared and is_clear and not given and radial.confidence >= _LIKELY:
+        # They disagree: names yield to clear flexion, an owner's word does not.
+        how += f"; the names say {declared}"
+        sure = _DISPUTED
+    elif declared:
+        answer = declared
+        why = f"the ranges of the joints suggest {found}"
+        turned = 0.4
+        sure = _DISPUTED
+        if not is_clear:
+            why = "flexion is symmetric"
+            turned = min(_LIKELY, radial.confidence)
+            sure = 0.9 if given else min(_LIKELY, least)
+        how = f"{source}; {why}"
+        back = f"the back of a {declared} hand with its thumb there; {why}"
+        dorsal = _Found(-dorsal.direction + 0.0, back, turned, 0.0)
+    return dorsal, Clue("side", answer, how, sure)
 
 
 def _confirmed(dorsal: _Found) -> _Found:
@@ -475,10 +469,10 @@ def angle_between(one: np.ndarray, other: np.ndarray) -> float:
 
 def _snapped(
     direction: np.ndarray,
-    knuckles: np.ndarray | None = None,
-    axis: np.ndarray | None = None,
+    knuckles: np.ndarray = _UNKNOWN,
+    axis: np.ndarray = _UNKNOWN,
 ) -> np.ndarray:
-    """Return the link's axis next to a direction, or else the direction.
+    """Return the link's axis next to a unit vector, or else the vector.
 
     The mean direction of spread fingers is a few degrees off the link's axis. Fingers that cannot
     stretch fully are farther off it. The link's axis is then taken if the axis of flexion is
@@ -487,14 +481,11 @@ def _snapped(
     nearest = np.abs(direction).argmax()
     ahead = np.sign(direction[nearest]) * np.eye(3)[nearest]
     angle = angle_between(direction, ahead)
-    if angle < _SNAP:
-        return ahead
-    if knuckles is not None and axis is not None and angle < _SNAP_WITH_PALM:
-        lateral = np.delete(np.abs(axis), nearest).max()
-        is_lateral = lateral > np.cos(np.radians(_SNAP_AXIS))
-        if is_lateral and angle_between(_beside(knuckles, axis), ahead) < angle:
-            return ahead
-    return unit(direction)
+    lateral = np.delete(np.abs(axis), nearest).max()
+    is_lateral = lateral > np.cos(np.radians(_SNAP_AXIS))
+    is_ahead = angle_between(_beside(knuckles, axis), ahead) < angle
+    limit = _SNAP_WITH_PALM if is_lateral and is_ahead else _SNAP
+    return ahead if angle < limit else direction
 
 
 def _shown(direction: np.ndarray) -> str:

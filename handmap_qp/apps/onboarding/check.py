@@ -24,6 +24,7 @@ from handmap_qp.apps.onboarding.measure import (
     fingertip_pads,
     make_fist,
     measure_arm,
+    measure_directions,
     measure_pinches,
     measure_reach,
     measure_size,
@@ -50,6 +51,7 @@ from handmap_qp.hands.shape_pairs import all_pairs, named_pairs
 from handmap_qp.hands.sources import read_urdf, urdf_path
 from handmap_qp.hands.spec import HandSpec
 from handmap_qp.se3 import lengths
+from handmap_qp.trackers.formats.base import first_of
 
 # A person makes a fist in this time [s], and flexes each joint by up to this angle [rad].
 _FIST_TIME = 0.5
@@ -79,6 +81,8 @@ _MOVES = 0.2
 _OUT_OF_REACH = 20.0
 # A person's hand moves this far to all sides in front of the body [m].
 _ARM_MOTION = 0.25
+# A direction of the hand that an arm misses by more is worth saying [deg].
+_ASTRAY = 30.0
 # An arm follows if it reaches that far in this share of the directions.
 _MOST_DIRECTIONS = 0.8
 
@@ -163,7 +167,7 @@ def check_hand(hand: str | Path, *, has_motion: bool = True) -> Report:
 
     Args:
         hand: Path of a `hand.yaml` or name of a hand.
-        has_motion: Whether to map a standard motion to it.
+        has_motion: Whether to map a standard motion to it, and an arm's six directions.
 
     Returns:
         All findings; the only one is an error if the hand cannot be built.
@@ -386,7 +390,7 @@ def _check_meshes(hand: Hand) -> Findings:
         meshes = (mesh for shape in robot.iter(tag) for mesh in shape.iter("mesh"))
         files = {Path(mesh.get("filename", "")): None for mesh in meshes}
         if missing := [file for file in files if not file.is_file()]:
-            shown = _listed([file.name for file in missing])
+            shown = first_of([file.name for file in missing], _MOST_NAMES)
             what = f"{len(missing)} of {len(files)} {tag} meshes are missing: {shown}; "
             change = f"put them where the URDF looks for them: {missing[0].parent}"
             yield warning("urdf", f"{what}{use} do without them", change)
@@ -539,7 +543,7 @@ def _check_collisions(hand: Hand) -> Findings:
 
 def _overlap(pairs: list[tuple[str, str]], change: str) -> Finding:
     if pairs:
-        shown = _listed([*map(" and ".join, pairs)])
+        shown = first_of([*map(" and ".join, pairs)], _MOST_NAMES)
         return warning("rest", f"at rest {shown} overlap", change)
     return fine("rest", "no links overlap at rest, except neighbours at a joint")
 
@@ -605,13 +609,16 @@ def _check_motion(hand: Hand) -> Measures:
         if part.error_mm > _OUT_OF_REACH:
             far = f"{part.worst_point} stays {part.error_mm:.0f} mm from its target"
             if stops := part.joints_at_a_position_limit:
-                far += f", {_listed(stops.split(', '))} at a position limit"
+                far += (
+                    f", {first_of(stops.split(', '), _MOST_NAMES)} at a position limit"
+                )
             yield advice("reach", f"{part.posture}: {far}")
-
-
-def _listed(names: list[str]) -> str:
-    """Return the first few of some names as text."""
-    return ", ".join(names[:_MOST_NAMES]) + ", ..." * (len(names) > _MOST_NAMES)
+    directions = measure_directions(hand)
+    yield "Directions", directions
+    for row in directions:
+        if row["degrees off"] > _ASTRAY:
+            far = f"{row['degrees off']:.0f} degrees off"
+            yield advice("reach", f"{row['direction']}, {far}: the arm cannot go there")
 
 
 _CHECKS = (

@@ -435,7 +435,8 @@ class HandsCheck:
 
     Checks frames, limits, mimic rules, reference points and weights. Measures how far each finger
     reaches, the hand's size relative to a person's, self-collisions at rest, and which human
-    postures are out of reach. Every finding says what to change.
+    postures are out of reach, and where an arm goes as the hand goes up, left or forward, as seen
+    by a headset. Every finding says what to change.
 
     Examples:
         handmap hands check my_hand.yaml
@@ -462,7 +463,7 @@ class HandsCheck:
             report.raise_if_unusable()
         picture = self.picture or picture_path(self.hand)
         if picture is not None and report.hand is not None:
-            draw_hand(report.hand, picture)
+            draw_hand(report.hand, picture, *report.measured.get("Directions", []))
         print_report(report, picture, as_json=self.json)
 
 

@@ -8,7 +8,7 @@ answer has its evidence and its confidence.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +29,7 @@ from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.pads import ball_in
 from handmap_qp.hands.spec import (
     HandSpec,
+    LimitSpec,
     PadSpec,
     PalmSpec,
     PointSpec,
@@ -156,10 +157,10 @@ def detect_text(
     if base is not None:
         spec, more = _on_arm(text, urdf, spec, base)
         notes += more
-    chains = {}
-    for finger in hand.fingers:
-        leaders = map(robot.driver, finger.joint_names)
-        chains[finger.name] = (*dict.fromkeys([*leaders, *finger.joint_names]),)
+    chains = {
+        finger.name: (*map(robot.driver, finger.joint_names), *finger.joint_names)
+        for finger in hand.fingers
+    }
     return Detection(spec, tuple(hand.clues), tuple(notes), chains)
 
 
@@ -214,11 +215,10 @@ class _FoundHand:
         joints = (*dict.fromkeys(map(robot.driver, names)),)
         origin = self._palm_origin()
         tips = [self._tip(finger) for finger in self.fingers]
-        points, sets = point_sets(tips, self._middles())
-        rest = _positions(robot, self._rest())
-        zero = _positions(robot, robot.zero)
+        points, sets = point_sets([*tips, *self._middles()])
+        still = [joint for joint in robot.active if joint not in joints]
         locked = {joint: round(q, 6) for joint, q in robot.locked.items()}
-        locked |= {joint: q for joint, q in zero.items() if joint not in joints}
+        locked |= _positions(robot, robot.zero, still)
         return HandSpec(
             name=name or self._name(),
             urdf=str(robot.file),
@@ -231,13 +231,13 @@ class _FoundHand:
             ),
             wrist=WristSpec(robot.root, "floating"),
             joints=joints,
-            rest=_picked(rest, joints),
+            rest=_positions(robot, self._rest(), joints),
             points=points,
             sets=sets,
             reference="fingertips",
             root=None if robot.is_whole else robot.root,
             locked=locked,
-            limits=_picked(robot.assumed, joints),
+            limits=_assumed(robot, joints),
             mimic=robot.dropped_rules,
         )
 
@@ -275,9 +275,8 @@ class _FoundHand:
         width = flexion.moves.any(axis=0) * (upper - lower)
         near = _AT_LIMIT * width
         spread = _SPREAD * width
-        flexes = flexion.sign != 0.0
         q = np.select(
-            [flexes, one_sided, upper - zero < near, zero - lower < near],
+            [flexion.sign != 0.0, one_sided, upper - zero < near, zero - lower < near],
             [
                 flexion.q_open + step,
                 0.5 * (lower + upper),
@@ -287,9 +286,9 @@ class _FoundHand:
             zero,
         )
         q = np.clip(q.round(4) + 0.0, lower, upper)
-        tips = [finger.tip for finger in self.fingers]
-        points = PalmKinematics(robot).points(np.array([q, flexion.q_open]), tips)
-        heights = (points[0] - points[1]) @ self.anatomy.dorsal
+        places = [finger.tip for finger in self.structure.fingers]
+        tips = PalmKinematics(robot).points(q, places)
+        heights = (tips - flexion.tips_open) @ self.anatomy.dorsal
         sure = 0.9 if np.mean(heights < 0.0) > 0.5 else 0.6
         how = (
             f"{_REST_SHARE:g} of the way from straight fingers to a fist, at most {_REST_MOST} rad "
@@ -345,12 +344,14 @@ class _FoundHand:
 
 
 def point_sets(
-    tips: Sequence[PointSpec], others: Sequence[PointSpec]
+    points: Iterable[PointSpec],
 ) -> tuple[tuple[PointSpec, ...], dict[str, tuple[str, ...]]]:
-    """Return all points of a hand, and the sets of their names."""
-    points = (*tips, *others)
-    sets = {"fingertips": tips} | ({"fingertips_middle": points} if others else {})
-    return points, {key: tuple(p.name for p in sets[key]) for key in sets}
+    """Return all points of a hand, the fingertips first, and the sets of their names."""
+    every = sorted(points, key=lambda point: not point.name.endswith("_tip"))
+    names = tuple(point.name for point in every)
+    tips = tuple(name for name in names if name.endswith("_tip"))
+    more = {"fingertips_middle": names} if names != tips else {}
+    return tuple(every), {"fingertips": tips} | more
 
 
 def left_out_wrist(robot: Robot, palm: str) -> tuple[str, str]:
@@ -382,18 +383,17 @@ def _on_arm(
     if not arm:
         problem = f"no joint moves between {base!r} and the hand {hand!r}"
         raise HandError(problem, file=urdf, value=base)
-    rest = _positions(robot, _arm_rest(robot, spec.palm.link))
-    zero = _positions(robot, robot.zero)
+    rest = _positions(robot, _arm_rest(robot, spec.palm.link), arm)
     joints = (*arm, *spec.joints)
-    still = {joint: q for joint, q in zero.items() if joint not in joints}
+    still = [joint for joint in robot.active if joint not in joints]
     changed = replace(
         spec,
         root=None if robot.is_whole else base,
         wrist=WristSpec(hand, "fixed"),
         joints=joints,
-        rest=_picked(rest, arm) | spec.rest,
-        locked=spec.locked | still,
-        limits=_picked(robot.assumed, arm) | spec.limits,
+        rest=rest | spec.rest,
+        locked=spec.locked | _positions(robot, robot.zero, still),
+        limits=_assumed(robot, arm) | spec.limits,
     )
     notes = [
         f"the arm from {base} to {hand} moves the wrist: {', '.join(arm)}",
@@ -416,14 +416,15 @@ def _arm_rest(robot: Robot, palm: str) -> np.ndarray:
     return np.where(is_upright, 0.0, 0.5 * (lower + upper)).round(4) + 0.0
 
 
-def _positions(robot: Robot, q: np.ndarray) -> dict[str, float]:
-    """Return positions of the active joints by name [rad or m]."""
-    return dict(zip(robot.active, q.tolist(), strict=True))
+def _positions(robot: Robot, q: np.ndarray, joints: Iterable[str]) -> dict[str, float]:
+    """Return positions of some active joints by name [rad or m]."""
+    positions = dict(zip(robot.active, q.tolist(), strict=True))
+    return {joint: positions[joint] for joint in joints}
 
 
-def _picked(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """Return the values of those names that have one."""
-    return {name: values[name] for name in names if name in values}
+def _assumed(robot: Robot, joints: Iterable[str]) -> dict[str, LimitSpec]:
+    """Return the limits that are assumed of some joints."""
+    return {joint: robot.assumed[joint] for joint in joints if joint in robot.assumed}
 
 
 def _point(

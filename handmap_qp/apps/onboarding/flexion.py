@@ -14,7 +14,6 @@ import numpy as np
 from handmap_qp.hands.fingers import (
     PARALLEL,
     Finger,
-    Flexion,
     Jointed,
     PalmKinematics,
     ends_of,
@@ -39,8 +38,8 @@ class HandFlexion:
     Args:
         robot: The robot, or a hand.
         fingers: Fingers of it.
-        palmar: Direction out of the palm in the palm link's frame, if known: the way of fingers
-            that curl equally far both ways, shape (3,).
+        palmar: Direction out of the palm in the palm link's frame, zero if unknown: the way of
+            fingers that curl equally far both ways, shape (3,).
 
     Attributes:
         q_open: Straight fingers [rad or m], shape (n,).
@@ -66,7 +65,7 @@ class HandFlexion:
         self,
         robot: Jointed,
         fingers: Sequence[Finger],
-        palmar: np.ndarray | None = None,
+        palmar: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
     ) -> None:
         self._fingers = fingers
         self._view = PalmKinematics(robot)
@@ -74,101 +73,88 @@ class HandFlexion:
         roots = [(finger.joints[0], np.zeros(3)) for finger in fingers]
         zero = zero_posture(robot)
         self.roots = self._view.points(zero, roots)
+        self.bases = self.roots.copy()
         self.moves = np.zeros((len(fingers), len(zero)), dtype=bool)
         straight = np.ma.masked_all(self.moves.shape)
-        self.sign = np.zeros_like(zero)
-        self.certainty = np.zeros(len(fingers))
-        self.ways, self.axes = np.zeros((2, len(fingers), 3))
-        self._groups: dict[int, Flexion] = {}
-        self.bases = self.roots.copy()
+        # Sense in which each joint turns a tip about the axis of the finger's curling.
+        self._curls = np.zeros(self.moves.shape)
+        self.axes = np.zeros((len(fingers), 3))
+        senses = np.zeros(len(fingers))
         for i, finger in enumerate(fingers):
             self.moves[i, finger.columns] = True
             if (group := finger.flexion) and group.curls:
-                self._groups[i] = group
+                self._curls[i, group.columns] = group.signs
+                self.axes[i] = group.axis
                 self.bases[i] = group.knuckle
                 straight[i, group.columns] = group.straight
-                self.sign[group.columns] += group.certainty * group.sense * group.signs
+                senses[i] = group.certainty * group.sense
+        self.certainty = np.abs(senses)
+        self.sign = np.sign(senses @ self._curls)
         # A joint that moves several fingers takes the mean of their straight positions.
-        mean = straight.mean(axis=0)
-        self.sign = np.sign(self.sign)
-        self.q_open = mean.filled(zero)
+        self.q_open = straight.mean(axis=0).filled(zero)
         motions = np.array([self._view.motion(self.q_open, tip) for tip in self._tips])
         self._motions = motions[:, :3]
         self.slides = ~motions[:, 3:].any(axis=(0, 1))
-        for i, group in self._groups.items():
-            if group.certainty > 0.0:
-                self._settle(i, group.certainty)
-        self._settle_even(np.zeros(3) if palmar is None else palmar)
+        self._settle_even(palmar)
+        self.ways = self._ways()
+        self.axes *= np.sign((self._curls * self.sign).sum(axis=1, keepdims=True))
         self._close_jaws()
         self._sign_base_joints()
-        ends = ends_of(robot, self.q_open, np.arange(len(self.sign)), self.sign)
-        self.q_closed = np.where(self.sign == 0.0, self.q_open, ends[1])
+        start, self.q_closed = self._ends(self.sign)
         # A jaw is open at one end of its range, which need not be zero.
-        jaws = (self.sign != 0.0) & np.ma.getmaskarray(mean) & self.slides
-        self.q_open = np.where(jaws, ends[0], self.q_open)
+        jaws = (self.sign != 0.0) & self.slides
+        self.q_open = np.where(jaws, start, self.q_open)
         postures = np.array([self.q_open, self.q_closed])
         self.tips_open, self.tips_closed = self._view.points(postures, self._tips)
         lines = self.tips_open - self.bases
         self.reach = lengths(lines)
-        for i in self._groups:
+        for i in np.flatnonzero(self._curls.any(axis=1)):
             lines[i] = self._line(i)
         self.directions = unit(lines)
 
-    def _settle(self, i: int, certainty: float) -> None:
-        """Set the tip's motion at the start of flexion, the flexion's axis, and the confidence."""
-        group = self._groups[i]
-        sign = self.sign[group.columns]
-        self.ways[i] = unit(self._motions[i][:, group.columns] @ sign)
-        self.axes[i] = np.sign(sign @ group.signs) * group.axis
-        self.certainty[i] = certainty
+    def _ways(self) -> np.ndarray:
+        """Return the directions in which the curling joints move the tips, shape (F, 3)."""
+        signs = np.abs(self._curls) * self.sign
+        return unit(np.einsum("fkn,fn->fk", self._motions, signs))
 
-    def _settle_even(self, palmar: np.ndarray) -> None:
-        """Choose the direction of groups that curl equally far both ways.
+    def _settle_even(self, palmar: Sequence[float] | np.ndarray) -> None:
+        """Choose the direction of fingers that curl equally far both ways.
 
         Follow the palm if it is known, else the other fingers, else towards the other tips, else
         the positive sense.
         """
-        known = self.ways.sum(axis=0)
-        slopes = {
-            i: self._motions[i][:, group.columns] @ group.signs
-            for i, group in self._groups.items()
-            if self.certainty[i] == 0.0
-        }
-        for alike in _alike(slopes):
-            senses = {i: np.sign(slopes[i] @ slopes[alike[0]]) or 1.0 for i in alike}
-            signs = {i: senses[i] * self._groups[i].signs for i in alike}
-            slope = sum(senses[i] * slopes[i] for i in alike)
-            vote, confidence = self._vote(signs, slope, palmar, known)
-            for i in alike:
-                columns = self._groups[i].columns
-                given = self.sign[columns]
-                own = np.sign(vote) * signs[i]
-                self.sign[columns] = np.where(given == 0.0, own, given)
-                self._settle(i, confidence)
-
-    def _vote(
-        self,
-        signs: dict[int, np.ndarray],
-        slope: np.ndarray,
-        palmar: np.ndarray,
-        known: np.ndarray,
-    ) -> tuple[float, float]:
-        """Return a number with the sense in which fingers flex alike, and the confidence in it."""
-        nearer = (self._nearing(i, self._groups[i].columns, signs[i]) for i in signs)
-        votes = (
-            (float(slope @ palmar), 0.7),
-            (0.5 * float(slope @ known), 0.6),
-            (self._side_of_others([*signs], slope), 0.5),
-            (sum(nearer), 0.4),
-            (1.0, 0.1),
-        )
-        clear = min(0.1 * lengths(slope), 0.5)
-        return next(pair for pair in votes if abs(pair[0]) > clear)
+        known = self._ways()[self.certainty > 0.0].sum(axis=0)
+        slopes = np.einsum("fkn,fn->fk", self._motions, self._curls)
+        even = self._curls.any(axis=1) & (self.certainty == 0.0)
+        # Fingers that move in parallel close to the same side.
+        units = unit(slopes)
+        is_parallel = np.abs(units @ units.T) > PARALLEL
+        groups: dict[int, list[int]] = {}
+        for i in np.flatnonzero(even).tolist():
+            first = next((k for k in groups if is_parallel[i, k]), i)
+            groups.setdefault(first, []).append(i)
+        for alike in sorted(groups.values(), key=len, reverse=True):
+            senses = np.where(slopes[alike] @ slopes[alike[0]] < 0.0, -1.0, 1.0)
+            signs = senses[:, None] * self._curls[alike]
+            slope = senses @ slopes[alike]
+            votes = (
+                (slope @ palmar, 0.7),
+                (0.5 * slope @ known, 0.6),
+                (self._side_of_others(alike, slope), 0.5),
+                (sum(map(self._nearing, alike, signs)), 0.4),
+                (1.0, 0.1),
+            )
+            clear = min(0.1 * lengths(slope), 0.5)
+            vote, confidence = next(pair for pair in votes if abs(pair[0]) > clear)
+            self.certainty[alike] = confidence
+            for own in np.sign(vote) * signs:
+                self.sign = np.where(self.sign == 0.0, own, self.sign)
 
     def _close_jaws(self) -> None:
         """Flex fingers without curling joints towards the other tips."""
+        each = np.eye(len(self.sign))
         for i in np.flatnonzero(self.certainty == 0.0):
-            nearer = {j: self._nearing(i, [j]) for j in self._fingers[i].columns}
+            nearer = {j: self._nearing(i, each[j]) for j in self._fingers[i].columns}
             j = max(nearer, key=lambda column: abs(nearer[column]))
             if abs(nearer[j]) >= 1e-4:
                 self.sign[j] = np.sign(nearer[j])
@@ -180,8 +166,8 @@ class HandFlexion:
         speeds = np.linalg.norm(self._motions, axis=1)
         along = np.einsum("fkn,fk->fn", self._motions, self.ways)
         mine = (speeds > 1e-4) & (self.certainty[:, None] > 0.0)
-        ratios = along / np.maximum(speeds, 1e-9)
-        cosines = np.ma.array(ratios, mask=~mine).mean(axis=0).filled(0.0)
+        ratios = np.ma.array(along, mask=~mine) / speeds
+        cosines = ratios.mean(axis=0).filled(0.0)
         flexes = (self.sign == 0.0) & (np.abs(cosines) > _FLEXING)
         self.sign[flexes] = np.sign(cosines[flexes])
 
@@ -211,21 +197,12 @@ class HandFlexion:
         least = _LEAST_HEIGHT * lengths(tips[mine] - self.roots[mine]).mean()
         return 0.0 if abs(height) < least else np.sign(height)
 
-    def _nearing(
-        self,
-        i: int,
-        columns: np.ndarray | list[int],
-        signs: np.ndarray | float = 1.0,
-    ) -> float:
+    def _nearing(self, i: int, signs: np.ndarray) -> float:
         """Return how much joints bring a tip to another on average from end to end [m]."""
-        ends = ends_of(self._view.hand, self.q_open, columns, signs)
-        return nearing(self._view, ends, self._tips, i) / max(1, len(self._tips) - 1)
+        others = max(1, len(self._tips) - 1)
+        return nearing(self._view, self._ends(signs), self._tips, i) / others
 
-
-def _alike(slopes: dict[int, np.ndarray]) -> list[list[int]]:
-    """Return the fingers that move in parallel together: they close to the same side."""
-    found: dict[int, list[int]] = {}
-    for i, slope in slopes.items():
-        parallel = (k for k in found if abs(unit(slope) @ unit(slopes[k])) > PARALLEL)
-        found.setdefault(next(parallel, i), []).append(i)
-    return sorted(found.values(), key=len, reverse=True)
+    def _ends(self, signs: np.ndarray) -> np.ndarray:
+        """Return postures of the joints with a sign at both ends of their ranges, shape (2, n)."""
+        columns = np.flatnonzero(signs)
+        return ends_of(self._view.hand, self.q_open, columns, signs[columns])

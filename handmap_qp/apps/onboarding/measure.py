@@ -23,10 +23,12 @@ from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.library import load_hand
 from handmap_qp.hands.pads import Pad, find_pads
 from handmap_qp.hands.shape_pairs import random_postures
+from handmap_qp.human.recording import upright_axes
 from handmap_qp.human.sample import human_name
+from handmap_qp.mapping.alignment import rotation_onto
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
-from handmap_qp.se3 import lengths, unit
+from handmap_qp.se3 import affine, lengths, unit
 
 HUMAN_LENGTH = 0.19
 """Length of a person's hand, from the wrist crease to the middle fingertip [m]."""
@@ -38,6 +40,8 @@ _ARM_SAMPLES = 1500
 _DIRECTIONS = unit(np.array([d for d in product((-1.0, 0.0, 1.0), repeat=3) if any(d)]))
 _CONE = np.cos(np.radians(25.0))
 _DT = 1.0 / 60.0
+# The axes of `upright_axes`, and those against them.
+_WAYS = ("forward", "left", "up", "back", "right", "down")
 # Thumb and finger meet in this part of a fist.
 _PINCHED = 0.65
 # Contacts move a joint aside by more than this part of its range.
@@ -218,7 +222,10 @@ def measure_size(hand: Hand) -> Size:
         lengths(hand.points(q) - hand.frame_pose("palm", q)[:3, 3]).max()
         for q in (hand.rest, zero_posture(hand))
     ]
-    return Size(max(sizes), _spread(hand), _spread(human))
+    clouds = [
+        float(np.sqrt(one.points(one.rest).var(axis=0).sum())) for one in (hand, human)
+    ]
+    return Size(max(sizes), *clouds)
 
 
 def try_motion(hand: Hand) -> list[MotionPart]:
@@ -246,12 +253,55 @@ def try_motion(hand: Hand) -> list[MotionPart]:
     return parts
 
 
-def _follow(mapper: HandMapper, *postures: np.ndarray) -> list[MapStep]:
-    """Lead from rest to posture after posture, each in 0.75 s and 0.25 s to settle."""
+def measure_directions(
+    hand: Hand, upright: str = "+y up, -z forward"
+) -> list[dict[str, Any]]:
+    """Move a person's hand by 5 cm in six directions, and measure where an arm takes the robot's.
+
+    Args:
+        hand: The robot hand.
+        upright: The axes of the tracker's world; a headset's if omitted.
+
+    Returns:
+        For each direction the robot's nearest one, the angle between both [deg], and how far the
+        robot's hand goes in its world [mm]; none without an arm.
+    """
+    turn = rotation_onto(hand, upright)
+    if turn is None:
+        return []
+    human = load_hand(human_name(hand.side), hand_length=HUMAN_LENGTH)
+    mapper = HandMapper(human, hand, alignment=turn, dt=_DT)
+    rows = []
+    for name, way in zip(_WAYS, [*np.eye(3), *-np.eye(3)], strict=True):
+        place = 0.05 * way @ upright_axes(upright)
+        q = _follow(mapper, human.rest, place=place)[-1].command.q
+        start, end = (hand.frame_pose("palm", each)[:3, 3] for each in (hand.rest, q))
+        moved = end - start
+        seen = upright_axes(hand.spec.upright) @ moved
+        nearest = _WAYS[np.argmax([*seen, *-seen])]
+        rows.append(
+            {
+                "direction": f"hand {name} -> robot {nearest}",
+                "degrees off": round(angle_between(seen, way), 1),
+                "robot moved, mm": [*map(round, 1e3 * moved)],
+            }
+        )
+    return rows
+
+
+def _follow(
+    mapper: HandMapper, *postures: np.ndarray, place: np.ndarray | float = 0.0
+) -> list[MapStep]:
+    """Lead from rest to posture after posture, each in 0.75 s and 0.25 s to settle.
+
+    The wrist moves from the origin to a place with each [m].
+    """
     shares = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.arange(60) / 44, 0.0, 1.0))
     mapper.reset()
     return [
-        mapper.map_step(before + share * (after - before), np.eye(4))
+        mapper.map_step(
+            before + share * (after - before), affine(np.eye(3), share * place)
+        )
         for before, after in pairwise([mapper.human.rest, *postures])
         for share in shares
     ]
@@ -322,10 +372,6 @@ def standard_postures(human: Hand) -> dict[str, np.ndarray]:
         "pointing": posture(thumb=0.7, **{**fist, "index": 0.05}),
         "pinch": posture(thumb=0.6, index=0.9),
     }
-
-
-def _spread(hand: Hand) -> float:
-    return float(np.sqrt(hand.points(hand.rest).var(axis=0).sum()))
 
 
 def make_fist(hand: Hand) -> Fist | None:
@@ -402,18 +448,13 @@ def _nearest(
         q[columns] = positions
         return np.subtract(*view.points(q, places))
 
-    def slope(positions: np.ndarray) -> np.ndarray:
-        q[columns] = positions
-        return np.subtract(*(view.motion(q, place) for place in places))[:3, columns]
-
     limits = np.array([hand.lower_limits, hand.upper_limits])
     first = [hand.rest, limits.mean(axis=0), zero_posture(hand)]
-    bounds = limits[:, columns]
     best = np.inf
     for start in np.vstack([first, random_postures(hand, _STARTS)])[:, columns]:
         if best >= near:
             found = least_squares(
-                gap, start, slope, bounds=bounds, ftol=1e-4, xtol=1e-4
+                gap, start, bounds=limits[:, columns], ftol=1e-4, xtol=1e-4
             )
             best = min(best, float(lengths(found.fun)))
     return best

@@ -138,9 +138,7 @@ def migrate(
     points = {point.name: point for point in _renamed(found, carriers)}
     for landmark, link in links.items():
         points[landmark] = PointSpec(landmark, link, finger=landmark.partition("_")[0])
-    tips = [points[name] for name in points if name.endswith("_tip")]
-    others = [point for point in points.values() if point not in tips]
-    every, sets = point_sets(tips, others)
+    every, sets = point_sets(points.values())
     spec = msgspec.structs.replace(found.spec, points=every, sets=sets)
     intro = f"reference points are those of {configuration.file.name}"
     return found._replace(spec=spec, notes=(intro, *configuration.notes, *found.notes))

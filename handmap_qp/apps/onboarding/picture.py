@@ -70,19 +70,21 @@ def picture_path(given: str, kind: str = "hand") -> Path | None:
     return path / f"{kind}.png" if (path / f"{kind}.yaml").is_file() else None
 
 
-def draw_hand(hand: Hand, path: Path) -> None:
+def draw_hand(hand: Hand, path: Path, *directions: Any) -> None:
     """Draw a hand at rest from the back and from the side, fingers up, with all its points.
 
     Args:
         hand: The hand.
         path: Picture to write; its suffix sets the format.
+        *directions: Where an arm takes the hand: rows of `measure_directions`.
 
     Raises:
         InvalidInputError: If the file cannot be written.
         MissingExtraError: If matplotlib is not installed.
     """
     require_matplotlib()
-    scene = _Scene(hand.with_points([point.name for point in hand.spec.points]))
+    points = [point.name for point in hand.spec.points]
+    scene = _Scene(hand.with_points(points), *directions)
     panels = {
         caption: partial(scene.draw, azimuth=azimuth)
         for caption, azimuth in _VIEWS[hand.side].items()
@@ -149,7 +151,7 @@ def draw_match(match: Match, path: Path) -> None:
 class _Scene:
     """A hand at rest, with its palm's distal axis up and its back towards +y."""
 
-    def __init__(self, hand: Hand) -> None:
+    def __init__(self, hand: Hand, *directions: Any) -> None:
         self.hand = hand
         pose = UPRIGHT @ inverse_pose(hand.frame_pose("palm", hand.rest))
         self.points = transform_points(pose, hand.points(hand.rest))
@@ -160,7 +162,12 @@ class _Scene:
             if shape.links
             else self._sticks().moved(UPRIGHT)
         )
-        self.axes = 0.28 * self.size * UPRIGHT[:3, :3].T
+        axes = 0.28 * self.size * UPRIGHT[:3, :3].T
+        self.arrows = [*zip(axes, _AXES, AXIS_COLOURS, strict=True)]
+        for row in directions:
+            # It ends beyond the palm's axes and their labels.
+            tip = 0.5 * self.size * unit(pose[:3, :3] @ row["robot moved, mm"])
+            self.arrows.append((tip, row["direction"], _OTHER_COLOUR))
         self.marks = self._marks()
 
     def draw(self, axes: Any, azimuth: float) -> None:
@@ -168,7 +175,7 @@ class _Scene:
         corners = self.triangles.vertices.reshape(-1, 3)
         # The margin leaves room for labels on both sides.
         camera = Camera.framing(
-            np.vstack([corners, self.points, self.axes, np.zeros(3)]),
+            np.vstack([corners, self.points, *(tip for tip, *_ in self.arrows)]),
             _PANEL,
             azimuth=azimuth,
             elevation=_ELEVATION,
@@ -176,7 +183,7 @@ class _Scene:
         )
         draw_hands(axes, self.triangles, camera, marks=self.marks)
         origin = camera.project(np.zeros(3))[:2]
-        for tip, name, colour in zip(self.axes, _AXES, AXIS_COLOURS, strict=True):
+        for tip, name, colour in self.arrows:
             # Write beyond the end of the axis, so that the end stays visible.
             way = camera.project(tip)[:2] - origin
             axes.annotate(
@@ -227,9 +234,10 @@ class _Scene:
             spheres(point, 0.022 * self.size, self._colour(i))
             for i, point in enumerate(self.points)
         ]
-        for tip, colour in zip(self.axes, AXIS_COLOURS, strict=True):
-            parts.append(spheres(tip, 0.016 * self.size, colour))
-        return merged([*parts, _axes(UPRIGHT, 0.28 * self.size)])
+        for tip, _, colour in self.arrows:
+            axis = tube([np.zeros(3), tip], 0.008 * self.size, colour)
+            parts += [axis, spheres(tip, 0.016 * self.size, colour)]
+        return merged(parts)
 
     def _sticks(self) -> Triangles:
         """Return sticks between the joints beyond the wrist, and from joints to points.

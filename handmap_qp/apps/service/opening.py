@@ -37,6 +37,7 @@ from handmap_qp.human.measure import check_length, measure_hand
 from handmap_qp.human.recording import Recording
 from handmap_qp.human.sample import HumanSample, Rule, human_name
 from handmap_qp.ik.qp import PointIk
+from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.hand_pair import HandPair, hand_pair
 from handmap_qp.mapping.mapper import HandMapper, LandmarkReader
 from handmap_qp.mapping.presets import (
@@ -52,6 +53,7 @@ from handmap_qp.options import Options
 from handmap_qp.stream.follower import Follower
 from handmap_qp.stream.guard import StreamGuard
 from handmap_qp.stream.robot_follower import RobotFollower
+from handmap_qp.trackers.layouts import LAYOUTS
 
 CALIBRATION_SAMPLES = 30
 """Number of landmark samples that the human hand is measured from."""
@@ -333,13 +335,20 @@ def read_choice(request: Open, human: Hand, robot: Hand) -> Choice:
     """
     name = request.preset or preset_with(request.options, human, robot)
     start = with_field_errors("preset", lambda: preset_choice(name, human))
-    method = _changed("options", start.method, request.options)
+    found = found_alignment(start.method, robot, upright_of(request))
+    method = _changed("options", start.method, found | request.options)
     ik = _changed("ik", start.ik, request.ik)
     message = f"expected one of {', '.join(SOLVERS)}, got {ik.solver!r:.40}"
     refuse_if(ik.solver not in SOLVERS, message, "ik.solver")
     message = f"expected at most {MOST_ITERATIONS}, got {ik.max_iterations}"
     refuse_if(ik.max_iterations > MOST_ITERATIONS, message, "ik.max_iterations")
     return Choice(name, method, ik)
+
+
+def upright_of(request: Open) -> str:
+    """Return the axes of the samples' world that are up and forward; empty if not known."""
+    layout = LAYOUTS.get(request.layout or "")
+    return request.upright or (layout.table.upright if layout else "")
 
 
 def _changed(field: str, start: Chosen, values: dict[str, Any]) -> Chosen:

@@ -27,6 +27,7 @@ from handmap_qp.apps.service.opening import (
     Hands,
     read_choice,
     refused,
+    upright_of,
     with_changes,
     with_field_errors,
     with_option_errors,
@@ -351,6 +352,7 @@ class Session:
         measured = self._hands.lengths
         wanted = {name: getattr(self._wanted, name) for name in About.__struct_fields__}
         about: Fields = wanted | {
+            "upright": upright_of(self._wanted),
             "robot": self.robot.name,
             "lengths": measured
             and Lengths(*(part.tolist() for part in astuple(measured)[:3])),

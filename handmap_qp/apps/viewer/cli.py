@@ -208,7 +208,7 @@ class View:
             value=compared,
             advice=did_you_mean(compared or "", names),
         )
-        choice = self.arguments.preset_for(human, robot)
+        choice = self.arguments.preset_for(human, robot, recording.upright)
         replay = Replay(recording, motion, human, robot, choice)
         if compared is not None:
             replay.compare(replay.preset(compared))

@@ -98,17 +98,23 @@ class BoundFingertipVectors(PalmMethod):
         self.human_origins: np.ndarray | None = None
         self.robot_origins = np.zeros((len(pairs), 3))
         if method.origin == "palm":
-            ratio = self._size(robot, self.pairs[0]) / self._size(human, self.pairs[1])
-            self.scales = np.full(len(pairs), method.scale or ratio)
+            robot_size, human_size = (
+                lengths(points_in_palm(hand, hand.rest)[points]).mean()
+                for hand, points in zip((robot, human), self.pairs, strict=True)
+            )
+            ratios = np.full(len(pairs), robot_size / human_size)
         else:
-            self._begin_at_knuckles(method.scale)
+            ratios = self._begin_at_knuckles()
+        self.scales = (
+            ratios if method.scale is None else np.full_like(ratios, method.scale)
+        )
 
     def start(self, sample: HumanPose, robot: RobotPosture) -> FingertipVectorMap:
         """Count the palm's displacement from here; the fingers need no reference."""
         return FingertipVectorMap(self, sample, robot)
 
-    def _begin_at_knuckles(self, scale: float | None) -> None:
-        """Find both hands' knuckles and the ratio of reaches of each pair's finger."""
+    def _begin_at_knuckles(self) -> np.ndarray:
+        """Take both hands' knuckles for origins; return the ratio of reaches of each finger."""
         human = self.human
         robot = self.robot
         chains = find_fingers(robot)
@@ -126,12 +132,7 @@ class BoundFingertipVectors(PalmMethod):
         places = [chains[finger].knuckle for finger in led]
         self.robot_origins = points_in_palm(robot, robot.rest, places)
         reaches = np.array([chains[finger].reach for finger in led])
-        ratios = reaches / bone_lengths(human, leading)
-        self.scales = ratios if scale is None else np.full(len(led), scale)
-
-    def _size(self, hand: Hand, points: np.ndarray) -> float:
-        palm = hand.wrist_to_palm[:3, 3]
-        return float(lengths(hand.points(hand.rest)[points] - palm).mean())
+        return reaches / bone_lengths(human, leading)
 
 
 class FingertipVectorMap(PalmMap):

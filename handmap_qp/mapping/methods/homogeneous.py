@@ -293,25 +293,26 @@ class HomogeneousMap(Compiled):
         options = self.options
         pivot = self.pivot
         Q = self.alignment
-        turn, rigid_image = self._wrist_motion(sample)
+        moved = self._wrist_motion(sample)
+        turn = None if moved is None else moved[:3, :3]
         estimate = self.estimator.estimate(sample.points, turn)
         linear = estimate.linear
         image = estimate.image(pivot)
         factors = polar(linear)
         stretches = np.clip(factors.stretches, options.stretch_min, options.stretch_max)
-        is_clamped = stretches.tolist() != factors.stretches.tolist()
+        is_clamped = not np.array_equal(stretches, factors.stretches)
         if is_clamped or options.deformation_gain != 1.0:
             linear = factors.stretch(stretches**options.deformation_gain).dot(
                 factors.rotation
             )
-        if options.rigid_from == "none":
+        rotation = factors.rotation
+        rigid_image = image
+        if moved is not None:
+            rotation = moved[:3, :3]
+            rigid_image = transform_points(moved, pivot)
+        elif options.rigid_from == "none":
             rotation = np.eye(3)
             rigid_image = pivot
-        elif turn is None or rigid_image is None:
-            rotation = factors.rotation
-            rigid_image = image
-        else:
-            rotation = turn
         points = self.robot_offsets @ (Q @ linear @ Q.T).T + self._placed(image)
         if self.share is not None:
             # The residual refers to the imposed motion, so it makes up for clamping and gain.
@@ -346,20 +347,17 @@ class HomogeneousMap(Compiled):
             flags=("stretch_clamped",) if is_clamped else (),
         )
 
-    def _wrist_motion(
-        self, sample: HumanPose
-    ) -> tuple[np.ndarray | None, np.ndarray | None]:
-        """Return the wrist's rotation since the reference, and where it takes the pivot."""
+    def _wrist_motion(self, sample: HumanPose) -> np.ndarray | None:
+        """Return the wrist's motion since the reference, (4, 4); None if it is not asked for."""
         if self.options.rigid_from != "wrist":
-            return None, None
+            return None
         before = self.human_wrist
         now = sample.wrist
         if before is None or now is None:
             raise InvalidInputError(
                 argument="wrist_pose", problem="needed for rigid_from='wrist'"
             )
-        rotation = now[:3, :3].dot(before[:3, :3].T)
-        return rotation, rotation.dot(self.pivot - before[:3, 3]) + now[:3, 3]
+        return now @ inverse_pose(before)
 
     def _placed(self, image: np.ndarray) -> np.ndarray:
         """Return the image of the robot's pivot [m], shape (3,), given that of the human's."""

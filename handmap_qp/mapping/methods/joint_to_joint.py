@@ -20,7 +20,6 @@ the tips, and thumbs are built too differently for joints to correspond.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -39,6 +38,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, HUMAN_JOINTS, THUMB
 from handmap_qp.ik.tasks import TaskRows
 from handmap_qp.mapping.alignment import AlignedOptions
+from handmap_qp.mapping.hand_pair import points_in_palm
 from handmap_qp.mapping.method import (
     FOLLOWING,
     HumanPose,
@@ -52,7 +52,7 @@ from handmap_qp.mapping.palm import (
     chain_landmarks,
     require_points,
 )
-from handmap_qp.se3 import inverse_pose, lengths, transform_points, unit
+from handmap_qp.se3 import lengths, unit
 
 # Weight of a joint's error [1/rad]: 0.1 rad counts as much as 10 mm of a point.
 _JOINT_WEIGHT = 10.0
@@ -130,12 +130,7 @@ class FingerAngles:
             in_palm: The human's reference points in palm axes [m], shape (n_h, 3).
         """
         bones = np.diff(in_palm[self._points], axis=1)
-        return np.array(
-            [
-                frames.angles(each)
-                for frames, each in zip(self._fingers, bones, strict=True)
-            ]
-        )
+        return np.array([*map(_FingerFrames.angles, self._fingers, bones)])
 
 
 class _FingerFrames:
@@ -162,16 +157,15 @@ class _FingerFrames:
         along = 0.5 * doubled
         # The direction has two senses: that within the joint limits is meant.
         angles = self._bend(along, bones)
-        if (excess := self._excess(angles)) > 0.0:
-            other = self._bend(along - np.copysign(np.pi, along), bones)
-            if self._excess(other) < excess:
-                return other
-        return angles
+        if not self._excess(angles):
+            return angles
+        other = self._bend(along - np.copysign(np.pi, along), bones)
+        return min(angles, other, key=self._excess)
 
     def _excess(self, angles: np.ndarray) -> float:
         """Return how far the first two angles are outside their limits [rad]."""
-        outside = np.maximum(self._lower - angles, angles - self._upper)[:2]
-        return np.maximum(outside, 0.0).sum()
+        outside = np.maximum(self._lower - angles, angles - self._upper)
+        return outside[:2].clip(0.0).sum()
 
     def _bend(self, abduction: float, bones: np.ndarray) -> np.ndarray:
         """Return all angles, given the first."""
@@ -193,26 +187,20 @@ class JointLink:
         column: Index of the robot's joint in `Hand.joint_names`.
         human: Which of the finger's four human joints lead, with their sense: +1 where a positive
             angle flexes, shape (4,).
-        zero: Angle of the human's joints that counts as none [rad].
-        human_range: Least and largest angle beside that [rad].
-        robot_zero: Position of the robot's joint there [rad or m].
-        ends: Positions of the robot's joint at the human's least and largest angle [rad or m].
+        angles: Sum of the human's joints at its least, where it counts as none, and at its largest
+            [rad], shape (3,).
+        positions: Positions of the robot's joint there [rad or m], shape (3,).
     """
 
     finger: str
     column: int
     human: np.ndarray
-    zero: float
-    human_range: tuple[float, float]
-    robot_zero: float
-    ends: tuple[float, float]
+    angles: tuple[float, ...]
+    positions: tuple[float, ...]
 
     def position(self, angles: np.ndarray) -> float:
         """Return the robot joint's position for the finger's human angles, shape (4,)."""
-        angle = float(self.human.dot(angles)) - self.zero
-        share = angle / self.human_range[angle >= 0.0]
-        end = self.ends[angle >= 0.0]
-        return self.robot_zero + min(max(share, 0.0), 1.0) * (end - self.robot_zero)
+        return float(np.interp(self.human.dot(angles), self.angles, self.positions))
 
 
 class JointPositions:
@@ -231,10 +219,9 @@ class JointPositions:
 
     def linearise(self, hand: Configuration) -> TaskRows:
         """Return a row a joint; see `Task.linearise`."""
-        jacobian = np.zeros((len(self._active), hand.nv))
-        jacobian[np.arange(len(self._active)), self._active] = _JOINT_WEIGHT
+        errors = hand.q[self._q_indices] - self._wanted
         return TaskRows(
-            _JOINT_WEIGHT * (hand.q[self._q_indices] - self._wanted), jacobian
+            _JOINT_WEIGHT * errors, _JOINT_WEIGHT * np.eye(hand.nv)[self._active]
         )
 
 
@@ -249,27 +236,20 @@ class BoundJointToJoint(PalmMethod):
 
     def __init__(self, method: JointToJoint, human: Hand, robot: Hand) -> None:
         super().__init__(method, human, robot)
-        chains = {
-            name: chain for name, chain in find_fingers(robot).items() if chain.joints
-        }
-        if not chains:
+        found = find_fingers(robot)
+        self.chains = {name: chain for name, chain in found.items() if chain.joints}
+        if not self.chains:
             raise InvalidOptionsError(
                 option="method",
                 problem=f"joints correspond by finger, and no point of {robot.name} names one",
                 advice="add `finger` to the points of its hand.yaml",
             )
-        self.fingers = tuple(chains)
+        self.fingers = tuple(self.chains)
         self.angles = FingerAngles(human, self.fingers)
         self.links = [
             link
-            for finger, columns in zip(self.fingers, self.angles.columns, strict=True)
-            for link in _finger_links(
-                human,
-                robot,
-                chains[finger],
-                [other for name, other in chains.items() if name != finger],
-                columns,
-            )
+            for finger, leading in zip(self.fingers, self.angles.columns, strict=True)
+            for link in self._links(self.chains[finger], leading)
         ]
         self.columns = np.unique([link.column for link in self.links])
 
@@ -280,25 +260,101 @@ class BoundJointToJoint(PalmMethod):
     def positions(self, angles: np.ndarray) -> np.ndarray:
         """Return the joint positions (n,) for human angles (f, 4); the mean where fingers share."""
         of_finger = dict(zip(self.fingers, angles, strict=True))
+        asked = [link.position(of_finger[link.finger]) for link in self.links]
+        columns = [link.column for link in self.links]
         q = self.robot.rest.copy()
-        count = np.zeros(len(self.robot.rest))
-        for link in self.links:
-            count[link.column] += 1.0
-            by = link.position(of_finger[link.finger]) - q[link.column]
-            q[link.column] += by / count[link.column]
+        q[columns] = (
+            np.bincount(columns, asked)[columns] / np.bincount(columns)[columns]
+        )
         return q
+
+    def _links(self, finger: Finger, leading: np.ndarray) -> list[JointLink]:
+        """Find which joints of a finger correspond, from where to where they go, and which way."""
+        columns = finger.columns.tolist()
+        flexes = [column for column in columns if finger.closing[column]] or columns[:1]
+        spreads = [column for column in columns if column not in flexes]
+        if finger.name == THUMB and spreads:
+            # A thumb's axes are not parallel: the first joint brings it before the palm.
+            spreads = columns[:1]
+            flexes = columns[1:]
+        pairs = [(column, [0]) for column in spreads[:1]]
+        pairs += [
+            (column, _leaders(place, len(flexes)))
+            for place, column in enumerate(flexes)
+        ]
+        rest = self.human.rest[leading]
+        limits = np.array([self.human.lower_limits, self.human.upper_limits])
+        # Every flexion of the resting hand is one: its sign is the sense.
+        sense = np.where(rest < 0.0, -1.0, 1.0)
+        sense[0] = 1.0
+        links = []
+        for column, leaders in pairs:
+            senses = np.zeros(4)
+            senses[leaders] = sense[leaders]
+            start, is_upper, counts_from_rest = self._closed_end(
+                finger, column, leading[leaders[0]], sense[leaders[0]]
+            )
+            zero = float(senses @ rest) * counts_from_rest
+            least, most = np.sort(senses * limits[:, leading], axis=0).sum(axis=1)
+            low = self.robot.lower_limits[column]
+            high = self.robot.upper_limits[column]
+            links.append(
+                JointLink(
+                    finger.name,
+                    column,
+                    senses,
+                    (min(least, zero - 1e-6), zero, max(most, zero + 1e-6)),
+                    (low, start, high) if is_upper else (high, start, low),
+                )
+            )
+        return links
+
+    def _closed_end(
+        self, finger: Finger, column: int, leader: int, sense: float
+    ) -> tuple[float, bool, bool]:
+        """Find where a robot's joint goes, which a human's joint leads with a sense.
+
+        Returns:
+            Position where the human's angle counts as none [rad or m], whether the human's largest
+            angle is at the upper limit, and whether that angle counts from rest instead of zero.
+        """
+        robot = self.robot
+        view = PalmKinematics(robot)
+        closing = finger.closing[column]
+        is_thumb = finger.name == THUMB
+        start = robot.rest
+        if is_thumb:
+            straight = finger.stretched
+            ends = ends_of(robot, straight, [column])
+            places = view.points(ends, [finger.tip, finger.knuckle])
+            reaches = lengths(places[:, 0] - places[:, 1])
+            if finger.reach - reaches.min() > _CURLING * finger.reach:
+                return straight[column], reaches[1] <= reaches[0], False
+        else:
+            start = zero_posture(robot)
+            if closing and (flexion := finger.flexion):
+                (straight,) = flexion.straight[flexion.columns == column]
+                return straight, closing > 0.0, False
+        motion = view.motion(robot.rest, finger.tip)[:, column]
+        if motion[3:].any():
+            # Hands differ in where their axes are: what counts is where the tip goes.
+            tip = find_fingers(self.human)[finger.name].tip
+            wanted = PalmKinematics(self.human).motion(self.human.rest, tip)[:, leader]
+            is_upper = sense * wanted[:3].dot(motion[:3]) >= 0.0
+        else:
+            # A jaw closes towards the other fingertips.
+            ends = ends_of(robot, robot.rest, [column])
+            tips = [each.tip for each in self.chains.values()]
+            i = self.fingers.index(finger.name)
+            is_upper = nearing(view, ends, tips, i) >= 0.0
+            start = ends[int(not is_upper)]
+        return start[column], is_upper, is_thumb
 
 
 class JointMap(PalmMap):
     """From samples to targets; see `TargetMap`."""
 
     _method: BoundJointToJoint
-
-    def __init__(
-        self, method: BoundJointToJoint, sample: HumanPose, robot: RobotPosture
-    ) -> None:
-        super().__init__(method, sample, robot)
-        self._configuration = method.robot.configuration()
 
     def targets(self, sample: HumanPose) -> Targets:
         """Measure the human's angles, and place the robot's points where its joints would."""
@@ -307,115 +363,11 @@ class JointMap(PalmMap):
         _, palm, now = self.follow(sample)
         angles = method.angles.measure(now)
         q = method.positions(angles)
-        placed = self._configuration
-        placed.place(robot.configuration_vector(q))
-        to_palm = inverse_pose(placed.wrist.homogeneous @ robot.wrist_to_palm)
         return Targets(
-            *self.placed(palm, transform_points(to_palm, placed.points)),
+            *self.placed(palm, points_in_palm(robot, q)),
             {"angles": angles, "q": q},
             (JointPositions(robot, method.columns, q),),
         )
-
-
-def _finger_links(
-    human: Hand,
-    robot: Hand,
-    finger: Finger,
-    others: list[Finger],
-    human_columns: np.ndarray,
-) -> list[JointLink]:
-    """Find which joints of one finger correspond, from where to where they go, and which way."""
-    is_thumb = finger.name == THUMB
-    columns = finger.columns.tolist()
-    flexes = [column for column in columns if finger.closing[column]] or columns[:1]
-    spreads = [column for column in columns if column not in flexes]
-    if is_thumb and spreads:
-        # A thumb's axes are not parallel: the first joint brings it before the palm.
-        spreads = columns[:1]
-        flexes = columns[1:]
-    pairs = [(column, [0]) for column in spreads[:1]]
-    pairs += [
-        (column, _leaders(place, len(flexes))) for place, column in enumerate(flexes)
-    ]
-    # Every flexion of the resting hand is one: its sign is the sense.
-    sense = np.where(human.rest[human_columns] < 0.0, -1.0, 1.0)
-    sense[0] = 1.0
-    found = []
-    for column, leaders in pairs:
-        senses = np.zeros(4)
-        senses[leaders] = sense[leaders]
-        end = _closed_end(human, robot, finger, others, column, human_columns, senses)
-        zero = human.rest[human_columns] if end.counts_from_rest else np.zeros(4)
-        limits = np.array(
-            [human.lower_limits[human_columns], human.upper_limits[human_columns]]
-        )
-        reach = np.where(senses < 0.0, -limits[::-1], limits) * np.abs(senses)
-        least, most = reach.sum(axis=1) - senses @ zero
-        ends = robot.lower_limits[column].item(), robot.upper_limits[column].item()
-        found.append(
-            JointLink(
-                finger.name,
-                column,
-                senses,
-                float(senses @ zero),
-                (min(float(least), -1e-6), max(float(most), 1e-6)),
-                end.start,
-                ends if end.is_upper else ends[::-1],
-            )
-        )
-    return found
-
-
-class _ClosedEnd(NamedTuple):
-    """Where a robot's joint starts, whether it closes at its upper limit, and from where to count.
-
-    Attributes:
-        start: Position where the human's angle counts as none [rad or m].
-        is_upper: Whether the human's largest angle is at the upper limit.
-        counts_from_rest: Whether the human's angle counts from rest instead of zero.
-    """
-
-    start: float
-    is_upper: bool
-    counts_from_rest: bool = False
-
-
-def _closed_end(
-    human: Hand,
-    robot: Hand,
-    finger: Finger,
-    others: list[Finger],
-    column: int,
-    human_columns: np.ndarray,
-    senses: np.ndarray,
-) -> _ClosedEnd:
-    is_thumb = finger.name == THUMB
-    flexion = finger.flexion
-    view = PalmKinematics(robot)
-    if flexion is not None and finger.closing[column] and not is_thumb:
-        start = float(flexion.straight[flexion.columns == column][0])
-        return _ClosedEnd(start, bool(finger.closing[column] > 0.0))
-    ends = ends_of(robot, finger.stretched, [column])
-    places = view.points(ends, [finger.tip, finger.knuckle])
-    reaches = lengths(places[:, 0] - places[:, 1])
-    if is_thumb and finger.reach - reaches.min() > _CURLING * finger.reach:
-        return _ClosedEnd(
-            float(finger.stretched[column]), bool(reaches[1] <= reaches[0])
-        )
-    motion = view.motion(robot.rest, finger.tip)[:, column]
-    if not motion[3:].any():
-        # A jaw closes towards the other fingertips.
-        ends = ends_of(robot, robot.rest, [column])
-        tips = [each.tip for each in (finger, *others)]
-        is_upper = nearing(view, ends, tips, 0) >= 0.0
-        return _ClosedEnd(float(ends[int(not is_upper), column]), is_upper, is_thumb)
-    leader = np.flatnonzero(senses)[0]
-    tip = find_fingers(human)[finger.name].tip
-    wanted = PalmKinematics(human).motion(human.rest, tip)[:, human_columns[leader]]
-    # Hands differ in where their axes are: what counts is where the tip goes.
-    is_upper = bool(senses[leader] * wanted[:3] @ motion[:3] >= 0.0)
-    start = robot.rest if is_thumb else zero_posture(robot)
-    return _ClosedEnd(float(start[column]), is_upper, is_thumb)
 
 
 def _leaders(place: int, count: int) -> list[int]:

@@ -45,9 +45,9 @@ from handmap_qp.mapping.method import (
     RobotPosture,
     Targets,
 )
-from handmap_qp.mapping.palm import PalmMap, PalmMethod, palm_of
+from handmap_qp.mapping.palm import PalmMap, PalmMethod
 from handmap_qp.options import number
-from handmap_qp.se3 import inverse_pose, lengths, nearest_rotation, transform_points
+from handmap_qp.se3 import lengths, mirror_sign, nearest_rotation
 
 # Points on a line leave the turn about it free: least ratio of their second singular value to the
 # first.
@@ -236,8 +236,7 @@ class VirtualObjectMap(PalmMap):
         super().__init__(method, sample, robot)
         self.rest = robot.q
         self._points = method.human_points
-        to_palm = inverse_pose(palm_of(sample, method.human))
-        before = transform_points(to_palm, sample.points[self._points])
+        before = self.follow(sample)[2][self._points]
         _check_shape(before)
         self._object = method.options.enclose(before)
         follower = method.options.enclose(self.robot_points[method.robot_points])
@@ -334,24 +333,15 @@ def enclosing_ellipsoid(
         of the semi-axes, the largest first [m], shape (3,).
     """
     mean = points.mean(axis=0)
-    _, extents, right = np.linalg.svd(np.vstack([points - mean, np.zeros((3, 3))]))
+    _, extents, right = np.linalg.svd(points - mean)
     rank = (extents > _FLAT * max(extents[0], 1e-12)).sum()
-    if rank == 0:
-        return mean, np.eye(3), np.zeros(3)
-    basis = right[:rank].T
     # In units of the extents, so that thin sets are no worse conditioned than round ones.
-    units = extents[:rank]
-    shares = _ellipsoid_shares((points - mean) @ basis / units)
+    shares = _ellipsoid_shares((points - mean) @ right[:rank].T / extents[:rank])
     centre = shares @ points
-    offsets = (points - centre) @ basis
-    values, turn = np.linalg.eigh(rank * (offsets.T * shares) @ offsets)
-    order = np.argsort(values)[::-1]
-    axes = np.column_stack([basis @ turn[:, order], right[rank:].T])
-    if np.linalg.det(axes) < 0.0:
-        axes[:, 2] *= -1.0
-    semi_axes = np.zeros(3)
-    semi_axes[:rank] = np.sqrt(np.maximum(values[order], 0.0))
-    return centre, axes, semi_axes
+    offsets = points - centre
+    axes, squares, _ = np.linalg.svd(rank * (offsets.T * shares) @ offsets)
+    axes[:, 2] *= mirror_sign(axes)
+    return centre, axes, np.sqrt(squares)
 
 
 def _ellipsoid_shares(points: np.ndarray) -> np.ndarray:

@@ -22,6 +22,7 @@ from handmap_qp.output_files import replaced_file
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     SIDES,
+    WORDS,
     Entry,
     RecordingFormat,
     build_recording,
@@ -33,7 +34,7 @@ LARGEST_ARCHIVE = 1 << 30
 """Most that an archive may hold [bytes]; landmarks of an hour at 90 Hz are 163 MB."""
 Arrays = Mapping[str, np.ndarray]
 """Arrays of a file by their names."""
-_KNOWN = (*COLUMNS, "wrist_pose", "source")
+_KNOWN = (*COLUMNS, *WORDS, "wrist_pose")
 
 
 class NpzFormat(RecordingFormat):
@@ -41,8 +42,8 @@ class NpzFormat(RecordingFormat):
 
     Arrays: `time (T,)` [s], `landmarks (T, 21, 3)` [m] and `handedness`; and where they are known
     `valid (T,)`, `confidence (T,)`, `wrist (T, 4, 4)` or `wrist_pose (T, 7)` (position [m], then a
-    quaternion in the order w, x, y, z), and `source`. A file with both hands has the same names
-    with `left_` and `right_` before them, without `handedness`.
+    quaternion in the order w, x, y, z), and the words `source` and `upright`. A file with
+    both hands has the same names with `left_` and `right_` before them, without `handedness`.
     """
 
     name = "npz"
@@ -75,7 +76,7 @@ class NpzFormat(RecordingFormat):
         )
         arrays = _read(path, needed, known)
         own: dict[str, Any] = {n.removeprefix(prefix): arrays[n] for n in arrays}
-        own["source"] = str(own.get("source", ""))
+        own |= {name: str(own.get(name, "")) for name in WORDS}
         return build_recording(path, entry, **own, prefix=prefix)
 
     def unread(self, path: Path) -> tuple[str, ...]:
@@ -89,7 +90,7 @@ class NpzFormat(RecordingFormat):
         arrays: dict[str, np.ndarray] = {}
         for recording in recordings:
             prefix = f"{recording.side}_" if len(recordings) > 1 else ""
-            own = {name: getattr(recording, name) for name in (*COLUMNS, "source")}
+            own = {name: getattr(recording, name) for name in (*COLUMNS, *WORDS)}
             own["handedness"] = "" if prefix else recording.side
             arrays |= {
                 prefix + name: np.asarray(value)

@@ -36,6 +36,10 @@ Of the wrist's pose they are the upper three rows, row by row.
 """
 
 
+WORDS = ("source", "upright")
+"""Fields of `Recording` that are words, and empty where they are not known."""
+
+
 def _is_apart(recording: Recording) -> bool:
     """Tell whether the wrist's pose is elsewhere than the first landmark in a valid sample."""
     if recording.wrist is None:
@@ -48,6 +52,7 @@ LOSSES: dict[str, tuple[str, Callable[[Recording], bool]]] = {
     "wrist": ("the wrist's orientation", lambda r: r.wrist is not None),
     "confidence": ("the confidence", lambda r: r.confidence is not None),
     "source": ("the words about the source", lambda r: r.source != ""),
+    "upright": ("which axes are up and forward", lambda r: r.upright != ""),
     "no wrist": (
         "that the wrist's orientation is unknown",
         lambda r: r.wrist is None,
@@ -228,7 +233,7 @@ def build_recording(
     wrist_pose: Any = None,
     confidence: Any = None,
     name: str = "",
-    source: str = "",
+    **words: str,
 ) -> Recording:
     """Build a recording from the arrays of a file; samples that are not finite are not valid.
 
@@ -245,7 +250,7 @@ def build_recording(
             (T, 7); it counts as none if one is not finite in a valid sample.
         confidence: As of `Recording`; an array of NaN counts as none.
         name: As of `Recording`; `entry_stem` if empty.
-        source: As of `Recording`.
+        words: Those of `WORDS`.
 
     Raises:
         RecordingError: If `Recording` does not take them.
@@ -273,9 +278,9 @@ def build_recording(
             points,
             seen,
             entry.side,
-            source,
-            poses,
-            _if_known(confidence, "confidence"),
+            wrist=poses,
+            confidence=_if_known(confidence, "confidence"),
+            **words,
         )
 
 

@@ -43,7 +43,7 @@ class CsvFormat(RecordingFormat):
     name = "csv"
     suffixes = (".csv",)
     about = "a text table with a row for each sample; numbers are kept exactly"
-    lacks = ("source",)
+    lacks = ("source", "upright")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands by their rows."""

@@ -28,10 +28,12 @@ from handmap_qp.errors import InvalidInputError, expect, require
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import replaced_path
+from handmap_qp.se3 import affine
 from handmap_qp.trackers.formats.archive import LARGEST_ARCHIVE
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
     SIDES,
+    WORDS,
     Entry,
     RecordingFormat,
     build_recording,
@@ -85,28 +87,25 @@ def numbers(
     """
     h5py = require("h5py", "files")
     # The objects of h5py's upper layer take four times as long, and EgoDex has 43 arrays a hand.
-    # What it does not read is left to them.
+    item: Any = None
+    size: tuple[int, ...] = ()
     with suppress(KeyError, TypeError, OSError):
-        array = h5py.h5d.open(group.id, name.encode())
-        size = array.shape
-        if size[: len(shape)] == shape and 8 * math.prod(size) <= LARGEST_ARCHIVE:
-            found = np.empty(size)
-            everything = h5py.h5s.ALL
-            array.read(everything, everything, found, h5py.h5t.NATIVE_DOUBLE)
-            return found
-    item = group.get(name)
+        item = h5py.h5d.open(group.id, name.encode())
+        size = item.shape
     problem = ""
-    if not hasattr(item, "dtype"):
+    if item is None:
         problem = f"is missing; there are {first_of(sorted(group), 6) or 'none'}"
-    elif item.shape[: len(shape)] != shape or item.dtype.kind not in "biuf":
+    elif size[: len(shape)] != shape or item.dtype.kind not in "biuf":
         sizes = ", ".join(map(str, shape))
-        got = f"{item.dtype} of shape {item.shape}"
+        got = f"{item.dtype} of shape {size}"
         problem = f"expected numbers of shape ({sizes}), got {got}"
-    elif item.nbytes > LARGEST_ARCHIVE:
+    elif item.dtype.itemsize * math.prod(size) > LARGEST_ARCHIVE:
         problem = f"is larger than the {LARGEST_ARCHIVE >> 20} MB that are read"
     if problem:
         raise InvalidInputError(problem, argument=f"{group.name.rstrip('/')}/{name}")
-    return item[()].astype(float, copy=False)
+    found = np.empty(size, item.dtype)
+    item.read(h5py.h5s.ALL, h5py.h5s.ALL, found)
+    return found.astype(float, copy=False)
 
 
 @contextmanager
@@ -162,7 +161,7 @@ class RobomimicFormat(_Hdf5Format):
 
     `obs` of each demonstration has `landmarks (N, 63)` [m], `time (N,)` [s], `valid (N,)`, and
     where they are known `confidence (N,)` and `wrist (N, 12)`, the upper three rows of its pose.
-    Name, side and source are attributes.
+    Name, side, source and the axes that are up and forward are attributes.
     """
 
     name = "robomimic"
@@ -194,7 +193,7 @@ class RobomimicFormat(_Hdf5Format):
                 for name in COLUMNS
                 if name in obs or name == "time"
             }
-            for key in ("name", "source"):
+            for key in ("name", *WORDS):
                 columns[key] = str(demo.attrs.get(key, ""))
         return build_recording(path, entry, **columns, prefix=f"data/{entry.name}/obs/")
 
@@ -218,7 +217,7 @@ class RobomimicFormat(_Hdf5Format):
             for i, recording in enumerate(recordings):
                 demo = data.create_group(f"demo_{i}")
                 demo.attrs["num_samples"] = len(recording)
-                for key in ("name", "side", "source"):
+                for key in ("name", "side", *WORDS):
                     demo.attrs[key] = getattr(recording, key)
                 obs = demo.create_group("obs")
                 for name in known_columns(recording):
@@ -244,7 +243,7 @@ class EgoDexFormat(_Hdf5Format):
     name = "egodex"
     group = "transforms"
     about = "EgoDex's HDF5, poses of ARKit's joints; one recording of each hand"
-    lacks = ("source", "no wrist", "wrist position", "no confidence")
+    lacks = ("source", "upright", "no wrist", "wrist position", "no confidence")
 
     def entries(self, path: Path) -> tuple[Entry, ...]:
         """List the hands whose wrist the file has."""
@@ -311,14 +310,14 @@ class EgoDexFormat(_Hdf5Format):
             file["time"] = recordings[0].time
             for recording in recordings:
                 given = 1.0 if recording.confidence is None else recording.confidence
-                poses = np.tile(np.eye(4), (21, len(recording), 1, 1))
-                poses[:, :, :3, 3] = recording.landmarks.transpose(1, 0, 2)
+                turns = np.tile(np.eye(3), (21, len(recording), 1, 1))
                 if recording.wrist is None:
                     seen = recording.valid
                     sign = 1.0 if recording.side == "right" else -1.0
-                    poses[0, seen, :3, :3] = palm_axes(recording.landmarks[seen], sign)
+                    turns[0, seen] = palm_axes(recording.landmarks[seen], sign)
                 else:
-                    poses[0, :, :3, :3] = recording.wrist[:, :3, :3]
+                    turns[0] = recording.wrist[:, :3, :3]
+                poses = affine(turns, recording.landmarks.swapaxes(0, 1))
                 for name, pose in zip(joint_names(recording.side), poses, strict=True):
                     file[f"transforms/{name}"] = pose
                     file[f"confidences/{name}"] = np.where(recording.valid, given, 0.0)

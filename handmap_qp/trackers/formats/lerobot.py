@@ -22,6 +22,7 @@ from handmap_qp.human.recording import Recording, finite_samples
 from handmap_qp.output_files import check_new, make_folder, sync, writing
 from handmap_qp.trackers.formats.base import (
     COLUMNS,
+    WORDS,
     Entry,
     RecordingFormat,
     column,
@@ -68,7 +69,7 @@ class LeRobotFormat(RecordingFormat):
     """A folder with one episode for each hand and recording; lossless.
 
     LeRobot's own `timestamp` is the frame over `fps`; the tracker's instants are in
-    `observation.time` [s]. Name, side and source of a recording are columns of `meta/episodes`.
+    `observation.time` [s]. The words about a recording are columns of `meta/episodes`.
     """
 
     name = "lerobot"
@@ -110,7 +111,7 @@ class LeRobotFormat(RecordingFormat):
         with writing_set(path, fps=fps, features=features, robot_type=kind) as writer:
             for own in recordings:
                 columns = {name: column(own, field) for name, field in fields.items()}
-                about = {"name": own.name, "side": own.side, "source": own.source}
+                about = {key: getattr(own, key) for key in ("name", "side", *WORDS)}
                 writer.add(columns, f"{own.side} human hand", about)
 
 
@@ -287,7 +288,7 @@ class LeRobotWriter:
         """
         self._write_episodes()
         # With the index that pandas, and so LeRobot, reads the tasks by.
-        about = json.loads(_TASKS.read_text(encoding="utf-8"))
+        about = json.loads(_TASKS.read_bytes())
         about["creator"]["version"] = self._pa.__version__
         columns = {"task_index": list(self._tasks.values()), "task": list(self._tasks)}
         metadata = {"pandas": json.dumps(about)}

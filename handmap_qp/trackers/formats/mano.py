@@ -63,7 +63,7 @@ class ManoFormat(RecordingFormat):
     name = "mano"
     suffixes = (".npz",)
     about = "MANO's 21 joints, or its parameters with your copy of the licensed model"
-    lacks = ("wrist", "confidence", "source")
+    lacks = ("wrist", "confidence", "source", "upright")
 
     def __init__(self, model: Path | None = None) -> None:
         self._model = model
@@ -136,9 +136,9 @@ def _joints_of_parameters(
 ) -> np.ndarray:
     """Return the joints of parameters in MANO's order [m], shape (T, 21, 3)."""
     if "flat_hand_mean" not in arrays:
-        problem = "has no array 'flat_hand_mean'"
-        meaning = "which says whether a pose of 0 is the flat hand"
-        raise InvalidInputError(f"{problem}, {meaning}")
+        raise InvalidInputError(
+            "has no array 'flat_hand_mean', which says whether a pose of 0 is the flat hand"
+        )
 
     def given(name: str, *shape: int | str, default: Any = None) -> np.ndarray:
         return as_floats(arrays.get(name, default), name, shape=shape, is_finite=True)
@@ -273,12 +273,15 @@ class _Shell:
 
 
 _ALLOWED = {
-    "numpy.core.multiarray": ("_reconstruct", "scalar"),
-    "numpy._core.multiarray": ("_reconstruct", "scalar"),
-    "numpy": ("ndarray", "dtype"),
-    "_codecs": ("encode",),
-    "scipy.sparse.csc": ("csc_matrix",),
-    "scipy.sparse._csc": ("csc_matrix",),
+    "numpy.core.multiarray._reconstruct",
+    "numpy.core.multiarray.scalar",
+    "numpy._core.multiarray._reconstruct",
+    "numpy._core.multiarray.scalar",
+    "numpy.ndarray",
+    "numpy.dtype",
+    "_codecs.encode",
+    "scipy.sparse.csc.csc_matrix",
+    "scipy.sparse._csc.csc_matrix",
 }
 
 
@@ -288,8 +291,9 @@ class _ArrayUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if module.partition(".")[0] == "chumpy":
             return _Shell
-        if name not in _ALLOWED.get(module, ()):
-            raise pickle.UnpicklingError(f"holds {module}.{name}, which is not read")
+        place = f"{module}.{name}"
+        if place not in _ALLOWED:
+            raise pickle.UnpicklingError(f"holds {place}, which is not read")
         return super().find_class(module, name)
 
 

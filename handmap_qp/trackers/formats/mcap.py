@@ -58,7 +58,7 @@ class McapFormat(RecordingFormat):
     about = (
         "a ROS 2 bag: sensor_msgs/JointState, and landmarks as geometry_msgs/PoseArray"
     )
-    lacks = ("digits of time", "source", "unseen", "digits of wrist")
+    lacks = ("digits of time", "source", "upright", "unseen", "digits of wrist")
 
     def recognises(self, path: Path) -> bool:
         """Tell whether it is a file, or the folder of a bag."""
@@ -79,8 +79,11 @@ class McapFormat(RecordingFormat):
             name = _main(topics)
             logs, messages = zip(*_messages(bag, name), strict=True)
             times = [_instant(message) for message in messages]
-            poses = _messages(bag, topics.get("wrist"))
-            sevens = {_instant(message): _seven(message) for _, message in poses}
+            sevens = {}
+            for _, message in _messages(bag, topics.get("wrist")):
+                p = message.pose.position
+                q = message.pose.orientation
+                sevens[_instant(message)] = p.x, p.y, p.z, q.w, q.x, q.y, q.z
             wrists = np.array([sevens.get(time, _NOWHERE) for time in times])
             shares = {
                 log: message.data
@@ -189,13 +192,6 @@ def _instant(message: Any) -> float:
     return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
 
-def _seven(message: Any) -> tuple[float, ...]:
-    """Return position and quaternion w, x, y, z of a pose."""
-    p = message.pose.position
-    q = message.pose.orientation
-    return p.x, p.y, p.z, q.w, q.x, q.y, q.z
-
-
 def _points(message: Any) -> list[tuple[float, float, float]]:
     """Return the landmarks of a message [m]."""
     count = len(message.poses)
@@ -224,9 +220,7 @@ def _forward(
             if name not in angles:
                 raise InvalidInputError(f"a message has no position of joint {name!r}")
         q = np.array([angles[name] for name in HUMAN_JOINTS])
-        pose = None
-        if has_pose[i]:
-            pose = pose_from_xyz_quat(wrists[i], "wxyz", "wrist")
+        pose = pose_from_xyz_quat(wrists[i], "wxyz", "wrist") if has_pose[i] else None
         # Where the bag has wrists, a hand without one is nowhere.
         if np.isfinite(q).all() and has_pose[i] == has_pose.any():
             rows[i] = human.points(q, pose)
@@ -256,6 +250,10 @@ def _write_hand(writer: Any, recording: Recording) -> None:
             types["geometry_msgs/msg/Quaternion"](x, y, z, w),
         )
 
+    def put(stamp: int, kind: str, *values: Any) -> None:
+        content = store.serialize_cdr(types[kind](*values), kind)
+        writer.write(topics[kind], stamp, content)
+
     names = list(motion.human.joint_names)
     none = np.zeros(0)
     landmarks = np.where(recording.valid[:, None, None], recording.landmarks, np.nan)
@@ -263,17 +261,12 @@ def _write_hand(writer: Any, recording: Recording) -> None:
         stamp = round(1e9 * time)
         instant = types["builtin_interfaces/msg/Time"](*divmod(stamp, 10**9))
         header = types["std_msgs/msg/Header"](instant, _FRAME)
-        values: dict[str, tuple[Any, ...]] = {
-            _POSES: (header, [pose(point) for point in landmarks[i]])
-        }
+        put(stamp, _POSES, header, [pose(point) for point in landmarks[i]])
         if motion.valid[i]:
-            values[_STATE] = (header, names, motion.q[i], none, none)
+            put(stamp, _STATE, header, names, motion.q[i], none, none)
         if recording.wrist is not None and recording.valid[i]:
             own = recording.wrist[i]
             quat = quat_wxyz_from_rotation(own[:3, :3]).tolist()
-            values[_POSE] = (header, pose(own[:3, 3], quat))
+            put(stamp, _POSE, header, pose(own[:3, 3], quat))
         if recording.confidence is not None:
-            values[_NUMBER] = (float(recording.confidence[i]),)
-        for kind, given in values.items():
-            content = store.serialize_cdr(types[kind](*given), kind)
-            writer.write(topics[kind], stamp, content)
+            put(stamp, _NUMBER, float(recording.confidence[i]))

@@ -20,9 +20,14 @@ from handmap_qp.errors import InvalidInputError, did_you_mean, expect
 from handmap_qp.hands.hand import Hand, Points
 from handmap_qp.hands.human import HumanLengths
 from handmap_qp.hands.library import load_hand
-from handmap_qp.hands.spec import Document, Side
+from handmap_qp.hands.spec import Document, Side, Upright
 from handmap_qp.human.fit import LandmarkFitter
-from handmap_qp.human.recording import Recording, as_flags, finite_samples
+from handmap_qp.human.recording import (
+    Recording,
+    as_flags,
+    axis_direction,
+    finite_samples,
+)
 from handmap_qp.human.sample import HumanSample, check_side, human_name
 from handmap_qp.se3 import QuatOrder, affine, as_floats, check_poses, pose_from_xyz_quat
 from handmap_qp.trackers.layouts import LAYOUTS
@@ -81,6 +86,8 @@ class LayoutTable(Document, frozen=True, tag_field="kind"):
         axes: Directions of the world's axes, in words.
         values: What one sample is, in words.
         missing: What the tracker does not give.
+        upright: Axes of our world, after `mirror`, that are up and forward; empty where they are
+            not known.
         mirror: Axis to negate, where the coordinates are left-handed; None where they are not.
         arrays: Names that a file's array of these values usually has.
         time: Names that a table's column of time usually has, with the length of its unit [s].
@@ -93,6 +100,7 @@ class LayoutTable(Document, frozen=True, tag_field="kind"):
     axes: str
     values: str
     missing: tuple[str, ...] = ()
+    upright: Upright = ""
     mirror: Literal["x", "y", "z"] | None = None
     arrays: tuple[str, ...] = ()
     time: dict[str, float] = msgspec.field(default_factory=dict)
@@ -125,6 +133,9 @@ class Layout(abc.ABC):
 
     Attributes:
         table: All that the table says.
+        name: Its short name.
+        title: Device or data set, and its programming interface.
+        wrist_table: How a wrist pose is obtained; None if it cannot be.
         shapes: Shapes that one sample may have, the usual one first.
         columns: Names of the numbers of one sample in a table of columns.
         aliases: Further names of columns.
@@ -135,6 +146,9 @@ class Layout(abc.ABC):
 
     def __init__(self, table: LayoutTable) -> None:
         self.table = table
+        self.name = table.name
+        self.title = table.title
+        self.wrist_table: WristTable | None = getattr(table, "wrist", None)
         self.shapes: tuple[tuple[int, ...], ...] = ()
         self.columns: tuple[str, ...] = ()
         self.aliases: dict[str, tuple[str, ...]] = {}
@@ -143,21 +157,6 @@ class Layout(abc.ABC):
         length = 1.0 if table.unit in ("deg", "rad") else UNITS[table.unit]
         scales = [-length if axis == table.mirror else length for axis in "xyz"]
         self.world = np.diag([*scales, 1.0])
-
-    @property
-    def name(self) -> str:
-        """Short name."""
-        return self.table.name
-
-    @property
-    def title(self) -> str:
-        """Device or data set, and its programming interface."""
-        return self.table.title
-
-    @property
-    def wrist_table(self) -> WristTable | None:
-        """How a wrist pose is obtained; None if it cannot be."""
-        return getattr(self.table, "wrist", None)
 
     def wrist_axes(self, side: Side) -> np.ndarray:
         """Return what takes points in our wrist's frame [m] to the tracker's own, shape (4, 4).
@@ -169,8 +168,8 @@ class Layout(abc.ABC):
         if table is not None:
             axes = table.left if side == "left" and table.left else table.right
             reflection = np.sign(self.world[:3, :3])
-            distal = reflection @ _direction(axes.distal)
-            dorsal = reflection @ _direction(axes.dorsal)
+            distal = reflection @ axis_direction(axes.distal)
+            dorsal = reflection @ axis_direction(axes.dorsal)
             turn = axes_convention(distal, dorsal)
         return np.linalg.inv(self.world) @ affine(turn.T, np.zeros(3))
 
@@ -299,7 +298,14 @@ class Layout(abc.ABC):
         landmarks, poses, seen = self._convert(values, side, wrists, valid, lengths)
         times = np.asarray(time, dtype=float)
         return Recording(
-            name, times, landmarks, seen, side, f"layout {self.name}", wrist=poses
+            name,
+            times,
+            landmarks,
+            seen,
+            side,
+            f"layout {self.name}",
+            poses,
+            upright=self.table.upright,
         )
 
     def _convert(
@@ -433,8 +439,3 @@ def sized_human(
     """Return the human hand of a person, or a typical one, its points the landmarks."""
     size = TYPICAL_LENGTH if lengths is None else None
     return load_hand(human_name(side), points=points, lengths=lengths, hand_length=size)
-
-
-def _direction(axis: Axis) -> np.ndarray:
-    sign, name = axis
-    return float(f"{sign}1") * np.eye(3)["xyz".index(name)]

@@ -1,0 +1,50 @@
+"""`handmap hands check` moves a hand on an arm in six directions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handmap_qp import cli, load_hand
+from handmap_qp.apps.onboarding.measure import measure_directions
+from handmap_qp.apps.onboarding.picture import _Scene
+
+BARE = load_hand("allegro_right")
+
+
+@pytest.mark.parametrize("name", ["ur5_allegro", "g1_arm_left"])
+@pytest.mark.parametrize(
+    "upright", ["+y up, -z forward", "+z up, +y forward", "-x up, +y forward"]
+)
+def test_a_hand_on_an_arm_goes_where_the_persons_goes(name: str, upright: str) -> None:
+    rows = measure_directions(load_hand(name), upright)
+    ways = ("forward", "left", "up", "back", "right", "down")
+    for way, row in zip(ways, rows, strict=True):
+        assert row["direction"] == f"hand {way} -> robot {way}"
+        assert row["degrees off"] < 5.0
+        assert np.linalg.norm(row["robot moved, mm"]) > 40.0
+
+
+def test_a_bare_hand_has_no_directions_to_check() -> None:
+    assert measure_directions(BARE) == []
+
+
+def test_the_picture_has_them() -> None:
+    hand = load_hand("ur5_allegro")
+    scene = _Scene(hand, *measure_directions(hand))
+    labels = [label for _, label, _ in scene.arrows]
+    assert labels[3:] == [row["direction"] for row in measure_directions(hand)]
+    ends = np.array([tip for tip, *_ in scene.arrows[3:]])
+    # Forward is against back, left against right, up against down.
+    np.testing.assert_allclose(ends[:3], -ends[3:], atol=0.02 * scene.size)
+
+
+@pytest.mark.slow
+def test_they_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / "ur5.png"
+    words = ["hands", "check", "ur5_allegro", "--picture", str(picture)]
+    assert cli.main(words) == 0
+    assert "hand up -> robot up" in capsys.readouterr().out
+    assert picture.is_file()
