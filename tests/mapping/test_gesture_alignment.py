@@ -87,7 +87,8 @@ def test_align_prints_the_option(
     values = [float(word) for word in option.split()[1:]]
     np.testing.assert_allclose(values, rotation.ravel(), atol=1e-6)
     np.testing.assert_allclose(json.loads(line.partition(": ")[2]), rotation, atol=1e-6)
-    # Both are taken.
+    # Both are taken, and no number is one that YAML takes for a text.
+    assert "e-" not in line
     (tmp_path / "options.yaml").write_text(line)
     out = ["--out", str(tmp_path / "out.npz"), "--json"]
     mapping = ["map", str(file), "--robot", "ur5_allegro", *out]
@@ -95,8 +96,10 @@ def test_align_prints_the_option(
         assert cli.main([*mapping, *words]) == 0
         said = json.loads(capsys.readouterr().out)["alignment"]
         np.testing.assert_allclose(said, rotation, atol=1e-6)
-    assert cli.main([*align, "2.0"]) == 2
+    assert cli.main([*align, "2.1"]) == 2
     assert "5 cm or more" in capsys.readouterr().err
+    assert cli.main([*align, "1.5"]) == 2
+    assert "instants from 0 on, in order" in capsys.readouterr().err
     assert cli.main([*align, "8"]) == 2
     assert "at which the hand is seen" in capsys.readouterr().err
     NpzFormat().write([hand(valid=np.arange(180) < 90)], file)
