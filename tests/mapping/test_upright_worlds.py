@@ -99,6 +99,12 @@ def test_what_is_no_frame_is_one_clear_error(upright: str) -> None:
         hand(upright=upright)
 
 
+@pytest.mark.parametrize("upright", [1, None, b"+y up, -z forward", ["x"]])
+def test_what_is_no_text_is_one_clear_error(upright: Any) -> None:
+    with pytest.raises(InvalidInputError, match="upright: expected axes"):
+        hand(upright=upright)
+
+
 def test_a_robot_whose_axes_are_one_is_refused() -> None:
     with pytest.raises(HandError, match="upright"):
         msgspec.structs.replace(ARM.spec, upright="+x up, -x forward")
