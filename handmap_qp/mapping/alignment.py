@@ -27,9 +27,9 @@ Row = tuple[Coordinate, Coordinate, Coordinate]
 Alignment = Literal["world", "palm", "y-up"] | tuple[Row, Row, Row]
 """Rotation from the human's world axes to the robot's."""
 
+_MIRRORED = "reach to your left; if you did, negate an axis (`mirror` of a layout)"
 # A reach is at least so long [m], and within 20 degrees of its axis; two reaches that are at 60
 # degrees are each 15 off.
-_MIRRORED = "reach to your left; if you did, negate an axis (`mirror` of a layout)"
 _SHORTEST_REACH = 0.05
 _LEAST_COSINE = 0.94
 _ROTATIONS = {
