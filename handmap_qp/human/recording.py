@@ -68,7 +68,7 @@ class Recording:
         landmarks = as_floats(self.landmarks, "landmarks", shape=shape)
         valid = as_flags(self.valid, "valid", count)
         check_side(self.side)
-        if self.upright:
+        if self.upright != "":
             upright_axes(self.upright)
         expect(valid.any(), "valid", "at least one valid sample", got="none")
         is_right = ~valid | finite_samples(landmarks)
@@ -156,7 +156,8 @@ def upright_axes(upright: str) -> np.ndarray:
         InvalidInputError: If it is not as of `Upright`.
     """
     expected = "axes at right angles, such as '+y up, -z forward'"
-    expect(re.match(UPRIGHT, upright), "upright", expected, value=upright)
+    is_frame = isinstance(upright, str) and re.match(UPRIGHT, upright)
+    expect(is_frame, "upright", expected, value=upright)
     z, x = map(axis_direction, upright.split()[::2])
     return np.array([x, np.cross(z, x), z])
 
@@ -173,9 +174,12 @@ def turned(
         changes: Further fields that change.
     """
     wrist = recording.wrist
+    # Samples that are not valid may hold anything.
+    with np.errstate(invalid="ignore"):
+        landmarks = recording.landmarks @ turn.T
     return replace(
         recording,
-        landmarks=recording.landmarks @ turn.T,
+        landmarks=landmarks,
         wrist=None if wrist is None else affine(turn, np.zeros(3)) @ wrist @ own,
         **changes,
     )

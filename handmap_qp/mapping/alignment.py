@@ -27,6 +27,7 @@ Row = tuple[Coordinate, Coordinate, Coordinate]
 Alignment = Literal["world", "palm", "y-up"] | tuple[Row, Row, Row]
 """Rotation from the human's world axes to the robot's."""
 
+_MIRRORED = "reach to your left; if you did, negate an axis (`mirror` of a layout)"
 # A reach is at least so long [m], and within 20 degrees of its axis; two reaches that are at 60
 # degrees are each 15 off.
 _SHORTEST_REACH = 0.05
@@ -124,7 +125,7 @@ def alignment_from_gestures(reaches: npt.ArrayLike) -> np.ndarray:
         "reaches",
         "5 cm or more, within 20 degrees of the axes of a right-handed world",
         got=f"{size.round(3)} m, cosines to these axes {cosines.round(2)}",
-        advice="reach to your left; if you did, negate an axis (`mirror` of a layout)",
+        advice=_MIRRORED if np.linalg.det(ways) < 0.0 else "",
     )
     return rotation
 

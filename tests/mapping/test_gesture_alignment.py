@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,30 +11,11 @@ import pinocchio as pin
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from reach_cases import WAYS, reaching_hand
 
-from handmap_qp import InvalidInputError, Recording, cli, load_hand
+from handmap_qp import InvalidInputError, cli
 from handmap_qp.mapping.alignment import alignment_from_gestures, rotation_of
 from handmap_qp.trackers.formats.archive import NpzFormat
-
-HUMAN = load_hand("human", points="landmarks")
-WAYS = np.array([[0.0, 0.0, -0.3], [-0.3, 0.0, 0.0], [0.0, 0.3, 0.0]])
-"""Reaches forward, to the left and up in a headset's world [m]."""
-
-
-def hand(**changes: Any) -> Recording:
-    """A hand that reaches forward, to the left and up in a headset's world, a second each."""
-    time = np.arange(180) / 60.0
-    share = np.clip(time[:, None] - np.arange(3), 0.0, 1.0)
-    still = HUMAN.points(HUMAN.rest, np.eye(4))
-    values: dict[str, Any] = {
-        "name": "reaches",
-        "time": time,
-        "landmarks": still + (share @ WAYS)[:, None],
-        "valid": np.ones(180, dtype=bool),
-        "side": "right",
-        **changes,
-    }
-    return Recording(**values)
 
 
 @given(
@@ -79,7 +59,7 @@ def test_align_prints_the_option(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "reaches.npz"
-    NpzFormat().write([hand()], file)
+    NpzFormat().write([reaching_hand()], file)
     align = ["align", str(file), "--at", "0", "1", "2"]
     assert cli.main([*align, "2.9"]) == 0
     option, _, line = capsys.readouterr().out.splitlines()
@@ -87,7 +67,8 @@ def test_align_prints_the_option(
     values = [float(word) for word in option.split()[1:]]
     np.testing.assert_allclose(values, rotation.ravel(), atol=1e-6)
     np.testing.assert_allclose(json.loads(line.partition(": ")[2]), rotation, atol=1e-6)
-    # Both are taken.
+    # Both are taken, and no number is one that YAML takes for a text.
+    assert "e-" not in line
     (tmp_path / "options.yaml").write_text(line)
     out = ["--out", str(tmp_path / "out.npz"), "--json"]
     mapping = ["map", str(file), "--robot", "ur5_allegro", *out]
@@ -95,10 +76,12 @@ def test_align_prints_the_option(
         assert cli.main([*mapping, *words]) == 0
         said = json.loads(capsys.readouterr().out)["alignment"]
         np.testing.assert_allclose(said, rotation, atol=1e-6)
-    assert cli.main([*align, "2.0"]) == 2
+    assert cli.main([*align, "2.1"]) == 2
     assert "5 cm or more" in capsys.readouterr().err
+    assert cli.main([*align, "1.5"]) == 2
+    assert "instants from 0 on, in order" in capsys.readouterr().err
     assert cli.main([*align, "8"]) == 2
     assert "at which the hand is seen" in capsys.readouterr().err
-    NpzFormat().write([hand(valid=np.arange(180) < 90)], file)
+    NpzFormat().write([reaching_hand(valid=np.arange(180) < 90)], file)
     assert cli.main([*align, "2.9"]) == 2
     assert "at which the hand is seen" in capsys.readouterr().err

@@ -11,8 +11,9 @@ import msgspec
 import numpy as np
 import pinocchio as pin
 import pytest
+from reach_cases import HUMAN, reaching_hand
 
-from handmap_qp import HandError, InvalidInputError, Recording, cli, load_hand
+from handmap_qp import HandError, InvalidInputError, cli, load_hand
 from handmap_qp.apps.arguments import MappingArguments, MethodFlags
 from handmap_qp.apps.offline.comparison import in_world_of
 from handmap_qp.apps.service.opening import read_choice
@@ -35,27 +36,8 @@ PAIRS = [
     if up[1] != forward[1]
 ]
 HEADSET = "+y up, -z forward"
-HUMAN = load_hand("human", points="landmarks")
 ARM = load_hand("ur5_allegro")
 BARE = load_hand("allegro_right")
-WAYS = np.array([[0.0, 0.0, -0.3], [0.0, 0.3, 0.0], [-0.3, 0.0, 0.0]])
-"""Reaches forward, up and to the left in a headset's world [m]."""
-
-
-def hand(**changes: Any) -> Recording:
-    """A hand that reaches forward, up and to the left in a headset's world, a second each."""
-    time = np.arange(180) / 60.0
-    share = np.clip(time[:, None] - np.arange(3), 0.0, 1.0)
-    still = HUMAN.points(HUMAN.rest, np.eye(4))
-    values: dict[str, Any] = {
-        "name": "reaches",
-        "time": time,
-        "landmarks": still + (share @ WAYS)[:, None],
-        "valid": np.ones(180, dtype=bool),
-        "side": "right",
-        **changes,
-    }
-    return Recording(**values)
 
 
 @pytest.mark.parametrize("standing", PAIRS)
@@ -96,7 +78,13 @@ def test_what_is_no_frame_is_one_clear_error(upright: str) -> None:
     with pytest.raises(InvalidInputError, match="at right angles"):
         upright_axes(upright)
     with pytest.raises(InvalidInputError, match="at right angles"):
-        hand(upright=upright)
+        reaching_hand(upright=upright)
+
+
+@pytest.mark.parametrize("upright", [1, None, b"+y up, -z forward", ["x"]])
+def test_what_is_no_text_is_one_clear_error(upright: Any) -> None:
+    with pytest.raises(InvalidInputError, match="upright: expected axes"):
+        reaching_hand(upright=upright)
 
 
 def test_a_robot_whose_axes_are_one_is_refused() -> None:
@@ -169,7 +157,7 @@ def test_the_mirror_stands_across_the_tracker() -> None:
     wrist = np.tile(np.eye(4), (180, 1, 1))
     wrist[:, :3, :3] = pin.exp3(np.array([0.4, -0.2, 0.7]))
     for axes in PAIRS:
-        given = hand(wrist=wrist, upright=axes)
+        given = reaching_hand(wrist=wrist, upright=axes)
         other = mirrored(given)
         sides = np.ones(3)
         sides["xyz".index(({*"xyz"} - {*axes}).pop())] = -1.0
@@ -181,7 +169,7 @@ def test_the_mirror_stands_across_the_tracker() -> None:
 
 
 def test_a_comparison_is_made_in_the_robots_world() -> None:
-    given = hand(upright=HEADSET, wrist=np.tile(np.eye(4), (180, 1, 1)))
+    given = reaching_hand(upright=HEADSET, wrist=np.tile(np.eye(4), (180, 1, 1)))
     turned = in_world_of(ARM, given)
     rotation = rotation_of("y-up")
     np.testing.assert_allclose(turned.landmarks, given.landmarks @ rotation.T)
@@ -189,14 +177,14 @@ def test_a_comparison_is_made_in_the_robots_world() -> None:
     np.testing.assert_array_equal(turned.wrist[0, :3, :3], rotation)
     assert turned.upright == "+z up, +x forward"
     assert in_world_of(BARE, given) is given
-    assert in_world_of(ARM, hand()).upright == ""
+    assert in_world_of(ARM, reaching_hand()).upright == ""
 
 
 def test_map_says_how_it_aligns(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "headset.npz"
-    NpzFormat().write([hand(upright=HEADSET)], file)
+    NpzFormat().write([reaching_hand(upright=HEADSET)], file)
     out = ["--out", str(tmp_path / "out.npz")]
     assert cli.main(["map", str(file), "--robot", "ur5_allegro", *out]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -219,7 +207,7 @@ def test_a_user_may_state_the_axes_of_a_layout(tmp_path: Path) -> None:
 
 
 def test_files_keep_the_axes(tmp_path: Path) -> None:
-    given = hand(upright=HEADSET)
+    given = reaching_hand(upright=HEADSET)
     file = tmp_path / "headset.npz"
     NpzFormat().write([given, mirrored(given)], file)
     for entry in NpzFormat().entries(file):

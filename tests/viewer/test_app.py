@@ -109,6 +109,16 @@ def test_replay_gives_the_commands_of_map_recording(preset: str) -> None:
     assert replay.robot.reference_points == mapper.robot.reference_points
 
 
+def test_every_preset_of_a_replay_is_aligned_as_the_first_one() -> None:
+    motion = closing_motion()
+    recording = replace(closing_recording(), upright="+y up, -z forward")
+    robot = load_hand("ur5_allegro")
+    for name in ("teleoperation", "object"):
+        choice = preset_choice(name, motion.human)
+        replay = Replay(recording, motion, motion.human, robot, choice)
+        assert replay.preset(name).method.values["alignment"] == "y-up"
+
+
 def test_replay_shows_the_reference_until_the_hand_is_seen() -> None:
     valid = np.arange(COUNT) >= 7
     motion = replace(closing_motion(), valid=valid)

@@ -222,10 +222,11 @@ class TrackRecord:
 
     def run(self) -> None:
         """Record until the session ends or Ctrl-C."""
+        recorder = Recorder(self.out, "OUT")
         source = live.service.ServiceSource(
             self.source, session=self.session, keys=self.keys
         )
-        recorder = Recorder(self.out, "OUT", source.upright)
+        recorder.upright = source.upright
         _lead(source, [recorder], is_json=self.json)
 
 

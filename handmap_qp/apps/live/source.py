@@ -167,7 +167,7 @@ class Recorder:
     def __init__(self, file: Path, argument: str = "file", upright: str = "") -> None:
         self.file = check_output(argument, file, SUFFIXES)
         self._argument = argument
-        self._upright = upright
+        self.upright = upright
         self._samples: list[HumanSample] = []
         self._disordered = 0
 
@@ -200,7 +200,7 @@ class Recorder:
             side=samples[0].side,
             source="handmap track",
             **columns,
-            upright=self._upright,
+            upright=self.upright,
         )
         write_recordings([recording], self.file)
 

@@ -232,13 +232,18 @@ class Align:
     def run(self) -> None:
         """Read the recording, and print the option."""
         recording = self.inputs.read(self.recording)
+        is_order = self.at[0] >= 0.0 and np.all(np.diff(self.at) > 0.0)
+        expect(is_order, "--at", "instants from 0 on, in order", value=self.at)
         samples = np.searchsorted(recording.time - recording.time[0], self.at)
         is_seen = np.append(recording.valid, False)[samples].all()
         expect(is_seen, "--at", "instants at which the hand is seen", value=self.at)
         places = recording.landmarks[samples][:, PALM].mean(axis=1)
-        rotation = alignment_from_gestures(np.diff(places, axis=0)).round(9)
-        print("--alignment", *rotation.ravel().tolist())
-        print(f"or, in a file for --options:\nalignment: {rotation.tolist()}")
+        rotation = alignment_from_gestures(np.diff(places, axis=0))
+        # YAML takes 1e-09 for a text.
+        rows = [[f"{number:.9f}" for number in row] for row in rotation]
+        print("--alignment", *rows[0], *rows[1], *rows[2])
+        text = str(rows).replace("'", "")
+        print(f"or, in a file for --options:\nalignment: {text}")
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,8 @@ _OUT_OF_REACH = 20.0
 _ARM_MOTION = 0.25
 # A direction of the hand that an arm misses by more is worth saying [deg].
 _ASTRAY = 30.0
+# So is a shorter way for one of 50 mm [mm].
+_SHORT = 25.0
 # An arm follows if it reaches that far in this share of the directions.
 _MOST_DIRECTIONS = 0.8
 
@@ -616,9 +618,12 @@ def _check_motion(hand: Hand) -> Measures:
     directions = measure_directions(hand)
     yield "Directions", directions
     for row in directions:
-        if row["degrees off"] > _ASTRAY:
-            far = f"{row['degrees off']:.0f} degrees off"
-            yield advice("reach", f"{row['direction']}, {far}: the arm cannot go there")
+        far = lengths(np.array(row["robot moved, mm"]))
+        if row["degrees off"] > _ASTRAY or far < _SHORT:
+            way = f"{row['direction']}, {row['degrees off']:.0f} degrees off"
+            yield advice(
+                "reach", f"{way} and {far:.0f} of 50 mm: the arm cannot go there"
+            )
 
 
 _CHECKS = (

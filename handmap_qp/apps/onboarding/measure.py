@@ -278,7 +278,7 @@ def measure_directions(
         start, end = (hand.frame_pose("palm", each)[:3, 3] for each in (hand.rest, q))
         moved = end - start
         seen = upright_axes(hand.spec.upright) @ moved
-        nearest = _WAYS[np.argmax([*seen, *-seen])]
+        nearest = _WAYS[np.argmax([*seen, *-seen])] if seen.any() else "nowhere"
         rows.append(
             {
                 "direction": f"hand {name} -> robot {nearest}",

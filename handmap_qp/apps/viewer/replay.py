@@ -22,6 +22,7 @@ from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.errors import HandmapError, InvalidInputError
 from handmap_qp.hands.hand import Hand
 from handmap_qp.human.recording import HumanMotion, Recording, recording_samples
+from handmap_qp.mapping.alignment import found_alignment
 from handmap_qp.mapping.mapper import HandMapper
 from handmap_qp.mapping.method import MapStep
 from handmap_qp.mapping.options_file import options_text
@@ -99,8 +100,12 @@ class Replay:
         return possible_presets(self.human, self._given_robot)
 
     def preset(self, name: str) -> Choice:
-        """Return a preset with its own options and the measured contact gap."""
-        return preset_choice(name, self.human)
+        """Return a preset with its own options, the measured contact gap and alignment."""
+        choice = preset_choice(name, self.human)
+        upright = self._recording.upright
+        return choice.with_changes(
+            found_alignment(choice.method, self._given_robot, upright)
+        )
 
     def options_text(self) -> str:
         """Return the text of a file with the options in force."""
