@@ -219,7 +219,8 @@ def map_hands(
         for side, recording in recordings.items()
     }
     side = next(iter(robot.hands))
-    choice = arguments.preset_for(humans[side], robot.hands[side])
+    upright = recordings[side].upright
+    choice = arguments.preset_for(humans[side], robot.hands[side], upright)
     follower = RobotFollower(RobotMapper(robot, humans, choice.method, ik=choice.ik))
     steps = map(follower.map_samples, paired(recordings))
     time = max(recordings.values(), key=len).time
