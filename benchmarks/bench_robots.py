@@ -69,9 +69,9 @@ def meeting_hands() -> Hands:
     found = {}
     for side, sign in (("left", 1.0), ("right", -1.0)):
         human = load_hand(human_name(side), points="landmarks")
-        share = 0.5 - 0.5 * np.cos(3.0 * time_ + sign)
-        q = human.rest + share[:, None] * (0.6 * human.upper_limits - human.rest)
-        q = np.clip(q, human.lower_limits, human.upper_limits)
+        # They are straight where the palms are near.
+        share = (0.5 - 0.5 * np.cos(3.0 * time_ + sign)) * (1.0 - near)
+        q = 0.6 * share[:, None] * human.upper_limits
         # Each palm faces the other one; +x is forward, +y left and +z up.
         wrist = np.eye(4)
         wrist[:3, :3] = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -131,8 +131,8 @@ def measure(name: str, robot: Robot, hands: Hands, alignment: str) -> dict[str, 
             )
         ]
         (_, here), (_, there) = (palm for palm in asked if palm)
-        near.append(lengths(there - here))
-        off.append(lengths(ends[1] - ends[0] - (there - here)))
+        near.append(lengths((there - here)[:3, 3]))
+        off.append(lengths(ends[1] - ends[0] - (there - here)[:3, 3]))
     near, off = np.array(near), np.array(off)
     is_near = near < NEAR
     row: dict[str, Any] = {"robot": name, "recording": hands["left"].name}

@@ -127,15 +127,17 @@ class PalmMap:
         palm = affine(Q @ human[:3, :3] @ self.rotation, Q @ origin)
         return human, palm, points
 
-    def anchor_of(self, sample: HumanPose) -> np.ndarray:
-        """Return a sample's anchor in axes of the robot's world, times the scale [m], shape (3,).
+    def person_at(self, sample: HumanPose) -> np.ndarray:
+        """Return a sample's palm in the robot's world, about its anchor, shape (4, 4).
+
+        Its place is times the scale.
 
         Raises:
             InvalidInputError: If the wrist was not measured.
         """
         palm = palm_of(sample, self._method.human)
-        anchor = transform_points(palm, self.human_anchor)
-        return (1.0 + self.further) * self.alignment @ anchor
+        anchor = (1.0 + self.further) * transform_points(palm, self.human_anchor)
+        return affine(self.alignment @ palm[:3, :3], self.alignment @ anchor)
 
     def placed(
         self, palm: np.ndarray, points: np.ndarray

@@ -5,7 +5,7 @@
     robot.move_joints(step.command.joint_names, step.command.q)
 
 Each hand is mapped by a `Leader`: a `HandMapper` that leaves the motion to the robot. Where the
-person's palms are near each other, the robot's are kept as far apart as they are, whatever the
+person's palms are near each other, the robot's have their offset and directions, whatever the
 references were.
 """
 
@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import pinocchio as pin
 from msgspec import structs
 
 from handmap_qp.errors import HandmapError, InvalidInputError, expect
@@ -43,7 +44,7 @@ from handmap_qp.mapping.method import (
     Targets,
 )
 from handmap_qp.mapping.palm import PalmMap
-from handmap_qp.se3 import PoseLike, lengths, smoothstep, transform_points
+from handmap_qp.se3 import PoseLike, affine, lengths, smoothstep, transform_points
 
 # Distances of the person's palms at which the robot's begin to go by it, and wholly do [m].
 _NEAR = 0.4
@@ -64,8 +65,8 @@ class Asked(NamedTuple):
         rest: Joint positions that the QP's rest term pulls to, shape (n,).
         dt: Time since the last sample [s].
         speed: Share of the speed limits at which the robot may move.
-        palm: The map that the palm follows, and the person's palm in the robot's world [m], shape
-            (3,); None where the robot's hand stays, or the method moves no palm.
+        palm: The map that the palm follows, and the person's palm in the robot's world, shape (4,
+            4); None where the robot's hand stays, or the method moves no palm.
     """
 
     targets: Targets
@@ -125,7 +126,7 @@ class Leader(HandMapper):
         palm = None
         leading = self._reference and self._reference.map
         if isinstance(leading, PalmMap):
-            palm = leading, leading.anchor_of(sample)
+            palm = leading, leading.person_at(sample)
         self.asked = Asked(asked, rest, dt, speed, palm)
         self.is_staying = False
         return _unmoved(sample, asked)
@@ -383,30 +384,33 @@ class RobotMapper:
     def _together(
         self, asked: list[Asked], points: list[np.ndarray], wrists: np.ndarray
     ) -> list[Task]:
-        """Move the targets of near palms to where their offset is the person's.
+        """Move the targets of near palms to where one is seen from the other as the person's is.
 
         Returns:
-            The task of that offset, for palms that cannot come there.
+            The task of their offset, for palms that cannot come there.
         """
         palms = [each.palm for each in asked if each.palm]
         if len(palms) < 2:
             return []
         (first, here), (other, there) = palms
-        gap = lengths(there - here) / (1.0 + first.further)
+        apart = (there - here)[:3, 3]
+        gap = lengths(apart) / (1.0 + first.further)
         share = float(smoothstep((_NEAR - gap) / (_NEAR - _TOGETHER)))
         if share == 0.0 or not np.array_equal(first.alignment, other.alignment):
             return []
-        places, targets = [], []
-        hands = zip(self.leaders.values(), (first, other), wrists, strict=True)
-        for leader, way, wrist in hands:
-            places.append(palm_place(leader.robot, way.robot_anchor))
-            palm = wrist @ leader.robot.wrist_to_palm
-            targets.append(transform_points(palm, way.robot_anchor))
-        own = targets[1] - targets[0]
-        aim = own + share * (there - here - own)
-        for k, half in enumerate((-0.5, 0.5)):
-            points[k] = points[k] + half * (aim - own)
-            wrists[k, :3, 3] += half * (aim - own)
+        hands = [leader.robot for leader in self.leaders.values()]
+        anchors = first.robot_anchor, other.robot_anchor
+        palms = [w @ hand.wrist_to_palm for w, hand in zip(wrists, hands, strict=True)]
+        centres = [*map(transform_points, palms, anchors)]
+        own = centres[1] - centres[0]
+        aim = own + share * (apart - own)
+        for k, person in enumerate((here, there)):
+            turn = pin.exp3(share * pin.log3(person[:3, :3] @ palms[k][:3, :3].T))
+            place = centres[k] + (k - 0.5) * (aim - own)
+            moved = affine(turn, place - turn @ centres[k])
+            points[k] = transform_points(moved, points[k])
+            wrists[k] = moved @ wrists[k]
+        places = [*map(palm_place, hands, anchors)]
         weight = _TOGETHER_SHARE * share * self._ik.options.wrist_position_weight
         return [PointOffset(self.robot, places, aim, weight)]
 

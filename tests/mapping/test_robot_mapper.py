@@ -128,20 +128,27 @@ def test_all_ways_to_solve_agree(g1: Robot) -> None:
                 np.testing.assert_allclose(ours.targets, other.targets, atol=1e-7)
 
 
-def test_near_palms_are_as_far_apart_as_the_persons(g1: Robot) -> None:
+def test_near_palms_are_seen_from_each_other_as_the_persons(g1: Robot) -> None:
     mapper = RobotMapper(g1, HUMANS, "teleoperation")
     step = mapper.map_step(*motion(0, apart=0.7), dt=DT)
     far = knuckle_distance(mapper, step)
+    start = palms(step, g1)
     for i in range(200):
         step = mapper.map_step(*motion(i, apart=0.7, nearing=0.55), dt=DT)
-    here = [leader.asked.palm for leader in mapper.leaders.values()]
-    assert here[0] is not None
-    assert here[1] is not None
-    wanted = np.linalg.norm(here[0][1] - here[1][1])
+    here = [
+        leader.asked.palm[1] for leader in mapper.leaders.values() if leader.asked.palm
+    ]
+    wanted = np.linalg.norm((here[0] - here[1])[:3, 3])
     assert wanted < 0.2
     # By displacements alone, they would have come nearer by 0.55 m.
     assert abs(far - 0.55 - wanted) > 0.05
     assert abs(knuckle_distance(mapper, step) - wanted) < 2e-3
+    turned = zip(here, palms(step, g1), start, strict=True)
+    for person, own, before in turned:
+        off = [pin.log3(person[:3, :3].T @ palm[:3, :3]) for palm in (own, before)]
+        # The wrists come near their limits.
+        assert np.linalg.norm(off[0]) < 0.15
+        assert np.linalg.norm(off[1]) > 1.0
 
 
 def test_crossing_hands_do_not_overlap(g1: Robot) -> None:
