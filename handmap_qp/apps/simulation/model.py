@@ -76,11 +76,11 @@ def build_model(hand: Hand, body: Body, physics: Physics) -> Any:
     held.add_geom(name=OBJECT, mass=body.mass, **_shape(spec, body.shape), **_HELD)
     _couple_followers(spec, hand)
     # A spring with critical damping for each joint of the hand, and of its arm.
-    for name in hand.joint_names:
-        is_own = name in hand.spec.joints
+    stiffness = np.where(hand.moves_wrist, _ARM_STIFFNESS, physics.joint_stiffness)
+    for name, own in zip(hand.joint_names, stiffness.tolist(), strict=True):
         spec.add_actuator(
             name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT
-        ).set_to_position(kp=physics.joint_stiffness if is_own else _ARM_STIFFNESS)
+        ).set_to_position(kp=own)
     model = spec.compile()
     # Critical for the inertia at each joint alone; that of MuJoCo's own ratio is less.
     inertia = model.dof_M0[model.jnt_dofadr[model.actuator_trnid[:, 0]]]
