@@ -119,6 +119,38 @@ def start(browser: Browser, server: Server, **choices: Any) -> None:
     wait_for_text(browser, "#state", "Waiting for hands")
 
 
+def test_both_hands_lead_one_robot(browser: Browser, server: Server) -> None:
+    start(browser, server, words="?robot=g1")
+    show_hands(browser, "right", "left")
+    for side in ("right", "left"):
+        wait_for_text(browser, f"#{side} .state", "streaming")
+    robots = {name: each.robot.name for name, each in sessions(server).items()}
+    assert robots == {"webxr-both": "g1"}
+    with client_of(server) as watcher:
+        watcher.watch("webxr-both")
+        before = np.array(watcher.status().q)
+        wait_until(
+            lambda: bool(np.abs(np.array(watcher.status().q) - before).max() > 0.05)
+        )
+    # One hand is lost: its side holds, and the other one goes on.
+    show_hands(browser, "right")
+    wait_for_text(browser, "#left .state", "hand lost: the robot holds")
+    wait_for_text(browser, "#left .robot", "held")
+    wait_for_text(browser, "#right .state", "streaming")
+    browser.wait_for("document.querySelector('#right .robot').textContent != 'held'")
+    # One hold for both.
+    click(browser, "#left .hold")
+    wait_for_text(browser, "#right .state", "held until Engage")
+    click(browser, "#right .engage")
+    wait_for_text(browser, "#right .state", "streaming")
+    click(browser, "#stop")
+    wait_for_text(browser, "#right .state", "emergency stop")
+    click(browser, "#right .clear")
+    wait_for_text(browser, "#right .state", "held until Engage")
+    click(browser, "#end")
+    wait_until(lambda: "webxr-both" not in sessions(server))
+
+
 def test_hands_move_the_robots(browser: Browser, server: Server) -> None:
     start(browser, server)
     request = browser.evaluate("emulated.requests")[0]

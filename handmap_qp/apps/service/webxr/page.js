@@ -1,7 +1,7 @@
 // The page: its state in words, one card for each hand, and the way of a sample from the headset
 // to the service.
 
-import { HandSession, Service } from "./service.js";
+import { HandSession, RobotSession, Service } from "./service.js";
 import { Scene } from "./scene.js";
 import { Tracking } from "./tracking.js";
 
@@ -22,21 +22,30 @@ const search = new URLSearchParams(location.search);
 const scheme = location.protocol === "https:" ? "wss:" : "ws:";
 const service = new Service(`${scheme}//${location.host}/`);
 const cards = SIDES.map((side) => makeCard(side));
+const both = { select: find("#both"), kind: "robot", session: new RobotSession(service, LAYOUT), unknown: "" };
 const tracking = new Tracking(new Scene(() => cards.map(describeInHeadset)));
 let modes = null;
 let failure = "";
 
+service.sessions.push(both.session);
+both.select.onchange = () => { both.unknown = ""; chooseAll(); };
+
+/** The session that a hand leads: its own, or that of a robot that both lead. */
+function sessionOf(card) {
+  return both.select.value ? both.session : card.session;
+}
+
 function makeCard(side) {
   const root = find("#hand").content.firstElementChild.cloneNode(true);
   const session = new HandSession(service, side, LAYOUT);
-  const card = { side, root, session, joints: null, seen: false, sent: [], unknown: "" };
+  const card = { side, root, session, kind: "robot hand", joints: null, seen: false, sent: [], unknown: "" };
   card.select = find("select", root);
   root.id = side;
   find("h2", root).textContent = side === "left" ? "Left hand" : "Right hand";
-  card.select.onchange = () => { card.unknown = ""; choose(card); };
-  find(".hold", root).onclick = () => session.hold();
-  find(".engage", root).onclick = () => session.engage();
-  find(".clear", root).onclick = () => session.clear();
+  card.select.onchange = () => { card.unknown = ""; chooseAll(); };
+  find(".hold", root).onclick = () => sessionOf(card).hold();
+  find(".engage", root).onclick = () => sessionOf(card).engage();
+  find(".clear", root).onclick = () => sessionOf(card).clear();
   find("#hands").append(root);
   service.sessions.push(session);
   return card;
@@ -45,58 +54,68 @@ function makeCard(side) {
 /** Offer the service's robots; choose those of the page's address, or the usual ones. */
 function offerRobots() {
   for (const card of cards) {
-    const { select, side } = card;
-    const known = Array.from(select.options, (option) => option.value).slice(1);
-    if (known.join() === [...service.robots, ...Object.keys(service.missing)].join()) continue;
-    const usual = service.robots.find((name) => name === `allegro_${side}`) ?? "";
-    const wanted = select.value || (search.get(side) ?? usual);
-    const missing = Object.entries(service.missing).map(([name, reason]) => {
-      const option = new Option(`${name} (${reason})`, name);
-      option.disabled = true;
-      return option;
-    });
-    select.replaceChildren(
-      new Option("none", ""), ...service.robots.map((name) => new Option(name)), ...missing);
-    select.value = service.robots.includes(wanted) ? wanted : "";
-    const reason = service.missing[wanted] ?? "the service has no such robot hand";
-    card.unknown = select.value === wanted ? "" : `${wanted}: ${reason}; choose another`;
-    choose(card);
+    const usual = service.robots.find((name) => name === `allegro_${card.side}`) ?? "";
+    offer(card, service.robots, service.missing, search.get(card.side) ?? usual);
+  }
+  offer(both, service.twoHanded, {}, search.get("robot") ?? "");
+  find("#both-field").hidden = !service.twoHanded.length && !both.unknown;
+}
+
+/** Offer robots in a selection, and choose the wanted one if nothing is chosen yet. */
+function offer(one, robots, missing, usual) {
+  const { select } = one;
+  const known = Array.from(select.options, (option) => option.value).slice(1);
+  if (select.options.length && known.join() === [...robots, ...Object.keys(missing)].join()) return;
+  const wanted = select.value || usual;
+  const disabled = Object.entries(missing).map(([name, reason]) => {
+    const option = new Option(`${name} (${reason})`, name);
+    option.disabled = true;
+    return option;
+  });
+  select.replaceChildren(new Option("none", ""), ...robots.map((name) => new Option(name)), ...disabled);
+  select.value = robots.includes(wanted) ? wanted : "";
+  const reason = missing[wanted] ?? `the service has no such ${one.kind}`;
+  one.unknown = select.value === wanted ? "" : `${wanted}: ${reason}; choose another`;
+  chooseAll();
+}
+
+/** Lead the chosen robots while the headset tracks: one with both hands, or one with each. */
+function chooseAll() {
+  for (const one of [both, ...cards]) {
+    const isUsed = tracking.session && (one === both || !both.select.value);
+    const robot = isUsed ? one.select.value : "";
+    if (robot !== one.session.robot) one.session.lead(robot);
   }
 }
 
-/** Lead the chosen robot while the headset tracks. */
-function choose({ select, session }) {
-  const robot = tracking.session ? select.value : "";
-  if (robot !== session.robot) session.lead(robot);
-}
-
 function takeFrame({ time, hands }) {
+  const sessions = both.select.value ? [both.session] : cards.map(({ session }) => session);
+  const sent = new Set(sessions.filter((session) => session.send(hands, time)));
   for (const card of cards) {
     card.joints = hands[card.side] ?? null;
     card.seen ||= Boolean(card.joints);
-    const isSent = card.session.send(card.joints, time);
-    if (isSent && card.joints) card.sent.push(time);
+    if (sent.has(sessionOf(card)) && card.joints) card.sent.push(time);
   }
 }
 
 /** State of a hand: off, waiting, streaming or error, and what to say about it. */
 function stateOf(card) {
-  const { session } = card;
-  if (card.unknown) return ["error", card.unknown];
-  if (!card.select.value) return ["off", "no robot chosen"];
+  const session = sessionOf(card);
+  const last = session.lastOf(card.side);
+  const { select, unknown } = both.select.value || both.unknown ? both : card;
+  if (unknown) return ["error", unknown];
+  if (!select.value) return ["off", "no robot chosen"];
   if (!tracking.session) return ["off", "not started"];
   if (!service.isConnected) return ["error", "not connected: the robot holds"];
   if (session.error) return ["error", session.error];
   if (!session.isOpen) return ["waiting", `opening ${session.robot}`];
-  if (session.last?.status === "stopped") return ["error", "emergency stop: the robot holds"];
+  if (last?.status === "stopped") return ["error", "emergency stop: the robot holds"];
   if (!card.joints) {
     return ["waiting", card.seen ? "hand lost: the robot holds" : "waiting for the hand"];
   }
   if (performance.now() - session.heard > SILENCE) return ["error", "the service does not answer"];
   if (session.isReleased) return ["waiting", "streaming; the robot is held until Engage"];
-  if (session.last?.status === "held") {
-    return ["waiting", `streaming; the robot holds: ${session.last.rule}`];
-  }
+  if (last?.status === "held") return ["waiting", `streaming; the robot holds: ${last.rule}`];
   return ["streaming", "streaming"];
 }
 
@@ -108,7 +127,8 @@ function rateOf(card) {
 
 function describeInHeadset(card) {
   const [state, words] = stateOf(card);
-  const { last, robot } = card.session;
+  const { robot } = sessionOf(card);
+  const last = sessionOf(card).lastOf(card.side);
   const title = card.side === "left" ? "Left" : "Right";
   const status = last ? `: ${last.status}` : "";
   return {
@@ -133,7 +153,7 @@ function overallState() {
     return ["error", "This browser offers no headset",
       "Open this page in the headset's own browser, and allow hand tracking."];
   }
-  if (!tracking.session) return ["off", "Ready", "Choose a robot for each hand, then start."];
+  if (!tracking.session) return ["off", "Ready", "Choose a robot for each hand, or one for both, then start."];
   const states = cards.map((card) => stateOf(card)[0]);
   if (states.includes("error")) return ["error", "Not all is well", "See the hands below."];
   if (states.includes("streaming")) return ["streaming", "Streaming", "End stops the tracking; the robots hold."];
@@ -153,15 +173,17 @@ function refresh() {
   find("#start-ar").hidden = !modes?.ar;
   find("#start-ar").disabled = Boolean(tracking.session) || !service.isConnected;
   find("#end").disabled = !tracking.session;
-  find("#stop").disabled = !cards.some(({ session }) => session.isOpen);
+  find("#stop").disabled = !service.sessions.some(({ isOpen }) => isOpen);
   cards.forEach(refreshCard);
 }
 
 function refreshCard(card) {
-  const { root, session } = card;
+  const { root, select } = card;
+  const session = sessionOf(card);
   const [state, words] = stateOf(card);
-  const { last } = session;
+  const last = session.lastOf(card.side);
   root.dataset.state = state;
+  select.parentElement.hidden = Boolean(both.select.value);
   find(".state", root).textContent = words;
   const skipped = session.skipped ? `, ${session.skipped} skipped` : "";
   find(".sent", root).textContent = tracking.session ? `${rateOf(card)} Hz${skipped}` : "-";
@@ -205,7 +227,7 @@ async function start(mode) {
   for (const card of cards) card.seen = false;
   try {
     await tracking.start(mode);
-    cards.forEach(choose);
+    chooseAll();
   } catch (error) {
     failure = error.name === "NotSupportedError"
       ? "The headset does not offer hand tracking to this browser: allow it in the settings."
@@ -217,7 +239,7 @@ async function start(mode) {
 find("#start-vr").onclick = () => start("vr");
 find("#start-ar").onclick = () => start("ar");
 find("#end").onclick = () => tracking.stop();
-find("#stop").onclick = () => cards.forEach(({ session }) => session.stop());
+find("#stop").onclick = () => service.sessions.forEach((session) => session.stop());
 find("#token").onchange = (event) => {
   service.token = event.target.value.trim();
   service.connect();
@@ -225,7 +247,7 @@ find("#token").onchange = (event) => {
 tracking.addEventListener("frame", (event) => takeFrame(event.detail));
 tracking.addEventListener("end", () => {
   for (const card of cards) card.joints = null;
-  cards.forEach(choose);
+  chooseAll();
   refresh();
 });
 service.addEventListener("change", () => {

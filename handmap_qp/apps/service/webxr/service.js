@@ -1,5 +1,5 @@
-// Connection to the mapping service, and one session for each hand: the messages of
-// service/messages.md as JSON over the WebSocket of the page's own address.
+// Connection to the mapping service, and one session for each hand or for a robot that both lead: the
+// messages of service/messages.md as JSON over the WebSocket of the page's own address.
 
 const PROTOCOL = 2;
 const SUBPROTOCOL = "handmap.v1";
@@ -11,6 +11,12 @@ const REMEMBERED = 1024; // requests whose sender is remembered
 function makeSecret() {
   const bytes = crypto.getRandomValues(new Uint8Array(18));
   return btoa(String.fromCharCode(...bytes)).replaceAll("+", "-").replaceAll("/", "_");
+}
+
+/** Joint positions [m] as a sample has them; of a hand that is not seen, that it is not. */
+function handSample(joints) {
+  if (!joints) return { valid: false };
+  return { values: joints.flat().map((value) => Math.round(value * 1e5) / 1e5) };
 }
 
 /** A session: one human hand that leads one robot hand. */
@@ -50,26 +56,37 @@ export class HandSession {
       restore, is_released: this.isReleased, robot_q: this.last?.q, robot_wrist: this.last?.wrist,
     } : {};
     this.ask({
-      type: "open", name: this.name, robot: this.robot, side: this.side, input: "landmarks",
+      type: "open", name: this.name, robot: this.robot, ...this.choices(), input: "landmarks",
       layout: this.layout, has_detail: true, is_shared: true, ...start,
     });
+  }
+
+  /** What `open` says of the hands. */
+  choices() {
+    return { side: this.side };
   }
 
   ask(request) {
     return this.service.ask({ session: this.secret, ...request }, this);
   }
 
-  /** Send joint positions [m], null for a hand that is not seen, with their time stamp [ms]. */
-  send(joints, time) {
+  /** Send joint positions of hands by side [m], with their time stamp [ms]. */
+  send(hands, time) {
     if (!this.isOpen) return false;
     if (this.service.waiting > MOST_WAITING) {
       this.skipped += 1;
       return false;
     }
-    const stamp = { type: "sample", time: time / 1000 };
-    if (!joints) return this.ask({ ...stamp, valid: false });
-    const values = joints.flat().map((value) => Math.round(value * 1e5) / 1e5);
-    return this.ask({ ...stamp, values });
+    return this.ask({ type: "sample", time: time / 1000, ...this.sampleOf(hands) });
+  }
+
+  sampleOf(hands) {
+    return handSample(hands[this.side]);
+  }
+
+  /** What the newest command says of a hand. */
+  lastOf() {
+    return this.last;
   }
 
   hold() {
@@ -127,6 +144,25 @@ export class HandSession {
   }
 }
 
+/** A session: both human hands lead one robot. */
+export class RobotSession extends HandSession {
+  constructor(service, layout) {
+    super(service, "both", layout);
+  }
+
+  choices() {
+    return {};
+  }
+
+  sampleOf({ left, right }) {
+    return { hands: { left: handSample(left), right: handSample(right) } };
+  }
+
+  lastOf(side) {
+    return this.last && { ...this.last, ...this.last.hands?.[side] };
+  }
+}
+
 /** The WebSocket, connected again whenever it is lost. */
 export class Service extends EventTarget {
   constructor(address) {
@@ -134,6 +170,7 @@ export class Service extends EventTarget {
     this.address = address;
     this.token = "";
     this.robots = [];
+    this.twoHanded = []; // robots that both hands lead
     this.missing = {}; // why each robot hand that is not installed cannot be led
     this.version = "";
     this.sessions = [];
@@ -186,6 +223,7 @@ export class Service extends EventTarget {
       this.sessions.find((session) => session.name === reply.name)?.receive(reply);
     } else if (reply.type === "state" && !sender) {
       this.robots = reply.robots;
+      this.twoHanded = reply.two_handed ?? [];
       this.missing = reply.missing;
       this.version = reply.version;
       this.isConnected = true;
