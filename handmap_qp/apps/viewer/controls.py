@@ -502,6 +502,7 @@ class Window:
         variants: The robots.
         options_text: Returns the text of the file of options.
         page: Returns the page; may raise `HandmapError`.
+        latest: Length of the plots' time axis, as of `draw_plot`.
 
     Attributes:
         scene: The hands.
@@ -518,6 +519,7 @@ class Window:
         variants: Sequence[Variant],
         options_text: Callable[[], str],
         page: Callable[[], bytes],
+        latest: float | None = None,
     ) -> None:
         self.scene = HandScene(server, human, variants)
         gui = server.gui
@@ -534,27 +536,38 @@ class Window:
             self.display = DisplayControls(server)
         with save:
             self.exports = ExportControls(server, options_text, page)
+        self._latest = latest
         self._drawn: tuple[object, ...] = ()
+        self._gauged: tuple[ViewSample, ...] = ()
         self._gauges_due = 0.0
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
         """Show these robots."""
-        self._drawn = ()
+        self._drawn = self._gauged = ()
         self.scene.set_variants(variants)
         self.gauges.set_variants(variants)
 
-    def draw(self, samples: Sequence[ViewSample]) -> None:
-        """Draw one sample of each robot, unless it is drawn as the display controls ask for."""
+    def draw(
+        self, variants: Sequence[Variant], index: int, *, at_once: bool = False
+    ) -> None:
+        """Draw one instant, unless it is drawn as the display controls ask for.
+
+        Args:
+            variants: The robots that are shown, with their samples.
+            index: Index of the sample to draw.
+            at_once: Whether the gauges are updated too, even if they were a moment ago.
+        """
         self.display.apply_to(self.scene)
-        state = (tuple(samples), self.scene.display)
+        samples = tuple(variant.samples[index] for variant in variants)
+        state = (samples, self.scene.display)
         if state != self._drawn:
             self.scene.draw(samples)
             self._drawn = state
         self.scene.cameras.update()
-
-    def is_time_for_gauges(self) -> bool:
-        """Return whether the gauges are due, and count them as updated then."""
         now = time.monotonic()
-        if is_due := now >= self._gauges_due:
+        if samples != self._gauged and (at_once or now >= self._gauges_due):
+            if self._latest is not None:
+                self.gauges.plot(variants, latest=self._latest)
+            self.gauges.draw(samples, index)
+            self._gauged = samples
             self._gauges_due = now + _GAUGES_PERIOD
-        return is_due

@@ -8,7 +8,6 @@ from itertools import cycle
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
@@ -24,6 +23,7 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import CONTACT_GAP, FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
+from handmap_qp.ik.qp import wrist_error
 
 if TYPE_CHECKING:
     import viser
@@ -74,10 +74,6 @@ SCENE_LEGEND = legend(
 """What the colours in the scene mean, as HTML."""
 
 
-Row = tuple[float, float, float, float]
-"""Time [s], mean and largest point error [mm], and duration of the step [µs] of a sample."""
-
-
 class Readings(NamedTuple):
     """What the gauges say about one robot at one instant; NaN if it is not known.
 
@@ -119,17 +115,12 @@ class InstantGauges:
     def read(self, sample: ViewSample) -> Readings:
         """Return the numbers of a robot's sample."""
         errors = sample.point_error
-        wrist = sample.robot_wrist
-        wanted = sample.wrist_target
-        shift = angle = np.nan
-        if wanted is not None and self._robot.has_moving_wrist:
-            shift = np.linalg.norm(wrist[:3, 3] - wanted[:3, 3])
-            angle = np.linalg.norm(pin.log3(wanted[:3, :3].T @ wrist[:3, :3]))
+        off = [np.nan, np.nan]
+        if sample.wrist_target is not None and self._robot.has_moving_wrist:
+            off = wrist_error(sample.robot_wrist, sample.wrist_target).tolist()
         gaps = self._pinches(sample.robot_q[None])
         pinches = {finger: float(gap[0]) for finger, gap in gaps.items()}
-        return Readings(
-            errors.mean(), errors.max(), float(shift), float(angle), pinches
-        )
+        return Readings(errors.mean(), errors.max(), *off, pinches)
 
     def human_pinches(self, sample: ViewSample) -> dict[str, float]:
         """Return the human's gap between thumb and each other finger [m], by the finger's name.
@@ -268,12 +259,6 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
     return groups
 
 
-def gauge_row(sample: ViewSample) -> Row:
-    """Return the plotted values of a sample."""
-    error = 1e3 * sample.point_error
-    return sample.time, error.mean(), error.max(), 1e6 * sample.duration
-
-
 class Plot(NamedTuple):
     """Lines over time as HTML, with a mark at one sample.
 
@@ -321,9 +306,7 @@ def draw_plot(
     binned = np.fmax.reduceat(values, bins, axis=1)
     largest = max(np.nanmax(binned), 1e-3)
     decade = 10.0 ** np.floor(np.log10(largest))
-    top = decade * next(
-        step for step in _STEPS if step * decade >= largest * (1 - 1e-9)
-    )
+    top = decade * _STEPS[np.searchsorted(_STEPS, largest / decade * (1 - 1e-9))]
     x = places[bins]
     y = height * (1.0 - binned / top)
     parts = [
@@ -355,21 +338,20 @@ def _path(x: np.ndarray, y: np.ndarray) -> str:
     )
 
 
-def error_plot(
-    labels: Sequence[str], rows: np.ndarray, *, latest: float | None = None
-) -> Plot:
+def error_plot(variants: Sequence[Variant], *, latest: float | None = None) -> Plot:
     """Plot the mean point error of each robot, and the largest of the first one [mm].
 
     Args:
-        labels: Names of the robots.
-        rows: `gauge_row` of each robot's samples, shape (robots, n, 4).
+        variants: The robots, with their samples.
         latest: As of `draw_plot`.
     """
-    name = labels[0] if len(labels) > 1 else "mean"
-    time, mean, largest, _ = rows[0].T
-    others = rows[1:, :, 1]
-    lines = [(name, FIRST, mean), ("largest", GREY, largest)]
-    lines += zip(labels[1:], cycle(ROBOTS[1:]), others, strict=False)
+    columns = [variant.plotted for variant in variants]
+    time, _, largest, _ = columns[0]
+    labels = [variant.label for variant in variants] if columns[1:] else ["mean"]
+    lines = list(
+        zip(labels, cycle(ROBOTS), (each[1] for each in columns), strict=False)
+    )
+    lines.insert(1, ("largest", GREY, largest))
     return draw_plot("point error [mm]", time, lines, latest=latest)
 
 
@@ -397,21 +379,14 @@ class Gauges:
         self.set_variants(variants)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
-        """Show other methods' values, after which `set_rows` gives theirs over time."""
+        """Show other methods' values."""
         self._instant = InstantGauges(variants, self._human)
+        self.plot(variants)
 
-    def set_rows(
-        self, rows: Sequence[Sequence[Row]], *, latest: float | None = None
-    ) -> None:
-        """Replace the plotted samples.
-
-        Args:
-            rows: `gauge_row` of each robot's samples, at least one.
-            latest: As of `draw_plot`.
-        """
-        table = np.array(rows)
-        time, _, _, step = table[0].T
-        self._error = error_plot(self._instant.labels, table, latest=latest)
+    def plot(self, variants: Sequence[Variant], *, latest: float | None = None) -> None:
+        """Plot the samples of the robots, of each at least one; `latest` as of `draw_plot`."""
+        time, _, _, step = variants[0].plotted
+        self._error = error_plot(variants, latest=latest)
         median, p99 = np.percentile(step, (50, 99))
         # Outliers (the process was preempted) would flatten all other steps, so cut them off.
         cut = " (cut off)" if step.max() > 3.0 * median else ""
@@ -427,7 +402,7 @@ class Gauges:
 
         Args:
             samples: One sample for each robot.
-            index: Its index among those given to `set_rows`.
+            index: Their index among the plotted ones.
         """
         self.error.content = self._error.at(index)
         self.timing.content = self._timing.at(index)

@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING
 
 from handmap_qp.apps.viewer.controls import SteeringControls, Window, say
-from handmap_qp.apps.viewer.gauges import Row, gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.serving import run_frames
@@ -38,7 +37,7 @@ class LiveViewer(Window):
         patience: How long to wait for the first sample [s].
 
     Attributes:
-        recent: The samples of the last 10 s, each with its `gauge_row`.
+        recent: The samples of the last 10 s.
         status_text: The sample rate, or that no sample arrives.
         stop: Button of the emergency stop.
         clear: Button that ends the stop in force; shown while there is one, for a source that can
@@ -58,7 +57,7 @@ class LiveViewer(Window):
         patience: float = 10.0,
     ) -> None:
         self._source = source
-        self.recent: deque[tuple[ViewSample, Row]] = deque()
+        self.recent: deque[ViewSample] = deque()
         self._last_arrival = 0.0
         self._arrived = threading.Event()
         reader = ThreadPoolExecutor(1, thread_name_prefix="handmap view: live source")
@@ -81,9 +80,10 @@ class LiveViewer(Window):
         super().__init__(
             server,
             source.human,
-            [self._variant()],
+            [self._newest()],
             lambda: options_text(source.choice),
             self._page,
+            _SPAN,
         )
         with self.control:
             self.status_text = server.gui.add_markdown("")
@@ -109,7 +109,7 @@ class LiveViewer(Window):
     @property
     def sample(self) -> ViewSample:
         """The newest sample."""
-        return self.recent[-1][0]
+        return self.recent[-1]
 
     def tick(self) -> None:
         """Pass on the user's requests, and draw the newest sample.
@@ -125,24 +125,19 @@ class LiveViewer(Window):
         if source.choice != self._shown:
             # Another preset or options, whichever client chose them.
             self._shown = source.choice
-            self.set_variants([self._variant()])
+            self.set_variants([self._newest()])
         self._stop_number = source.stop_number
         self.clear.visible = self._stop_number != 0 and source.is_shared
-        # The copy is one operation, so the thread that reads needs no lock.
-        samples, rows = zip(*self.recent, strict=True)
-        sample = samples[-1]
-        self.scene.make_room(sample)
-        self.draw([sample])
-        if self.is_time_for_gauges():
-            self.gauges.set_rows([rows], latest=_SPAN)
-            self.gauges.draw([sample], len(rows) - 1)
+        variant = self._variant()
+        self.scene.make_room(variant.samples[-1])
+        self.draw([variant], -1)
         if has_ended:
             self.status_text.content = "**The source has ended.**"
         elif time.monotonic() - self._last_arrival > _SILENCE:
             self.status_text.content = "**No sample arrives.**"
         else:
-            latest = rows[-_RATE_SAMPLES:]
-            rate = (len(latest) - 1) / max(latest[-1][0] - latest[0][0], 1e-6)
+            latest = variant.samples[-_RATE_SAMPLES:]
+            rate = (len(latest) - 1) / max(latest[-1].time - latest[0].time, 1e-6)
             self.status_text.content = f"{rate:.0f} samples per second"
 
     def run(self) -> None:
@@ -180,22 +175,25 @@ class LiveViewer(Window):
             source.configure(changes)
 
     def _variant(self) -> Variant:
-        """Return the robot as it is moved now."""
+        """Return the robot as it is moved now, with its samples of the last 10 s."""
         choice = self._source.choice
-        return Variant(choice.preset, self._source.robot, choice, [self.sample])
+        # The copy is one operation, so the thread that reads needs no lock.
+        return Variant(choice.preset, self._source.robot, choice, tuple(self.recent))
+
+    def _newest(self) -> Variant:
+        """Return the robot as it is moved now, with its newest sample alone."""
+        return self._variant()._replace(samples=[self.sample])
 
     def _page(self) -> bytes:
         """Return the last 10 s as a page."""
         variant = self._variant()
-        source = self._source
-        title = f"{source.robot.name}, {variant.label}"
-        samples, _ = zip(*self.recent, strict=True)
-        return make_page(title, source.human, [variant._replace(samples=samples)])
+        title = f"{variant.robot.name}, {variant.label}"
+        return make_page(title, self._source.human, [variant])
 
     def _read(self) -> None:
         for sample in self._source:
-            self.recent.append((sample, gauge_row(sample)))
-            while not 0.0 <= sample.time - self.recent[0][0].time <= _SPAN:
+            self.recent.append(sample)
+            while not 0.0 <= sample.time - self.recent[0].time <= _SPAN:
                 self.recent.popleft()
             self._last_arrival = time.monotonic()
             self._arrived.set()

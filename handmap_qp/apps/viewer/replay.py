@@ -16,7 +16,6 @@ from handmap_qp.apps.viewer.controls import (
     Window,
     say,
 )
-from handmap_qp.apps.viewer.gauges import gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.errors import HandmapError, InvalidInputError
@@ -244,8 +243,6 @@ class ReplayViewer(Window):
             self.steering = SteeringControls(
                 server, self._start, replay.presets, self._compared
             )
-        self._gauges_drawn: tuple[object, ...] = ()
-        self._plot()
         self.tick(0.0)
 
     @property
@@ -268,15 +265,8 @@ class ReplayViewer(Window):
         self.play_bar.advance(elapsed)
         self._take_requests()
         self._map_pending()
-        index = self.index
-        samples = tuple(variant.samples[index] for variant in self.replay.variants)
-        self.draw(samples)
-        self.steering.show_released(self.replay.is_released(index))
-        if samples != self._gauges_drawn and (
-            elapsed == 0.0 or self.is_time_for_gauges()
-        ):
-            self.gauges.draw(samples, index)
-            self._gauges_drawn = samples
+        self.draw(self.replay.variants, self.index, at_once=elapsed == 0.0)
+        self.steering.show_released(self.replay.is_released(self.index))
 
     def _take_requests(self) -> None:
         """Note what the user has requested; a preset or Reset overrides changed options.
@@ -321,7 +311,6 @@ class ReplayViewer(Window):
             else:
                 say(self.steering.message, None)
                 self.set_variants(self.replay.variants)
-                self._plot()
             self.steering.show_compared(self._compared)
 
     def _compare(self, name: str) -> None:
@@ -331,8 +320,3 @@ class ReplayViewer(Window):
         else:
             replay.compare(None if name == NOTHING else replay.preset(name))
         self._compared = name
-
-    def _plot(self) -> None:
-        self.gauges.set_rows(
-            [[gauge_row(s) for s in v.samples] for v in self.replay.variants]
-        )
