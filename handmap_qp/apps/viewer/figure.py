@@ -7,7 +7,6 @@ sends what has changed only.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Iterable
 from functools import partial
 from itertools import product
@@ -47,8 +46,6 @@ _LINES = np.array(BONES + NEIGHBOURS)
 """Pairs of landmarks that a line joins, shape (n, 2)."""
 TRAIL_LENGTH = 4.0
 """A trail shows this time [s]."""
-# Least time between two points of a trail [s].
-_TRAIL_PERIOD = 1.0 / 30.0
 _LANDMARK_RADIUS = 0.0045
 # A box grows by this margin more than needed, so that it does not grow at every sample [m].
 _MARGIN = 0.03
@@ -217,7 +214,7 @@ class Trail:
 
     def __init__(self, server: viser.ViserServer, path: str, colour: Colour) -> None:
         # Times [s], tips (n, 3) and the hand's centre (3,) [m], oldest first.
-        self._points: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
+        self._points: list[tuple[float, np.ndarray, np.ndarray]] = []
         self._lines = _add_lines(server, path, colour, 2.0)
         self.clear()
 
@@ -227,16 +224,9 @@ class Trail:
         self._lines.visible = False
 
     def add(
-        self,
-        time: float,
-        tips: np.ndarray,
-        centre: np.ndarray,
-        *,
-        is_pinned: bool,
+        self, time: float, tips: np.ndarray, centre: np.ndarray, *, is_pinned: bool
     ) -> None:
-        """Add where the tips are, and draw the trail.
-
-        It starts again where time goes backwards or leaps.
+        """Add where the tips are, and draw the trail, without what is later or too long ago.
 
         Args:
             time: Time of the sample [s].
@@ -245,23 +235,17 @@ class Trail:
             is_pinned: Whether the view keeps the centre in place: the trail then shows the tips'
                 motion relative to it.
         """
-        points = self._points
-        if points and not (
-            0.0 <= time - points[-1][0] < TRAIL_LENGTH
-            and tips.shape == points[-1][1].shape
-        ):
-            points.clear()
-        if len(points) > 1 and time - points[-2][0] < _TRAIL_PERIOD:
-            # Let the last point follow the hand until the next one is due.
-            points.pop()
-        points.append((time, tips, centre))
-        while time - points[0][0] > TRAIL_LENGTH:
-            points.popleft()
+        self._points = [
+            point
+            for point in self._points
+            if 0.0 <= time - point[0] <= TRAIL_LENGTH and point[1].shape == tips.shape
+        ]
+        self._points.append((time, tips, centre))
         places = np.array(
-            [tips - is_pinned * (then - centre) for _, tips, then in points]
+            [tips - is_pinned * (then - centre) for _, tips, then in self._points]
         )
         self._lines.visible = len(places) > 1
-        if len(places) > 1:
+        if self._lines.visible:
             steps = np.stack([places[:-1], places[1:]], axis=2)
             self._lines.points = steps.reshape(-1, 2, 3)
 

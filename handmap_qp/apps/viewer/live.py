@@ -8,7 +8,12 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING
 
-from handmap_qp.apps.viewer.controls import SteeringControls, Window, say
+from handmap_qp.apps.viewer.controls import (
+    SteeringControls,
+    Window,
+    add_controls,
+    say,
+)
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.serving import run_frames
@@ -87,16 +92,7 @@ class LiveViewer(Window):
         )
         with self.control:
             self.status_text = server.gui.add_markdown("")
-            self.stop = server.gui.add_button(
-                "Stop the robot",
-                color="red",
-                hint="Emergency stop: the robot holds until the stop is cleared",
-            )
-            self.clear = server.gui.add_button(
-                "Clear the stop",
-                hint="End the emergency stop; the robot stays where it is until Clutch is pressed",
-                visible=False,
-            )
+            self.stop, self.clear = add_controls(server.gui, "stopping")
             self.stop.on_click(lambda _: source.request("stop"))
             self._stop_number = 0
             # The number that was shown, so that a later stop is not cleared unseen.

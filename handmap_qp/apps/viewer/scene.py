@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from handmap_qp.apps.viewer.figure import (
@@ -29,8 +31,7 @@ if TYPE_CHECKING:
 
 # Between two figures [m].
 _GAP = 0.035
-# Height of the floor [m].
-_FLOOR = -0.22
+_FLOOR = msgspec.yaml.decode(Path(__file__).with_suffix(".yaml").read_bytes())
 # Samples for which room is reserved; a hand hardly moves between them.
 _RESERVED = 60
 _FIELD_OF_VIEW = math.radians(30.0)
@@ -85,19 +86,7 @@ class HandScene:
         # Turn +y up, and draw the floor.
         server.scene.set_up_direction("+y")
         server.scene.world_axes.visible = False
-        server.scene.add_grid(
-            "/floor",
-            plane="xz",
-            infinite_grid=True,
-            cell_size=0.05,
-            section_size=0.25,
-            cell_color=(225, 228, 232),
-            section_color=(205, 210, 216),
-            cell_thickness=0.6,
-            section_thickness=0.8,
-            fade_distance=3.0,
-            position=(0.0, _FLOOR, 0.0),
-        )
+        server.scene.add_grid("/floor", **_FLOOR)
         self.cameras = BrowserCameras(server)
         self._people: tuple[LandmarkFigure, HumanFigure] | None = None
         if human is not None:
@@ -126,11 +115,10 @@ class HandScene:
             robot = self._robots[i]
             robot.turn(_robot_axes(variant, upright))
             robot.label = variant.label
-        for robot in self._robots:
-            robot.is_shown = robot.variant < len(variants)
         self.clear_trails()
         for figure in self._figures:
-            if figure.variant < len(variants):
+            figure.is_shown = figure.variant < len(variants)
+            if figure.is_shown:
                 samples = variants[figure.variant].samples
                 figure.fit(samples[:: max(len(samples) // _RESERVED, 1)])
 
