@@ -211,5 +211,5 @@ class View:
         choice = self.arguments.preset_for(human, robot, recording.upright)
         replay = Replay(recording, motion, human, robot, choice)
         if compared is not None:
-            replay.compare(replay.preset(compared))
+            replay.compare(compared)
         return replay

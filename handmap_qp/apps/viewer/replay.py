@@ -51,6 +51,7 @@ class Replay:
         switches: Sample indices at which the user released (True) or clutched (False).
         variant: The robot as `choice` moves it.
         other: The robot as another method moves it; None if nothing is compared.
+        compared: The preset of `other`, or `KEPT`; `NOTHING` if nothing is compared.
 
     Raises:
         InvalidInputError: If no sample of the motion is valid.
@@ -76,6 +77,7 @@ class Replay:
         self._motion = motion
         self._given_robot = robot
         self.other: Variant | None = None
+        self.compared = NOTHING
         self.remap(choice)
 
     @property
@@ -138,19 +140,20 @@ class Replay:
         self.other = other
         self._other_switches = dict(self.switches)
 
-    def compare(self, choice: Choice | None, label: str = "") -> None:
+    def compare(self, name: str) -> None:
         """Map the recording by another method too.
 
         Args:
-            choice: Preset and options; None to end the comparison.
-            label: Its name; that of the preset if omitted.
+            name: Its preset; `KEPT` for the robot as it is now, `NOTHING` to end the comparison.
 
         Raises:
             HandmapError: If it cannot be used; the replay is then unchanged.
         """
-        self.other = (
-            None if choice is None else self._map(choice, label or choice.preset)
-        )
+        if name == KEPT:
+            self.other = self.variant._replace(label=f"{self.variant.label}, kept")
+        else:
+            self.other = None if name == NOTHING else self._map(self.preset(name), name)
+        self.compared = name
         self._other_switches = dict(self.switches)
 
     def switch(self, request: str, index: int) -> None:
@@ -236,12 +239,11 @@ class ReplayViewer(Window):
         # Options count from `_base`: the initial ones, or those of a preset chosen later.
         self._start = self._base = replay.choice
         self._changes: dict[str, Any] = {}
-        self._compared = NOTHING if replay.other is None else replay.other.label
         self._pending: list[Callable[[], None]] = []
         with self.control:
             self.play_bar = PlayBar(server, float(replay.time[-1]))
             self.steering = SteeringControls(
-                server, self._start, replay.presets, self._compared
+                server, self._start, replay.presets, replay.compared
             )
         self.tick(0.0)
 
@@ -293,10 +295,9 @@ class ReplayViewer(Window):
                 lambda: replay.remap(self._base.with_changes(self._changes))
             )
         if "keep" in requests:
-            steering.show_compared(KEPT)
             chosen["compare"] = KEPT
         if "compare" in chosen:
-            self._pending.append(partial(self._compare, chosen["compare"]))
+            self._pending.append(partial(replay.compare, chosen["compare"]))
 
     def _map_pending(self) -> None:
         """Map as requested, and show why if that is not possible."""
@@ -311,12 +312,4 @@ class ReplayViewer(Window):
             else:
                 say(self.steering.message, None)
                 self.set_variants(self.replay.variants)
-            self.steering.show_compared(self._compared)
-
-    def _compare(self, name: str) -> None:
-        replay = self.replay
-        if name == KEPT:
-            replay.compare(replay.choice, f"{replay.variant.label}, kept")
-        else:
-            replay.compare(None if name == NOTHING else replay.preset(name))
-        self._compared = name
+            self.steering.show_compared(self.replay.compared)
