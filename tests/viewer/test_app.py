@@ -253,11 +253,12 @@ def test_hands_stay_in_place_or_travel_as_asked(
     human, places = HandFigure(server, "other", replay.human), []
     for sample in (replay.samples[0], replay.samples[-1]):
         scene.draw([sample])
+        assert sample.human_q is not None
         assert sample.human_wrist is not None
-        posed = replace(sample, robot_wrist=sample.human_wrist)
-        centre = human.centre(posed)
-        assert centre is not None
-        places.append(in_scene(server, "/human", centre[None])[0])
+        posed = replace(sample, robot_q=sample.human_q, robot_wrist=sample.human_wrist)
+        place = human.place_of(posed)
+        assert place is not None
+        places.append(in_scene(server, "/human", place[0][None])[0])
     moved = float(np.linalg.norm(places[1] - places[0]))
     assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
 

@@ -527,8 +527,6 @@ class Window:
         self.scene.cameras.update()
         now = time.monotonic()
         if samples != self._gauged and (at_once or now >= self._gauges_due):
-            if self._latest is not None:
-                self.gauges.plot(variants, latest=self._latest)
-            self.gauges.draw(samples, index)
+            self.gauges.draw(variants, index, latest=self._latest)
             self._gauged = samples
             self._gauges_due = now + _GAUGES_PERIOD

@@ -109,14 +109,14 @@ class Figure(ABC):
     def draw(self, sample: ViewSample) -> None:
         """Draw one instant."""
 
-    def centre(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the centre in the figure's world [m], shape (3,); None if nothing is known."""
-        points = self.points(sample)
-        return None if points is None else points.mean(axis=0)
+    def place_of(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return where it is in the figure's world [m]; None if nothing is known.
 
-    def corners(self, sample: ViewSample) -> np.ndarray:
-        """Return corners of what is drawn, if anything is, likewise, shape (n, 3)."""
-        return np.asarray(self.points(sample))
+        Returns:
+            Its centre, shape (3,), and corners of what is drawn, shape (n, 3).
+        """
+        points = self.points(sample)
+        return None if points is None else (points.mean(axis=0), points)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the fingertips in the figure's world [m], shape (n, 3); None for no trail."""
@@ -146,9 +146,10 @@ class Figure(ABC):
 
     def _box(self, sample: ViewSample) -> np.ndarray | None:
         """Return the centre, and lowest and highest corner about it, in scene axes, (3, 3)."""
-        if (centre := self.centre(sample)) is None:
+        if (place := self.place_of(sample)) is None:
             return None
-        about = (self.corners(sample) - centre) @ self.axes.T
+        centre, corners = place
+        about = (corners - centre) @ self.axes.T
         return np.vstack([self.axes @ centre, _box_of(about)])
 
     def place(self, middle: np.ndarray, low: float) -> None:
@@ -334,16 +335,12 @@ class HandFigure(Figure):
         """Return joint angles and wrist, if they are known."""
         return sample.robot_q, sample.robot_wrist
 
-    def centre(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the hand's centre, or that of its points."""
+    def place_of(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the hand's centre and corners of its links' boxes, or those of its points."""
         if (posture := self.posture(sample)) is None:
-            return super().centre(sample)
-        return transform_points(posture[1], self._focus[None])[0]
-
-    def corners(self, sample: ViewSample) -> np.ndarray:
-        """Return the corners of the boxes around its links, or its points."""
-        posture = self.posture(sample)
-        return super().corners(sample) if posture is None else self._boxes(*posture)
+            return super().place_of(sample)
+        (centre,) = transform_points(posture[1], self._focus[None])
+        return centre, self._boxes(*posture)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tips of the posture."""

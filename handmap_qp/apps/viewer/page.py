@@ -72,7 +72,7 @@ def make_page(
         "__TITLE__": escape(title),
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": SCENE_LEGEND,
-        "__ERRORS__": error_plot(variants).at(0),
+        "__ERRORS__": error_plot(variants, 0),
         "__OPTIONS__": "".join(map(_option_table, variants)),
         "__GAUGES__": packed.decode(),
     }

@@ -146,8 +146,9 @@ class HandScene:
             for figure in row:
                 sample = samples[figure.variant]
                 figure.draw(sample)
-                if (centre := figure.centre(sample)) is None:
+                if (place := figure.place_of(sample)) is None:
                     continue
+                centre, _ = place
                 travel = figure.travel.mean(axis=0)
                 figure.place(figure.axes @ centre if is_pinned else travel, low)
                 tips = figure.tips(sample) if self.display.has_trails else None
