@@ -327,7 +327,7 @@ def test_saved_options_are_those_in_force(viewer: ReplayViewer) -> None:
     client = SimpleNamespace(
         send_file_download=lambda name, content: sent.append(content)
     )
-    viewer.exports.send("options.yaml", client)
+    viewer.send("options.yaml", client)
     assert yaml.safe_load(sent[0]) == {"preset": "paper", "deformation_gain": 0.5}
 
 

@@ -386,44 +386,6 @@ class PlayBar:
         self.slider.value = self._written = round(self.time, 2)
 
 
-class ExportControls:
-    """Buttons that send what the view shows to the browser, as files.
-
-    Args:
-        options_text: Returns the text of the file of options.
-        page: Returns the page; may raise `HandmapError`.
-    """
-
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        options_text: Callable[[], str],
-        page: Callable[[], bytes],
-    ) -> None:
-        self._contents: dict[str, Callable[[Any], bytes]] = {
-            "options.yaml": lambda _: options_text().encode(),
-            "handmap.png": _picture,
-            "handmap.html": lambda _: page(),
-        }
-        add_controls(server.gui, "saving", self.send)
-        self._message = server.gui.add_markdown("", visible=False)
-
-    def send(self, name: str, client: Any) -> None:
-        """Send a file to the browser that asked for it.
-
-        Args:
-            name: `options.yaml`, `handmap.png` or `handmap.html`.
-            client: The browser's handle of viser.
-        """
-        said: str | HandmapError = ""
-        say(self._message, f"writing {name} …")
-        try:
-            client.send_file_download(name, self._contents[name](client))
-        except HandmapError as error:
-            said = error
-        say(self._message, said)
-
-
 def _picture(client: Any) -> bytes:
     """Return what a browser draws of the hands as a PNG file."""
     camera = client.camera
@@ -470,7 +432,6 @@ class Window:
         gauges: Numbers, plots and joint bars.
         control: The tab for what moves the robots, which is empty.
         display: What the scene shows.
-        exports: Buttons that download files.
     """
 
     def __init__(
@@ -496,11 +457,32 @@ class Window:
         with show:
             self.display = DisplayControls(server)
         with save:
-            self.exports = ExportControls(server, options_text, page)
+            add_controls(gui, "saving", self.send)
+            self._saving = gui.add_markdown("", visible=False)
+        self._files: dict[str, Callable[[Any], bytes]] = {
+            "options.yaml": lambda _: options_text().encode(),
+            "handmap.png": _picture,
+            "handmap.html": lambda _: page(),
+        }
         self._latest = latest
         self._drawn: tuple[object, ...] = ()
         self._gauged: tuple[ViewSample, ...] = ()
         self._gauges_due = 0.0
+
+    def send(self, name: str, client: Any) -> None:
+        """Send a file to the browser that asked for it.
+
+        Args:
+            name: `options.yaml`, `handmap.png` or `handmap.html`.
+            client: The browser's handle of viser.
+        """
+        said: str | HandmapError = ""
+        say(self._saving, f"writing {name} …")
+        try:
+            client.send_file_download(name, self._files[name](client))
+        except HandmapError as error:
+            said = error
+        say(self._saving, said)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
         """Show these robots."""

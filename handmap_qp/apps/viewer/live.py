@@ -16,7 +16,6 @@ from handmap_qp.apps.viewer.controls import (
 )
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.serving import run_frames
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.options_file import options_text
 from handmap_qp.mapping.presets import possible_presets
@@ -85,7 +84,7 @@ class LiveViewer(Window):
         super().__init__(
             server,
             source.human,
-            [self._newest()],
+            [self._variant()],
             lambda: options_text(source.choice),
             self._page,
             _SPAN,
@@ -107,7 +106,7 @@ class LiveViewer(Window):
         """The newest sample."""
         return self.recent[-1]
 
-    def tick(self) -> None:
+    def tick(self, _: float = 0.0) -> None:
         """Pass on the user's requests, and draw the newest sample.
 
         Raises:
@@ -121,7 +120,8 @@ class LiveViewer(Window):
         if source.choice != self._shown:
             # Another preset or options, whichever client chose them.
             self._shown = source.choice
-            self.set_variants([self._newest()])
+            newest = self._variant()._replace(samples=[self.sample])
+            self.set_variants([newest])
         self._stop_number = source.stop_number
         self.clear.visible = self._stop_number != 0 and source.is_shared
         variant = self._variant()
@@ -135,10 +135,6 @@ class LiveViewer(Window):
             latest = variant.samples[-_RATE_SAMPLES:]
             rate = (len(latest) - 1) / max(latest[-1].time - latest[0].time, 1e-6)
             self.status_text.content = f"{rate:.0f} samples per second"
-
-    def run(self) -> None:
-        """Draw frames until interrupted, until the source fails, or until its hands change."""
-        run_frames(lambda _: self.tick(), lambda: self._source.is_outdated)
 
     def close(self) -> None:
         """Stop reading the source."""
@@ -175,10 +171,6 @@ class LiveViewer(Window):
         choice = self._source.choice
         # The copy is one operation, so the thread that reads needs no lock.
         return Variant(choice.preset, self._source.robot, choice, tuple(self.recent))
-
-    def _newest(self) -> Variant:
-        """Return the robot as it is moved now, with its newest sample alone."""
-        return self._variant()._replace(samples=[self.sample])
 
     def _page(self) -> bytes:
         """Return the last 10 s as a page."""
