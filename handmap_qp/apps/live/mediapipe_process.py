@@ -95,19 +95,18 @@ class HandTracker:
         height, width = pixels.shape[:2]
         focal_length = 0.5 * width / math.tan(math.radians(0.5 * self._arguments.fov))
         centre = (0.5 * width, 0.5 * height)
-        found = [
-            (named.classification[0].score, image, world)
-            for named, image, world in hands
-            if _OTHER.get(named.classification[0].label) == self._arguments.side
-        ]
-        if not found:
-            return {}
-        score, image, world = max(found, key=lambda hand: hand[0])
-        shape = _rows(world)
-        places = _rows(image)[:, :2] * (width, height)
-        position = position_in_camera(shape, places, focal_length, centre)
-        landmarks = ((shape + position) * _UPRIGHT).tolist()
-        return {"landmarks": landmarks, "confidence": min(1.0, score)}
+        best: dict[str, Any] = {}
+        for named, image, world in hands:
+            kind = named.classification[0]
+            confidence = min(1.0, kind.score)
+            is_ours = _OTHER.get(kind.label) == self._arguments.side
+            if is_ours and confidence > best.get("confidence", -1.0):
+                shape = _rows(world)
+                places = _rows(image)[:, :2] * (width, height)
+                position = position_in_camera(shape, places, focal_length, centre)
+                landmarks = ((shape + position) * _UPRIGHT).tolist()
+                best = {"landmarks": landmarks, "confidence": confidence}
+        return best
 
 
 def pictures(arguments: argparse.Namespace) -> Iterator[tuple[float, np.ndarray]]:

@@ -77,9 +77,9 @@ class Figure(ABC):
     Attributes:
         axes: From the world's axes to the scene's, shape (3, 3).
         anchor: Position in the scene of the centre, or of the middle of its travel [m], shape (3,).
-        extent: Box of all drawn parts about the centre, along the scene's axes: lowest and highest
-            corner [m], shape (2, 3). Empty until something is known.
-        travel: Box of the centre's positions that the view has room for, likewise.
+        room: What the view has room for, along the scene's axes: the box of the centre's positions,
+            and that of all drawn parts about the centre. Each is its lowest and its highest corner
+            [m], so the shape is (2, 2, 3). NaN until something is known.
     """
 
     def __init__(
@@ -126,31 +126,31 @@ class Figure(ABC):
         """Turn the figure's world to other axes (3, 3), and forget which room it needs."""
         self.axes = axes
         self._frame.wxyz = quat_wxyz_from_rotation(axes)
-        self.extent = np.empty((0, 3))
-        self.travel = np.empty((0, 3))
+        self.room = np.full((2, 2, 3), np.nan)
 
     def fit(self, samples: Iterable[ViewSample]) -> None:
         """Make room for instants that are known beforehand, save for rare excursions."""
-        found = [box for sample in samples if (box := self._box(sample)) is not None]
+        found = [room for sample in samples if (room := self._room(sample)) is not None]
         if found:
-            centres, lows, highs = np.stack(found, axis=1)
-            self.travel = _box_of(centres)
+            lows, highs = np.array(found).transpose(2, 0, 1, 3)
             low = np.percentile(lows, _RARE, axis=0)
-            self.extent = np.array([low, np.percentile(highs, 100.0 - _RARE, axis=0)])
+            high = np.percentile(highs, 100.0 - _RARE, axis=0)
+            self.room = np.stack([low, high], axis=1)
 
     def include(self, sample: ViewSample) -> None:
-        """Make room for one more instant."""
-        if (box := self._box(sample)) is not None:
-            self.travel = _extended(self.travel, box[[0, 0]])
-            self.extent = _extended(self.extent, box[1:])
+        """Make room for one more instant, with a margin where the room has to grow."""
+        if (room := self._room(sample)) is not None:
+            is_within = _OUTWARDS * (room - self.room) <= 0.0
+            self.room = np.where(is_within, self.room, room + _OUTWARDS * _MARGIN)
 
-    def _box(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the centre, and lowest and highest corner about it, in scene axes, (3, 3)."""
+    def _room(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the room of one instant, as `room`; None if nothing is known."""
         if (place := self.place_of(sample)) is None:
             return None
         centre, corners = place
+        middle = self.axes @ centre
         about = (corners - centre) @ self.axes.T
-        return np.vstack([self.axes @ centre, _box_of(about)])
+        return np.array([[middle, middle], _box_of(about)])
 
     def place(self, middle: np.ndarray, low: float) -> None:
         """Move the figure's world so that a point of it is at the anchor.
@@ -160,7 +160,7 @@ class Figure(ABC):
             low: Height of the name [m].
         """
         self._frame.position = self.anchor - middle
-        x, _, z = self.anchor + self.extent.mean(axis=0)
+        x, _, z = self.anchor + self.room[1].mean(axis=0)
         self._label.position = (x, low, z)
 
 
@@ -237,9 +237,7 @@ class Trail:
                 motion relative to it.
         """
         self._points = [
-            point
-            for point in self._points
-            if 0.0 <= time - point[0] <= TRAIL_LENGTH and point[1].shape == tips.shape
+            point for point in self._points if 0.0 <= time - point[0] <= TRAIL_LENGTH
         ]
         self._points.append((time, tips, centre))
         places = np.array(
@@ -575,11 +573,3 @@ def _box_of(points: np.ndarray) -> np.ndarray:
 def known(points: np.ndarray | None) -> np.ndarray | None:
     """Return points if all of them are known."""
     return points if points is not None and np.isfinite(points).all() else None
-
-
-def _extended(box: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return a box (2, 3) that holds another one too, with a margin where it has to grow."""
-    if not len(box):
-        return other
-    is_beyond = _OUTWARDS * (other - box) > 0.0
-    return np.where(is_beyond, other + _OUTWARDS * _MARGIN, box)

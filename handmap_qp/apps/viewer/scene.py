@@ -139,7 +139,9 @@ class HandScene:
             landmarks.is_shown = self.display.has_landmarks
             human.shape = self.display.shape
         row = [
-            figure for figure in self._figures if figure.is_shown and len(figure.extent)
+            figure
+            for figure in self._figures
+            if figure.is_shown and np.isfinite(figure.room).all()
         ]
         with self.server.atomic():
             low = self._lay_out(row)
@@ -149,8 +151,8 @@ class HandScene:
                 if (place := figure.place_of(sample)) is None:
                     continue
                 centre, _ = place
-                travel = figure.travel.mean(axis=0)
-                figure.place(figure.axes @ centre if is_pinned else travel, low)
+                middle = figure.room[0].mean(axis=0)
+                figure.place(figure.axes @ centre if is_pinned else middle, low)
                 tips = figure.tips(sample) if self.display.has_trails else None
                 if tips is not None:
                     figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
@@ -167,19 +169,15 @@ class HandScene:
 
     def _lay_out(self, row: Sequence[Figure]) -> float:
         """Place the figures side by side, fit the cameras, and return the height of the names."""
-        is_travelling = self.display.follow == "world"
-        sizes = [
-            np.ptp(figure.extent, axis=0)
-            + is_travelling * np.ptp(figure.travel, axis=0)
-            for figure in row
-        ]
+        boxes = slice(0 if self.display.follow == "world" else 1, 2)
+        sizes = [np.ptp(figure.room[boxes], axis=1).sum(axis=0) for figure in row]
         _, height, depth = np.max(sizes, axis=0)
         width = sum(size[0] for size in sizes) + _GAP * (len(row) - 1)
         # Seen from the palm side, +x points left.
         left = 0.5 * width
         for figure, size in zip(row, sizes, strict=True):
             cell = (left - 0.5 * size[0], 0.0, 0.0)
-            figure.anchor = cell - figure.extent.mean(axis=0)
+            figure.anchor = cell - figure.room[1].mean(axis=0)
             left -= size[0] + _GAP
         self.cameras.fit(width, height, depth)
         return -0.5 * float(height)
