@@ -39,6 +39,7 @@ from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls
 from handmap_qp.apps.viewer.figure import HandFigure, state_text
 from handmap_qp.apps.viewer.gauges import FIRST, InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
+from handmap_qp.apps.viewer.sample import ViewSample
 from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.apps.viewer.serving import skip_wakeup_race
 from handmap_qp.human.recording import HumanMotion
@@ -184,9 +185,14 @@ def test_links_are_drawn_where_the_model_has_them(server: Any, name: str) -> Non
         rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 0.2, 0.3])
     )
     q = np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits)
-    shown_hand.show(q, wrist)
+    pose = wrist if hand.is_floating else None
+    shown_hand.draw(
+        ViewSample(
+            time=0.0, robot_q=q, robot_wrist=wrist, robot_points=hand.points(q, pose)
+        )
+    )
     links = list(figure.link_meshes(hand))
-    poses = hand.link_poses(links, q, wrist if hand.is_floating else None)
+    poses = hand.link_poses(links, q, pose)
     for link, pose in zip(links, poses, strict=True):
         np.testing.assert_allclose(
             pose_in_scene(server, f"/hand/body/{link}"), pose, atol=1e-5, err_msg=link

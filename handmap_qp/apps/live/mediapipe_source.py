@@ -29,9 +29,8 @@ VARIABLE = "HANDMAP_MEDIAPIPE"
 """Environment variable that names another folder."""
 REQUIREMENTS = ("mediapipe==0.10.21", "numpy<2")
 """What the environment holds."""
-PYTHONS = ((3, 10), (3, 12))
-"""First and last Python that MediaPipe 0.10.21 and our program run on."""
-_OTHER_PYTHONS = ("python3.12", "python3.11", "python3.10")
+PYTHONS = ("python3.12", "python3.11", "python3.10")
+"""What MediaPipe 0.10.21 and our program run on."""
 _PROGRAM = Path(__file__).with_name("mediapipe_process.py")
 _NOT_FOUND = {"landmarks": UNSEEN, "confidence": 0.0}
 """Fields of a sample that the process leaves out where it does not find the hand."""
@@ -93,13 +92,12 @@ def install_environment(report: Callable[[str], object]) -> Path:
 
 
 def _find_python() -> str:
-    low, high = PYTHONS
-    if low <= sys.version_info[:2] <= high:
+    if "python{}.{}".format(*sys.version_info) in PYTHONS:
         return sys.executable
-    if found := next(filter(None, map(shutil.which, _OTHER_PYTHONS)), None):
+    if found := next(filter(None, map(shutil.which, PYTHONS)), None):
         return found
     raise InvalidInputError(
-        argument="--install", expected=f"one of {', '.join(_OTHER_PYTHONS)}", got="none"
+        argument="--install", expected=f"one of {', '.join(PYTHONS)}", got="none"
     )
 
 

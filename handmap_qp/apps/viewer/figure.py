@@ -290,6 +290,8 @@ class HandFigure(Figure):
 
     point_size = 0.1
     """Radius of the reference points, relative to the hand's size: about that of fingertips."""
+    whose = "robot"
+    """What the names of its fields of a `ViewSample` begin with."""
 
     def __init__(
         self,
@@ -327,11 +329,12 @@ class HandFigure(Figure):
 
     def points(self, sample: ViewSample) -> np.ndarray | None:
         """Return the hand's points, which may be known where its posture is not."""
-        return sample.robot_points
+        return getattr(sample, f"{self.whose}_points")
 
     def posture(self, sample: ViewSample) -> Posture | None:
-        """Return joint angles and wrist, if they are known."""
-        return sample.robot_q, sample.robot_wrist
+        """Return joint angles and wrist, if both are known."""
+        q, wrist = (getattr(sample, f"{self.whose}_{part}") for part in ("q", "wrist"))
+        return None if q is None or wrist is None else (q, wrist)
 
     def place_of(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the hand's centre and corners of its links' boxes, or those of its points."""
@@ -350,26 +353,16 @@ class HandFigure(Figure):
         """Draw the hand and its points; hide a hand of unknown posture."""
         posture = self.posture(sample)
         self._body.visible = posture is not None
-        if posture is not None:
-            self.show(*posture)
+        if posture is not None and self._links:
+            # Links are placed relative to the first one: those that do not move in the hand are
+            # sent once.
+            q, wrist = posture
+            poses = self.hand.link_poses(list(self._links), q, self._pose(wrist))
+            _place(self._body, poses[0])
+            placed = inverse_pose(poses[0]) @ poses
+            for node, pose in zip(self._links.values(), placed, strict=True):
+                _place(node, pose)
         self._points.move(self.points(sample))
-
-    def show(self, q: np.ndarray, wrist: np.ndarray) -> None:
-        """Show a posture.
-
-        Args:
-            q: Joint angles [rad], shape (n_joints,).
-            wrist: Wrist pose, shape (4, 4).
-        """
-        # Links are placed relative to the first one: those that do not move in the hand are sent
-        # once.
-        if not self._links:
-            return
-        poses = self.hand.link_poses(list(self._links), q, self._pose(wrist))
-        _place(self._body, poses[0])
-        placed = inverse_pose(poses[0]) @ poses
-        for node, pose in zip(self._links.values(), placed, strict=True):
-            _place(node, pose)
 
     def _boxes(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
@@ -398,6 +391,7 @@ class HumanFigure(HandFigure):
     """
 
     point_size = 0.08
+    whose = "human"
 
     def __init__(
         self, server: viser.ViserServer, hand: Hand, points: np.ndarray | None
@@ -424,16 +418,6 @@ class HumanFigure(HandFigure):
             opacity=0.15,
         )
         self._cube = _add_lines(server, "/human/cube", DEFORMATION_COLOUR, 2.5)
-
-    def points(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the human's points."""
-        return sample.human_points
-
-    def posture(self, sample: ViewSample) -> Posture | None:
-        """Return the human's joint angles and wrist, if both are known."""
-        q = sample.human_q
-        wrist = sample.human_wrist
-        return None if q is None or wrist is None else (q, wrist)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tracked tips, or else those of the posture."""

@@ -37,7 +37,7 @@ class LiveViewer(Window):
     """Show a mapping that runs elsewhere.
 
     Args:
-        source: What to show; a thread reads it from here on.
+        source: What to show; a thread reads it from here on, until it is closed.
         patience: How long to wait for the first sample [s].
 
     Attributes:
@@ -68,18 +68,14 @@ class LiveViewer(Window):
         self._reading = reader.submit(self._read)
         self._reading.add_done_callback(lambda _: self._arrived.set())
         reader.shutdown(wait=False)
-        try:
-            self._arrived.wait(patience)
-            if not self.recent:
-                if self._reading.done():
-                    self._reading.result()
-                raise InvalidInputError(
-                    f"no sample arrived within {patience:g} s",
-                    advice="check that a client sends samples to this session",
-                )
-        except BaseException:
-            self.close()
-            raise
+        self._arrived.wait(patience)
+        if not self.recent:
+            if self._reading.done():
+                self._reading.result()
+            raise InvalidInputError(
+                f"no sample arrived within {patience:g} s",
+                advice="check that a client sends samples to this session",
+            )
         self._start = self._shown = source.choice
         super().__init__(
             server,
