@@ -425,14 +425,16 @@ class Window:
         variants: The robots.
         options_text: Returns the text of the file of options.
         page: Returns the page; may raise `HandmapError`.
-        latest: Length of the plots' time axis, as of `draw_plot`.
 
     Attributes:
         scene: The hands.
         gauges: Numbers, plots and joint bars.
         control: The tab for what moves the robots, which is empty.
         display: What the scene shows.
+        latest: Length of the plots' time axis, as of `draw_plot`.
     """
+
+    latest: float | None = None
 
     def __init__(
         self,
@@ -441,7 +443,6 @@ class Window:
         variants: Sequence[Variant],
         options_text: Callable[[], str],
         page: Callable[[], bytes],
-        latest: float | None = None,
     ) -> None:
         self.scene = HandScene(server, human, variants)
         gui = server.gui
@@ -464,7 +465,6 @@ class Window:
             "handmap.png": _picture,
             "handmap.html": lambda _: page(),
         }
-        self._latest = latest
         self._drawn: tuple[object, ...] = ()
         self._gauged: tuple[ViewSample, ...] = ()
         self._gauges_due = 0.0
@@ -509,6 +509,6 @@ class Window:
         self.scene.cameras.update()
         now = time.monotonic()
         if samples != self._gauged and (at_once or now >= self._gauges_due):
-            self.gauges.draw(variants, index, latest=self._latest)
+            self.gauges.draw(variants, index, latest=self.latest)
             self._gauged = samples
             self._gauges_due = now + _GAUGES_PERIOD

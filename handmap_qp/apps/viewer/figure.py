@@ -206,12 +206,7 @@ class Spheres:
 
 
 class Trail:
-    """The tips of one hand over the last seconds, in the coordinates of a figure's world.
-
-    Args:
-        path: Name of the node.
-        colour: Colour of the lines.
-    """
+    """The tips of one hand over the last seconds, in the coordinates of a figure's world."""
 
     def __init__(self, server: viser.ViserServer, path: str, colour: Colour) -> None:
         # Times [s], tips (n, 3) and the hand's centre (3,) [m], oldest first.
@@ -276,12 +271,6 @@ class LandmarkFigure(Figure):
 
 class HandFigure(Figure):
     """A hand with its shapes.
-
-    Args:
-        node: Name of its node.
-        hand: The hand.
-        colour: Colour of its points and its trail.
-        variant: Index of the variant whose samples it shows.
 
     Attributes:
         hand: The hand.

@@ -340,12 +340,7 @@ def error_plot(
 
 
 class Gauges:
-    """Numbers, plots and joint bars, where viser adds controls.
-
-    Args:
-        variants: The robots.
-        human: The human hand.
-    """
+    """Numbers, plots and joint bars, where viser adds controls."""
 
     def __init__(
         self,

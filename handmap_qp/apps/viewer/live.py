@@ -53,6 +53,8 @@ class LiveViewer(Window):
         HandmapError: Any error of the source.
     """
 
+    latest = _SPAN
+
     def __init__(
         self,
         server: viser.ViserServer,
@@ -83,7 +85,6 @@ class LiveViewer(Window):
             [self._variant()],
             lambda: options_text(source.choice),
             self._page,
-            _SPAN,
         )
         with self.control:
             self.status_text = server.gui.add_markdown("")
