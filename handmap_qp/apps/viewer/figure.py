@@ -132,10 +132,10 @@ class Figure(ABC):
         """Make room for instants that are known beforehand, save for rare excursions."""
         found = [room for sample in samples if (room := self._room(sample)) is not None]
         if found:
-            lows, highs = np.array(found).transpose(2, 0, 1, 3)
-            low = np.percentile(lows, _RARE, axis=0)
-            high = np.percentile(highs, 100.0 - _RARE, axis=0)
-            self.room = np.stack([low, high], axis=1)
+            travel, parts = np.array(found).swapaxes(0, 1)
+            self.room[0] = _box_of(travel[:, 0])
+            low = np.percentile(parts[:, 0], _RARE, axis=0)
+            self.room[1] = low, np.percentile(parts[:, 1], 100.0 - _RARE, axis=0)
 
     def include(self, sample: ViewSample) -> None:
         """Make room for one more instant, with a margin where the room has to grow."""
