@@ -39,6 +39,7 @@ from handmap_qp.apps.viewer.controls import LEFT_OUT, OptionControls
 from handmap_qp.apps.viewer.figure import HandFigure, state_text
 from handmap_qp.apps.viewer.gauges import FIRST, InstantGauges, joints_by_finger
 from handmap_qp.apps.viewer.replay import Replay, ReplayViewer
+from handmap_qp.apps.viewer.sample import ViewSample
 from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.apps.viewer.serving import skip_wakeup_race
 from handmap_qp.human.recording import HumanMotion
@@ -184,9 +185,14 @@ def test_links_are_drawn_where_the_model_has_them(server: Any, name: str) -> Non
         rotation_from_quat_wxyz((0.6, 0.0, 0.8, 0.0)), np.array([0.1, 0.2, 0.3])
     )
     q = np.random.default_rng(0).uniform(hand.lower_limits, hand.upper_limits)
-    shown_hand.show(q, wrist)
+    pose = wrist if hand.is_floating else None
+    shown_hand.draw(
+        ViewSample(
+            time=0.0, robot_q=q, robot_wrist=wrist, robot_points=hand.points(q, pose)
+        )
+    )
     links = list(figure.link_meshes(hand))
-    poses = hand.link_poses(links, q, wrist if hand.is_floating else None)
+    poses = hand.link_poses(links, q, pose)
     for link, pose in zip(links, poses, strict=True):
         np.testing.assert_allclose(
             pose_in_scene(server, f"/hand/body/{link}"), pose, atol=1e-5, err_msg=link
@@ -253,11 +259,12 @@ def test_hands_stay_in_place_or_travel_as_asked(
     human, places = HandFigure(server, "other", replay.human), []
     for sample in (replay.samples[0], replay.samples[-1]):
         scene.draw([sample])
+        assert sample.human_q is not None
         assert sample.human_wrist is not None
-        posed = replace(sample, robot_wrist=sample.human_wrist)
-        centre = human.centre(posed)
-        assert centre is not None
-        places.append(in_scene(server, "/human", centre[None])[0])
+        posed = replace(sample, robot_q=sample.human_q, robot_wrist=sample.human_wrist)
+        place = human.place_of(posed)
+        assert place is not None
+        places.append(in_scene(server, "/human", place[0][None])[0])
     moved = float(np.linalg.norm(places[1] - places[0]))
     assert moved == pytest.approx(0.0, abs=1e-9) if follow == "hands" else moved > 0.1
 
@@ -326,7 +333,7 @@ def test_saved_options_are_those_in_force(viewer: ReplayViewer) -> None:
     client = SimpleNamespace(
         send_file_download=lambda name, content: sent.append(content)
     )
-    viewer.exports.send("options.yaml", client)
+    viewer.send("options.yaml", client)
     assert yaml.safe_load(sent[0]) == {"preset": "paper", "deformation_gain": 0.5}
 
 
@@ -444,7 +451,7 @@ def test_a_preset_brings_its_options_its_points_and_its_mapping(
     assert shown(viewer.server, "/robot/points") == [True] * few + [False] * (
         many - few
     )
-    assert not handles["pinch_weight"].visible
+    assert "pinch_weight" not in options.handles
     assert options.handles["scale"].visible
     press(steering.reset)
     viewer.tick(0.0)

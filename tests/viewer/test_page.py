@@ -340,7 +340,7 @@ def test_the_page_draws_both_hands_and_its_controls_move_the_robot(
         get_render=client.get_render,
         send_file_download=lambda name, content: sent.append(content),
     )
-    viewer.exports.send("handmap.png", capturing)
+    viewer.send("handmap.png", capturing)
     picture = np.asarray(Image.open(BytesIO(sent[0])))
     assert picture.shape == (client.camera.image_height, client.camera.image_width, 3)
     assert skin(picture) > FEWEST_PIXELS

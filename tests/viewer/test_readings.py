@@ -44,19 +44,18 @@ def test_readings_are_the_errors_that_were_made_and_the_gaps_of_the_surfaces() -
     shifts[0, 2] = 0.03
     target = affine(rotation_from_rpy((0.0, 0.2, 0.0)), np.array([0.003, 0.0, -0.004]))
     sample = sample_of(q, targets=points + shifts, wrist_target=target)
-    readings = GAUGES.read(sample)
-    assert readings[:4] == pytest.approx((0.03 / len(points), 0.03, 0.005, 0.2))
+    expected = (0.03 / len(points), 0.03, 0.005, 0.2)
+    assert GAUGES.errors(sample) == pytest.approx(expected)
     gaps = measure_gaps(ROBOT, q[None]).pinches
-    assert readings.pinches == pytest.approx(
-        {name: gap[0] for name, gap in gaps.items()}
-    )
+    pinches = GAUGES.pinches(sample)
+    assert pinches == pytest.approx({name: gap[0] for name, gap in gaps.items()})
     text = re.sub("<[^>]*>", " ", GAUGES.table([sample]))
     assert "30.0 mm" in text
     assert "5.0 mm" in text
     assert "11.5°" in text
-    finger, gap = next(iter(readings.pinches.items()))
+    finger, gap = next(iter(pinches.items()))
     assert re.search(rf"{finger}\s+\S+\s+{1e3 * gap:.0f}\b", text)
-    assert np.isnan(GAUGES.read(sample_of(q))[:4]).all()
+    assert np.isnan(GAUGES.errors(sample_of(q))).all()
 
 
 def test_a_touch_of_the_human_reads_zero() -> None:

@@ -14,11 +14,14 @@ from rich.console import Console
 
 from handmap_qp.apps import live
 from handmap_qp.apps.arguments import KeyFiles, OpenSession, hinted
-from handmap_qp.apps.live.mediapipe_source import MediapipeSource, install_environment
+from handmap_qp.apps.live.mediapipe_source import (
+    MediapipeSource,
+    environment_python,
+    install_environment,
+)
 from handmap_qp.apps.live.source import Recorder, Replay, Sink, Source, run
 from handmap_qp.apps.tables import print_table
 from handmap_qp.errors import InvalidInputError, expect
-from handmap_qp.hands.spec import Side
 from handmap_qp.human.person import read_person
 from handmap_qp.trackers.formats import read_recording
 
@@ -142,8 +145,8 @@ class TrackReplay:
         self.target.lead(Replay(recording, speed=self.speed, loop=self.loop))
 
 
-@dataclass(frozen=True)
-class TrackMediapipe:
+@dataclass(eq=False)
+class TrackMediapipe(MediapipeSource):
     """Track a hand in a camera's picture or a video file with MediaPipe.
 
     MediaPipe needs an older numpy, so it runs in an environment of its own: make it once by
@@ -156,20 +159,10 @@ class TrackMediapipe:
         handmap track mediapipe --video hand.mp4 --side left --record hand.npz
 
     Attributes:
-        camera: Number of the camera.
-        video: Video file in place of a camera.
-        side: The hand to track.
-        mirrored: The pictures are mirrored, as a selfie's are.
-        fov: Horizontal field of view of the camera [deg].
         install: Make the environment of MediaPipe, and end.
         target: Where the samples go.
     """
 
-    camera: int = 0
-    video: Annotated[Path | None, hinted("FILE", "(default: the camera)")] = None
-    side: Side = "right"
-    mirrored: bool = False
-    fov: float = 65.0
     install: bool = False
     target: TargetFlags = field(default_factory=Target)
 
@@ -179,15 +172,10 @@ class TrackMediapipe:
             print(f"MediaPipe is ready in {install_environment(print)}")
             return
         self.target.check()
-        source = MediapipeSource(
-            camera=self.camera,
-            video=self.video,
-            side=self.side,
-            fov=self.fov,
-            is_mirrored=self.mirrored,
-            is_paced=self.target.to is not None,
-        )
-        self.target.lead(source)
+        # Check it before a session is opened.
+        environment_python()
+        self.is_paced = self.target.to is not None
+        self.target.lead(self)
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,14 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import Annotated
 
+import tyro
+
+from handmap_qp.apps.arguments import hinted
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.hands.spec import Side
 from handmap_qp.human.sample import UNSEEN, HumanSample
@@ -25,9 +29,8 @@ VARIABLE = "HANDMAP_MEDIAPIPE"
 """Environment variable that names another folder."""
 REQUIREMENTS = ("mediapipe==0.10.21", "numpy<2")
 """What the environment holds."""
-PYTHONS = ((3, 10), (3, 12))
-"""First and last Python that MediaPipe 0.10.21 and our program run on."""
-_OTHER_PYTHONS = ("python3.12", "python3.11", "python3.10")
+PYTHONS = ("python3.12", "python3.11", "python3.10")
+"""What MediaPipe 0.10.21 and our program run on."""
 _PROGRAM = Path(__file__).with_name("mediapipe_process.py")
 _NOT_FOUND = {"landmarks": UNSEEN, "confidence": 0.0}
 """Fields of a sample that the process leaves out where it does not find the hand."""
@@ -89,13 +92,12 @@ def install_environment(report: Callable[[str], object]) -> Path:
 
 
 def _find_python() -> str:
-    low, high = PYTHONS
-    if low <= sys.version_info[:2] <= high:
+    if "python{}.{}".format(*sys.version_info) in PYTHONS:
         return sys.executable
-    if found := next(filter(None, map(shutil.which, _OTHER_PYTHONS)), None):
+    if found := next(filter(None, map(shutil.which, PYTHONS)), None):
         return found
     raise InvalidInputError(
-        argument="--install", expected=f"one of {', '.join(_OTHER_PYTHONS)}", got="none"
+        argument="--install", expected=f"one of {', '.join(PYTHONS)}", got="none"
     )
 
 
@@ -109,62 +111,53 @@ def _run(command: list[str], problem: str) -> None:
         )
 
 
+@dataclass(eq=False)
 class MediapipeSource:
     """Tracks one hand in a camera's picture or a video with MediaPipe, in its environment.
 
     Landmarks are in metres in upright axes of the camera: x right in the picture, y up, z towards
     the camera, which is the origin.
 
-    Args:
-        camera: Number of the camera; without effect with `video`.
-        video: A video file in place of a camera.
-        side: The hand to track.
-        fov: Horizontal field of view of the camera [deg]; the hand's distance follows from it.
-        is_mirrored: Whether pictures are mirrored, as a selfie's are.
-        is_paced: Whether a video is played at its own speed, instead of as fast as possible.
-
     Attributes:
+        camera: Number of the camera.
+        video: Video file in place of a camera.
+        side: The hand to track.
+        is_mirrored: The pictures are mirrored, as a selfie's are.
+        fov: Horizontal field of view of the camera [deg].
+        is_paced: Whether a video is played at its own speed, instead of as fast as possible.
         name: The camera, or the name of the video.
-        side: The hand that is tracked.
         rate: 0: the camera or the file decides.
         upright: Empty: it is not known how the camera stands.
-
-    Raises:
-        InvalidInputError: If MediaPipe is not installed.
     """
 
-    rate: float = 0.0
-    upright: str = ""
+    camera: int = 0
+    video: Annotated[Path | None, hinted("FILE", "(default: the camera)")] = None
+    side: Side = "right"
+    is_mirrored: Annotated[bool, tyro.conf.arg(name="mirrored")] = False
+    fov: float = 65.0
+    is_paced: tyro.conf.Suppress[bool] = True
+    rate = 0.0
+    upright = ""
 
-    def __init__(
-        self,
-        *,
-        camera: int = 0,
-        video: Path | None = None,
-        side: Side = "right",
-        fov: float = 65.0,
-        is_mirrored: bool = False,
-        is_paced: bool = True,
-    ) -> None:
-        self.side: Side = side
-        self.name = f"camera {camera}" if video is None else video.stem
-        self._argument = "--camera" if video is None else "--video"
-        source = str(camera if video is None else video)
-        self._command = [str(environment_python()), "-u", str(_PROGRAM)]
-        self._command += [self._argument, source, "--side", side, "--fov", str(fov)]
-        self._command += ["--mirrored"] * is_mirrored + ["--paced"] * is_paced
+    def __post_init__(self) -> None:
+        self.name = f"camera {self.camera}" if self.video is None else self.video.stem
 
     def __iter__(self) -> Iterator[HumanSample]:
         """Yield a sample for each picture.
 
         Raises:
-            InvalidInputError: If the camera or the file cannot be read, the field of view is out
-                of its range, or MediaPipe fails.
+            InvalidInputError: If MediaPipe is not installed or fails, the camera or the file cannot
+                be read, or the field of view is out of its range.
         """
+        option = "--camera" if self.video is None else "--video"
+        source = str(self.video or self.camera)
+        command = [str(environment_python()), "-u", str(_PROGRAM), option, source]
+        command += ["--side", self.side, "--fov", str(self.fov)]
+        command += ["--mirrored"] * self.is_mirrored + ["--paced"] * self.is_paced
         with (
             tempfile.TemporaryFile(mode="w+") as messages,
             subprocess.Popen(
-                self._command, stdout=subprocess.PIPE, stderr=messages, text=True
+                command, stdout=subprocess.PIPE, stderr=messages, text=True
             ) as process,
         ):
             try:
@@ -180,14 +173,13 @@ class MediapipeSource:
                 except subprocess.TimeoutExpired:
                     process.kill()
             if code:
-                raise self._error(messages)
+                messages.seek(0)
+                raise InvalidInputError(_last_of(messages), argument=option)
 
-    def _error(self, messages: IO[str]) -> InvalidInputError:
-        """Return the process's own last line as an error."""
-        messages.seek(0)
-        lines = ["MediaPipe ended without a message", *messages]
-        name = "mediapipe_process: "
-        text = ([line for line in lines if line.startswith(name)] or lines)[-1]
-        return InvalidInputError(
-            text.removeprefix(name).strip(), argument=self._argument
-        )
+
+def _last_of(messages: Iterable[str]) -> str:
+    """Return the process's own last line, or else the last one."""
+    lines = ["MediaPipe ended without a message", *messages]
+    name = "mediapipe_process: "
+    text = ([line for line in lines if line.startswith(name)] or lines)[-1]
+    return text.removeprefix(name).strip()

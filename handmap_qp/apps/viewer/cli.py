@@ -169,8 +169,8 @@ class View:
             with self._serving() as server:
                 while True:
                     with contextlib.closing(LiveViewer(server, source)) as window:
-                        window.run()
-                    # Its hands have changed.
+                        # Until interrupted, or until its hands have changed.
+                        run_frames(window.tick, partial(getattr, source, "is_outdated"))
                     server.gui.reset()
                     server.scene.reset()
                     source = connect(session=source.name)
@@ -211,5 +211,5 @@ class View:
         choice = self.arguments.preset_for(human, robot, recording.upright)
         replay = Replay(recording, motion, human, robot, choice)
         if compared is not None:
-            replay.compare(replay.preset(compared))
+            replay.compare(compared)
         return replay

@@ -10,12 +10,14 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 import yaml
 
-from handmap_qp.apps.viewer.figure import TRAIL_LENGTH
 from handmap_qp.apps.viewer.gauges import Gauges
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Display, HandScene
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
 NOTHING = "nothing"
 KEPT = "kept options"
 """Entries of the list of methods to compare with, besides the methods."""
-SPEEDS = {"1/4": 0.25, "1/2": 0.5, "1": 1.0, "2": 2.0}
 LEFT_OUT = ("step_tolerance", "point_tolerance", "tasks")
 """Options without a control: tolerances, and names of tasks."""
 _GIVEN = "as given"
@@ -43,6 +44,29 @@ _GAUGES_PERIOD = 0.1
 _PANEL_WIDTH = 300
 # How long a browser may take to draw a picture [s].
 _PATIENCE = 60.0
+_GROUPS = msgspec.yaml.decode(Path(__file__).with_suffix(".yaml").read_bytes())
+
+
+def add_controls(
+    gui: Any, group: str, press: Callable[[str, Any], object] = lambda *_: None
+) -> list[Any]:
+    """Add a group of controls, as `controls.yaml` describes them.
+
+    Args:
+        gui: Where viser adds controls.
+        group: Name of the group.
+        press: Called with a button's name and the browser's handle when the button is pressed.
+
+    Returns:
+        The viser controls, in their order.
+    """
+    handles = []
+    for name, control in _GROUPS[group].items():
+        ((kind, arguments),) = control.items()
+        handles.append(handle := getattr(gui, f"add_{kind}")(**arguments))
+        if kind == "button":
+            handle.on_click(lambda event, name=name: press(name, event.client))
+    return handles
 
 
 def say(handle: Any, said: str | HandmapError | None) -> None:
@@ -90,11 +114,6 @@ class _Control:
         if shown != self._taken:
             self.handle.value = self._taken = shown
 
-    def set_visible(self, is_visible: bool) -> None:
-        """Show or hide the control; what the user changed before then does not count."""
-        self._taken = self.handle.value
-        self.handle.visible = is_visible
-
 
 def _take_changes(controls: dict[str, _Control]) -> dict[str, Any]:
     """Return what the user has changed since the last call, by name."""
@@ -105,32 +124,10 @@ class DisplayControls:
     """What the scene shows."""
 
     def __init__(self, server: viser.ViserServer) -> None:
-        gui = server.gui
-        self.follow = gui.add_dropdown(
-            "follow",
-            ("hands", "world"),
-            hint="hands: keep each hand in place; world: show how it travels",
+        self._presses: list[str] = []
+        self.follow, self.shape, self.landmarks, self.trails, self.clear = add_controls(
+            server.gui, "display", lambda name, _: self._presses.append(name)
         )
-        self.shape = gui.add_dropdown(
-            "deformation",
-            ("ellipsoid", "cube", "off"),
-            hint="Shape of a ball or cube at the pivot after T_def",
-        )
-        self.landmarks = gui.add_checkbox(
-            "landmarks",
-            False,
-            hint="The tracker's landmarks, beside the hand",
-        )
-        self.trails = gui.add_checkbox(
-            "trails",
-            False,
-            hint=f"Where the fingertips were in the last {TRAIL_LENGTH:g} s",
-        )
-        self.clear = gui.add_button(
-            "Clear trails", hint="Start the trails again from here"
-        )
-        self._presses: list[object] = []
-        self.clear.on_click(self._presses.append)
 
     def apply_to(self, scene: HandScene) -> None:
         """Copy the settings to the scene; its next drawing shows them."""
@@ -170,7 +167,7 @@ class SteeringControls:
         presets: tuple[str, ...],
         compared: str | None = None,
     ) -> None:
-        self._gui = gui = server.gui
+        gui = server.gui
         self._requests: list[str] = []
         names = dict.fromkeys((*presets, choice.preset))
         self.preset = gui.add_dropdown(
@@ -189,29 +186,15 @@ class SteeringControls:
                 hint="A second robot follows the same hand by another method",
             )
             self._lists["compare"] = _Control(self.compare)
-            self.keep = self._add_button(
-                "Keep for comparison",
-                "Keep the robot as it is now beside later options",
-            )
+            (self.keep,) = add_controls(gui, "comparing", self._note)
         self.message = gui.add_markdown("", visible=False)
         self.options = OptionControls(server, choice)
-        self.reset = self._add_button(
-            "Reset options and clutch",
-            "Restore the initial preset and options, and resume mapping",
+        self.reset, self.release, self.clutch = add_controls(
+            gui, "engaging", self._note
         )
-        self.release = self._add_button(
-            "Release", "Freeze the robot until Clutch is pressed"
-        )
-        self.clutch = self._add_button(
-            "Clutch", "Resume mapping from where the robot is"
-        )
-        self.clutch.disabled = True
 
-    def _add_button(self, label: str, hint: str) -> Any:
-        """Add a button that requests the first word of its label."""
-        button = self._gui.add_button(label, hint=hint)
-        button.on_click(lambda _: self._requests.append(label.split()[0].lower()))
-        return button
+    def _note(self, name: str, _: Any) -> None:
+        self._requests.append(name)
 
     def take_requests(self) -> list[str]:
         """Return the buttons pressed since the last call: `release`, `clutch`, `reset`, `keep`."""
@@ -241,49 +224,43 @@ class SteeringControls:
 class OptionControls:
     """A slider, a list or a box for each option, made from its type and range.
 
-    They are those of the QP and of every method shown so far; one method is visible.
-
     Args:
         choice: The initial options.
+
+    Attributes:
+        handles: The viser controls of the method and the QP, by option name.
     """
+
+    handles: dict[str, Any]
 
     def __init__(self, server: viser.ViserServer, choice: Choice) -> None:
         self._gui = server.gui
         tabs = server.gui.add_tab_group()
         self._tab = tabs.add_tab("Mapping")
-        self._methods: dict[type[Options], dict[str, _Control]] = {}
         with tabs.add_tab("QP"):
             self._ik = self._controls_of(type(choice.ik))
-        self._method: dict[str, _Control] = {}
+        self._method: type[Options] | None = None
+        self._controls = self._ik
         self.show(choice)
-
-    @property
-    def handles(self) -> dict[str, Any]:
-        """The viser controls of the method and the QP, by option name."""
-        return {
-            name: control.handle for name, control in (self._method | self._ik).items()
-        }
 
     def take_changes(self) -> dict[str, Any]:
         """Return the options that the user has changed since the last call, by name."""
-        return _take_changes(self._method | self._ik)
+        return _take_changes(self._controls)
 
     def show(self, choice: Choice) -> None:
         """Show the options, except where the user has changed a control since `take_changes`.
 
-        If the method is another one, show its controls instead.
+        If the method is another one, its controls replace those of the one before.
         """
-        kind = type(choice.method)
-        if kind not in self._methods:
+        if self._method is not type(choice.method):
+            self._method = type(choice.method)
+            for name in self._controls.keys() - self._ik.keys():
+                self._controls[name].handle.remove()
             with self._tab:
-                self._methods[kind] = self._controls_of(kind)
-        if (method := self._methods[kind]) is not self._method:
-            for controls in (self._method, method):
-                for control in controls.values():
-                    control.set_visible(controls is method)
-            self._method = method
+                self._controls = self._controls_of(self._method) | self._ik
+            self.handles = {name: each.handle for name, each in self._controls.items()}
         values = choice.method.values | choice.ik.values
-        for name, control in (method | self._ik).items():
+        for name, control in self._controls.items():
             control.show(values[name])
 
     def _controls_of(self, kind: type[Options]) -> dict[str, _Control]:
@@ -378,15 +355,12 @@ class PlayBar:
     """
 
     def __init__(self, server: viser.ViserServer, duration: float) -> None:
-        import viser
-
-        self._icons = {"Pause": viser.Icon.PLAYER_PAUSE, "Play": viser.Icon.PLAYER_PLAY}
         self.is_playing = True
         self.time = self._written = 0.0
         self._duration = duration
-        self.button = server.gui.add_button("Pause", icon=self._icons["Pause"])
-        self.button.on_click(lambda _: self.toggle())
-        self.speed = server.gui.add_dropdown("speed", tuple(SPEEDS), initial_value="1")
+        self.button, self.speed = add_controls(
+            server.gui, "playing", lambda *_: self.toggle()
+        )
         self.slider = server.gui.add_slider(
             "time [s]", 0.0, max(round(duration, 2), 0.01), 0.01, 0.0
         )
@@ -395,7 +369,7 @@ class PlayBar:
         """Play or pause."""
         self.is_playing = not self.is_playing
         self.button.label = "Pause" if self.is_playing else "Play"
-        self.button.icon = self._icons[self.button.label]
+        self.button.icon = f"player-{self.button.label.lower()}"
 
     def advance(self, elapsed: float) -> None:
         """Advance time, or take it from the slider if the user moved it.
@@ -406,74 +380,23 @@ class PlayBar:
         if self.slider.value != self._written:
             self.time = self.slider.value
         elif self.is_playing:
-            self.time += SPEEDS[self.speed.value] * elapsed
+            self.time += float(Fraction(self.speed.value)) * elapsed
             if self.time > self._duration:
                 self.time = 0.0
         self.slider.value = self._written = round(self.time, 2)
 
 
-class ExportControls:
-    """Buttons that send what the view shows to the browser, as files.
-
-    Args:
-        options_text: Returns the text of the file of options.
-        page: Returns the page; may raise `HandmapError`.
-    """
-
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        options_text: Callable[[], str],
-        page: Callable[[], bytes],
-    ) -> None:
-        self._contents: dict[str, Callable[[Any], bytes]] = {}
-        for name, kind, hint, content in (
-            (
-                "options.yaml",
-                "options",
-                "Download preset and options, for --options of the commands",
-                lambda _: options_text().encode(),
-            ),
-            (
-                "handmap.png",
-                "picture",
-                "Download the hands as they are shown, without the panels",
-                # The browser draws the hands.
-                lambda client: on_white(
-                    client.get_render(
-                        client.camera.image_height,
-                        client.camera.image_width,
-                        transport_format="png",
-                        timeout=_PATIENCE,
-                    )
-                ),
-            ),
-            (
-                "handmap.html",
-                "page",
-                "Download a page that plays the motion without a server",
-                lambda _: page(),
-            ),
-        ):
-            self._contents[name] = content
-            button = server.gui.add_button(f"Save {kind}", hint=hint)
-            button.on_click(lambda event, name=name: self.send(name, event.client))
-        self._message = server.gui.add_markdown("", visible=False)
-
-    def send(self, name: str, client: Any) -> None:
-        """Send a file to the browser that asked for it.
-
-        Args:
-            name: `options.yaml`, `handmap.png` or `handmap.html`.
-            client: The browser's handle of viser.
-        """
-        said: str | HandmapError = ""
-        say(self._message, f"writing {name} …")
-        try:
-            client.send_file_download(name, self._contents[name](client))
-        except HandmapError as error:
-            said = error
-        say(self._message, said)
+def _picture(client: Any) -> bytes:
+    """Return what a browser draws of the hands as a PNG file."""
+    camera = client.camera
+    return on_white(
+        client.get_render(
+            camera.image_height,
+            camera.image_width,
+            transport_format="png",
+            timeout=_PATIENCE,
+        )
+    )
 
 
 def on_white(image: np.ndarray) -> bytes:
@@ -508,8 +431,10 @@ class Window:
         gauges: Numbers, plots and joint bars.
         control: The tab for what moves the robots, which is empty.
         display: What the scene shows.
-        exports: Buttons that download files.
+        latest: Length of the plots' time axis, as of `draw_plot`.
     """
+
+    latest: float | None = None
 
     def __init__(
         self,
@@ -533,28 +458,57 @@ class Window:
         with show:
             self.display = DisplayControls(server)
         with save:
-            self.exports = ExportControls(server, options_text, page)
+            add_controls(gui, "saving", self.send)
+            self._saving = gui.add_markdown("", visible=False)
+        self._files: dict[str, Callable[[Any], bytes]] = {
+            "options.yaml": lambda _: options_text().encode(),
+            "handmap.png": _picture,
+            "handmap.html": lambda _: page(),
+        }
         self._drawn: tuple[object, ...] = ()
+        self._gauged: tuple[ViewSample, ...] = ()
         self._gauges_due = 0.0
+
+    def send(self, name: str, client: Any) -> None:
+        """Send a file to the browser that asked for it.
+
+        Args:
+            name: `options.yaml`, `handmap.png` or `handmap.html`.
+            client: The browser's handle of viser.
+        """
+        said: str | HandmapError = ""
+        say(self._saving, f"writing {name} …")
+        try:
+            client.send_file_download(name, self._files[name](client))
+        except HandmapError as error:
+            said = error
+        say(self._saving, said)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
         """Show these robots."""
-        self._drawn = ()
+        self._drawn = self._gauged = ()
         self.scene.set_variants(variants)
         self.gauges.set_variants(variants)
 
-    def draw(self, samples: Sequence[ViewSample]) -> None:
-        """Draw one sample of each robot, unless it is drawn as the display controls ask for."""
+    def draw(
+        self, variants: Sequence[Variant], index: int, *, at_once: bool = False
+    ) -> None:
+        """Draw one instant, unless it is drawn as the display controls ask for.
+
+        Args:
+            variants: The robots that are shown, with their samples.
+            index: Index of the sample to draw.
+            at_once: Whether the gauges are updated too, even if they were a moment ago.
+        """
         self.display.apply_to(self.scene)
-        state = (tuple(samples), self.scene.display)
+        samples = tuple(variant.samples[index] for variant in variants)
+        state = (samples, self.scene.display)
         if state != self._drawn:
             self.scene.draw(samples)
             self._drawn = state
         self.scene.cameras.update()
-
-    def is_time_for_gauges(self) -> bool:
-        """Return whether the gauges are due, and count them as updated then."""
         now = time.monotonic()
-        if is_due := now >= self._gauges_due:
+        if samples != self._gauged and (at_once or now >= self._gauges_due):
+            self.gauges.draw(variants, index, latest=self.latest)
+            self._gauged = samples
             self._gauges_due = now + _GAUGES_PERIOD
-        return is_due

@@ -7,7 +7,6 @@ sends what has changed only.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
 from collections.abc import Iterable
 from functools import partial
 from itertools import product
@@ -47,8 +46,6 @@ _LINES = np.array(BONES + NEIGHBOURS)
 """Pairs of landmarks that a line joins, shape (n, 2)."""
 TRAIL_LENGTH = 4.0
 """A trail shows this time [s]."""
-# Least time between two points of a trail [s].
-_TRAIL_PERIOD = 1.0 / 30.0
 _LANDMARK_RADIUS = 0.0045
 # A box grows by this margin more than needed, so that it does not grow at every sample [m].
 _MARGIN = 0.03
@@ -80,9 +77,9 @@ class Figure(ABC):
     Attributes:
         axes: From the world's axes to the scene's, shape (3, 3).
         anchor: Position in the scene of the centre, or of the middle of its travel [m], shape (3,).
-        extent: Box of all drawn parts about the centre, along the scene's axes: lowest and highest
-            corner [m], shape (2, 3). Empty until something is known.
-        travel: Box of the centre's positions that the view has room for, likewise.
+        room: What the view has room for, along the scene's axes: the box of the centre's positions,
+            and that of all drawn parts about the centre. Each is its lowest and its highest corner
+            [m], so the shape is (2, 2, 3). NaN until something is known.
     """
 
     def __init__(
@@ -112,14 +109,14 @@ class Figure(ABC):
     def draw(self, sample: ViewSample) -> None:
         """Draw one instant."""
 
-    def centre(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the centre in the figure's world [m], shape (3,); None if nothing is known."""
-        points = self.points(sample)
-        return None if points is None else points.mean(axis=0)
+    def place_of(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return where it is in the figure's world [m]; None if nothing is known.
 
-    def corners(self, sample: ViewSample) -> np.ndarray:
-        """Return corners of what is drawn, if anything is, likewise, shape (n, 3)."""
-        return np.asarray(self.points(sample))
+        Returns:
+            Its centre, shape (3,), and corners of what is drawn, shape (n, 3).
+        """
+        points = self.points(sample)
+        return None if points is None else (points.mean(axis=0), points)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the fingertips in the figure's world [m], shape (n, 3); None for no trail."""
@@ -129,30 +126,31 @@ class Figure(ABC):
         """Turn the figure's world to other axes (3, 3), and forget which room it needs."""
         self.axes = axes
         self._frame.wxyz = quat_wxyz_from_rotation(axes)
-        self.extent = np.empty((0, 3))
-        self.travel = np.empty((0, 3))
+        self.room = np.full((2, 2, 3), np.nan)
 
     def fit(self, samples: Iterable[ViewSample]) -> None:
         """Make room for instants that are known beforehand, save for rare excursions."""
-        found = [box for sample in samples if (box := self._box(sample)) is not None]
+        found = [room for sample in samples if (room := self._room(sample)) is not None]
         if found:
-            centres, lows, highs = np.stack(found, axis=1)
-            self.travel = _box_of(centres)
-            low = np.percentile(lows, _RARE, axis=0)
-            self.extent = np.array([low, np.percentile(highs, 100.0 - _RARE, axis=0)])
+            travel, parts = np.array(found).swapaxes(0, 1)
+            self.room[0] = _box_of(travel[:, 0])
+            low = np.percentile(parts[:, 0], _RARE, axis=0)
+            self.room[1] = low, np.percentile(parts[:, 1], 100.0 - _RARE, axis=0)
 
     def include(self, sample: ViewSample) -> None:
-        """Make room for one more instant."""
-        if (box := self._box(sample)) is not None:
-            self.travel = _extended(self.travel, box[[0, 0]])
-            self.extent = _extended(self.extent, box[1:])
+        """Make room for one more instant, with a margin where the room has to grow."""
+        if (room := self._room(sample)) is not None:
+            is_within = _OUTWARDS * (room - self.room) <= 0.0
+            self.room = np.where(is_within, self.room, room + _OUTWARDS * _MARGIN)
 
-    def _box(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the centre, and lowest and highest corner about it, in scene axes, (3, 3)."""
-        if (centre := self.centre(sample)) is None:
+    def _room(self, sample: ViewSample) -> np.ndarray | None:
+        """Return the room of one instant, as `room`; None if nothing is known."""
+        if (place := self.place_of(sample)) is None:
             return None
-        about = (self.corners(sample) - centre) @ self.axes.T
-        return np.vstack([self.axes @ centre, _box_of(about)])
+        centre, corners = place
+        middle = self.axes @ centre
+        about = (corners - centre) @ self.axes.T
+        return np.array([[middle, middle], _box_of(about)])
 
     def place(self, middle: np.ndarray, low: float) -> None:
         """Move the figure's world so that a point of it is at the anchor.
@@ -162,7 +160,7 @@ class Figure(ABC):
             low: Height of the name [m].
         """
         self._frame.position = self.anchor - middle
-        x, _, z = self.anchor + self.extent.mean(axis=0)
+        x, _, z = self.anchor + self.room[1].mean(axis=0)
         self._label.position = (x, low, z)
 
 
@@ -208,16 +206,11 @@ class Spheres:
 
 
 class Trail:
-    """The tips of one hand over the last seconds, in the coordinates of a figure's world.
-
-    Args:
-        path: Name of the node.
-        colour: Colour of the lines.
-    """
+    """The tips of one hand over the last seconds, in the coordinates of a figure's world."""
 
     def __init__(self, server: viser.ViserServer, path: str, colour: Colour) -> None:
         # Times [s], tips (n, 3) and the hand's centre (3,) [m], oldest first.
-        self._points: deque[tuple[float, np.ndarray, np.ndarray]] = deque()
+        self._points: list[tuple[float, np.ndarray, np.ndarray]] = []
         self._lines = _add_lines(server, path, colour, 2.0)
         self.clear()
 
@@ -227,16 +220,9 @@ class Trail:
         self._lines.visible = False
 
     def add(
-        self,
-        time: float,
-        tips: np.ndarray,
-        centre: np.ndarray,
-        *,
-        is_pinned: bool,
+        self, time: float, tips: np.ndarray, centre: np.ndarray, *, is_pinned: bool
     ) -> None:
-        """Add where the tips are, and draw the trail.
-
-        It starts again where time goes backwards or leaps.
+        """Add where the tips are, and draw the trail, without what is later or too long ago.
 
         Args:
             time: Time of the sample [s].
@@ -245,23 +231,15 @@ class Trail:
             is_pinned: Whether the view keeps the centre in place: the trail then shows the tips'
                 motion relative to it.
         """
-        points = self._points
-        if points and not (
-            0.0 <= time - points[-1][0] < TRAIL_LENGTH
-            and tips.shape == points[-1][1].shape
-        ):
-            points.clear()
-        if len(points) > 1 and time - points[-2][0] < _TRAIL_PERIOD:
-            # Let the last point follow the hand until the next one is due.
-            points.pop()
-        points.append((time, tips, centre))
-        while time - points[0][0] > TRAIL_LENGTH:
-            points.popleft()
+        self._points = [
+            point for point in self._points if 0.0 <= time - point[0] <= TRAIL_LENGTH
+        ]
+        self._points.append((time, tips, centre))
         places = np.array(
-            [tips - is_pinned * (then - centre) for _, tips, then in points]
+            [tips - is_pinned * (then - centre) for _, tips, then in self._points]
         )
         self._lines.visible = len(places) > 1
-        if len(places) > 1:
+        if self._lines.visible:
             steps = np.stack([places[:-1], places[1:]], axis=2)
             self._lines.points = steps.reshape(-1, 2, 3)
 
@@ -294,12 +272,6 @@ class LandmarkFigure(Figure):
 class HandFigure(Figure):
     """A hand with its shapes.
 
-    Args:
-        node: Name of its node.
-        hand: The hand.
-        colour: Colour of its points and its trail.
-        variant: Index of the variant whose samples it shows.
-
     Attributes:
         hand: The hand.
         radius: About half its size [m], for the sizes of spheres.
@@ -307,6 +279,8 @@ class HandFigure(Figure):
 
     point_size = 0.1
     """Radius of the reference points, relative to the hand's size: about that of fingertips."""
+    whose = "robot"
+    """What the names of its fields of a `ViewSample` begin with."""
 
     def __init__(
         self,
@@ -344,22 +318,19 @@ class HandFigure(Figure):
 
     def points(self, sample: ViewSample) -> np.ndarray | None:
         """Return the hand's points, which may be known where its posture is not."""
-        return sample.robot_points
+        return getattr(sample, f"{self.whose}_points")
 
     def posture(self, sample: ViewSample) -> Posture | None:
-        """Return joint angles and wrist, if they are known."""
-        return sample.robot_q, sample.robot_wrist
+        """Return joint angles and wrist, if both are known."""
+        q, wrist = (getattr(sample, f"{self.whose}_{part}") for part in ("q", "wrist"))
+        return None if q is None or wrist is None else (q, wrist)
 
-    def centre(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the hand's centre, or that of its points."""
+    def place_of(self, sample: ViewSample) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the hand's centre and corners of its links' boxes, or those of its points."""
         if (posture := self.posture(sample)) is None:
-            return super().centre(sample)
-        return transform_points(posture[1], self._focus[None])[0]
-
-    def corners(self, sample: ViewSample) -> np.ndarray:
-        """Return the corners of the boxes around its links, or its points."""
-        posture = self.posture(sample)
-        return super().corners(sample) if posture is None else self._boxes(*posture)
+            return super().place_of(sample)
+        (centre,) = transform_points(posture[1], self._focus[None])
+        return centre, self._boxes(*posture)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tips of the posture."""
@@ -371,26 +342,16 @@ class HandFigure(Figure):
         """Draw the hand and its points; hide a hand of unknown posture."""
         posture = self.posture(sample)
         self._body.visible = posture is not None
-        if posture is not None:
-            self.show(*posture)
+        if posture is not None and self._links:
+            # Links are placed relative to the first one: those that do not move in the hand are
+            # sent once.
+            q, wrist = posture
+            poses = self.hand.link_poses(list(self._links), q, self._pose(wrist))
+            _place(self._body, poses[0])
+            placed = inverse_pose(poses[0]) @ poses
+            for node, pose in zip(self._links.values(), placed, strict=True):
+                _place(node, pose)
         self._points.move(self.points(sample))
-
-    def show(self, q: np.ndarray, wrist: np.ndarray) -> None:
-        """Show a posture.
-
-        Args:
-            q: Joint angles [rad], shape (n_joints,).
-            wrist: Wrist pose, shape (4, 4).
-        """
-        # Links are placed relative to the first one: those that do not move in the hand are sent
-        # once.
-        if not self._links:
-            return
-        poses = self.hand.link_poses(list(self._links), q, self._pose(wrist))
-        _place(self._body, poses[0])
-        placed = inverse_pose(poses[0]) @ poses
-        for node, pose in zip(self._links.values(), placed, strict=True):
-            _place(node, pose)
 
     def _boxes(self, q: np.ndarray, wrist: np.ndarray) -> np.ndarray:
         """Return corners of the links' boxes, or about points and wrist, [m], shape (n, 3)."""
@@ -419,6 +380,7 @@ class HumanFigure(HandFigure):
     """
 
     point_size = 0.08
+    whose = "human"
 
     def __init__(
         self, server: viser.ViserServer, hand: Hand, points: np.ndarray | None
@@ -445,16 +407,6 @@ class HumanFigure(HandFigure):
             opacity=0.15,
         )
         self._cube = _add_lines(server, "/human/cube", DEFORMATION_COLOUR, 2.5)
-
-    def points(self, sample: ViewSample) -> np.ndarray | None:
-        """Return the human's points."""
-        return sample.human_points
-
-    def posture(self, sample: ViewSample) -> Posture | None:
-        """Return the human's joint angles and wrist, if both are known."""
-        q = sample.human_q
-        wrist = sample.human_wrist
-        return None if q is None or wrist is None else (q, wrist)
 
     def tips(self, sample: ViewSample) -> np.ndarray | None:
         """Return the tracked tips, or else those of the posture."""
@@ -594,11 +546,3 @@ def _box_of(points: np.ndarray) -> np.ndarray:
 def known(points: np.ndarray | None) -> np.ndarray | None:
     """Return points if all of them are known."""
     return points if points is not None and np.isfinite(points).all() else None
-
-
-def _extended(box: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return a box (2, 3) that holds another one too, with a margin where it has to grow."""
-    if not len(box):
-        return other
-    is_beyond = _OUTWARDS * (other - box) > 0.0
-    return np.where(is_beyond, other + _OUTWARDS * _MARGIN, box)

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import cycle
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio as pin
 
 from handmap_qp.apps.drawing.hands import HUMAN_COLOUR, ROBOT_COLOUR
 from handmap_qp.apps.offline.surface_gaps import GapMeter
@@ -24,6 +23,7 @@ from handmap_qp.hands.fingers import find_fingers
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import CONTACT_GAP, FINGERS
 from handmap_qp.human.contact_gap import tip_gaps
+from handmap_qp.ik.qp import wrist_error
 
 if TYPE_CHECKING:
     import viser
@@ -49,7 +49,7 @@ _ERRORS = (
     ("wrist position error", 1e3, " mm"),
     ("wrist rotation error", np.degrees(1.0), "°"),
 )
-"""Name, factor and unit of the first `Readings`."""
+"""Name, factor and unit of each of `InstantGauges.errors`."""
 _CELL = "padding:0 0 0 8px;text-align:right;white-space:nowrap"
 _BAR = "position:absolute;left:0;height"
 
@@ -74,29 +74,6 @@ SCENE_LEGEND = legend(
 """What the colours in the scene mean, as HTML."""
 
 
-Row = tuple[float, float, float, float]
-"""Time [s], mean and largest point error [mm], and duration of the step [µs] of a sample."""
-
-
-class Readings(NamedTuple):
-    """What the gauges say about one robot at one instant; NaN if it is not known.
-
-    Attributes:
-        mean_error: Mean point error [m].
-        largest_error: Largest point error [m].
-        wrist_shift: Distance of the wrist from its target [m]; NaN for one that cannot move.
-        wrist_angle: Angle between the wrist and its target [rad], likewise.
-        pinches: Gap between the surfaces of the thumb's and each other finger's last link [m],
-            negative where they overlap, by the finger's name.
-    """
-
-    mean_error: float
-    largest_error: float
-    wrist_shift: float
-    wrist_angle: float
-    pinches: dict[str, float]
-
-
 class InstantGauges:
     """The numbers and the joint bars of one instant, as HTML.
 
@@ -111,25 +88,31 @@ class InstantGauges:
         self._groups = joints_by_finger(robot)
         self._contact_gap = CONTACT_GAP if human is None else human.contact_gap
         try:
-            self._pinches = GapMeter(robot).pinches
+            self._measure = GapMeter(robot).pinches
         except HandError:
             # Without readable collision shapes, only the pinch gaps are missing.
-            self._pinches = lambda _: {}
+            self._measure = lambda _: {}
 
-    def read(self, sample: ViewSample) -> Readings:
-        """Return the numbers of a robot's sample."""
-        errors = sample.point_error
-        wrist = sample.robot_wrist
-        wanted = sample.wrist_target
-        shift = angle = np.nan
-        if wanted is not None and self._robot.has_moving_wrist:
-            shift = np.linalg.norm(wrist[:3, 3] - wanted[:3, 3])
-            angle = np.linalg.norm(pin.log3(wanted[:3, :3].T @ wrist[:3, :3]))
-        gaps = self._pinches(sample.robot_q[None])
-        pinches = {finger: float(gap[0]) for finger, gap in gaps.items()}
-        return Readings(
-            errors.mean(), errors.max(), float(shift), float(angle), pinches
-        )
+    def errors(self, sample: ViewSample) -> np.ndarray:
+        """Return a robot's errors; NaN for those that are not known.
+
+        Returns:
+            Mean and largest point error [m], distance [m] and angle [rad] of the wrist from its
+            target if it can move, shape (4,).
+        """
+        points = sample.point_error
+        wrist = (np.nan, np.nan)
+        if sample.wrist_target is not None and self._robot.has_moving_wrist:
+            wrist = wrist_error(sample.robot_wrist, sample.wrist_target)
+        return np.array([points.mean(), points.max(), *wrist])
+
+    def pinches(self, sample: ViewSample) -> dict[str, float]:
+        """Return a robot's gap between thumb and each other finger [m], by the finger's name.
+
+        It is measured between the surfaces of the last links, and negative where they overlap.
+        """
+        gaps = self._measure(sample.robot_q[None])
+        return {finger: float(gap[0]) for finger, gap in gaps.items()}
 
     def human_pinches(self, sample: ViewSample) -> dict[str, float]:
         """Return the human's gap between thumb and each other finger [m], by the finger's name.
@@ -143,7 +126,8 @@ class InstantGauges:
 
     def table(self, samples: Sequence[ViewSample]) -> str:
         """Return errors and pinch gaps of one sample of each robot."""
-        readings = [self.read(sample) for sample in samples]
+        errors = np.transpose([self.errors(sample) for sample in samples])
+        pinches = [self.human_pinches(samples[0]), *map(self.pinches, samples)]
         heads = "".join(
             f'<th style="{_CELL};color:{colour};font-weight:600">{escape(label)}</th>'
             for label, colour in zip(self.labels, cycle(ROBOTS), strict=False)
@@ -155,12 +139,12 @@ class InstantGauges:
                 for value in values
             )
             + "</tr>"
-            for (name, factor, unit), *values in zip(_ERRORS, *readings, strict=False)
+            for (name, factor, unit), values in zip(_ERRORS, errors, strict=True)
         )
         return (
             '<div style="font-size:11px;line-height:15px;padding:2px 14px">'
             f'<table style="width:100%;border-collapse:collapse"><tr><th></th>{heads}</tr>{rows}'
-            f"</table>{_pinch_bars(self.human_pinches(samples[0]), readings)}</div>"
+            f"</table>{_pinch_bars(pinches)}</div>"
         )
 
     def bars(self, samples: Sequence[ViewSample]) -> str:
@@ -216,11 +200,10 @@ def _joint_bar(name: str, q: float, shares: np.ndarray, colour: str) -> str:
     )
 
 
-def _pinch_bars(human: Mapping[str, float], readings: Sequence[Readings]) -> str:
-    """Return the gaps between the thumb and each finger, as bars and numbers."""
+def _pinch_bars(tables: Sequence[Mapping[str, float]]) -> str:
+    """Return the gaps of the human and the robots, by finger, as bars and numbers."""
     rows = []
-    for finger in readings[0].pinches:
-        tables = (human, *(reading.pinches for reading in readings))
+    for finger in tables[1]:
         gaps = [table.get(finger, np.nan) for table in tables]
         entries = list(zip(gaps, (HUMAN, *ROBOTS), strict=False))
         bars = "".join(
@@ -268,45 +251,28 @@ def joints_by_finger(robot: Hand) -> dict[str, list[int]]:
     return groups
 
 
-def gauge_row(sample: ViewSample) -> Row:
-    """Return the plotted values of a sample."""
-    error = 1e3 * sample.point_error
-    return sample.time, error.mean(), error.max(), 1e6 * sample.duration
-
-
-class Plot(NamedTuple):
-    """Lines over time as HTML, with a mark at one sample.
-
-    Attributes:
-        html: The plot; empty if there is nothing to show.
-        places: Where the samples are along the time axis [px], shape (n,).
-    """
-
-    html: str
-    places: np.ndarray
-
-    def at(self, index: int) -> str:
-        """Return the plot with its mark at a sample."""
-        return self.html.replace("_NOW_", f"{self.places[index]:.1f}")
-
-
 def draw_plot(
     title: str,
     time: np.ndarray,
     lines: Sequence[tuple[str, str, np.ndarray]],
+    index: int,
     *,
     latest: float | None = None,
     limit: float = np.inf,
-) -> Plot:
-    """Draw lines from zero to a round number, with gaps where there are no values.
+) -> str:
+    """Draw lines from zero to a round number as HTML, with gaps where there are no values.
 
     Args:
         title: What is plotted.
         time: Times [s], shape (n,).
         lines: Name, colour and values of each, shape (n,).
+        index: Index of the sample to mark.
         latest: Length of the time axis, which then ends with the last sample at zero [s]; all
             samples if omitted.
         limit: Larger values are cut off.
+
+    Returns:
+        The plot; empty if there is nothing to show.
     """
     time = time - time[0 if latest is None else -1]
     start, end = (0.0, max(time[-1], 1e-3)) if latest is None else (-latest, 0.0)
@@ -314,16 +280,14 @@ def draw_plot(
     places = width * (time - start) / (end - start)
     values = np.minimum([line for _, _, line in lines], limit)
     if not np.isfinite(values).any():
-        return Plot("", places)
+        return ""
     # Decimate: plot the maximum of each bin, at the time of its first sample.
     count = min(len(time), _MOST_POINTS)
     bins = np.linspace(0, len(time), count, endpoint=False).astype(int)
     binned = np.fmax.reduceat(values, bins, axis=1)
     largest = max(np.nanmax(binned), 1e-3)
     decade = 10.0 ** np.floor(np.log10(largest))
-    top = decade * next(
-        step for step in _STEPS if step * decade >= largest * (1 - 1e-9)
-    )
+    top = decade * _STEPS[np.searchsorted(_STEPS, largest / decade * (1 - 1e-9))]
     x = places[bins]
     y = height * (1.0 - binned / top)
     parts = [
@@ -341,10 +305,10 @@ def draw_plot(
         '<div style="padding:4px 14px 0;font-size:11px"><b style="font-weight:600">'
         f'{title}</b><svg viewBox="0 0 272 112" style="display:block;width:100%;'
         f'font-size:10px;fill:#666"><g transform="translate(30 8)">{svg}<path class="now" '
-        f'd="M0 0v{height}" transform="translate(_NOW_ 0)" stroke="{ORANGE}" '
+        f'd="M0 0v{height}" transform="translate({places[index]:.1f} 0)" stroke="{ORANGE}" '
         f'stroke-width="2"/></g></svg></div>'
     )
-    return Plot(html + legend([line[:2] for line in lines]), places)
+    return html + legend([line[:2] for line in lines])
 
 
 def _path(x: np.ndarray, y: np.ndarray) -> str:
@@ -356,30 +320,27 @@ def _path(x: np.ndarray, y: np.ndarray) -> str:
 
 
 def error_plot(
-    labels: Sequence[str], rows: np.ndarray, *, latest: float | None = None
-) -> Plot:
+    variants: Sequence[Variant], index: int, *, latest: float | None = None
+) -> str:
     """Plot the mean point error of each robot, and the largest of the first one [mm].
 
     Args:
-        labels: Names of the robots.
-        rows: `gauge_row` of each robot's samples, shape (robots, n, 4).
+        variants: The robots, with their samples.
+        index: As of `draw_plot`.
         latest: As of `draw_plot`.
     """
-    name = labels[0] if len(labels) > 1 else "mean"
-    time, mean, largest, _ = rows[0].T
-    others = rows[1:, :, 1]
-    lines = [(name, FIRST, mean), ("largest", GREY, largest)]
-    lines += zip(labels[1:], cycle(ROBOTS[1:]), others, strict=False)
-    return draw_plot("point error [mm]", time, lines, latest=latest)
+    columns = [variant.plotted for variant in variants]
+    time, _, largest, _ = columns[0]
+    labels = [variant.label for variant in variants] if columns[1:] else ["mean"]
+    lines = list(
+        zip(labels, cycle(ROBOTS), (each[1] for each in columns), strict=False)
+    )
+    lines.insert(1, ("largest", GREY, largest))
+    return draw_plot("point error [mm]", time, lines, index, latest=latest)
 
 
 class Gauges:
-    """Numbers, plots and joint bars, where viser adds controls.
-
-    Args:
-        variants: The robots.
-        human: The human hand.
-    """
+    """Numbers, plots and joint bars, where viser adds controls."""
 
     def __init__(
         self,
@@ -397,39 +358,35 @@ class Gauges:
         self.set_variants(variants)
 
     def set_variants(self, variants: Sequence[Variant]) -> None:
-        """Show other methods' values, after which `set_rows` gives theirs over time."""
+        """Prepare for other robots, or other methods of them."""
         self._instant = InstantGauges(variants, self._human)
 
-    def set_rows(
-        self, rows: Sequence[Sequence[Row]], *, latest: float | None = None
+    def draw(
+        self, variants: Sequence[Variant], index: int, *, latest: float | None = None
     ) -> None:
-        """Replace the plotted samples.
+        """Plot the samples of the robots, and show the numbers and joints of one instant.
 
         Args:
-            rows: `gauge_row` of each robot's samples, at least one.
+            variants: The robots, with their samples.
+            index: Index of the instant's samples.
             latest: As of `draw_plot`.
         """
-        table = np.array(rows)
-        time, _, _, step = table[0].T
-        self._error = error_plot(self._instant.labels, table, latest=latest)
+        self.error.content = error_plot(variants, index, latest=latest)
+        time, _, _, step = variants[0].plotted
         median, p99 = np.percentile(step, (50, 99))
         # Outliers (the process was preempted) would flatten all other steps, so cut them off.
-        cut = " (cut off)" if step.max() > 3.0 * median else ""
-        lines = [("step", FIRST, step)]
-        self._timing = draw_plot(
-            "time per step [µs]", time, lines, latest=latest, limit=3.0 * median
+        limit = 3.0 * median
+        cut = " (cut off)" if step.max() > limit else ""
+        self.timing.content = draw_plot(
+            "time per step [µs]",
+            time,
+            [("step", FIRST, step)],
+            index,
+            latest=latest,
+            limit=limit,
         )
         note = f"median {median:.0f} · p99 {p99:.0f} · largest {step.max():.0f}{cut}"
         self.timing_note.content = legend([(f"step [µs]: {note}", FIRST)])
-
-    def draw(self, samples: Sequence[ViewSample], index: int) -> None:
-        """Mark an instant in the plots and show its numbers and joints.
-
-        Args:
-            samples: One sample for each robot.
-            index: Its index among those given to `set_rows`.
-        """
-        self.error.content = self._error.at(index)
-        self.timing.content = self._timing.at(index)
+        samples = [variant.samples[index] for variant in variants]
         self.table.content = self._instant.table(samples)
         self.joints.content = self._instant.bars(samples)

@@ -8,11 +8,14 @@ from collections import deque
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import TYPE_CHECKING
 
-from handmap_qp.apps.viewer.controls import SteeringControls, Window, say
-from handmap_qp.apps.viewer.gauges import Row, gauge_row
+from handmap_qp.apps.viewer.controls import (
+    SteeringControls,
+    Window,
+    add_controls,
+    say,
+)
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
-from handmap_qp.apps.viewer.serving import run_frames
 from handmap_qp.errors import InvalidInputError
 from handmap_qp.mapping.options_file import options_text
 from handmap_qp.mapping.presets import possible_presets
@@ -34,11 +37,11 @@ class LiveViewer(Window):
     """Show a mapping that runs elsewhere.
 
     Args:
-        source: What to show; a thread reads it from here on.
+        source: What to show; a thread reads it from here on, until it is closed.
         patience: How long to wait for the first sample [s].
 
     Attributes:
-        recent: The samples of the last 10 s, each with its `gauge_row`.
+        recent: The samples of the last 10 s.
         status_text: The sample rate, or that no sample arrives.
         stop: Button of the emergency stop.
         clear: Button that ends the stop in force; shown while there is one, for a source that can
@@ -50,6 +53,8 @@ class LiveViewer(Window):
         HandmapError: Any error of the source.
     """
 
+    latest = _SPAN
+
     def __init__(
         self,
         server: viser.ViserServer,
@@ -58,25 +63,21 @@ class LiveViewer(Window):
         patience: float = 10.0,
     ) -> None:
         self._source = source
-        self.recent: deque[tuple[ViewSample, Row]] = deque()
+        self.recent: deque[ViewSample] = deque()
         self._last_arrival = 0.0
         self._arrived = threading.Event()
         reader = ThreadPoolExecutor(1, thread_name_prefix="handmap view: live source")
         self._reading = reader.submit(self._read)
         self._reading.add_done_callback(lambda _: self._arrived.set())
         reader.shutdown(wait=False)
-        try:
-            self._arrived.wait(patience)
-            if not self.recent:
-                if self._reading.done():
-                    self._reading.result()
-                raise InvalidInputError(
-                    f"no sample arrived within {patience:g} s",
-                    advice="check that a client sends samples to this session",
-                )
-        except BaseException:
-            self.close()
-            raise
+        self._arrived.wait(patience)
+        if not self.recent:
+            if self._reading.done():
+                self._reading.result()
+            raise InvalidInputError(
+                f"no sample arrived within {patience:g} s",
+                advice="check that a client sends samples to this session",
+            )
         self._start = self._shown = source.choice
         super().__init__(
             server,
@@ -87,16 +88,7 @@ class LiveViewer(Window):
         )
         with self.control:
             self.status_text = server.gui.add_markdown("")
-            self.stop = server.gui.add_button(
-                "Stop the robot",
-                color="red",
-                hint="Emergency stop: the robot holds until the stop is cleared",
-            )
-            self.clear = server.gui.add_button(
-                "Clear the stop",
-                hint="End the emergency stop; the robot stays where it is until Clutch is pressed",
-                visible=False,
-            )
+            self.stop, self.clear = add_controls(server.gui, "stopping")
             self.stop.on_click(lambda _: source.request("stop"))
             self._stop_number = 0
             # The number that was shown, so that a later stop is not cleared unseen.
@@ -109,9 +101,9 @@ class LiveViewer(Window):
     @property
     def sample(self) -> ViewSample:
         """The newest sample."""
-        return self.recent[-1][0]
+        return self.recent[-1]
 
-    def tick(self) -> None:
+    def tick(self, _: float = 0.0) -> None:
         """Pass on the user's requests, and draw the newest sample.
 
         Raises:
@@ -125,29 +117,21 @@ class LiveViewer(Window):
         if source.choice != self._shown:
             # Another preset or options, whichever client chose them.
             self._shown = source.choice
-            self.set_variants([self._variant()])
+            newest = self._variant()._replace(samples=[self.sample])
+            self.set_variants([newest])
         self._stop_number = source.stop_number
         self.clear.visible = self._stop_number != 0 and source.is_shared
-        # The copy is one operation, so the thread that reads needs no lock.
-        samples, rows = zip(*self.recent, strict=True)
-        sample = samples[-1]
-        self.scene.make_room(sample)
-        self.draw([sample])
-        if self.is_time_for_gauges():
-            self.gauges.set_rows([rows], latest=_SPAN)
-            self.gauges.draw([sample], len(rows) - 1)
+        variant = self._variant()
+        self.scene.make_room(variant.samples[-1])
+        self.draw([variant], -1)
         if has_ended:
             self.status_text.content = "**The source has ended.**"
         elif time.monotonic() - self._last_arrival > _SILENCE:
             self.status_text.content = "**No sample arrives.**"
         else:
-            latest = rows[-_RATE_SAMPLES:]
-            rate = (len(latest) - 1) / max(latest[-1][0] - latest[0][0], 1e-6)
+            latest = variant.samples[-_RATE_SAMPLES:]
+            rate = (len(latest) - 1) / max(latest[-1].time - latest[0].time, 1e-6)
             self.status_text.content = f"{rate:.0f} samples per second"
-
-    def run(self) -> None:
-        """Draw frames until interrupted, until the source fails, or until its hands change."""
-        run_frames(lambda _: self.tick(), lambda: self._source.is_outdated)
 
     def close(self) -> None:
         """Stop reading the source."""
@@ -180,22 +164,21 @@ class LiveViewer(Window):
             source.configure(changes)
 
     def _variant(self) -> Variant:
-        """Return the robot as it is moved now."""
+        """Return the robot as it is moved now, with its samples of the last 10 s."""
         choice = self._source.choice
-        return Variant(choice.preset, self._source.robot, choice, [self.sample])
+        # The copy is one operation, so the thread that reads needs no lock.
+        return Variant(choice.preset, self._source.robot, choice, tuple(self.recent))
 
     def _page(self) -> bytes:
         """Return the last 10 s as a page."""
         variant = self._variant()
-        source = self._source
-        title = f"{source.robot.name}, {variant.label}"
-        samples, _ = zip(*self.recent, strict=True)
-        return make_page(title, source.human, [variant._replace(samples=samples)])
+        title = f"{variant.robot.name}, {variant.label}"
+        return make_page(title, self._source.human, [variant])
 
     def _read(self) -> None:
         for sample in self._source:
-            self.recent.append((sample, gauge_row(sample)))
-            while not 0.0 <= sample.time - self.recent[0][0].time <= _SPAN:
+            self.recent.append(sample)
+            while not 0.0 <= sample.time - self.recent[0].time <= _SPAN:
                 self.recent.popleft()
             self._last_arrival = time.monotonic()
             self._arrived.set()

@@ -10,14 +10,7 @@ from html import escape
 from importlib.resources import files
 from typing import Any
 
-import numpy as np
-
-from handmap_qp.apps.viewer.gauges import (
-    SCENE_LEGEND,
-    InstantGauges,
-    error_plot,
-    gauge_row,
-)
+from handmap_qp.apps.viewer.gauges import SCENE_LEGEND, InstantGauges, error_plot
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.apps.viewer.scene import Display, HandScene
 from handmap_qp.apps.viewer.serving import serving
@@ -64,8 +57,7 @@ def make_page(
             shown = samples[0].time
         page = serializer.as_html()
     gauges = InstantGauges(variants, human)
-    rows = np.array([[gauge_row(sample) for sample in v.samples] for v in variants])
-    start, end = rows[0, [0, -1], 0]
+    start, end = (instants[i][0].time for i in (0, -1))
     count = len(instants)
     rate = f", {(count - 1) / (end - start):.0f} per second" if end > start else ""
     gauged = _at_rate(instants, _GAUGES_RATE)
@@ -80,7 +72,7 @@ def make_page(
         "__TITLE__": escape(title),
         "__FACTS__": f"{end - start:.1f} s, {count} samples{rate}",
         "__LEGEND__": SCENE_LEGEND,
-        "__ERRORS__": error_plot(gauges.labels, rows).at(0),
+        "__ERRORS__": error_plot(variants, 0),
         "__OPTIONS__": "".join(map(_option_table, variants)),
         "__GAUGES__": packed.decode(),
     }

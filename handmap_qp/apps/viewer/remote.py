@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
@@ -84,7 +83,7 @@ class ServiceSession:
     """
 
     _start: float | None = None
-    _is_read = is_outdated = is_released = False
+    _is_read = _is_closed = is_outdated = is_released = False
     stop_number = 0
     last_error: HandmapError | None = None
 
@@ -98,7 +97,6 @@ class ServiceSession:
         patience: float = 10.0,
     ) -> None:
         self._host = host
-        self._is_closed = threading.Event()
         self._detail: dict[str, Any] = {}
         self._requests: deque[Callable[[], Any]] = deque()
         with connected("--live", host, keys, refused="--live") as (self._client, _):
@@ -146,7 +144,7 @@ class ServiceSession:
         self._is_read = True
         next_status = -np.inf
         with self._client as client:
-            while not self._is_closed.is_set():
+            while not self._is_closed:
                 self._carry_out_requests()
                 if time.monotonic() >= next_status:
                     self._update_status()
@@ -179,7 +177,7 @@ class ServiceSession:
 
     def close(self) -> None:
         """Stop reading."""
-        self._is_closed.set()
+        self._is_closed = True
         if not self._is_read:
             self._client.close()
 

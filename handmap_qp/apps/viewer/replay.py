@@ -16,7 +16,6 @@ from handmap_qp.apps.viewer.controls import (
     Window,
     say,
 )
-from handmap_qp.apps.viewer.gauges import gauge_row
 from handmap_qp.apps.viewer.page import make_page
 from handmap_qp.apps.viewer.sample import Variant, ViewSample
 from handmap_qp.errors import HandmapError, InvalidInputError
@@ -52,6 +51,7 @@ class Replay:
         switches: Sample indices at which the user released (True) or clutched (False).
         variant: The robot as `choice` moves it.
         other: The robot as another method moves it; None if nothing is compared.
+        compared: The preset of `other`, or `KEPT`; `NOTHING` if nothing is compared.
 
     Raises:
         InvalidInputError: If no sample of the motion is valid.
@@ -77,6 +77,7 @@ class Replay:
         self._motion = motion
         self._given_robot = robot
         self.other: Variant | None = None
+        self.compared = NOTHING
         self.remap(choice)
 
     @property
@@ -139,19 +140,20 @@ class Replay:
         self.other = other
         self._other_switches = dict(self.switches)
 
-    def compare(self, choice: Choice | None, label: str = "") -> None:
+    def compare(self, name: str) -> None:
         """Map the recording by another method too.
 
         Args:
-            choice: Preset and options; None to end the comparison.
-            label: Its name; that of the preset if omitted.
+            name: Its preset; `KEPT` for the robot as it is now, `NOTHING` to end the comparison.
 
         Raises:
             HandmapError: If it cannot be used; the replay is then unchanged.
         """
-        self.other = (
-            None if choice is None else self._map(choice, label or choice.preset)
-        )
+        if name == KEPT:
+            self.other = self.variant._replace(label=f"{self.variant.label}, kept")
+        else:
+            self.other = None if name == NOTHING else self._map(self.preset(name), name)
+        self.compared = name
         self._other_switches = dict(self.switches)
 
     def switch(self, request: str, index: int) -> None:
@@ -237,15 +239,12 @@ class ReplayViewer(Window):
         # Options count from `_base`: the initial ones, or those of a preset chosen later.
         self._start = self._base = replay.choice
         self._changes: dict[str, Any] = {}
-        self._compared = NOTHING if replay.other is None else replay.other.label
         self._pending: list[Callable[[], None]] = []
         with self.control:
             self.play_bar = PlayBar(server, float(replay.time[-1]))
             self.steering = SteeringControls(
-                server, self._start, replay.presets, self._compared
+                server, self._start, replay.presets, replay.compared
             )
-        self._gauges_drawn: tuple[object, ...] = ()
-        self._plot()
         self.tick(0.0)
 
     @property
@@ -268,15 +267,8 @@ class ReplayViewer(Window):
         self.play_bar.advance(elapsed)
         self._take_requests()
         self._map_pending()
-        index = self.index
-        samples = tuple(variant.samples[index] for variant in self.replay.variants)
-        self.draw(samples)
-        self.steering.show_released(self.replay.is_released(index))
-        if samples != self._gauges_drawn and (
-            elapsed == 0.0 or self.is_time_for_gauges()
-        ):
-            self.gauges.draw(samples, index)
-            self._gauges_drawn = samples
+        self.draw(self.replay.variants, self.index, at_once=elapsed == 0.0)
+        self.steering.show_released(self.replay.is_released(self.index))
 
     def _take_requests(self) -> None:
         """Note what the user has requested; a preset or Reset overrides changed options.
@@ -303,10 +295,9 @@ class ReplayViewer(Window):
                 lambda: replay.remap(self._base.with_changes(self._changes))
             )
         if "keep" in requests:
-            steering.show_compared(KEPT)
             chosen["compare"] = KEPT
         if "compare" in chosen:
-            self._pending.append(partial(self._compare, chosen["compare"]))
+            self._pending.append(partial(replay.compare, chosen["compare"]))
 
     def _map_pending(self) -> None:
         """Map as requested, and show why if that is not possible."""
@@ -321,18 +312,4 @@ class ReplayViewer(Window):
             else:
                 say(self.steering.message, None)
                 self.set_variants(self.replay.variants)
-                self._plot()
-            self.steering.show_compared(self._compared)
-
-    def _compare(self, name: str) -> None:
-        replay = self.replay
-        if name == KEPT:
-            replay.compare(replay.choice, f"{replay.variant.label}, kept")
-        else:
-            replay.compare(None if name == NOTHING else replay.preset(name))
-        self._compared = name
-
-    def _plot(self) -> None:
-        self.gauges.set_rows(
-            [[gauge_row(s) for s in v.samples] for v in self.replay.variants]
-        )
+            self.steering.show_compared(self.replay.compared)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from handmap_qp.hands.hand import Hand
 from handmap_qp.mapping.presets import Choice
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ViewSample:
     """One instant of a robot hand, and of the human hand and the object where there are any.
 
@@ -68,6 +69,12 @@ class ViewSample:
         targets = np.nan if self.targets is None else self.targets
         return np.linalg.norm(targets - self.robot_points, axis=1)
 
+    @cached_property
+    def plotted(self) -> tuple[float, float, float, float]:
+        """Time [s], mean and largest point error [mm], and duration of the step [µs]."""
+        error = 1e3 * self.point_error
+        return self.time, error.mean(), error.max(), 1e6 * self.duration
+
 
 class Variant(NamedTuple):
     """A robot hand that the view shows, and what moves it.
@@ -88,3 +95,8 @@ class Variant(NamedTuple):
     samples: Sequence[ViewSample]
     solid: Any = None
     axes: np.ndarray | None = None
+
+    @property
+    def plotted(self) -> np.ndarray:
+        """What is plotted of the samples (`ViewSample.plotted`), shape (4, n)."""
+        return np.array([sample.plotted for sample in self.samples]).T

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
+import msgspec
 import numpy as np
 
 from handmap_qp.apps.viewer.figure import (
@@ -29,8 +31,7 @@ if TYPE_CHECKING:
 
 # Between two figures [m].
 _GAP = 0.035
-# Height of the floor [m].
-_FLOOR = -0.22
+_FLOOR = msgspec.yaml.decode(Path(__file__).with_suffix(".yaml").read_bytes())
 # Samples for which room is reserved; a hand hardly moves between them.
 _RESERVED = 60
 _FIELD_OF_VIEW = math.radians(30.0)
@@ -85,19 +86,7 @@ class HandScene:
         # Turn +y up, and draw the floor.
         server.scene.set_up_direction("+y")
         server.scene.world_axes.visible = False
-        server.scene.add_grid(
-            "/floor",
-            plane="xz",
-            infinite_grid=True,
-            cell_size=0.05,
-            section_size=0.25,
-            cell_color=(225, 228, 232),
-            section_color=(205, 210, 216),
-            cell_thickness=0.6,
-            section_thickness=0.8,
-            fade_distance=3.0,
-            position=(0.0, _FLOOR, 0.0),
-        )
+        server.scene.add_grid("/floor", **_FLOOR)
         self.cameras = BrowserCameras(server)
         self._people: tuple[LandmarkFigure, HumanFigure] | None = None
         if human is not None:
@@ -126,11 +115,10 @@ class HandScene:
             robot = self._robots[i]
             robot.turn(_robot_axes(variant, upright))
             robot.label = variant.label
-        for robot in self._robots:
-            robot.is_shown = robot.variant < len(variants)
         self.clear_trails()
         for figure in self._figures:
-            if figure.variant < len(variants):
+            figure.is_shown = figure.variant < len(variants)
+            if figure.is_shown:
                 samples = variants[figure.variant].samples
                 figure.fit(samples[:: max(len(samples) // _RESERVED, 1)])
 
@@ -151,17 +139,20 @@ class HandScene:
             landmarks.is_shown = self.display.has_landmarks
             human.shape = self.display.shape
         row = [
-            figure for figure in self._figures if figure.is_shown and len(figure.extent)
+            figure
+            for figure in self._figures
+            if figure.is_shown and np.isfinite(figure.room).all()
         ]
         with self.server.atomic():
             low = self._lay_out(row)
             for figure in row:
                 sample = samples[figure.variant]
                 figure.draw(sample)
-                if (centre := figure.centre(sample)) is None:
+                if (place := figure.place_of(sample)) is None:
                     continue
-                travel = figure.travel.mean(axis=0)
-                figure.place(figure.axes @ centre if is_pinned else travel, low)
+                centre, _ = place
+                middle = figure.room[0].mean(axis=0)
+                figure.place(figure.axes @ centre if is_pinned else middle, low)
                 tips = figure.tips(sample) if self.display.has_trails else None
                 if tips is not None:
                     figure.trail.add(sample.time, tips, centre, is_pinned=is_pinned)
@@ -178,19 +169,15 @@ class HandScene:
 
     def _lay_out(self, row: Sequence[Figure]) -> float:
         """Place the figures side by side, fit the cameras, and return the height of the names."""
-        is_travelling = self.display.follow == "world"
-        sizes = [
-            np.ptp(figure.extent, axis=0)
-            + is_travelling * np.ptp(figure.travel, axis=0)
-            for figure in row
-        ]
+        boxes = slice(0 if self.display.follow == "world" else 1, 2)
+        sizes = [np.ptp(figure.room[boxes], axis=1).sum(axis=0) for figure in row]
         _, height, depth = np.max(sizes, axis=0)
         width = sum(size[0] for size in sizes) + _GAP * (len(row) - 1)
         # Seen from the palm side, +x points left.
         left = 0.5 * width
         for figure, size in zip(row, sizes, strict=True):
             cell = (left - 0.5 * size[0], 0.0, 0.0)
-            figure.anchor = cell - figure.extent.mean(axis=0)
+            figure.anchor = cell - figure.room[1].mean(axis=0)
             left -= size[0] + _GAP
         self.cameras.fit(width, height, depth)
         return -0.5 * float(height)
