@@ -22,20 +22,21 @@ from handmap_qp.hands.human import CONTACT_GAP, JointMove
 from handmap_qp.hands.model import (
     Expansion,
     build_model,
-    check_limits,
-    check_wrist,
     choose_mount,
     compose_urdf,
     expansion_matrix,
+    limit_problems,
     palm_in_link,
     tighten_model,
+    wrist_problems,
 )
 from handmap_qp.hands.sources import read_urdf
 from handmap_qp.hands.spec import (
     HandSpec,
-    MimicSpec,
     Mount,
     PointSpec,
+    Positions,
+    Rules,
     check_point,
     twice,
 )
@@ -138,13 +139,14 @@ class Hand:
         # An arm is at rest in every posture of the description.
         arm = {} if spec.arm is None else spec.arm.rest
 
-        def posture(own: dict[str, float]) -> np.ndarray:
+        def posture(own: Positions) -> np.ndarray:
             return _frozen([(arm | own)[name] for name in self.joint_names])
 
         self.rest = posture(spec.rest)
         self.matched = None if spec.matched is None else posture(spec.matched)
         limits = (self.lower_limits, self.upper_limits, self.velocity_limits)
-        check_limits(spec, limits, {"rest": self.rest, "matched": self.matched})
+        postures = {"rest": self.rest, "matched": self.matched}
+        spec.reject(limit_problems(spec, limits, postures))
         self._add_wrist_and_palm()
         self.use_points(chosen)
 
@@ -430,9 +432,7 @@ class Hand:
         poses = [placed.frame_pose(frame) for frame in frames]
         return np.array(poses).reshape(-1, 4, 4)
 
-    def _index_joints(
-        self, rules: Mapping[str, MimicSpec], locked: Mapping[str, float]
-    ) -> None:
+    def _index_joints(self, rules: Rules, locked: Positions) -> None:
         """Name all joints, find them in Pinocchio's vectors, and map the active ones to all."""
         model = self.model
         names = self.spec.all_joints
@@ -471,7 +471,8 @@ class Hand:
         wrist = self._frame("/wrist", spec.wrist.link, "wrist.link", np.eye(4))
         self.palm_frame_id = model.addFrame(palm)
         self.wrist_frame_id = model.addFrame(wrist)
-        check_wrist(model, spec, self.mount, self.wrist_frame_id, self.palm_frame_id)
+        frames = self.wrist_frame_id, self.palm_frame_id
+        spec.reject(wrist_problems(model, spec, self.mount, *frames))
         self._wrist_to_root = wrist.placement.inverse()
         self.wrist_to_palm = frozen((self._wrist_to_root * palm.placement).homogeneous)
 
@@ -484,7 +485,7 @@ class Hand:
         model = self.model
         # By kind as well as by name: in many URDFs a joint has the name of its link.
         if not model.existBodyName(link):
-            raise self.spec.error(f"the URDF has no link {link!r}", key=key, value=link)
+            raise self.spec.error(f"the URDF has no link {link!r}", key, link)
         at = model.getBodyId(link)
         parent = model.frames[at]
         placement = parent.placement * pin.SE3(pose)
@@ -542,7 +543,7 @@ def _choose_points(spec: HandSpec, points: Points | None) -> tuple[PointSpec, ..
         _choose_point(spec, point, f"points[{i}]") for i, point in enumerate(points)
     )
     if not chosen:
-        raise spec.error("expected at least one reference point", key="points")
+        raise spec.error("expected at least one reference point", "points")
     spec.reject(twice([point.name for point in chosen], "points"))
     return chosen
 
@@ -566,7 +567,7 @@ def _look_up(spec: HandSpec, kind: str, named: Mapping[str, Any], name: str) -> 
     if name not in named:
         known = ", ".join(named)
         message = f"no {kind} {name!r}; there are {known}"
-        raise spec.error(message, key=f"{kind}s", value=name)
+        raise spec.error(message, f"{kind}s", name)
     return named[name]
 
 

@@ -32,8 +32,10 @@ from handmap_qp.hands.library import find_file
 from handmap_qp.hands.model import compose_urdf
 from handmap_qp.hands.sources import read_urdf, source_file, urdf_directory, urdf_path
 from handmap_qp.hands.spec import (
+    ORIGIN,
     Document,
     HandSpec,
+    Positions,
     Side,
     Vector,
     read_document,
@@ -63,8 +65,8 @@ class RobotHandSpec(Document, frozen=True):
     """
 
     hand: str
-    xyz: Vector = (0.0, 0.0, 0.0)
-    rpy: Vector = (0.0, 0.0, 0.0)
+    xyz: Vector = ORIGIN
+    rpy: Vector = ORIGIN
 
 
 class RobotSpec(Document, frozen=True):
@@ -170,7 +172,7 @@ def load_robot(robot: str | Path | RobotSpec) -> Robot:
     whole = Element("robot", name=robot.name)
     SubElement(whole, "link", name=BASE)
     prefixes: dict[Side, str] = {}
-    rest: dict[str, float] = {}
+    rest: Positions = {}
     for (_, place), sides in trees.items():
         prefix = "" if len(trees) == 1 else f"{sides[0]}_"
         spec = _merged([specs[side] for side in sides])
@@ -229,9 +231,7 @@ def _stand(
     robot.extend(list(tree))
 
 
-def _on_robot(
-    spec: HandSpec, name: str, prefix: str, rest: dict[str, float]
-) -> HandSpec:
+def _on_robot(spec: HandSpec, name: str, prefix: str, rest: Positions) -> HandSpec:
     """Return the description of a hand in the composed URDF of its robot."""
 
     def renamed(value: Any) -> Any:

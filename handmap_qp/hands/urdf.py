@@ -20,7 +20,14 @@ import pinocchio as pin
 
 from handmap_qp.errors import HandError
 from handmap_qp.hands.sources import find_mesh, urdf_path
-from handmap_qp.hands.spec import ArmSpec, LimitSpec, MimicSpec, repeated
+from handmap_qp.hands.spec import (
+    ArmSpec,
+    LimitSpec,
+    MimicSpec,
+    Positions,
+    Rules,
+    repeated,
+)
 from handmap_qp.se3 import affine, rotation_from_rpy, rpy_from_rotation
 
 MOVABLE = ("revolute", "continuous", "prismatic")
@@ -142,13 +149,13 @@ def set_origin(element: Element, pose: np.ndarray) -> None:
     set_numbers(origin, xyz=pose[:3, 3], rpy=rpy_from_rotation(pose[:3, :3]))
 
 
-def mimics_of(robot: Element) -> dict[str, MimicSpec]:
+def mimics_of(robot: Element) -> Rules:
     """Read the mimic rules of a URDF as they are, by follower.
 
     Raises:
         HandError: If one does not hold finite numbers.
     """
-    rules: dict[str, MimicSpec] = {}
+    rules = dict[str, MimicSpec]()
     for name, joint in joints_by_name(robot).items():
         for mimic in joint.findall("mimic")[:1]:
             try:
@@ -319,9 +326,9 @@ def prepare_urdf(
     robot: Element,
     root: str | None,
     mimic: Mapping[str, MimicSpec | None],
-    locked: Mapping[str, float],
+    locked: Positions,
     limits: Mapping[str, LimitSpec],
-) -> dict[str, float]:
+) -> Positions:
     """Keep the part from `root` outwards, and write mimic rules, locked joints and limits into it.
 
     Args:
@@ -373,7 +380,7 @@ def _complete_limits(joint: Element, limits: LimitSpec) -> None:
         element.attrib.setdefault(key, "0")
 
 
-def lock_joints(robot: Element, positions: Mapping[str, float]) -> dict[str, float]:
+def lock_joints(robot: Element, positions: Positions) -> Positions:
     """Make joints fixed ones at given positions, and those that mimic them where they then stand.
 
     Returns:
@@ -385,7 +392,7 @@ def lock_joints(robot: Element, positions: Mapping[str, float]) -> dict[str, flo
     joints = joints_by_name(robot)
     rules = mimics_of(robot)
     pending = [*positions.items()]
-    locked = dict[str, float]()
+    locked: Positions = {}
     for name, position in pending:
         if name not in joints:
             raise HandError(f"the URDF has no joint {name!r}", key="locked", value=name)
