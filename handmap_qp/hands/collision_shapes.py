@@ -1,7 +1,5 @@
 """The collision shapes of a hand's URDF, between which Pinocchio and coal measure distances."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, tostring

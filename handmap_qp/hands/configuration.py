@@ -3,8 +3,6 @@
 It offers what `mink.build_ik` reads from a configuration, too (`model.nv`, `nv`, `q`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import accumulate
 from typing import Any

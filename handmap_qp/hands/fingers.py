@@ -6,8 +6,6 @@ end of their ranges where it is shortest, or to which the ranges are longer. All
 it, or bring a thumb before the palm.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence

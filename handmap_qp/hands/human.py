@@ -5,8 +5,6 @@ The hand itself is an ordinary hand in `urdf/human`. It can be scaled to a perso
 URDF is mirrored afterwards (`handmap_qp.hands.urdf.mirror`).
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -4,8 +4,6 @@
 whose models other packages ship (`urdf/described/<name>.yaml`). Only the human's can be scaled.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import lru_cache, partial

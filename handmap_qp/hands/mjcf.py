@@ -219,6 +219,10 @@ class ConvertedMjcf:
         self.notes += tuple(more)
         # Kinds of geoms that have no counterpart in URDF.
         self._omitted = set[str]()
+        self.text = self._described(name)
+
+    def _described(self, name: str) -> str:
+        """Return the URDF with all links and joints."""
         robot = Element("robot", name=_file_name(name))
         for body, link in self.links.items():
             if body == 0:
@@ -231,7 +235,7 @@ class ConvertedMjcf:
                 f"shapes without a counterpart in URDF are left out: {kinds}",
             )
         indent(robot)
-        self.text = tostring(robot, encoding="unicode") + "\n"
+        return tostring(robot, encoding="unicode") + "\n"
 
     def _unique(self, kind: str, name: str) -> str:
         """Return a name that no other thing of a kind has, whatever its case."""

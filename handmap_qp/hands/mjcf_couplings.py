@@ -5,8 +5,6 @@ finger, fit into a URDF: one of them leads, and each of the others follows it al
 curve is solved from MuJoCo's own constraints, and its best line is written.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping
 from copy import copy

@@ -8,8 +8,6 @@ variables of the model, and the rules one linear map on top of it,
 so followers are not variables of the QP. A leader may follow another joint itself.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple, get_args

@@ -3,8 +3,6 @@
 A description names them, or they are found in the collision shapes.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping
 from functools import lru_cache

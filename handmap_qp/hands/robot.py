@@ -13,8 +13,6 @@ A hand of a robot is a `Hand` whose model is that of the whole robot: palm, wris
 own, and every `q` has all joints of the robot. So a method, a task or a limit needs no other hand.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from copy import copy
 from functools import reduce

@@ -1,7 +1,5 @@
 """Pairs of a hand's collision shapes: those that its description names, or all that may collide."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations, compress, product
 from typing import NamedTuple

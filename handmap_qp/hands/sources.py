@@ -3,8 +3,6 @@
 A `urdf` is a path, `package://PACKAGE/path` or `robot_descriptions:MODULE`.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import io

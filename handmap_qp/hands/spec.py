@@ -4,8 +4,6 @@ A spec says what the URDF does not. It is read from a file (`read_hand_spec`) or
 making a `Hand` checks it against its URDF.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

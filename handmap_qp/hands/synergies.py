@@ -1,7 +1,5 @@
 """Postural synergies of the human hand: few coordinates for its twenty joints."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from typing import NamedTuple

@@ -3,8 +3,6 @@
 All readers of `Hand.urdf_text` (Pinocchio, MuJoCo, a picture) see the same robot.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
