@@ -16,6 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 import pinocchio as pin
 
+from handmap_qp.hands.configuration import moved_by
 from handmap_qp.hands.hand import Hand
 from handmap_qp.hands.human import FINGERS, THUMB
 from handmap_qp.hands.model import Expansion
@@ -37,7 +38,7 @@ Place = tuple[int, np.ndarray]
 _PIP = 0.45
 _LEAST = 0.15
 _MOST = 0.88
-_REACH_SAMPLES = 200
+_SAMPLES = 200
 # Samples of a joint's range, and of the way from straight to one end of the ranges.
 _GRID = 25
 _SWEEP = 11
@@ -92,10 +93,8 @@ class PalmKinematics:
         """Return k points [m] at joint angles of shape (..., n), shape (..., k, 3)."""
 
         def placed(posture: np.ndarray) -> np.ndarray:
-            vector = self.hand.configuration_vector(posture)
-            pin.forwardKinematics(self._model, self._data, vector)
-            to_palm = self._palm.inverse()
-            rows = [(to_palm * self._data.oMi[j]).act(offset) for j, offset in places]
+            palm = self._place(posture)
+            rows = [palm.actInv(self._data.oMi[j].act(offset)) for j, offset in places]
             return np.reshape(rows, (-1, 3))
 
         return np.apply_along_axis(placed, -1, q)
@@ -132,11 +131,9 @@ class PalmKinematics:
         palm = self._place(q)
         carrier = self._model.frames[self.hand.palm_frame_id].parentJoint
         # Columns of joints that move both are the same, and cancel.
-        moves, carried = (
-            pin.getJointJacobian(self._model, self._data, joint, pin.WORLD)
-            for joint in (place[0], carrier)
-        )
-        linear, turns = np.split((moves - carried) @ joint_motion(self.hand), 2)
+        moves, carries = moved_by(self._model, [place[0], carrier])
+        columns = (moves - carries) * self._data.J
+        linear, turns = np.split(columns @ joint_motion(self.hand), 2)
         point = self._data.oMi[place[0]].act(place[1])
         linear = linear + np.cross(turns, point, axisa=0, axisb=0, axisc=0)
         return np.vstack([palm.rotation.T @ linear, palm.rotation.T @ turns])
@@ -212,6 +209,7 @@ class Finger:
         self.tip = tip
         self.name = name
         self._own = tuple(own) or self.joints
+        self._zero = zero_posture(hand)
 
     @property
     def is_jaw(self) -> bool:
@@ -264,7 +262,7 @@ class Finger:
 
     def _on_axis(self, joint: int) -> Place:
         view = PalmKinematics(self.hand)
-        return view.on_axis(zero_posture(self.hand), joint, self.tip)
+        return view.on_axis(self._zero, joint, self.tip)
 
     def find_middle(self) -> Place | None:
         """Find the PIP joint of a finger, or the IP joint of a thumb; None if it has none.
@@ -274,7 +272,7 @@ class Finger:
         nearest to the fingertip.
         """
         view = PalmKinematics(self.hand)
-        q = zero_posture(self.hand)
+        q = self._zero.copy()
         if self.flexion is not None:
             q[self.flexion.columns] = self.flexion.straight
         tip = view.points(q, [self.tip])[0]
@@ -306,57 +304,52 @@ class Finger:
     @cached_property
     def _farthest(self) -> tuple[float, np.ndarray]:
         """Find reach and its posture: random search, refined."""
-        best_q = zero_posture(self.hand)
+        best_q = self._zero.copy()
         if not self.joints:
             return math.nan, best_q
         view = PalmKinematics(self.hand)
-
-        def distance(q: np.ndarray) -> float:
-            return math.dist(*view.points(q, [self.tip, self.knuckle]))
-
-        best = distance(best_q)
         moving = np.sort(self.columns)
         low = self.hand.lower_limits[moving]
         high = self.hand.upper_limits[moving]
 
-        def improve(positions: np.ndarray) -> bool:
-            nonlocal best, best_q
-            q = best_q.copy()
-            q[moving] = np.clip(positions, low, high)
-            if is_better := (found := distance(q)) > best + 1e-9:
-                best = found
-                best_q = q
-            return is_better
+        def distance(positions: np.ndarray) -> float:
+            best_q[moving] = positions
+            return math.dist(*view.points(best_q, [self.tip, self.knuckle]))
 
-        shape = (_REACH_SAMPLES, len(moving))
-        for positions in np.random.default_rng(0).uniform(low, high, shape):
-            improve(positions)
+        random = np.random.default_rng(0).uniform(low, high, (_SAMPLES, len(moving)))
+        found = max([best_q[moving], *random], key=distance)
+        best = distance(found)
         step = 0.25 * (high - low)
         while (step > 1e-3).any():
-            changes = np.vstack([[-row, row] for row in np.diag(step)])
-            if not any([improve(best_q[moving] + change) for change in changes]):
+            before = best
+            for change in np.vstack([[-row, row] for row in np.diag(step)]):
+                tried = np.clip(found + change, low, high)
+                if (reached := distance(tried)) > best + 1e-9:
+                    best = reached
+                    found = tried
+            if best == before:
                 step = 0.5 * step
+        best_q[moving] = found
         return best, best_q
 
     @cached_property
     def flexion(self) -> Flexion | None:
         """How it curls; None if no joint turns the tip."""
         view = PalmKinematics(self.hand)
-        zero = zero_posture(self.hand)
         # The columns that turn the tip about the axis of the last one that does.
-        turns = view.motion(zero, self.tip)[3:]
+        turns = view.motion(self._zero, self.tip)[3:]
         sizes = np.linalg.norm(turns, axis=0)
         turning = self.columns[sizes[self.columns] > _LEAST_TURN]
         units = turns[:, turning] / sizes[turning]
         columns = turning[(np.abs(units[:, -1:].T @ units) > PARALLEL).any(axis=0)]
         if not len(columns):
             return None
-        _, base, signs, gears = self._axis(view, columns, zero)
+        _, base, signs, gears = self._axis(view, columns, self._zero)
 
         def lengths_at(postures: np.ndarray) -> np.ndarray:
             return lengths(view.points(postures, [self.tip])[..., 0, :] - base)
 
-        q = self._straightened(columns, zero, lengths_at)
+        q = self._straightened(columns, lengths_at)
         ways = ends_of(self.hand, q, columns, signs)[::-1] - q
         bent = lengths_at(q + np.linspace(0.0, 1.0, _SWEEP)[:, None, None] * ways)
         shares = 1.0 - bent.min(axis=0) / bent[0].clip(1e-9)
@@ -376,7 +369,7 @@ class Finger:
         found = self.flexion
         senses = np.zeros_like(self.hand.lower_limits)
         if found is not None:
-            motion = PalmKinematics(self.hand).motion(zero_posture(self.hand), self.tip)
+            motion = PalmKinematics(self.hand).motion(self._zero, self.tip)
             dorsal = motion[2, found.columns] @ found.signs
             senses[found.columns] = found.signs * (
                 found.sense or -np.sign(dorsal) or 1.0
@@ -385,7 +378,7 @@ class Finger:
 
     def _turns(self, joints: Sequence[int]) -> np.ndarray:
         """Return the axes of k joints in palm axes, zero of prismatic ones, shape (k, 3)."""
-        return PalmKinematics(self.hand).axes(zero_posture(self.hand), joints)[0]
+        return PalmKinematics(self.hand).axes(self._zero, joints)[0]
 
     def _axis(
         self, view: PalmKinematics, columns: np.ndarray, q: np.ndarray
@@ -403,14 +396,11 @@ class Finger:
         return axis, base, np.sign(along), np.abs(along)
 
     def _straightened(
-        self,
-        columns: np.ndarray,
-        zero: np.ndarray,
-        lengths_at: Callable[[np.ndarray], np.ndarray],
+        self, columns: np.ndarray, lengths_at: Callable[[np.ndarray], np.ndarray]
     ) -> np.ndarray:
         """Return the posture of some joints at which the finger is longest, else zero."""
         hand = self.hand
-        q = zero.copy()
+        q = self._zero.copy()
         best = 0.0
         # Coordinate descent: the best value of a joint depends on the others; three rounds suffice.
         for _ in range(3):
@@ -424,8 +414,9 @@ class Finger:
                 best = found.max()
                 # Several postures are equally straight: take the one nearest to zero.
                 near = grid[found >= (1.0 - 1e-4) * best]
-                q[j] = near[np.argmin(np.abs(near - zero[j]))]
-        return zero.copy() if lengths_at(zero) > _STRAIGHT * best else q
+                q[j] = near[np.argmin(np.abs(near - self._zero[j]))]
+        is_straight = lengths_at(self._zero) > _STRAIGHT * best
+        return self._zero.copy() if is_straight else q
 
     def _with_knuckle(
         self, columns: np.ndarray, straight: np.ndarray, sense: np.ndarray
@@ -438,7 +429,7 @@ class Finger:
         """
         lower = self.hand.lower_limits[columns]
         upper = self.hand.upper_limits[columns]
-        flexed = sense * (np.clip(0.0, lower, upper) - straight)
+        flexed = sense * (self._zero[columns] - straight)
         if sense[0] == 0.0 or len(columns) < 2 or flexed[1:].mean() < _FLEXED_ZERO:
             return straight
         open_end = np.where(sense > 0.0, lower, upper)
